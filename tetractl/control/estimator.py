@@ -41,6 +41,7 @@ class StateEstimator:
     ) -> None:
         self.problem = problem
         self.losses = Losses(loss, problem.speed)
+        self.robots_changed = False  # whether robots were lost or replaced since the step before
         self.period = round(period_s * SECOND)
         self.filter = FilterBank(prior, drive_first)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
@@ -51,7 +52,7 @@ class StateEstimator:
 
     @property
     def left(self) -> Bools:
-        """True for each robot that is not lost, (N,); another array whenever that changes."""
+        """True for each robot that is not lost, (N,)."""
         return self.losses.left
 
     @property
@@ -71,9 +72,10 @@ class StateEstimator:
         if last_command is not None:
             self.sent(last_command)
         self._newest_ns = observation.sampled_ns
-        left_before = self.left
+        changes_before = self.losses.changes
         replaced = [i for frame in (*earlier, observation) for i in self.losses.see(frame)]
-        if self.left is not left_before and not self.left.any():
+        self.robots_changed = self.losses.changes > changes_before
+        if self.robots_changed and not self.left.any():
             raise ControlError("every robot is lost")
         self.filter.add_frames(observation, earlier)
         self.filter.restart(replaced)

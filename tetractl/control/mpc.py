@@ -61,7 +61,7 @@ and L the number of signals of a plan.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -139,14 +139,14 @@ Decision = Plan | Outcome | End
 class Leg:
     """A part of a trial: up to way-point `index` or to the targets, or the hold after them.
 
-    `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning,
-    when the robots were `moving` or not; `outcome` is how the leg before ended.
+    `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning;
+    `began_moving` tells whether the robots drove then. `outcome` is how the leg before ended.
     """
 
     index: int
     began_s: float
     began_ns: int
-    moving: bool
+    began_moving: bool
     outcome: Outcome
 
 
@@ -184,7 +184,7 @@ class TrialProgress:
     @property
     def moving(self) -> bool:
         """Whether the robots drive when the step begins."""
-        return self.leg.moving if self.last is None else not self.last.pauses
+        return self.leg.began_moving if self.last is None else not self.last.pauses
 
     @property
     def under_way(self) -> bool:
@@ -237,8 +237,8 @@ class ControlStep:
         return min(length, self.horizon_max) <= signals_in_time
 
 
-class LeastValues(NamedTuple):
-    """The least values that driving on and a rest may turn out to have once plans are searched; inf
+class LowerBounds(NamedTuple):
+    """Lower bounds, known before plans are searched, of the values of driving on and of a rest; inf
     for what robots cannot do."""
 
     go_on: float
@@ -246,7 +246,7 @@ class LeastValues(NamedTuple):
 
     @property
     def least(self) -> float:
-        """That of the better one of both."""
+        """That of whatever robots do but stop."""
         return min(self.go_on, self.rest)
 
 
@@ -303,11 +303,10 @@ class Mpc:
         """Decide what the robots do in one step, or end the trial."""
         self.time.seen(observation, last_command)
         motion = self.estimator.seen(observation, last_command, earlier)
-        dead = self.estimator.losses.dead
-        if dead.any() and self.setup.loss and self.setup.loss.ends:
-            raise ControlError(told_dead(self.setup.names, dead))
-        if self.estimator.left is not self.course.present:  # robots were lost
-            self._begin(replace(self.progress.leg, moving=self.progress.moving), observation.poses)
+        self._raise_if_dead()
+        if self.estimator.robots_changed:
+            leg_for_others = replace(self.progress.leg, began_moving=self.progress.moving)
+            self._begin(leg_for_others, observation.poses)
         decision = self._decide(motion, observation)
         while self._ends_a_leg_only(decision):
             self._begin(self._next_leg(decision, observation), observation.poses)
@@ -318,6 +317,12 @@ class Mpc:
         self.progress = self.progress.after(decision)
         plan = replace(decision, leg=leg, estimate=self.estimator.estimate)
         return plan.of_all(self.course.present, observation.poses)
+
+    def _raise_if_dead(self) -> None:
+        """Raise ControlError if a robot is dead and the spec ends a trial then."""
+        dead = self.estimator.losses.dead
+        if dead.any() and self.setup.loss and self.setup.loss.ends:
+            raise ControlError(told_dead(self.setup.names, dead))
 
     # legs
 
@@ -333,7 +338,7 @@ class Mpc:
             index=self.progress.leg.index + 1,
             began_s=self.time.passed_s,
             began_ns=observation.sampled_ns,
-            moving=self.progress.moving,
+            began_moving=self.progress.moving,
             outcome=Outcome(decision),
         )
 
@@ -457,38 +462,31 @@ class Mpc:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._thread(step, warm)
-        least_values = self._least_values(step, warm)
-        stop = self._stop(step, warm, least_values.least)
+        bounds = LowerBounds(self._bound_of_going_on(step, warm), self._bound_of_rest(step))
+        stop = self._stop(step, warm, bounds.least)
         if stop is not None:
             return stop
         searched = self._search_under_way(step, warm)
-        plan = self._go_on(searched, least_values.rest)
+        plan = self._go_on(searched, bounds.rest)
         if plan is not None:
             return plan
         return self._rest(searched)
 
-    def _least_values(self, step: ControlStep, warm: Floats) -> LeastValues:
-        """Return the least values that going on and a rest can have.
-
-        They are known before plans are searched: a search takes up to a control period, in which
-        robots would drive on past the moment of a stop that is better than whatever it finds.
+    def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
+        """Return a lower bound of the value of going on: that of the plan under way as it is, or of
+        the shortest new plan if it led exactly to the targets. There must be time for a new plan.
         """
-        return LeastValues(self._least_of_going_on(step, warm), self._least_of_rest(step))
-
-    def _least_of_going_on(self, step: ControlStep, warm: Floats) -> float:
-        """Return the least value of going on: that of the plan under way as it is, or of the
-        shortest new plan if it led exactly to the targets. There must be time for a new plan."""
-        least = np.inf
+        bound = np.inf
         if len(warm) > 0:
-            least = self._value(step, warm, compiled_foresee(step.problem, warm))
+            bound = self._value(step, warm, compiled_foresee(step.problem, warm))
         if step.allows(least_length(step.problem), wait_s=0.0):
             shortest_new = len(warm) + 2  # one signal more is still the plan under way
-            least = min(least, step.value.plan(0.0, shortest_new, new=True))
-        return least
+            bound = min(bound, step.value.plan(0.0, shortest_new, new=True))
+        return bound
 
-    def _least_of_rest(self, step: ControlStep) -> float:
-        """Return the least value of a rest: that of the shortest plan from rest if it led exactly
-        to the targets. It is inf, as robots go on, if
+    def _bound_of_rest(self, step: ControlStep) -> float:
+        """Return a lower bound of the value of a rest: that of the shortest plan from rest if it
+        led exactly to the targets. It is inf, as robots go on, if
 
             they cannot stand, or are on their way to a way-point: the next leg begins with a plan
             from there anyway;
@@ -504,44 +502,11 @@ class Mpc:
             return np.inf
         return step.value.rest(length, wait_s)
 
-    def _thread(self, step: ControlStep, warm: Floats) -> Plan:
-        """Go on through a passage by a long plan made at rest: search only its next AHEAD signals
-        again, so that they bring robots to where the plan led them after these; keep the others.
-
-        Errors of the model in the first of some 90 signals add up until the last, and the plan
-        would lead robots into the wall; but a search of all 90 would not find the passage again.
-        Robots rest for another plan if they stray from this one, or would touch something.
-        """
-        last = self.progress.last
-        assert last is not None
-        planned = last.path[len(last.signals) - len(warm) :]  # poses before each signal left
-        problem = ahead(step.problem, planned)
-        limits = Limits(None, self._expired())
-        search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, limits)
-        foreseen = compiled_foresee(problem, search.signals)
-        strays = self._strays(Poses.of(planned[AHEAD]), foreseen.target)
-        if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
-            return self._standing(step.problem, State.RESTING, [search])
-        signals = np.append(search.signals, warm[AHEAD:])
-        plan = self._given(step.problem, signals, State.PASSING, [search])
-        return replace(plan, path=np.concatenate([foreseen.path, planned[AHEAD + 1 :]]))
-
-    def _strays(self, planned: Poses, miss: float) -> bool:
-        """Return whether robots that pass would miss their `planned` poses by too much.
-
-        A small miss is mended by the next steps, the more of them are left: so a fraction of what
-        robots have to go from there is added to the limit. As before a rest, the plan must have
-        been driven for a while.
-        """
-        driven_s = self.progress.steps_driven * self.section.period
-        to_go = float(planned.distances(self.course.targets).sum())
-        limit = MISS_MAX * self.section.accept_error + MISS_OF_WAY * to_go
-        return miss > limit and driven_s > TRUSTED_S
-
-    def _stop(self, step: ControlStep, warm: Floats, least: float) -> Decision | None:
+    def _stop(self, step: ControlStep, warm: Floats, bound: float) -> Decision | None:
         """Stop at the best moment of the coming control period, if the error that is left then is
-        at most the `least` value of anything else: robots would drive past their targets, on a
-        detour that costs more than it can win.
+        at most the lower `bound` of anything else: robots would drive past their targets, on a
+        detour that costs more than it can win. As nothing found can be better, nothing is searched:
+        a search takes up to a control period, in which that moment would pass.
 
         Robots that can stand rest at first on the last leg. They are measured there, and the next
         step ends the leg (`_finish`) or finds a plan from where they really are. Others, and those
@@ -549,10 +514,10 @@ class Mpc:
         """
         # at a way-point the next leg begins with a new plan: a later moment is not worth waiting
         within_s = self.section.period if self._in_last_leg else 0.0
-        if least_error(step.problem, within_s) > least:
+        if least_error(step.problem, within_s) > bound:
             return None  # no moment can be good enough: so it is in most steps, and costs no time
         stop = self._best_stop(step.problem, within_s)
-        if stop.error > least:
+        if stop.error > bound:
             return None
         if self._holds or (self.stands and self._in_last_leg):
             rest = self._standing(step.problem, State.RESTING)
@@ -579,7 +544,7 @@ class Mpc:
             return best_stop(problem, held, 0.0)
         return stop
 
-    def _go_on(self, searched: Searched, least_of_rest: float) -> Plan | None:
+    def _go_on(self, searched: Searched, bound_of_rest: float) -> Plan | None:
         """Follow the plan of least value that does not collide soon, unless a rest can have a lower
         value.
 
@@ -588,7 +553,7 @@ class Mpc:
         for candidate in searched.candidates:
             if not self.stands:
                 return self._planned(searched, candidate)
-            if candidate.value > least_of_rest:
+            if candidate.value > bound_of_rest:
                 return None
             plan = self._planned(searched, candidate)
             if not self._collides_soon(searched.problem, plan.signals):
@@ -601,60 +566,126 @@ class Mpc:
         return self._standing(searched.problem, State.RESTING, searched.searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
-        """Search plans about as long as the one under way, and longer ones as far as these can have
-        a lower value; end at once if one of the former is good enough.
-
-        Longer plans are detours: near the end of a plan, the few signals left cannot correct what
-        has gone wrong.
-        """
+        """Search plans about as long as the one under way, until one is good enough; if none is,
+        also detours."""
         searcher = self._searcher(step)
-        good_enough = self.section.optimizer.good_enough or 0.0
+        alike = self._search_alike(step, searcher, warm)
+        if self._is_good_enough(step, searcher.found[-1], alike[-1]):
+            return Searched(step.problem, searcher.found, alike[-1:])
+        candidates = alike + self._search_detours(step, searcher, warm, alike)
+        candidates.sort(key=lambda candidate: candidate.value)
+        return Searched(step.problem, searcher.found, candidates)
+
+    def _search_alike(self, step: ControlStep, searcher: Searcher, warm: Floats) -> list[Candidate]:
+        """Search plans that begin with the signals left (`_starts`), up to one that is good enough.
+        There is at least one, as the first search is always done."""
         candidates: list[Candidate] = []
-        for length, start in self._lengths(step, warm):
-            if start is None:
-                least = step.value.plan(0.0, length, new=True)
-                if least >= min(candidate.value for candidate in candidates):
-                    continue  # it could not win even if it led exactly to the targets
-            search = searcher.search(length, start)
+        for start in self._starts(step, warm):
+            search = searcher.search(len(start), start)
             if search is None:  # the deadline has passed
                 break
             candidate = self._candidate(step, searcher.found, len(searcher.found) - 1)
             candidates.append(candidate)
-            enough = step.value.plan(good_enough, length, new=False)
-            if start is not None and search.cost <= good_enough and candidate.value <= enough:
-                candidates = [candidate]
+            if self._is_good_enough(step, search, candidate):
                 break
-        candidates.sort(key=lambda candidate: candidate.value)
-        return Searched(step.problem, searcher.found, candidates)
+        return candidates
 
-    def _lengths(self, step: ControlStep, warm: Floats) -> Iterator[tuple[int, Floats | None]]:
-        """Yield the lengths to search, each with the signals to begin with: what is left of the
-        plan under way, without its first signal, and with one more; then longer plans, searched
-        afresh from None. A deadline ends the searches of most steps, so these go on above the
-        length that the step before searched last."""
+    def _starts(self, step: ControlStep, warm: Floats) -> list[Floats]:
+        """Return the signals (L,) to begin with: what is left of the plan under way, without its
+        first signal, and with one more; those that fit into the time left.
+
+        If none does, as when a late step comes near the limit of time, the plan is cut to fit:
+        robots that cannot stand need one to follow.
+        """
+        signals_max = max(step.signals_max, 1)
+        starts = [warm, warm[1:], np.append(warm, 0.0)]
+        fitting = [start for start in starts if 0 < len(start) <= signals_max]
+        return fitting or [warm[:signals_max]]
+
+    def _is_good_enough(self, step: ControlStep, search: Search, candidate: Candidate) -> bool:
+        """Return whether a plan about as long as the one under way needs no better one."""
+        good_enough = self.section.optimizer.good_enough or 0.0
+        enough = step.value.plan(good_enough, search.length, new=False)
+        return search.cost <= good_enough and candidate.value <= enough
+
+    def _search_detours(
+        self, step: ControlStep, searcher: Searcher, warm: Floats, alike: list[Candidate]
+    ) -> list[Candidate]:
+        """Search longer plans afresh, as far as these can have a lower value than those found: near
+        the end of a plan, the few signals left cannot correct what has gone wrong.
+
+        A deadline ends the searches of most steps, so these go on above the length that the step
+        before searched last.
+        """
         last = self.progress.last
         assert last is not None
-        for start in (warm, warm[1:], np.append(warm, 0.0)):
-            if 0 < len(start) <= max(step.signals_max, 1):
-                yield len(start), start
+        detours: list[Candidate] = []
+        least = min(candidate.value for candidate in alike)
         for length in longer(len(warm), step.signals_max, after=last.searches[-1].length):
-            yield length, None
+            if step.value.plan(0.0, length, new=True) >= least:
+                continue  # it could not win even if it led exactly to the targets
+            if searcher.search(length) is None:  # the deadline has passed
+                break
+            detour = self._candidate(step, searcher.found, len(searcher.found) - 1)
+            detours.append(detour)
+            least = min(least, detour.value)
+        return detours
+
+    # under way through a passage
+
+    def _thread(self, step: ControlStep, warm: Floats) -> Plan:
+        """Go on through a passage by a long plan made at rest: search only its next AHEAD signals
+        again, so that they bring robots to where the plan led them after these; keep the others.
+
+        Errors of the model in the first of some 90 signals add up until the last, and the plan
+        would lead robots into the wall; but a search of all 90 would not find the passage again.
+        Robots rest for another plan if they stray from this one, or would touch something.
+        """
+        last = self.progress.last
+        assert last is not None
+        signals_over = len(last.signals) - len(warm)
+        planned = last.path[signals_over:]  # poses before each signal left, and at the end
+        problem = ahead(step.problem, planned)
+        limits = Limits(None, self._expired())
+        search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, limits)
+        foreseen = compiled_foresee(problem, search.signals)
+        strays = self._strays(Poses.of(planned[AHEAD]), foreseen.target)
+        if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
+            return self._standing(step.problem, State.RESTING, [search])
+        signals = np.append(search.signals, warm[AHEAD:])
+        plan = self._given(step.problem, signals, State.PASSING, [search])
+        return replace(plan, path=np.concatenate([foreseen.path, planned[AHEAD + 1 :]]))
+
+    def _strays(self, planned: Poses, miss: float) -> bool:
+        """Return whether robots that pass would miss their `planned` poses by too much.
+
+        A small miss is mended by the next steps, the more of them are left: so a fraction of what
+        robots have to go from there is added to the limit. As before a rest, the plan must have
+        been driven for a while.
+        """
+        driven_s = self.progress.steps_driven * self.section.period
+        to_go = float(planned.distances(self.course.targets).sum())
+        limit = MISS_MAX * self.section.accept_error + MISS_OF_WAY * to_go
+        return miss > limit and driven_s > TRUSTED_S
 
     # at rest
 
     def _at_rest(self, step: ControlStep) -> Plan | Outcome:
         """Decide while no plan is under way."""
-        for propose in (self._stay, self._finish):
-            decision = propose(step)
-            if decision is not None:
-                return decision
+        stay = self._stay(step)
+        if stay is not None:
+            return stay
+        finish = self._finish(step)
+        if finish is not None:
+            return finish
         searched = self._search_at_rest(step)
         best = self._planned(searched, searched.candidates[0])
-        for propose_for in (self._turn, self._give_up):
-            plan = propose_for(searched, best)
-            if plan is not None:
-                return plan
-        return self._drive(searched, best)
+        if not (self.stands and self._collides_soon(searched.problem, best.signals)):
+            return self._drive(searched, best)
+        turn = self._turn(searched)
+        if turn is not None:
+            return turn
+        return self._give_up(best)
 
     def _stay(self, step: ControlStep) -> Plan | None:
         """Stand on in a hold while all robots are within its radius; to drive nearer could lead
@@ -684,11 +715,8 @@ class Mpc:
             return self._standing(step.problem, State.RESTING)
         return Outcome.NO_BETTER_PLAN
 
-    def _turn(self, searched: Searched, best: Plan) -> Plan | None:
-        """Turn on the spot if the best plan found collides soon, as from a corner that robots face.
-        Not after all turns were in vain."""
-        if not (self.stands and self._collides_soon(searched.problem, best.signals)):
-            return None
+    def _turn(self, searched: Searched) -> Plan | None:
+        """Turn on the spot, as in a corner that robots face, unless all turns were in vain."""
         apart = self.section.collision.separation
         turning = self.progress.turning
         facing = next_facing(searched.problem, self.course.discs, apart, turning)
@@ -697,18 +725,16 @@ class Mpc:
         standing = self._standing(searched.problem, State.TURNING, searched.searches)
         return replace(standing, instead=Turn(facing))
 
-    def _give_up(self, searched: Searched, best: Plan) -> Plan | None:
-        """Stand, and end the trial in the next step (`_outcome`), if the best plan found collides
-        soon. The log then has what was searched.
-
-        A plan that touches something later is driven: it is searched again on the way.
-        """
-        if self.stands and self._collides_soon(searched.problem, best.signals):
-            return replace(best, state=State.STUCK, instead=Stop())
-        return None
+    def _give_up(self, best: Plan) -> Plan:
+        """Stand, and end the trial in the next step (`_outcome`): so the log has the best plan
+        found and what was searched."""
+        return replace(best, state=State.STUCK, instead=Stop())
 
     def _drive(self, searched: Searched, best: Plan) -> Plan:
-        """Follow the best plan found; if a tree led to it, through a passage (`_thread`)."""
+        """Follow the best plan found; if a tree led to it, through a passage (`_thread`).
+
+        A plan that touches something later is driven too: it is searched again on the way.
+        """
         if searched.by_tree and best.search.length > AHEAD:
             return replace(best, state=State.PASSING)
         return best

@@ -69,8 +69,8 @@ class Standing:
 
 
 class Losses:
-    """Which of N robots of the given speeds (N,) are `lost` (N,) or `left` (N,), new arrays
-    whenever that changes, how often each has been lost, `times` (N,), and which are `dead` (N,).
+    """Which of N robots of the given speeds (N,) are `lost` (N,) or `left` (N,), and the number of
+    `changes` of that; how often each has been lost, `times` (N,), and which are `dead` (N,).
 
     The controller, the log's reader and `verify` all pass every camera frame to `see`, in order,
     and so get the same result. Without a rule no robot is ever lost; which
@@ -84,6 +84,7 @@ class Losses:
         self.dead: Bools = np.zeros(count, dtype=np.bool_)
         self.lost: Bools = np.zeros(count, dtype=np.bool_)
         self.left: Bools = ~self.lost
+        self.changes = 0
         self.times: Integers = np.zeros(count, dtype=np.int64)
         self._seen_ns: Integers | None = None
         self._waiting = list[Observation]()  # frames that are not yet counted
@@ -96,7 +97,8 @@ class Losses:
             if dead is not None and (dead & ~self.dead).any():
                 self.dead = self.dead | dead
                 if self._rule and self._rule.dead and not self._rule.ends:
-                    self._lose(dead & self.left)
+                    gone = dead & self.left
+                    self._change(gone, self.lost | gone)
         if self._rule is None or self._rule.ends:
             return []
         self._waiting.append(frame)
@@ -111,18 +113,18 @@ class Losses:
             lost = self.lost | gone
             back = lost & waiting.valid & self._rule.replaced
             if gone.any() or back.any():
-                self.times = self.times + gone
-                self.lost = lost & ~back
-                self.left = ~self.lost
+                self._change(gone, lost & ~back)
         self._seen_ns = seen_ns
         self._due_ns = int(seen_ns.min()) + after_ns if self.left.all() else 0
         self._waiting.clear()
         return np.flatnonzero(back).tolist()
 
-    def _lose(self, gone: Bools) -> None:
+    def _change(self, gone: Bools, lost: Bools) -> None:
+        """Count the robots `gone` now (N,), and take which are `lost` from now on (N,)."""
         self.times = self.times + gone
-        self.lost = self.lost | gone
-        self.left = ~self.lost
+        self.lost = lost
+        self.left = ~lost
+        self.changes += 1
 
 
 STOOD = "while others drive", "though commanded to move"

@@ -472,3 +472,13 @@ def test_searches_for_standing_robots_end_after_a_second(look_s, searches):
     turn = controller.plan(seen())
     done = [search for search in turn.searches if search.stopped is not StopReason.FIXED]
     assert len(done) == searches
+
+
+def test_robots_that_cannot_stand_drive_on_where_their_plan_is_longer_than_the_time_left():
+    """Regression: after a late step no plan was searched, and robots that cannot stand stopped."""
+    signals_in_time = 2
+    now_ns = 10 * PERIOD_NS
+    time_limit = now_ns / 1e9 + signals_in_time * PERIOD_S
+    controller, _ = driving({}, left=9, time_limit=time_limit)
+    plan = step(controller, now=now_ns)
+    assert (plan.state, plan.search.length) == (State.DRIVING, signals_in_time)

@@ -1,4 +1,10 @@
-"""Makes tables of batches and their comparisons: what `stats` and the report page show."""
+"""Makes tables of batches and their comparisons: what `stats` and the report page show.
+
+summary        `stats`, and the end of a run: the errors, the verdict and what is unusual
+tables         `stats --full`: every table
+data_table     `stats --format csv`
+page_trials    the trials of a batch on the report page
+"""
 
 import math
 from collections import Counter
@@ -29,16 +35,19 @@ PAIR = "one - other"
 """The column that names the two batches of a comparison."""
 
 
-def summary(found: BatchComparison) -> list[Table]:
+# ---- The summary ----
+
+
+def summary(comparison: BatchComparison) -> list[Table]:
     """Return what one needs: the total errors, and below them the verdict and what is not usual.
 
     Of three batches or more, the verdicts are in a table of their own.
     """
-    groups = found.groups
-    errors = _errors(groups, robots=False)
+    groups = comparison.groups
+    errors = _errors(groups, _totals(groups))
     notes: list[str] = []
     if len(groups) <= 2:
-        notes += [f"{contrast.name}: {_verdict(contrast)}" for contrast in found.contrasts]
+        notes += [f"{contrast.name}: {_verdict(contrast)}" for contrast in comparison.contrasts]
     if len(groups) == 1:
         notes += _from_published(groups[0])
     notes += _unusual(groups)
@@ -47,7 +56,7 @@ def summary(found: BatchComparison) -> list[Table]:
     with_notes = replace(errors, note="\n".join(notes))
     if len(groups) <= 2:
         return [with_notes]
-    return [with_notes, differences_table(found.contrasts)]
+    return [with_notes, differences_table(comparison.contrasts)]
 
 
 def _from_published(group: BatchStatistics) -> Iterator[str]:
@@ -86,18 +95,17 @@ class _Remark:
 def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
     """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`: each text
     with those it is true of, without names if that is every batch."""
-    named: dict[str, dict[str, list[str]]] = {}  # names by text, by label
+    names: dict[tuple[str, str], list[str]] = {}  # by label and text
     for group in groups:
         for remark in _remarks(group, len(groups) > 1):
-            of_label = named.setdefault(remark.label, {})
-            of_label.setdefault(remark.text, []).append(remark.name)
-    batches = [group.name for group in groups]
-    for label, of_label in named.items():
-        texts = [
-            text if names == batches else f"{listing(names)}: {text}"
-            for text, names in of_label.items()
-        ]
-        yield f"{label}: {listing(texts, '; ')}"
+            names.setdefault((remark.label, remark.text), []).append(remark.name)
+    every_batch = [group.name for group in groups]
+    texts: dict[str, list[str]] = {}  # by label
+    for (label, text), of_text in names.items():
+        named = text if of_text == every_batch else f"{listing(of_text)}: {text}"
+        texts.setdefault(label, []).append(named)
+    for label, of_label in texts.items():
+        yield f"{label}: {listing(of_label, '; ')}"
 
 
 def _remarks(group: BatchStatistics, several: bool) -> Iterator[_Remark]:
@@ -117,13 +125,28 @@ def _remarks(group: BatchStatistics, several: bool) -> Iterator[_Remark]:
         yield _Remark("flagged", f"{stems[0]} ({notes[0]}){more}", group.name)
 
 
-def tables(found: BatchComparison) -> list[Table]:
+# ---- Every table ----
+
+
+def tables(comparison: BatchComparison) -> list[Table]:
     """Return every table: errors, how the trials ended, comparisons, flagged trials."""
-    groups = found.groups
+    groups = comparison.groups
     parts = [groups[i : i + SIDE_BY_SIDE] for i in range(0, len(groups), SIDE_BY_SIDE)]
     trials = [_trials(part, alone=len(groups) == 1) for part in parts]
-    every = [_errors(groups), *trials, *_contrasts(found.contrasts), _flagged(groups)]
+    errors = _errors(groups, [*_totals(groups), *_robots(groups)])
+    every = [errors, *trials, *_contrasts(comparison.contrasts), _flagged(groups)]
     return [table for table in every if len(table)]
+
+
+def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
+    """Return a table of some batches: a row per statistic, a column per batch."""
+    texts = [texts_by_label(group) for group in groups]
+    labels = list(dict.fromkeys(label for of_batch in texts for label in of_batch))
+    columns = [Column("figure", labels)]
+    for group, of_batch in zip(groups, texts, strict=True):
+        name = "value" if alone else group.name
+        columns.append(Column(name, [of_batch.get(label) for label in labels], words=True))
+    return Table("Trials", tuple(columns))
 
 
 def _flagged(groups: Sequence[BatchStatistics]) -> Table:
@@ -133,6 +156,9 @@ def _flagged(groups: Sequence[BatchStatistics]) -> Table:
     if len(logs) > LISTED_MAX:
         rows.append((f"{len(logs) - LISTED_MAX} more", NONE, "in --format json"))
     return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
+
+
+# ---- Errors ----
 
 
 def error_format(least: float, decimals_most: int) -> Callable[[float], str]:
@@ -150,20 +176,28 @@ def error_format(least: float, decimals_most: int) -> Callable[[float], str]:
     return show
 
 
+def decimals_shown(experiment: Experiment) -> int:
+    """Return the number of decimals that shows about a millionth of the arena; smaller errors have
+    no meaning.
+    """
+    extent = max(experiment.arena.width, experiment.arena.height)
+    return min(max(6 - math.floor(math.log10(extent)), 0), 9)
+
+
 def error_table(
     title: str,
     named: Sequence[tuple[str, Distribution]],
     unit: str,
-    scale: float | None = None,
+    least: float | None = None,
     decimals_most: int = 9,
 ) -> Table:
     """Return one row per named distribution of errors, in the format for the least mean or, if
-    given, for `scale`.
+    given, for `least`.
     """
     values = [distribution for _, distribution in named]
-    if scale is None:
-        scale = min((value.mean for value in values if value.mean > 0), default=0.0)
-    show = error_format(scale, decimals_most)
+    if least is None:
+        least = min((value.mean for value in values if value.mean > 0), default=0.0)
+    show = error_format(least, decimals_most)
 
     def interval(ends: Interval) -> str:
         return ends.text(show)
@@ -183,31 +217,45 @@ def error_table(
     )
 
 
-def _errors(groups: Sequence[BatchStatistics], robots: bool = True) -> Table:
-    """Return the table of total errors and, of one batch, of the errors of its robots."""
+def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distribution]]) -> Table:
+    """Return the table of the `named` errors of batches, in the format for the least total."""
     first = groups[0]
-    if len(groups) == 1:
-        totals = [("total", first.total)]
-    else:
-        totals = [(group.name, group.total) for group in groups]
-    for group in groups:
-        published = group.experiment.reference
-        if published and all(name != "published" for name, _ in totals):
-            unknown = Interval.none("")
-            row = known_distribution(published.n, published.mean, published.std, unknown)
-            totals.append(("published", row))
-    of_robots: list[tuple[str, Distribution]] = []
-    if len(groups) == 1 and robots:
-        of_robots = list(zip(first.experiment.setup.names, first.robots, strict=True))
     errors = error_table(
         _errors_title(groups),
-        [*totals, *of_robots],
+        named,
         first.unit,
-        scale=min((group.total.mean for group in groups if group.counted), default=math.nan),
+        least=min((group.total.mean for group in groups if group.counted), default=math.nan),
         decimals_most=decimals_shown(first.experiment),
     )
     simulated = (trial for group in groups for trial in group.batch.trials if trial.simulated)
     return replace(errors, note=processors_note(trial.processor for trial in simulated))
+
+
+def _totals(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
+    """Return the total error of each batch, then the published ones."""
+    if len(groups) == 1:
+        return [("total", groups[0].total), *_published(groups)]
+    return [*((group.name, group.total) for group in groups), *_published(groups)]
+
+
+def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distribution]]:
+    """Yield each published result once; with the names of their batches, if they differ."""
+    names: dict[tuple[int, float, float], list[str]] = {}  # of batches, by n, mean and std
+    for group in groups:
+        published = group.experiment.reference
+        if published is not None:
+            key = (published.n, published.mean, published.std)
+            names.setdefault(key, []).append(group.name)
+    for (n, mean, std), of_result in names.items():
+        name = "published" if len(names) == 1 else f"published for {listing(of_result)}"
+        yield name, known_distribution(n, mean, std, Interval.none(""))
+
+
+def _robots(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
+    """Return the errors of each robot; of several batches, none."""
+    if len(groups) > 1:
+        return []
+    return list(zip(groups[0].experiment.setup.names, groups[0].robots, strict=True))
 
 
 def _errors_title(groups: Sequence[BatchStatistics]) -> str:
@@ -237,15 +285,7 @@ def processors_note(types: Iterable[str]) -> str:
     return f"trials of {len(counts)} {what}: {named}{more}"
 
 
-def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
-    """Return a table of some batches: a row per statistic, a column per batch."""
-    texts = [texts_by_label(group) for group in groups]
-    labels = list(dict.fromkeys(label for of_batch in texts for label in of_batch))
-    columns = [Column("figure", labels)]
-    for group, of_batch in zip(groups, texts, strict=True):
-        name = "value" if alone else group.name
-        columns.append(Column(name, [of_batch.get(label) for label in labels], words=True))
-    return Table("Trials", tuple(columns))
+# ---- Comparisons ----
 
 
 def _contrasts(contrasts: Sequence[Contrast]) -> list[Table]:
@@ -304,22 +344,17 @@ def _basis(contrasts: Sequence[Contrast]) -> Table:
     return Table.of_texts("What the comparisons rest on", header, rows)
 
 
-def data_table(found: BatchComparison) -> Table:
+# ---- For other programs, and for the report page ----
+
+
+def data_table(comparison: BatchComparison) -> Table:
     """Return the table of `stats --format csv`: for one batch, a row per trial, earlier attempts
     last; for several batches, a row per comparison, with the same numbers as the JSON.
     """
-    if len(found.groups) == 1:
-        return trials_table(found.groups[0].batch)
-    rows = [flat(contrast_items(contrast)) for contrast in found.contrasts]
+    if len(comparison.groups) == 1:
+        return trials_table(comparison.groups[0].batch)
+    rows = [flat(contrast_items(contrast)) for contrast in comparison.contrasts]
     return Table.of_records("comparisons", rows)
-
-
-def decimals_shown(experiment: Experiment) -> int:
-    """Return the number of decimals that shows about a millionth of the arena; smaller errors have
-    no meaning.
-    """
-    extent = max(experiment.arena.width, experiment.arena.height)
-    return min(max(6 - math.floor(math.log10(extent)), 0), 9)
 
 
 def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:
@@ -333,7 +368,7 @@ def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:
         "",
         (
             Column("trial", [numbers.get(trial.log) for trial in trials]),
-            Column("log", [trial.log.rpartition("/")[2] for trial in trials]),
+            Column("log", [Path(trial.log).name for trial in trials]),
             Column("total error", [t.result.total_error for t in trials], group.unit, show),
             Column("duration", [t.result.duration_s for t in trials], "s", fixed(2)),
             Column("steps", [trial.result.steps for trial in trials]),

@@ -79,6 +79,20 @@ def test_the_summary_takes_twelve_lines_of_a_terminal(width):
         assert len([line for line in lines if line]) <= 12 - 2 * (len(groups) == 1)  # of `run`
 
 
+def test_published_results_that_differ_have_a_row_each_with_their_batches():
+    """Regression: only the first had one, and a batch of that name hid it."""
+    other = experiment(reference=REFERENCE | {"mean": 500.0}, scale=SCALE, plant=DISTURBED)
+    a, b = group(batch(ERRORS, SPEC), name="a"), group(batch(ERRORS, SPEC), name="published")
+    c = group(batch(ERRORS, other), name="c")
+    (alike, *_), (different, *_) = summary(contrast([a, b])), summary(contrast([a, b, c]))
+    assert list(alike.columns[0].values) == ["a", "published", "published"]
+    assert list(different.columns[0].values) == [
+        *("a", "published", "c"),
+        *("published for a, published", "published for c"),
+    ]
+    assert list(different.columns[2].values)[3:] == [648.6, 500.0]
+
+
 def test_the_verdicts_on_many_batches_are_a_table():
     named = [group(batch(ERRORS[: 9 + i]), name=f"g{i}") for i in range(3)]
     errors, compared = summary(contrast(named))

@@ -50,7 +50,7 @@ from tetractl.core.protocols import LabSupervision, Observer  # noqa: E402
 from tetractl.core.trial import EPOCH_NS  # noqa: E402
 from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
 from tetractl.log.format.channels import FRAMES  # noqa: E402
-from tetractl.log.format.codec import unpacked  # noqa: E402
+from tetractl.log.format.packed_columns import unpack_columns  # noqa: E402
 from tetractl.log.format.tetractl_pb2 import CameraFrames  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.write import sink  # noqa: E402
@@ -451,7 +451,7 @@ def missing_frames(path: Path) -> int:
     numbers: set[int] = set()
     with path.open("rb") as file:
         for _, _, message in make_reader(file).iter_messages(topics=[FRAMES]):
-            times = unpacked(CameraFrames.FromString(message.data).times, 3, "<i8")
+            times = unpack_columns(CameraFrames.FromString(message.data).times, 3, "<i8")
             numbers.update(times[:, 0].tolist())
     return max(numbers) + 1 - len(numbers)
 

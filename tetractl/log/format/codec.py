@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.core.commands import Action, Command, FieldOff, Sample, Steer, Stop, Turn
 from tetractl.core.errors import printable
@@ -22,6 +21,7 @@ from tetractl.core.plan import Estimate, Plan, Search, State, StopReason
 from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
+from tetractl.log.format.packed_columns import pack_columns, unpack_columns
 
 ESTIMATE_FIELDS = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
 """The fields of an estimate, which its record and its message share."""
@@ -29,8 +29,6 @@ FORMER_STATES = ("nearing", "leaving a corner")
 """States of earlier versions, in which robots followed signals; they are read as `driving`."""
 STOP_REASON_MAX = 60
 """Largest number of characters read of the reason why a search stopped."""
-DIFFERENCES = 4
-"""How often a packed column is replaced by its differences."""
 DRAWN_BITS_CUT = 10
 """Bits of single precision's 24 that `drawn` sets to 0."""
 DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
@@ -55,7 +53,8 @@ class Frames(NamedTuple):
 
     @classmethod
     def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
-        """Return samples as arrays; `truth` is None unless every sample has true poses."""
+        """Return samples as arrays; `truth` is None unless every sample has true poses. Of no
+        sample it is empty, so that `joined` takes it for known."""
         observations = [sample.observation for sample in samples]
         truths = [sample.truth for sample in samples if sample.truth is not None]
         all_known = len(truths) == len(samples)
@@ -122,90 +121,37 @@ def drawn(values: Floats) -> Floats:
     return ((bits + half) & high_bits).view(np.float32).astype(np.float64)
 
 
-def packed(columns: NDArray[Any]) -> bytes:
-    """Pack columns (M, C) of numbers of 4 or 8 bytes, so that zstd finds much alike. In this order,
-    each step undone by `unpacked`:
-
-    1. The bits of each number are taken for an integer.
-    2. Each column is replaced by its fourth differences, as if zeros were before it: numbers that
-       change smoothly become small. A single row stays as it is.
-    3. Small negative integers become small positive ones (`_zigzag`): 0, -1, 1, -2 -> 0, 1, 2, 3.
-    4. The lowest bytes of all numbers come first, column after column, then the next higher ones
-       (`_byte_planes`): the high bytes, nearly all 0, are together.
-    """
-    integers = np.ascontiguousarray(columns).view(f"<i{columns.itemsize}")
-    if len(integers) > 1:
-        before = np.zeros((DIFFERENCES, integers.shape[1]), integers.dtype)
-        integers = np.diff(np.concatenate([before, integers]), DIFFERENCES, axis=0)
-    return _byte_planes(_zigzag(integers))
-
-
-def unpacked(data: bytes, width: int, kind: str) -> NDArray[Any]:
-    """Return the columns (M, `width`) of numbers of type `kind` in packed bytes; ValueError for
-    another number of bytes."""
-    if not data:
-        return np.zeros((0, width), kind)
-    integers = _from_zigzag(_from_byte_planes(data, width, np.dtype(kind).itemsize))
-    if len(integers) > 1:
-        for _ in range(DIFFERENCES):
-            integers = np.cumsum(integers, axis=0, dtype=integers.dtype)
-    return integers.view(kind)
-
-
-def _zigzag(signed: NDArray[Any]) -> NDArray[Any]:
-    """Return 2 n for n >= 0 and -2 n - 1 for n < 0."""
-    sign_bit = 8 * signed.itemsize - 1
-    return (signed << 1) ^ (signed >> sign_bit)
-
-
-def _from_zigzag(unsigned: NDArray[Any]) -> NDArray[Any]:
-    """Undo `_zigzag`, modulo the size of the integers."""
-    return (unsigned >> 1) ^ -(unsigned & 1)
-
-
-def _byte_planes(integers: NDArray[Any]) -> bytes:
-    """Return the bytes of integers (M, C), in the order (byte, column, row)."""
-    by_column = np.ascontiguousarray(integers.T)
-    by_number = by_column.view(np.uint8).reshape(-1, integers.itemsize)
-    return by_number.T.tobytes()
-
-
-def _from_byte_planes(data: bytes, width: int, size: int) -> NDArray[Any]:
-    """Undo `_byte_planes`, as unsigned integers (M, `width`) of `size` bytes."""
-    planes = np.frombuffer(data, np.uint8).reshape(size, width, -1)
-    by_number = np.ascontiguousarray(planes.transpose(2, 1, 0))
-    return by_number.view(f"<u{size}")[..., 0]
-
-
 @np.errstate(all="ignore")  # numbers beyond single precision
 def encode_frames(frames: Frames) -> pb.CameraFrames:
     """Encode camera frames; true poses have single precision unless they are the measured ones."""
     count = len(frames.numbers)
     late_ns = frames.sampled_ns[:, None] - frames.exposed_ns
     message = pb.CameraFrames(
-        times=packed(np.column_stack([frames.numbers, frames.sampled_ns, frames.received_ns])),
-        poses=packed(frames.poses.reshape(count, -1)),
+        times=pack_columns(
+            np.column_stack([frames.numbers, frames.sampled_ns, frames.received_ns])
+        ),
+        poses=pack_columns(frames.poses.reshape(count, -1)),
         valid=frames.valid.ravel().tolist(),
     )
     if late_ns.any():
-        message.late = packed(late_ns)
+        message.late = pack_columns(late_ns)
     if frames.truth is None:
         message.exact = False
     elif frames.truth.tobytes() == frames.poses.tobytes():
         message.exact = True
     else:
         message.exact = False
-        message.truth = packed(frames.truth.reshape(count, -1).astype(np.float32))
+        message.truth = pack_columns(frames.truth.reshape(count, -1).astype(np.float32))
     return message
 
 
 @np.errstate(all="ignore")  # any bits may be a number
 def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     """Decode camera frames; ValueError for another number of robots than `robots`."""
-    times = unpacked(message.times, 3, "<i8")
-    poses = unpacked(message.poses, 3 * robots, "<f8")
-    truth = poses if message.exact else unpacked(message.truth, 3 * robots, "<f4")
-    late_ns = unpacked(message.late, robots, "<i8")
+    times = unpack_columns(message.times, 3, "<i8")
+    poses = unpack_columns(message.poses, 3 * robots, "<f8")
+    truth = poses if message.exact else unpack_columns(message.truth, 3 * robots, "<f4")
+    late_ns = unpack_columns(message.late, robots, "<i8")
     count = len(times)
     complete = len(poses) == count and len(message.valid) == count * robots
     optional = len(truth) in (0, count) and len(late_ns) in (0, count)
@@ -324,7 +270,9 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     Raises ValueError for arrays of unequal lengths and for another number of robots than `robots`.
     """
     observation = decode_observation(message.observation, robots)
-    if not 0 <= message.chosen < len(message.searches) or not message.signals:
+    if not message.signals:
+        raise ValueError(f"step {message.k} has no signal")
+    if not 0 <= message.chosen < len(message.searches):
         raise ValueError(f"step {message.k} chooses a search that does not exist")
     command = decode_command(message.command)
     plan = Plan(

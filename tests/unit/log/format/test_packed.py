@@ -15,9 +15,8 @@ from tetractl.log.format.codec import (
     decode_frames,
     drawn,
     encode_frames,
-    packed,
-    unpacked,
 )
+from tetractl.log.format.packed_columns import pack_columns, unpack_columns
 from tetractl.log.read.salvage import scan
 
 PAGE = (ROOT / "docs" / "reference" / "log-format.md").read_text()
@@ -30,12 +29,12 @@ PAGE = (ROOT / "docs" / "reference" / "log-format.md").read_text()
 )
 def test_columns_keep_every_bit_and_the_page_says_how(data, kind, shape):
     bits = data.draw(arrays(np.dtype(f"<i{kind[-1]}"), shape))
-    again = unpacked(packed(bits.view(kind)), shape[1], kind)
+    again = unpack_columns(pack_columns(bits.view(kind)), shape[1], kind)
     assert again.view(bits.dtype).tolist() == bits.tolist()
     program = PAGE[PAGE.index("    import numpy as np\n") : PAGE.index("    frame, sampled_ns")]
     told: dict = {}
     exec("\n".join(line[4:] for line in program.splitlines()), told)
-    found = told["unpacked"](packed(bits.view(kind)), shape[1], kind)
+    found = told["unpacked"](pack_columns(bits.view(kind)), shape[1], kind)
     assert found.view(bits.dtype).tolist() == bits.tolist()
 
 

@@ -16,7 +16,7 @@ from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.log.format.channels import COMMANDS, FRAMES, HOST_END, RESULT, RUN, STEP
-from tetractl.log.format.codec import packed
+from tetractl.log.format.packed_columns import pack_columns
 from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
     ControllerStep,
@@ -132,9 +132,9 @@ NAN, INF = float("nan"), float("inf")
 def spoilt_frames(times=((0, 0, 0),), poses=((1.0, 1.0, 1.0),), truth=(), valid=(True,)):
     """Frames of one robot that could be ours, but for the changes."""
     return CameraFrames(
-        times=packed(np.array(times, np.int64)),
-        poses=packed(np.array(poses, np.float64).reshape(-1, 3)),
-        truth=packed(np.array(truth, np.float32).reshape(-1, 3)),
+        times=pack_columns(np.array(times, np.int64)),
+        poses=pack_columns(np.array(poses, np.float64).reshape(-1, 3)),
+        truth=pack_columns(np.array(truth, np.float32).reshape(-1, 3)),
         valid=valid,
     )
 

@@ -11,7 +11,7 @@ import pytest
 from support.paths import ROOT
 from support.random_trials import trial, write
 
-from tetractl.log.format.codec import unpacked
+from tetractl.log.format.packed_columns import unpack_columns
 from tetractl.log.read.salvage import scan
 
 pytestmark = pytest.mark.system  # installs packages
@@ -59,7 +59,7 @@ def test_our_messages_decode_to_the_values_written(reader, tmp_path):
     assert int(message["publishTime"]) == made.start.start_unix_ns + step.observation.sampled_ns
     x = made.samples[0].observation.poses.x.tolist()
     frame = found["channels"]["/frames"]["first"]
-    poses = unpacked(base64.b64decode(frame["poses"]), 9, "<f8")
+    poses = unpack_columns(base64.b64decode(frame["poses"]), 9, "<f8")
     assert np.array_equal(poses[0, ::3], x, equal_nan=True)
     shown = [item["child_frame_id"] for item in found["channels"]["/tf"]["first"]["transforms"]]
     assert set(shown) == {"robot/robot 0", "robot/robot 1", "robot/robot 2"}

@@ -1,11 +1,24 @@
 """A cell in one picture, and what is said of it: its name, and where it appeared."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from tetractl.core.poses import Floats
 
-Entry = tuple[float, float, float, float, float, float]
-"""A blob: time [s], x, y [um], axis [rad], length and width [um], NaN if it is cut off."""
+
+class PathBlob(NamedTuple):
+    """A blob: time [s], x, y [um], axis [rad], length and width [um], NaN if it is cut off."""
+
+    seconds: float
+    x: float
+    y: float
+    axis: float
+    long: float
+    wide: float
+
+    def moved(self, x: float, y: float) -> "PathBlob":
+        """Return it at another place, by x, y [um] away."""
+        return self._replace(x=self.x + x, y=self.y + y)
 
 
 @dataclass(frozen=True, slots=True)

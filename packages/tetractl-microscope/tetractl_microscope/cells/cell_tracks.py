@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import Entry
+from tetractl_microscope.cells.cell import PathBlob
 from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.cells.helix import HelixFilter
 
@@ -29,6 +29,15 @@ SIZED = 6  # number of pictures in which sizes count
 TURNS = 0.2  # probability that a cell has turned by itself while it was with others
 
 
+@dataclass(frozen=True, slots=True)
+class CellStart:
+    """Where [um] and when [s] a speck became a cell."""
+
+    x: float
+    y: float
+    seconds: float
+
+
 @dataclass(slots=True, eq=False)
 class CellTrack:
     """An object that the tracker follows: a cell, or, before it has swum, a speck.
@@ -40,7 +49,7 @@ class CellTrack:
     """
 
     number: int
-    path: list[Entry]
+    path: list[PathBlob]
     row: int | None = None
     identity: int = 0
     certainty: float = 1.0  # probability of the identity, without an open question
@@ -57,8 +66,7 @@ class CellTrack:
     sized_s: float = 0.0  # last time when the blob had the cell's size
     pair_s: float = -math.inf  # until then, its blob may show two cells that came together
     measured: tuple[float, ...] | None = None
-    # x, y [um] and time [s] of the cell's first blob; None once it has swum far enough
-    begun: tuple[float, float, float] | None = None
+    begun: CellStart | None = None  # None once the cell has swum far enough
     meeting: "Meeting | None" = None
     # last time when it was too near to another cell to be distinguished
     together_s: float = -math.inf
@@ -75,10 +83,17 @@ class CellTrack:
         """Return the position x, y [um] that the last motion predicts for a time [s]."""
         last = self.path[-1]
         if len(self.path) < 2 or self.missed_s > 0.1:
-            return last[1], last[2]
+            return last.x, last.y
         first = self.path[max(0, len(self.path) - 4)]
-        ratio = (seconds - last[0]) / max(last[0] - first[0], 1e-3)
-        return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
+        ratio = (seconds - last.seconds) / max(last.seconds - first.seconds, 1e-3)
+        return last.x + (last.x - first.x) * ratio, last.y + (last.y - first.y) * ratio
+
+    def shift(self, x: float, y: float) -> None:
+        """Move all that is known of its places by x, y [um], with the picture's content."""
+        self.path = [entry.moved(x, y) for entry in self.path]
+        self.last = self.last + np.array((x, y))
+        if self.begun is not None:
+            self.begun = replace(self.begun, x=self.begun.x + x, y=self.begun.y + y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

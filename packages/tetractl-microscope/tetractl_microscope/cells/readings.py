@@ -8,6 +8,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells import match
+from tetractl_microscope.cells.cell import PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.specks import usual_size
@@ -44,13 +45,45 @@ def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
     the blob is too large for the cell, or the cell of another size than was thought.
     """
     x, y, axis, long, wide = place.tolist()
-    cell.path = [*cell.path[1 - PATH :], (seconds, x, y, axis, long, wide)]
+    cell.path = [*cell.path[1 - PATH :], PathBlob(seconds, x, y, axis, long, wide)]
     if 1 / LARGE <= long * wide / (cell.long * cell.wide) <= LARGE:
         cell.sized_s = seconds
     elif seconds - cell.sized_s > GROWN_S:  # nothing else has left the blob: this is its size
         cell.long, cell.wide = usual_size(np.array(cell.path))
     cell.hidden_s = math.inf
     cell.large = long * wide > LARGE * cell.long * cell.wide or long > LONGER * cell.long
+
+
+def note_shared(cells: Sequence[CellTrack], place: Floats, seconds: float) -> None:
+    """Note that cells share a blob in `place` (5,), and since when it has been as small as one of
+    them.
+    """
+    is_small = _is_small(cells, place)
+    for cell in cells:
+        cell.merged = True
+        cell.hidden_s = min(cell.hidden_s, seconds) if is_small else math.inf
+
+
+def note_own(reading: BlobReading, place: Floats) -> None:
+    """Note what a cell's own blob in `place` (5,) said, and its size unless the blob is odd."""
+    cell = reading.cell
+    cell.measured = (*reading.values, *reading.deviations)
+    if not _is_odd(cell, place):
+        _, _, _, long, wide = place.tolist()
+        cell.long += SHAPE_SHARE * (long - cell.long)
+        cell.wide += SHAPE_SHARE * (wide - cell.wide)
+
+
+def _is_small(cells: Sequence[CellTrack], place: Floats) -> bool:
+    """Return whether a shared blob is only as large as one of its cells."""
+    return bool(place[3] * place[4] < LARGE * max(cell.long * cell.wide for cell in cells))
+
+
+def _is_odd(cell: CellTrack, place: Floats) -> bool:
+    """Return whether a cell's own blob is too large or too small for it, or cut off."""
+    assert cell.blob is not None
+    is_smaller = place[3] * place[4] < cell.long * cell.wide / LARGE**2
+    return bool(cell.large or is_smaller or cell.blob.at_edge)
 
 
 def own_path(path: Floats, long: float, wide: float, body_um: float) -> Floats:
@@ -72,28 +105,22 @@ def own_reading(
     height: int,
     body_um: float,
 ) -> BlobReading:
-    """Return what a cell's own blob says, in a picture with `height` rows; update the cell's usual
-    size. A blob that is too large shows something else, too, on the other side of its
-    middle from where the cell is `expected` (3,).
+    """Return what a cell's own blob says, in a picture with `height` rows. A blob that is too large
+    shows something else, too, on the other side of its middle from where the cell is `expected`
+    (3,).
     """
     x, y, axis, long, wide = place.tolist()
     assert cell.blob is not None
-    cut = cell.blob.at_edge
-    smaller = long * wide < cell.long * cell.wide / LARGE**2
     off = max(ODD[0] * body_um, OFF_SHARE * (long - cell.long))
     least = POSITION_UM + POSITION_PX * um_px
     deviations = least, least, AXIS / max(1 - wide / long, ROUND)
-    if cell.large and not cut:
+    if cell.large and not cell.blob.at_edge:
         points = match.points_of(cell.blob, um_px, height)
         pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
         x, y = match.parted([cell, cell], pair, points)[0].tolist()
         off = MERGED[0] * body_um
-    if cell.large or smaller or cut:
+    if _is_odd(cell, place):
         deviations = off, off, ODD[1]
-    else:
-        cell.long += SHAPE_SHARE * (long - cell.long)
-        cell.wide += SHAPE_SHARE * (wide - cell.wide)
-    cell.measured = (x, y, axis, *deviations)
     return BlobReading(cell, (x, y, axis), deviations)
 
 
@@ -102,16 +129,10 @@ def shared_readings(
     expected: Floats,
     place: Floats,
     points: Floats,
-    seconds: float,
     body_um: float,
 ) -> list[BlobReading]:
-    """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there; note
-    since when the blob has been as small as one of them.
-    """
-    hidden = place[3] * place[4] < LARGE * max(cell.long * cell.wide for cell in cells)
-    sd, turn = HIDDEN if hidden else MERGED
-    for cell in cells:
-        cell.hidden_s = min(cell.hidden_s, seconds) if hidden else math.inf
+    """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there."""
+    sd, turn = HIDDEN if _is_small(cells, place) else MERGED
     middles = match.parted(cells, expected, points).tolist()
     return [
         BlobReading(cell, (x, y, float(axis)), (sd * body_um, sd * body_um, turn))

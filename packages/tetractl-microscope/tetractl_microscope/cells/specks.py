@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import Entry
+from tetractl_microscope.cells.cell import PathBlob
 from tetractl_microscope.organisms import Organism
 
 BORN = 5  # number of blobs after which a speck may be a cell: anywhere
@@ -20,7 +20,7 @@ ROUND = 1.3  # greatest ratio of its sides at which a body has no axis
 EVEN = 0.2  # relative variation of a cell's size
 
 
-def swims(entries: Sequence[Entry], needed: int, organism: Organism) -> bool:
+def swims(entries: Sequence[PathBlob], needed: int, organism: Organism) -> bool:
     """Return whether the newest blobs of an object, `needed` of them, have an organism's size and
     move fast, straight and along their axis.
     """

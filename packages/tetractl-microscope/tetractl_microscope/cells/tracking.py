@@ -23,8 +23,8 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Grey
 from tetractl_microscope.cells import match
-from tetractl_microscope.cells.cell import Born, CellAnswer, Entry, SeenCell
-from tetractl_microscope.cells.cell_tracks import CellTrack
+from tetractl_microscope.cells.cell import Born, CellAnswer, PathBlob, SeenCell
+from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack
 from tetractl_microscope.cells.detect_cells import Blob, BlobFinder
 from tetractl_microscope.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl_microscope.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN
@@ -34,6 +34,8 @@ from tetractl_microscope.cells.readings import (
     MERGED,
     PATH,
     BlobReading,
+    note_own,
+    note_shared,
     note_size,
     own_path,
     own_reading,
@@ -42,7 +44,7 @@ from tetractl_microscope.cells.readings import (
 from tetractl_microscope.cells.specks import BORN, NEAR, NEAR_BORN, straight, swims, usual_size
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
-TOGETHER = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
+AREAS_MOST = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
 LOST_S = 0.5  # time without a blob after which a cell is lost
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported any more
 LOOKED_S = 0.2  # time without a blob for which one is looked for elsewhere: a cell may have stopped
@@ -112,7 +114,7 @@ class CellTracker:
     ) -> None:
         self.um_px = um_px
         least_um2 = organism.wide_um[0] * organism.body_um[1]
-        most_um2 = TOGETHER * organism.outline_um2[1]
+        most_um2 = AREAS_MOST * organism.outline_um2[1]
         self.finder = BlobFinder(least_um2 / um_px**2, most_um2 / um_px**2)
         self.bank = HelixFilter(known, near_wall, organism)
         self.blobs = list[Blob]()  # those of the newest picture
@@ -176,11 +178,7 @@ class CellTracker:
         self.bank.mean[:, :2] += x, y
         self._names.shift(x, y)
         for track in self._tracks:
-            track.path = [(e[0], e[1] + x, e[2] + y, e[3], e[4], e[5]) for e in track.path]
-            track.last = track.last + np.array((x, y))
-            if track.begun is not None:
-                begun_x, begun_y, begun_s = track.begun
-                track.begun = begun_x + x, begun_y + y, begun_s
+            track.shift(x, y)
 
     # ---- blobs and tracks ----
 
@@ -225,34 +223,42 @@ class CellTracker:
         """Update the filter by the cells' blobs."""
         for group in groups:
             if len(group.cells) > 1:
-                for cell in group.cells:
-                    cell.merged = True
                 self._names.meet(group.cells, now.seconds, self._may_join(group.cells, now))
+        for group in groups:
+            self._note_blob(group, now)
         readings: list[BlobReading] = []
         for group in groups:
             readings += self._readings(group, now)
         if readings:
             self._update_filter(readings, now)
-        for group in groups:
-            for cell in group.cells:
-                cell.last = group.place[:2]
+        for reading in readings:
+            cell = reading.cell
+            assert cell.place is not None, "it has a blob"
+            if not cell.merged:
+                note_own(reading, cell.place)
+            cell.last = cell.place[:2]
 
-    def _readings(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
-        """Return what a blob says of its cells. One that is cut off or too large for its one cell
+    def _note_blob(self, group: CellsInBlob, now: PictureNow) -> None:
+        """Note the size of a blob with its cells. One that is cut off or too large for its one cell
         may show another one, too.
         """
         if len(group.cells) > 1:
-            points = match.points_of(group.blob, self.um_px, now.height)
-            return shared_readings(
-                group.cells, group.expected, group.place, points, now.seconds, self._body_um
-            )
+            note_shared(group.cells, group.place, now.seconds)
+            return
         cell = group.cells[0]
         note_size(cell, group.place, now.seconds)
         # at the picture's edge, a cell that enters may take the blob of one that leaves
         is_cut = group.blob.at_edge and cell.begun is None
         if (cell.large or is_cut) and cell.question is None:
             self._names.meet([cell], now.seconds, self._may_join([cell], now))
-        expected = group.expected[0]
+
+    def _readings(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
+        """Return what a blob says of its cells."""
+        if len(group.cells) > 1:
+            points = match.points_of(group.blob, self.um_px, now.height)
+            return shared_readings(group.cells, group.expected, group.place, points, self._body_um)
+        (cell,) = group.cells
+        (expected,) = group.expected
         return [own_reading(cell, expected, group.place, self.um_px, now.height, self._body_um)]
 
     def _update_filter(self, readings: Sequence[BlobReading], now: PictureNow) -> None:
@@ -271,7 +277,8 @@ class CellTracker:
             cell = reading.cell
             if cell.question is not None:
                 is_whole = cell.blob is not None and not cell.blob.at_edge and not cell.merged
-                size = cell.path[-1][4:] if is_whole else None
+                blob = cell.path[-1]
+                size = (blob.long, blob.wide) if is_whole else None
                 of_cells = likelihood[first : first + count]
                 cell.question.add(cell, of_cells, size, now.seconds)
             elif not cell.merged:
@@ -321,7 +328,7 @@ class CellTracker:
     def _may_join(self, cells: Sequence[CellTrack], now: PictureNow) -> bool:
         """Return whether an object that is not followed may be about to enter the cells' blob."""
         specks = [
-            speck.path[-1][1:3]
+            (speck.path[-1].x, speck.path[-1].y)
             for speck in self._tracks
             if speck.row is None and speck.missed_s < now.brief_s
         ]
@@ -352,7 +359,7 @@ class CellTracker:
             if blob.at_edge:
                 long = math.nan
                 wide = math.nan
-            entry: Entry = (now.seconds, x, y, axis, long, wide)
+            entry = PathBlob(now.seconds, x, y, axis, long, wide)
             gaps = np.linalg.norm(cells_at - place[:2], axis=1)
             nearest_um = float(gaps.min(initial=np.inf))
             if speck is None:
@@ -361,14 +368,14 @@ class CellTracker:
                 self._last_number += 1
                 self._tracks.append(CellTrack(self._last_number, [entry], near=near))
                 continue
-            was_hidden = now.seconds - speck.path[-1][0] > now.brief_s
+            was_hidden = now.seconds - speck.path[-1].seconds > now.brief_s
             speck.path = [entry] if was_hidden else [*speck.path[1 - PATH :], entry]
             needed = NEAR_BORN if nearest_um < NEAR * self._body_um else BORN
             if swims(speck.path, needed, self._organism):
                 self._begin(speck, now)
 
     def _begin(self, track: CellTrack, now: PictureNow) -> None:
-        """Start to follow a speck as a cell, since it swims."""
+        """CellStart to follow a speck as a cell, since it swims."""
         path = np.array(track.path)
         begun_s = float(path[0, 0])
         (vx, vy), fitted = straight(path[-BORN:])
@@ -380,7 +387,7 @@ class CellTracker:
             track.pair_s = now.seconds + self._started_s
         track.row = self.bank.add(x, y, heading, math.hypot(vx, vy))
         track.identity = self._names.take_number()
-        track.begun = (x, y, float(path[-1, 0]))
+        track.begun = CellStart(x, y, float(path[-1, 0]))
         track.last = path[-1, 1:3]
         if track.near not in self._tracks:
             track.near = None
@@ -452,15 +459,14 @@ class CellTracker:
         """Return whether a tracked object does not swim by a time [s], so that it is not a cell."""
         if track.begun is None or self._has_swum(track):
             return False
-        _, _, begun_s = track.begun
-        return seconds - begun_s > self._started_s
+        return seconds - track.begun.seconds > self._started_s
 
     def _has_swum(self, track: CellTrack) -> bool:
         """Return whether a tracked object has swum as far as a cell must."""
         if track.begun is None:
             return True
-        x, y, _ = track.begun
-        return math.dist(track.last.tolist(), (x, y)) > STARTED * self._body_um
+        start = track.begun
+        return math.dist(track.last.tolist(), (start.x, start.y)) > STARTED * self._body_um
 
     def _to_edge(self, x: float, y: float, now: PictureNow) -> float:
         """Return the distance [um] of a position [um] from the picture's edge."""

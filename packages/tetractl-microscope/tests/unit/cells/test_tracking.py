@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from support.dish_films import Reel, Score, film, followed
 from tetractl_microscope.cells import match
-from tetractl_microscope.cells.cell_tracks import CellTrack
+from tetractl_microscope.cells.cell import PathBlob
+from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
 from tetractl_microscope.cells.helix import HEADING
 from tetractl_microscope.cells.readings import BlobReading, note_size, own_path
@@ -58,7 +59,7 @@ def test_a_slow_organism_is_followed_at_a_low_rate():
 
 
 def test_specks_are_looked_for_as_far_as_the_organism_swims():
-    speck = CellTrack(1, [(0.0, 0.0, 0.0, 0.0, 50.0, 25.0)])
+    speck = CellTrack(1, [PathBlob(0.0, 0.0, 0.0, 0.0, 50.0, 25.0)])
     slow = replace(TETRAHYMENA, speed_um_s=tuple(v / 4 for v in TETRAHYMENA.speed_um_s))
     away_um = 60.0  # 1.15 lengths; in 0.1 s the fastest swim 1.45 lengths, the slow ones 0.36
     blob = np.array([[away_um, 0.0, 0.0, 50.0, 25.0]])
@@ -67,6 +68,15 @@ def test_specks_are_looked_for_as_far_as_the_organism_swims():
         for organism in (TETRAHYMENA, slow)
     }
     assert costs[TETRAHYMENA] < 100 < costs[slow]
+
+
+def test_a_knock_moves_all_places_of_a_track():
+    blob = PathBlob(1.0, 10.0, 20.0, 0.5, 50.0, 25.0)
+    track = CellTrack(1, [blob], begun=CellStart(8.0, 20.0, 0.5), last=np.array([10.0, 20.0]))
+    track.shift(3.0, -4.0)
+    assert track.path == [PathBlob(1.0, 13.0, 16.0, 0.5, 50.0, 25.0)]
+    assert track.begun == CellStart(11.0, 16.0, 0.5)
+    assert track.last.tolist() == [13.0, 16.0]
 
 
 def test_numbers_are_kept_through_crossings():

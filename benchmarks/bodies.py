@@ -40,7 +40,7 @@ from tetractl.results.mean_difference import paired_t
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 SURE_MM = 1.0  # by which a path may be expected to come nearer, for rounding and camera noise
 LARGE_MM = 20.0

@@ -36,7 +36,7 @@ from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.load import load_spec
 from tetractl.lab.rig import build_rig
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import run_observed
+from tetractl.run.spec_trial import run_observed
 
 FIRST_SEED = 9000
 PLANS = 96

@@ -44,7 +44,7 @@ from tetractl.results.estimate import distributions, percent
 from tetractl.run.checked_controller import CheckedController, build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 WORLD = (
     "plant.dead_time=0.14",

@@ -29,7 +29,7 @@ from tetractl.plant.wheel_kernel import GAIN, TRUE_GAIN
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
 from tetractl.results.estimate import proportion_interval
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi.yaml"

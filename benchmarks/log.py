@@ -59,11 +59,7 @@ from tetractl.replay.verify import verify  # noqa: E402
 from tetractl.run.checked_controller import build_controller  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.run_trial import Trial  # noqa: E402
-from tetractl.run.task import (  # noqa: E402
-    log_path,
-    run_trial,
-    trial_seeds,
-)
+from tetractl.run.spec_trial import log_path, run_trial, trial_seeds  # noqa: E402
 
 SMALL = """
 name: small
@@ -170,15 +166,15 @@ def cost(folder: Path, scale: float) -> None:
             if messages:
                 self.ns.append((time.perf_counter_ns() - before) / messages)
 
-    from tetractl.run import task
+    from tetractl.run import spec_trial
 
-    task.LogWriter = Timed
+    spec_trial.LogWriter = Timed
     run_trial(spec, folder, 0, (), Interrupt())
     p50, p99 = np.percentile(Timed.ns, [50, 99]) / 1e3
     print(
         f"a message costs who logs it {p50:.1f} us (p50), {p99:.1f} us (p99), written by a thread"
     )
-    task.LogWriter = LogWriter
+    spec_trial.LogWriter = LogWriter
     print("\n| loop at 25 Hz, without planning | steps | p50 [ms] | p99 [ms] | max [ms] |")
     print("|---|---|---|---|---|")
     for name in ("no log", "log", "log on a disk that takes 0.5 s a sync"):

@@ -44,7 +44,7 @@ from tetractl.results.mean_difference import paired_t
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 QUANTITIES = {"a": "a", "side": "side", "speed": "speed", "dead_time": "dead time"}
 """Fields of an estimate, as far as it has them, and their names in the table."""

@@ -106,7 +106,7 @@ def run_trial(
     trial.
     """
     from tetractl.log.read.reader import read_trial
-    from tetractl.run import task
+    from tetractl.run import spec_trial
     from tetractl.run.folder_lock import make_folder
 
     spec = _spec(spec)
@@ -116,11 +116,11 @@ def run_trial(
     _check(spec, logging.getLogger("tetractl").info)
     with TemporaryDirectory() as temporary, _interruptible() as interrupt:
         place = Path(temporary if folder is None else folder)
-        path = task.log_path(place, trial)
+        path = spec_trial.log_path(place, trial)
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(place)
-        task.run_trial(spec, place, trial, observers, interrupt)
+        spec_trial.run_trial(spec, place, trial, observers, interrupt)
         found = read_trial(path)
     return replace(found, log=f"{spec.name}, trial {trial}") if folder is None else found
 

@@ -18,7 +18,7 @@ from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 from . import shooting
 from .peers import available

@@ -14,7 +14,7 @@ from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 pytestmark = pytest.mark.slow
 

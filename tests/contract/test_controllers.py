@@ -19,7 +19,7 @@ from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import verify
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 pytestmark = pytest.mark.slow
 

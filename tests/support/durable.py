@@ -28,7 +28,7 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 from tetractl.run.run_trial import Trial
 from tetractl.experiment.load import parse_spec, start_of
 

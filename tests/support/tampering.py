@@ -32,7 +32,7 @@ from tetractl.log.format.channels import (
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 SIM = """
 name: tampered

@@ -13,7 +13,7 @@ from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import Damage, TrialLog
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 FRAMES = 24  # camera frames in a control period
 

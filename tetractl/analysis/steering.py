@@ -16,7 +16,7 @@ from tetractl.core.plan import Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False, silence=0.0)
 """How robots are steered whose controller has no margins: as points that may leave the arena."""

@@ -51,7 +51,7 @@ def rerun(
     """
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
-    from tetractl.run.task import log_path
+    from tetractl.run.spec_trial import log_path
 
     log = find_log(log)
     trial = trial_of(scan(log))

@@ -113,7 +113,7 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
     whole text is a valid spec.
     """
     from tetractl.experiment.load import resolved_yaml
-    from tetractl.run.task import log_path
+    from tetractl.run.spec_trial import log_path
     from tetractl.run.trial_limits import limits
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")
@@ -301,7 +301,7 @@ def _conclude(
 
     Raises the error of a trial without a result; without any result nothing is printed before.
     """
-    from tetractl.run.task import log_path
+    from tetractl.run.spec_trial import log_path
 
     if end is RunEnd.FAILED and not report.results:
         raise _first_error(report)

@@ -2,7 +2,7 @@
 is marked and bounded.
 
 Text waits for the reader of its stream, as in any program. In real time, that holds up the thread
-of the observers only (`run.task.ObserverRelay`): if it lasts, the trial ends and robots stop.
+of the observers only (`run.spec_trial.ObserverRelay`): if it lasts, the trial ends and robots stop.
 """
 
 import io

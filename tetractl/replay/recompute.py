@@ -37,7 +37,7 @@ from tetractl.replay.comparison import (
     first_difference,
 )
 from tetractl.run.checked_controller import CheckedController
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 TOLERANCE = 1e-9
 """Relative tolerance of re-evaluation."""

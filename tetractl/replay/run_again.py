@@ -18,7 +18,8 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import Encoder
 from tetractl.replay.comparison import Difference, log_differences
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import code_of, run_observed
+from tetractl.run.spec_trial import run_observed
+from tetractl.run.task import code_of
 
 
 class _Recorder:

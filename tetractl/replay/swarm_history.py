@@ -17,7 +17,7 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recompute import LoggedSearches, NoSearchError
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 GRID = 61
 SEEN = [0, 1]

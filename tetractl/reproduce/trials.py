@@ -8,7 +8,7 @@ from tetractl.experiment.load import FieldValue, LoadedSpec, load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.reproduce.paper import Paper, Runs, Work
-from tetractl.run.task import log_path
+from tetractl.run.spec_trial import log_path
 
 SEED = 20261128
 """The root seed of all trials."""

@@ -15,7 +15,8 @@ from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.files import save_whole
 from tetractl.run.executors import Ended, Ready
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import Finished, Task, log_path, run_task
+from tetractl.run.spec_trial import log_path
+from tetractl.run.task import Finished, Task, run_task
 
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
 COUNT_S = 1.0  # interval between two counts of the workers, whose number may change [s]

@@ -22,7 +22,7 @@ from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.load import LoadedSpec, parse_spec, start_of, with_controller, with_seed
 from tetractl.model.obstacles import Obstacles
-from tetractl.run import task
+from tetractl.run import spec_trial
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Answer, DecisionRequest, TimedDecision, Trial
@@ -124,7 +124,7 @@ class OpenTrial:
         self._seed = whole_number(seed, "a seed")
         self._directions: list[float] = []
         self._truth = TruthWatch(experiment.setup)
-        key, plant_seed = task.trial_seeds(self._seed, self._trial)
+        key, plant_seed = spec_trial.trial_seeds(self._seed, self._trial)
         self._controller = SequenceController(section, experiment.setup, key)
         clock = experiment.plant.clock()
         self._course = Trial(
@@ -219,11 +219,11 @@ class OpenTrial:
         if self._result is None:
             raise UsageError("the trial has not ended", "step it until it has a result, or stop it")
         demand(folder, str | Path, "a folder is a path")
-        path = task.log_path(Path(folder), self._trial)
+        path = spec_trial.log_path(Path(folder), self._trial)
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(Path(folder))
-        logged = task.run_trial(self.spec, Path(folder), self._trial)
+        logged = spec_trial.run_trial(self.spec, Path(folder), self._trial)
         if _outcome_of(logged) != _outcome_of(self._result):
             raise TetractlError(f"{path}: the repeated trial ended otherwise than the stepped one")
         return path

@@ -23,7 +23,8 @@ from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX, attempt_n
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.run.folder_lock import locked, make_folder
-from tetractl.run.task import code_of, log_path
+from tetractl.run.spec_trial import log_path
+from tetractl.run.task import code_of
 
 
 def default_folder(name: str, now: datetime) -> Path:

@@ -60,8 +60,8 @@ def rehearse(
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.run.executors import called
+    from tetractl.run.spec_trial import run_trial
     from tetractl.run.store import RecordStore
-    from tetractl.run.task import run_trial
     from tetractl.view import style
     from tetractl_emulator.rehearsal.drawing import days_figure
     from tetractl_emulator.rehearsal.participants import rehearsal_of

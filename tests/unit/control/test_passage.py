@@ -18,7 +18,7 @@ from tetractl.experiment.load import LoadedSpec, load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.model.obstacles import Obstacles
 from tetractl.replay.verify import verify
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 RADIUS = 47.0
 SEPARATION = 95.0

@@ -13,7 +13,7 @@ from tetractl.core.plan import Limits, Search, StopReason, never
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 
 class Steady:

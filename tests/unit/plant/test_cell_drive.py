@@ -16,7 +16,7 @@ from tetractl.plant import swim_kernel as kernel
 from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.sim_section import CultureSection
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 pytestmark = pytest.mark.slow
 

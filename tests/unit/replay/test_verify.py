@@ -31,7 +31,7 @@ from tetractl.replay.lab_result import lab_differences
 from tetractl.replay.recompute import first_steps, recompute
 from tetractl.replay.verify import Method, verify
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 pytestmark = pytest.mark.slow
 
@@ -225,7 +225,7 @@ DIFFERENT = """
 import sys
 from pathlib import Path
 from tetractl.experiment.load import parse_spec
-from tetractl.run.task import run_trial
+from tetractl.run.spec_trial import run_trial
 
 run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1)
 """

@@ -13,12 +13,13 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_trial
-from tetractl.run import executors, task
+from tetractl.run import executors, spec_trial
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.spec_trial import log_path, run_trial, trial_seeds
 from tetractl.run.store import Store
-from tetractl.run.task import Finished, Task, batch_tasks, log_path, run_trial, trial_seeds
+from tetractl.run.task import Finished, Task, batch_tasks
 
 SPEC = parse_spec(QUICK.replace("count: 3", "count: 4"), "quick.yaml")
 
@@ -155,7 +156,7 @@ def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_pa
 
 def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, tmp_path):
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
-    monkeypatch.setattr(task.time, "time_ns", lambda: -1)
+    monkeypatch.setattr(spec_trial.time, "time_ns", lambda: -1)
     with pytest.raises(TetractlError, match="this computer's clock is before 1970"):
         run_trial(lab, tmp_path)
     assert list(tmp_path.iterdir()) == []

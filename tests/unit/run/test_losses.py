@@ -17,7 +17,7 @@ from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.flagged import trial_notes
 from tetractl.results.outcomes import LOST
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 REST = """
 name: three

@@ -16,7 +16,7 @@ from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest
 from tetractl.run.open_trial import OpenTrial
-from tetractl.run.task import run_trial
+from tetractl.run.spec_trial import run_trial
 
 SPEC = {
     "name": "stepped",

@@ -16,7 +16,7 @@ from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.player import Recording
 from tetractl.replay.verify import verify
 from tetractl.report.trial_data import trial_data
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 from tetractl.view.terminal.replay_screen import step_line
 
 SLOW = ("controller.period=0.2", "controller.signal_periods=1")  # 5 Hz

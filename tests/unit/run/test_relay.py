@@ -1,7 +1,7 @@
 import threading
 from contextlib import closing
 
-from tetractl.run.task import ObserverRelay
+from tetractl.run.spec_trial import ObserverRelay
 
 
 class Watcher:

@@ -1,6 +1,6 @@
 import numpy as np
 
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 
 def test_no_two_trials_or_roots_or_purposes_share_numbers():

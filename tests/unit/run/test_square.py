@@ -12,7 +12,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import SpecError
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.run.task import run_trial
+from tetractl.run.spec_trial import run_trial
 from tetractl.run.trial_limits import check, directions, limits
 
 SQUARE = {"type": "square", "side": 2.0}

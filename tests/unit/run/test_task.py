@@ -1,34 +1,45 @@
+from dataclasses import replace
+
 import pytest
 from support.paths import ROOT
 
+from tetractl.core.errors import UsageError
+from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.load import load_spec
-from tetractl.plant.sim_section import SimSection
-from tetractl.run import task
-from tetractl.run.task import run_trial
+from tetractl.experiment.plants import on_plant
+from tetractl.run import spec_trial
+from tetractl.run import task as task_module
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import LogKind, batch_tasks, run_task
 
 
-class OpenPlant:
-    """Stands for a plant that is open when it is built, as one whose cells were chosen."""
-
-    def __init__(self):
-        self.calls = []
-
-    def stop(self):
-        self.calls.append("stop")
-
-    def close(self):
-        self.calls.append("close")
+def first_task(spec, log, monkeypatch):
+    """The first task of a spec, for which nothing is compiled."""
+    monkeypatch.setattr(task_module, "warm_up", lambda *args: None)
+    (task,) = batch_tasks(spec, [0])
+    return replace(task, log=log)
 
 
-def test_robots_stop_and_the_plant_closes_if_no_controller_can_be_built(monkeypatch, tmp_path):
-    """Regression: the field that showed which cells respond went on turning."""
-    plant = OpenPlant()
+def test_a_trial_in_the_lab_is_not_run_a_second_time_for_its_log(monkeypatch, tmp_path):
+    lab = on_plant(load_spec(ROOT / "experiments/three_m3pi_lab.yaml"), "lab")
+    task = first_task(lab, LogKind.WHOLE_IF_FAILED, monkeypatch)
+    with pytest.raises(UsageError, match="a trial in real time cannot be repeated"):
+        run_task(task, tmp_path, Interrupt())
+    assert list(tmp_path.iterdir()) == []
 
-    def fail(*args):
-        raise ValueError("a plug-in's defect")
 
-    monkeypatch.setattr(SimSection, "build", lambda *args: plant)
-    monkeypatch.setattr(task, "build_controller", fail)
-    with pytest.raises(ValueError, match="a plug-in's defect"):
-        run_trial(load_spec(ROOT / "experiments/three_m3pi.yaml"), tmp_path)
-    assert plant.calls == ["stop", "close"]
+@pytest.mark.parametrize("log", [LogKind.WHOLE, LogKind.BRIEF])
+def test_who_supervises_a_task_supervises_its_plant_whatever_its_log(log, monkeypatch, tmp_path):
+    asked = []
+
+    def fail(spec, clock, seed, supervision):
+        asked.append(supervision)
+        raise ValueError("no plant")
+
+    monkeypatch.setattr(spec_trial, "_spec_and_plant", fail)
+    spec = load_spec(ROOT / "experiments/three_m3pi.yaml")
+    task = first_task(spec, log, monkeypatch)
+    supervision = LabSupervision()
+    with pytest.raises(ValueError, match="no plant"):
+        run_task(task, tmp_path, Interrupt(), (), supervision)
+    assert asked == [supervision]

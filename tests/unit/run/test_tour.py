@@ -18,7 +18,7 @@ from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.outcomes import TIME_INSIDE
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 MPC = """{type: mpc, period: 0.2, horizon_max: 30, time_limit: 40.2, accept_error: 20,
   estimate: false, optimizer: {type: multistart, tolerance: 1}}"""

@@ -6,7 +6,7 @@ from support.marked_robots import MarkedRobots, install
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import SpecError, parse_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.run.task import run_trial
+from tetractl.run.spec_trial import run_trial
 
 SPEC = """
 name: marked

@@ -9,12 +9,13 @@ from support.studies import FAILING, SMALL, Watcher, run
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import content_digest, read_result
-from tetractl.run import store, task
+from tetractl.run import spec_trial, store, task
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.spec_trial import log_path, run_trial
 from tetractl.run.store import Store
-from tetractl.run.task import OtherCodeError, batch_tasks, log_path, run_trial
+from tetractl.run.task import OtherCodeError, batch_tasks
 from tetractl.study.options import Logs
 
 ALL, NONE = Logs(float("inf"), True), Logs(0, False)
@@ -150,14 +151,14 @@ def test_an_arm_is_a_batch_and_a_batch_an_arm(done):
 
 
 def test_a_trial_without_an_outcome_is_run_again_the_next_time(tmp_path, monkeypatch):
-    real = task.run_observed
+    real = spec_trial.run_observed
 
     def broken(writers, spec, trial, *more):
         if trial == 1:
             raise TetractlError("the disk is full")
         return real(writers, spec, trial, *more)
 
-    monkeypatch.setattr(task, "run_observed", broken)
+    monkeypatch.setattr(spec_trial, "run_observed", broken)
     ran = run(tmp_path, SMALL)
     assert ran.counts == (4, 2, 0)
     assert {why for *_, why in ran.watcher.failures} == {"the disk is full"}

@@ -16,7 +16,7 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import run_trial
+from tetractl.run.spec_trial import run_trial
 
 pytestmark = [
     pytest.mark.long,

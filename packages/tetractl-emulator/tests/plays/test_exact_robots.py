@@ -12,7 +12,7 @@ from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_trial
 from tetractl.plant.lab_plant import LabPlantSection
 from tetractl.replay.verify import verify
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 pytestmark = pytest.mark.slow
 

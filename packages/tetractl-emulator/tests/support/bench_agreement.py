@@ -27,7 +27,7 @@ from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
-from tetractl.run.task import trial_seeds
+from tetractl.run.spec_trial import trial_seeds
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (

@@ -7,7 +7,7 @@ from support.bench_agreement import LAB
 from support.virtual_lab import virtual_lab
 
 from tetractl.experiment.load import load_spec
-from tetractl.run.task import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_trial
 
 
 def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:

@@ -11,7 +11,7 @@ from tetractl.core.errors import SpecError
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.read.reader import read_trial
-from tetractl.run.task import run_trial
+from tetractl.run.spec_trial import run_trial
 
 SPEC = """
 name: three

@@ -1,5 +1,7 @@
 """An optimiser that answers by script, and what a controller under test sees."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from tetractl.core.plan import Search, StopReason
@@ -15,10 +17,16 @@ def seen(poses=STARTS, now=0):
     return Observation(0, now, now, Poses.of(np.array(poses)), np.ones(count, np.bool_))
 
 
-def mpc(experiment, key, optimizer=None):
-    still = {"timer": lambda: 0}  # a slow computer must not end a search
-    host = Host(**still) if optimizer is None else Host(lambda _: optimizer, **still)
-    return experiment.controller.build(experiment.setup, key, host)
+def still():
+    """A timer that stands still: a slow computer must not end a search."""
+    return 0
+
+
+def mpc(experiment, key, optimizer=None, timer=still, **setup_changes):
+    """The experiment's controller; `optimizer` is None for its own."""
+    host = Host(timer=timer) if optimizer is None else Host(lambda _: optimizer, timer)
+    setup = replace(experiment.setup, **setup_changes)
+    return experiment.controller.build(setup, key, host)
 
 
 class Scripted:

@@ -1,13 +1,11 @@
 """The recommended controller: which candidate is chosen, and the states it leads to.
 
 Three m3pi start in a column, all along +x. A `Scripted` optimiser finds plans whose costs depend on
-their lengths alone, so that a test says which plan is good. A start is built by stages: `spec`,
-`begin_trial`, `put_under_way`; then `step` is the control step that is tested.
+their lengths alone, so that a test says which plan is good. `driving` returns a
+controller whose robots are under way, `decide` what it decides in its next control step.
 """
 
-import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,15 +13,26 @@ from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.fixed_sequence import given_plan
-from tetractl.control.lengths import SPREAD, VAIN
-from tetractl.control.mpc import LATE, RESTED_S, ControlStep
+from tetractl.control.lengths import SIGNALS_PER_ROBOT, SPREAD, VAIN
+from tetractl.control.mpc import (
+    LATE,
+    RESTED_S,
+    SEARCH_S,
+    SILENT_LAST,
+    SILENT_NEXT,
+    ControlStep,
+)
+from tetractl.control.silence import Silence
 from tetractl.control.value import Worth
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop
-from tetractl.core.plan import End, Outcome, Plan, State, StopReason
+from tetractl.core.plan import PAUSE_S, End, Outcome, Plan, State, StopReason
 from tetractl.experiment.lab_section import REACTION_S
 
 PERIOD_S = 0.2
-PERIOD_NS = 200_000_000
+PERIOD_NS = round(PERIOD_S * SECOND)
+SPEEDS_MM_S = np.array([robot["speed"] for robot in THREE_M3PI["robots"]])
+GREEN_MM_S, BLUE_MM_S, RED_MM_S = SPEEDS_MM_S.tolist()
 ACCEPT = 20.0
 """Total error to accept [mm], and so the least value of a new plan, its time aside."""
 BAD = 500.0
@@ -32,7 +41,7 @@ BODY = 47.0
 """Radius of an m3pi [mm]."""
 HEARD = (True, True, True)
 STRAIGHT_ON = Command(Steer(0.0), 0, HEARD)
-"""The first direction, in which all robots head already."""
+"""The first direction, in which all robots head already; the trial's time counts from it."""
 POINTS = {"walls": False, "adaptive": False, "stop_before_collision": False, "silence": 0}
 """Robots that are points and cannot stand."""
 RESTS = POINTS | {"stop_before_collision": True}
@@ -51,28 +60,57 @@ def spec(collision=POINTS, sections=None, **controller):
     return experiment(controller=all_fields, **(sections or {}))
 
 
-def begin_trial(controller):
-    """Stage: the first direction is sent, at 0 s; from then on the trial's time counts."""
-    controller.time.seen(seen(STARTS), STRAIGHT_ON)
-    controller.estimator.sent(STRAIGHT_ON)
+class Clock:
+    """A timer [ns] that stands still until it is set on."""
+
+    def __init__(self):
+        self.now_ns = 0
+
+    def read(self):
+        return self.now_ns
+
+    def advance(self, seconds):
+        self.now_ns += round(seconds * SECOND)
 
 
-def put_under_way(controller, length, steps=1):
-    """Stage: robots have driven for some steps by a plan that had `length` signals at first."""
+class Slow(Scripted):
+    """An optimiser that finds BAD plans only, and takes `search_s` of the clock's time for each."""
+
+    def __init__(self, clock, search_s):
+        super().__init__(dict.fromkeys(range(100), BAD))
+        self.clock = clock
+        self.search_s = search_s
+
+    def search(self, problem, length, warm, key, limits):
+        self.clock.advance(self.search_s)
+        return super().search(problem, length, warm, key, limits)
+
+
+def put_under_way(controller, left, steps=1):
+    """Let robots have driven for some steps, so that `left` signals of their plan are left when the
+    next step begins. It alone sets the controller's progress."""
+    first_signal = 1  # it is over when the step begins
     problem = controller.section.problem(controller.setup)
-    plan = given_plan(problem, np.linspace(0.1, 0.3, length), 0)
+    plan = given_plan(problem, np.linspace(0.1, 0.3, left + first_signal), 0)
     for _ in range(steps):
         controller.progress = controller.progress.after(plan)
 
 
-def driving(costs, left=5, steps=1, **fields):
+def driving_by(optimizer, left=5, steps=1, clock=None, watchdog_s=None, **fields):
     """A controller of robots that have driven for some steps, so that `left` signals of their plan
-    are left; and its optimiser, which finds plans of the given costs by length, else BAD ones."""
+    are left; `optimizer` is None for the one of the spec."""
+    timer = Clock().read if clock is None else clock.read
+    setup_changes = {} if watchdog_s is None else {"watchdog_s": watchdog_s}
+    controller = mpc(spec(**fields), 99, optimizer, timer, **setup_changes)
+    put_under_way(controller, left, steps)
+    return controller
+
+
+def driving(costs, **fields):
+    """Such a controller, and its optimiser: it finds plans of the given costs by length, else BAD
+    ones."""
     search = Scripted(dict.fromkeys(range(100), BAD) | costs)
-    controller = mpc(spec(**fields), 99, search)
-    begin_trial(controller)
-    put_under_way(controller, left + 1, steps)  # the first signal is over when the step begins
-    return controller, search
+    return driving_by(search, **fields), search
 
 
 def lengths(search):
@@ -80,9 +118,10 @@ def lengths(search):
     return [(length, start is not None) for length, start, *_ in search.forget()]
 
 
-def step(controller, poses=STARTS, now=PERIOD_NS):
-    """What is decided in the control step in which robots are seen at `poses`."""
-    return controller.plan(seen(poses, now=now))
+def decide(controller, poses=STARTS, now=PERIOD_NS, command=STRAIGHT_ON):
+    """What is decided in the control step in which robots are seen at `poses`, and of which
+    `command` was sent before."""
+    return controller.plan(seen(poses, now=now), command)
 
 
 def good_from(shortest, cost):
@@ -99,7 +138,7 @@ def first_plan(search):
     return controller.plan(seen())
 
 
-def near(total):
+def short_by(total):
     """Poses at the targets, but for green, which is `total` [mm] short of its own."""
     poses = TARGETS.copy()
     poses[0, 0] -= total
@@ -108,26 +147,26 @@ def near(total):
 
 def test_the_length_under_way_is_searched_first_and_is_enough_where_it_is_good():
     controller, search = driving({5: 0.5, 4: 0.0})
-    plan = step(controller)
+    plan = decide(controller)
     assert lengths(search) == [(5, True)]
     assert (plan.state, plan.search.length) == (State.DRIVING, 5)
 
 
 def test_of_plans_about_as_long_the_one_of_least_value_is_followed():
     controller, search = driving({4: 8.0, 5: 9.0, 6: 7.0})
-    assert step(controller).search.length == 6
+    assert decide(controller).search.length == 6
     assert lengths(search)[:3] == [(5, True), (4, True), (6, True)]
 
 
 def test_a_plan_within_the_accepted_error_is_followed():
     controller, search = driving({4: 30.0, 5: 15.0, 6: 30.0})
-    assert step(controller).search.length == 5
+    assert decide(controller).search.length == 5
     assert max(length for length, _ in lengths(search)) == 6
 
 
 def test_longer_plans_are_searched_afresh_where_they_can_be_worth_more():
     controller, search = driving({4: 35.0, 5: 34.0, 6: 31.0, 8: 0.0})
-    assert step(controller).search.length == 8
+    assert decide(controller).search.length == 8
     lengths_asked = lengths(search)
     assert lengths_asked[:5] == [(5, True), (4, True), (6, True), (7, False), (8, False)]
     assert len(lengths_asked) == 5  # none longer can be worth as much
@@ -135,41 +174,43 @@ def test_longer_plans_are_searched_afresh_where_they_can_be_worth_more():
 
 @pytest.mark.parametrize(("periods", "tried"), [(1, [5, 4, 6, 7, 8]), (2, [5])])
 def test_no_plan_is_longer_than_the_steps_that_are_left(periods, tried):
+    """At 0.2 s of 2 s, 9 signals of 0.2 s are left, of which 9 is no length tried; or 5 of 0.4 s,
+    as the signal that is held counts whole."""
     controller, search = driving({}, time_limit=2, signal_periods=periods)
-    step(controller)
+    decide(controller)
     assert [length for length, _ in lengths(search)] == tried
 
 
 def test_longer_plans_are_searched_on_where_the_deadline_came_between():
-    controller, search = driving({}, deadline=0.075)
-    time = iter(range(0, 10**12, 10_000_000))
-    controller.timer = lambda: next(time)
-    step(controller)
+    clock = Clock()
+    search = Slow(clock, search_s=0.02)
+    controller = driving_by(search, clock=clock, deadline=0.07)
+    plan = decide(controller)
     first = [length for length, _ in lengths(search)]
-    step(controller, now=400_000_000)
+    decide(controller, now=2 * PERIOD_NS, command=Command(plan.action, PERIOD_NS, HEARD))
     second = [length for length, _ in lengths(search)]
-    assert first[:4] == [5, 4, 6, 7]
+    assert first == [5, 4, 6, 7]  # the fourth search begins after 0.06 s, and is the last
     assert second[3] > first[-1]
 
 
 def test_the_trial_ends_where_a_stop_is_worth_most():
     """What is left of the plan leads past the targets."""
     controller, _ = driving({})
-    assert step(controller, near(15)) is Outcome.NO_BETTER_PLAN
+    assert decide(controller, short_by(15)) is Outcome.NO_BETTER_PLAN
 
 
 def test_robots_too_far_off_go_on_though_the_sequence_is_used_up():
     controller, _ = driving({1: 0.0}, left=0)
-    assert isinstance(step(controller, near(35)), Plan)
+    assert isinstance(decide(controller, short_by(35)), Plan)
     controller, _ = driving({1: 0.0}, left=0)
-    assert step(controller, near(15)) is Outcome.SEQUENCE_COMPLETED
+    assert decide(controller, short_by(15)) is Outcome.SEQUENCE_COMPLETED
 
 
 def test_arrival_and_the_last_step_end_a_trial():
     controller, _ = driving({}, arrival_tolerance=20)
-    assert step(controller, near(19)) is Outcome.ARRIVED
+    assert decide(controller, short_by(19)) is Outcome.ARRIVED
     controller, _ = driving({}, time_limit=0.4)
-    assert step(controller, now=400_000_000) is Outcome.TIME_LIMIT
+    assert decide(controller, now=400_000_000) is Outcome.TIME_LIMIT
 
 
 ARRIVES_S = 0.1
@@ -183,7 +224,7 @@ def arriving(**fields):
     controller, _ = driving({}, left=0, **fields)
     poses = TARGETS.copy()
     poses[:, 0] -= controller.setup.speed * ARRIVES_S
-    return controller, step(controller, poses)
+    return controller, decide(controller, poses)
 
 
 def test_the_stop_comes_between_two_steps_where_that_is_best():
@@ -198,38 +239,52 @@ def test_no_later_stop_is_chosen_where_it_would_bring_a_body_to_an_obstacle(room
     """Regression: robots that were to stop 0.2 s later drove towards an obstacle until the guard,
     which looks 0.15 s ahead, aborted the trial.
 
-    Blue drives 200 mm/s. As the guard sees it, its body will reach 47 + 0.15 * 200 = 77 mm beyond
-    the place of the stop, its target. An obstacle there leaves `room` [mm]. A stop at once leaves
-    all robots 0.1 s short of their targets, 53 mm in total, which is accepted.
+    As the guard sees it, the body of blue will reach beyond the place of the stop, its target, by
+    its radius and the way in the time to react. An obstacle there leaves `room` [mm]. A stop at
+    once leaves all robots ARRIVES_S short of their targets, which is accepted.
     """
     x, y = TARGETS[1, :2]
-    reach = BODY + 200 * REACTION_S
+    reach = BODY + BLUE_MM_S * REACTION_S
+    short_of_targets = SPEEDS_MM_S.sum() * ARRIVES_S
     box = {"left": x + reach + room, "bottom": y - 50, "width": 100, "height": 100}
     obstacles = [{"type": "rectangle"} | box]
     bodies = RESTS | {"radius": BODY}
-    _, rest = arriving(collision=bodies, sections={"obstacles": obstacles}, accept_error=60)
+    _, rest = arriving(
+        collision=bodies, sections={"obstacles": obstacles}, accept_error=short_of_targets + 5
+    )
     assert rest.state is State.RESTING
     assert rest.delay_ns == pytest.approx(delay_s * 1e9, abs=MOMENTS_NS)
+
+
+def test_robots_that_can_stand_rest_where_the_stop_is_best():
+    _, rest = arriving(collision=RESTS)
+    assert rest.state is State.RESTING
+    assert rest.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
+
+
+STOPPED_NS = PERIOD_NS + PERIOD_NS // 2
+SHORTEST = SIGNALS_PER_ROBOT * len(STARTS)
+"""Length of the shortest plan for three robots next to their targets."""
+NEW_PLAN_VALUE = Worth(ACCEPT, spent_s=1.0, period_s=PERIOD_S).plan(0.0, SHORTEST, new=True)
+"""Value of this plan 1 s after the beginning if it leads exactly to the targets [mm]."""
 
 
 @pytest.mark.parametrize(
     ("total", "time_limit", "then"),
     [
-        (ACCEPT - 1, 12.2, Outcome.NO_BETTER_PLAN),
-        (ACCEPT + 15, 12.2, State.DRIVING),
-        (ACCEPT + 15, 1.4, Outcome.NO_BETTER_PLAN),
+        (NEW_PLAN_VALUE - 1, 12.2, Outcome.NO_BETTER_PLAN),
+        (NEW_PLAN_VALUE + 1, 12.2, State.DRIVING),
+        (NEW_PLAN_VALUE + 1, 1.0 + (SHORTEST - 1) * PERIOD_S, Outcome.NO_BETTER_PLAN),
     ],
 )
-def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, then):
-    """They are seen to stand `total` off. The shortest new plan, of 6 signals for each of three
-    robots, is worth ACCEPT and 0.02 of it for each of its 3.6 s, which is 21.4; a limit of 1.4 s
-    leaves no time for it."""
-    controller, rest = arriving(collision=RESTS, time_limit=time_limit)
-    assert rest.state is State.RESTING
-    assert rest.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
-    controller.estimator.sent(Command(Stop(), 300_000_000, HEARD))
-    controller.optimizer = Scripted(good_from(18, 0.0))
-    decision = step(controller, near(total), now=1_000_000_000)
+def test_after_a_rest_the_trial_ends_unless_a_new_plan_can_be_better_in_time(
+    total, time_limit, then
+):
+    """One second after the beginning, robots are seen to stand `total` [mm] off."""
+    controller, _ = arriving(collision=RESTS, time_limit=time_limit)
+    controller.optimizer.costs = good_from(SHORTEST, 0.0)
+    stopped = Command(Stop(), STOPPED_NS, HEARD)
+    decision = decide(controller, short_by(total), now=SECOND, command=stopped)
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
 
@@ -237,16 +292,16 @@ def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, time_limit, the
 def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(more, state):
     steps = round(RESTED_S / PERIOD_S) + more
     controller, _ = driving({}, steps=steps, collision=RESTS)
-    assert step(controller).state is state
+    assert decide(controller).state is state
 
 
 class AskedSilence:
-    """Stands for a silence in which any plan keeps clear. It writes down what it is asked: how many
-    signals are `tested` of plans by their length, and for how long."""
+    """Stands for a silence in which any plan keeps clear. It writes down for how many `seconds` it
+    is asked, and how many signals are `tested` of plans by their length."""
 
     def __init__(self):
-        self.tested = {}
         self.seconds = set()
+        self.tested = {}
 
     def during(self, seconds, problem, obstacles, separation):
         self.seconds.add(round(seconds, 9))
@@ -258,50 +313,54 @@ class AskedSilence:
         return True
 
 
+SILENCE_S = 0.6
+
+
 @pytest.fixture
-def silence(monkeypatch):
+def asked(monkeypatch):
+    """What is asked of robots that receive nothing, whatever their margins."""
     asked = AskedSilence()
-    monkeypatch.setattr("tetractl.control.mpc.Silence", asked)
+    monkeypatch.setattr(Silence, "during", asked.during)
     return asked
 
 
-def step_before_silence(left, watchdog_s=math.inf):
-    """Step while a plan of `left` signals is under way and robots are to keep clear for 0.6 s of
-    silence."""
-    controller, _ = driving({}, left=left, collision=POINTS | {"silence": 0.6})
-    controller.setup = replace(controller.setup, watchdog_s=watchdog_s)
-    step(controller)
+def decide_with_silence(left, watchdog_s=math.inf):
+    """A step in which a plan of `left` signals is under way and robots are to keep clear for
+    SILENCE_S."""
+    collision = POINTS | {"silence": SILENCE_S}
+    controller, _ = driving({}, left=left, watchdog_s=watchdog_s, collision=collision)
+    decide(controller)
 
 
-@pytest.mark.parametrize(
-    ("left", "tested"),
-    [(5, {4: 2, 5: 2, 6: 2, 7: 5, 8: 6}), (2, {3: 1, 4: 2, 5: 3}), (1, {3: 1, 4: 2})],
-)
-def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(
-    left, tested, silence
-):
-    """Two signals of the plan under way, which may become one longer; of a new plan, two signals
-    longer or more, all but the last two. A plan of two signals has none to test."""
-    step_before_silence(left)
-    shortest_asked = sorted(silence.tested)[: len(tested)]
-    assert {length: silence.tested[length] for length in shortest_asked} == tested
+@pytest.mark.parametrize("left", [5, 2, 1])
+def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(asked, left):
+    """The plan under way may become one signal longer; a longer one is new. Of none the last
+    signals are tested, so that plans of so many signals have none to test."""
+    decide_with_silence(left)
+    expected = {}
+    for length in asked.tested:
+        nearly_all = length - SILENT_LAST
+        is_new = length > left + 1
+        expected[length] = nearly_all if is_new else min(SILENT_NEXT, nearly_all)
+    assert asked.tested == expected
+    assert min(asked.tested) == max(SILENT_LAST + 1, left - 1)
+    assert max(asked.tested) > left + 1
 
 
-@pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, 0.6 + PERIOD_S), (0.5, 0.5)])
+@pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, SILENCE_S + PERIOD_S), (0.5, 0.5)])
 def test_robots_that_receive_nothing_drive_on_until_the_silence_or_their_watchdog_ends_it(
-    watchdog_s, seconds, silence
+    asked, watchdog_s, seconds
 ):
     """A silence that begins just after a command has lasted a period when the next one is due."""
-    step_before_silence(5, watchdog_s)
-    assert silence.seconds == {seconds}
+    decide_with_silence(5, watchdog_s)
+    assert asked.seconds == {seconds}
 
 
-def beside_a_wall(gap, stop=True, radius=0.0, left=1, **fields):
-    """A controller of robots of which green drives straight to the right wall, 180 mm/s and `gap`
-    [mm] from it, with its own optimiser; and their poses."""
+def beside_a_wall(gap, stop=True, radius=0.0, optimizer=None, **fields):
+    """A controller of robots of which green drives straight to the right wall, `gap` [mm] from it;
+    and their poses. It has the spec's optimiser, if none is given."""
     collision = POINTS | {"walls": True, "radius": radius, "stop_before_collision": stop}
-    controller, _ = driving({}, left=left, collision=collision, **fields)
-    controller.optimizer = controller.section.optimizer
+    controller = driving_by(optimizer, left=1, collision=collision, **fields)
     poses = STARTS.copy()
     poses[0, 0] = controller.setup.arena.right - gap
     return controller, poses
@@ -311,11 +370,12 @@ def decisions_beside_a_wall(count):
     """The decisions of so many steps, of which the first is a stop, with green where it stopped:
     5 mm from the wall that it faces. A step without driving takes PERIOD_S and PAUSE_S."""
     controller, poses = beside_a_wall(5)
+    standing_ns = PERIOD_NS + round(PAUSE_S * SECOND)
     decisions = []
-    command = None
+    command = STRAIGHT_ON
     for number in range(count):
-        now_ns = PERIOD_NS + number * 700_000_000
-        decision = controller.plan(seen(poses, now=now_ns), command)
+        now_ns = PERIOD_NS + number * standing_ns
+        decision = decide(controller, poses, now_ns, command)
         decisions.append(decision)
         if isinstance(decision, Plan):
             command = Command(decision.action, now_ns, HEARD)
@@ -347,19 +407,18 @@ def test_robots_in_a_corner_turn_before_they_search_thoroughly():
 @pytest.mark.parametrize(("gap", "radius"), [(5, 0), (-30, 0), (52, 47), (30, 47)])
 def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
     controller, poses = beside_a_wall(gap, radius=radius)
-    assert step(controller, poses).state is State.RESTING
+    assert decide(controller, poses).state is State.RESTING
 
 
 @pytest.mark.parametrize(("room", "state"), [(-2, State.RESTING), (3, State.DRIVING)])
 def test_a_stop_that_is_lost_once_acts_after_two_dead_times(room, state):
     """Before a plan of this step acts, robots drive for a dead time; before a stop of the next
-    step acts, for a period and two more: 0.5 s or 90 mm of green. Plans begin nearly straight on,
+    step acts, for a period and LATE more. Plans begin nearly straight on,
     with 0.1 rad, which shortens the way by less than a millimetre."""
     dead_time_s = 0.1
-    way = 180 * (dead_time_s + PERIOD_S + LATE * dead_time_s)
-    controller, poses = beside_a_wall(way + room, dead_time=dead_time_s)
-    controller.optimizer = Scripted()
-    assert step(controller, poses).state is state
+    way = GREEN_MM_S * (dead_time_s + PERIOD_S + LATE * dead_time_s)
+    controller, poses = beside_a_wall(way + room, optimizer=Scripted(), dead_time=dead_time_s)
+    assert decide(controller, poses).state is state
 
 
 def test_robots_stop_before_the_arc_of_a_signal_touches_a_wall_its_ends_do_not():
@@ -368,12 +427,12 @@ def test_robots_stop_before_the_arc_of_a_signal_touches_a_wall_its_ends_do_not()
     controller, _ = driving({5: 0.0}, collision=bodies)
     poses = STARTS.copy()
     poses[0] = [800, controller.setup.arena.bottom + BODY + 0.1, -0.06]
-    assert step(controller, poses).state is State.RESTING
+    assert decide(controller, poses).state is State.RESTING
 
 
 def test_robots_that_cannot_stand_drive_on():
     controller, poses = beside_a_wall(30, stop=False)
-    assert step(controller, poses).state is State.DRIVING
+    assert decide(controller, poses).state is State.DRIVING
 
 
 def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
@@ -384,49 +443,60 @@ def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
     assert mpc(in_a_room, 99).plan(seen(poses)).state is State.TURNING
 
 
-@pytest.mark.parametrize("shortest", [26, 30, 31, 33, 41, 60])
+RED_WAY = float(np.hypot(*(TARGETS - STARTS)[2, :2]))
+STRAIGHT = math.ceil(RED_WAY / RED_MM_S / PERIOD_S)
+"""Length of the shortest plan that is searched from the starts: red, which takes longest, drives
+straight to its target."""
+FIRST = round(SPREAD * STRAIGHT)
+"""Length of the plan that is searched first: several robots hardly ever all drive straight."""
+MIDDLE = (STRAIGHT - 1 + FIRST) // 2
+"""Length of the plan that is searched second, if the first is good: a bisection."""
+
+
+@pytest.mark.parametrize(
+    "shortest", [STRAIGHT - 4, STRAIGHT, STRAIGHT + 1, STRAIGHT + 3, FIRST + 2, 2 * STRAIGHT]
+)
 def test_the_first_plan_is_the_shortest_that_is_good_enough(shortest):
-    """Red has the longest way: 894 mm at 150 mm/s are 29.8 signals, so that no shorter plan than of
-    30 is searched. The first one searched is longer, 39 = SPREAD times that."""
     search = Scripted(good_from(shortest, 0.5))
     plan = first_plan(search)
     lengths_asked = [length for length, *_ in search.asked]
-    assert lengths_asked[0] == round(SPREAD * 30)
-    assert plan.search.length == max(30, shortest)
-    assert min(lengths_asked) >= 30
+    assert lengths_asked[0] == FIRST
+    assert plan.search.length == max(STRAIGHT, shortest)
+    assert min(lengths_asked) >= STRAIGHT
 
 
 class Lucky(Scripted):
-    """An optimiser that finds a plan of 34 signals at its second try only, as one may by chance."""
+    """An optimiser that finds a plan of MIDDLE signals at its second try only: so it may be."""
 
     def search(self, problem, length, warm, key, limits):
         tries = sum(length == before for before, *_ in self.asked)
-        self.costs[length] = 0.5 if length >= 39 or (length == 34 and tries == 1) else BAD
+        is_lucky = length == MIDDLE and tries == 1
+        self.costs[length] = 0.5 if length >= FIRST or is_lucky else BAD
         return super().search(problem, length, warm, key, limits)
 
 
 def test_a_length_that_failed_is_searched_again_with_other_random_numbers():
     search = Lucky()
     plan = first_plan(search)
-    assert plan.search.length == 34
-    keys = [key for length, _, key, _ in search.asked if length == 34]
+    assert plan.search.length == MIDDLE
+    keys = [key for length, _, key, _ in search.asked if length == MIDDLE]
     assert len(keys) >= 2
     assert len(set(keys)) == len(keys)
 
 
 def test_searches_for_a_shorter_plan_end_after_vain_ones():
-    search = Scripted(good_from(39, 0.5))
+    search = Scripted(good_from(FIRST, 0.5))
     first_plan(search)
     assert len(search.asked) == 1 + VAIN  # the first is good, and no shorter one is
 
 
 def test_spread_lengths_end_with_the_horizon():
     search = Scripted()
-    controller = mpc(spec(horizon_max=40), 99, search)
+    controller = mpc(spec(horizon_max=FIRST + 1), 99, search)
     controller.plan(seen())
     lengths_asked = [length for length, *_ in search.asked]
-    assert lengths_asked[:2] == [39, 40]
-    assert max(lengths_asked) == 40  # also of those that are searched thoroughly then
+    assert lengths_asked[:2] == [FIRST, FIRST + 1]
+    assert max(lengths_asked) == FIRST + 1  # also of those that are searched thoroughly then
 
 
 def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_periods():
@@ -436,8 +506,11 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
     fields = {"signal_periods": 2, "arrival_tolerance": 5}
     controller = mpc(spec(sections={"robots": robots}, **fields), 99, search)
     away = STARTS - np.array([50.0, 0, 0])
-    assert step(controller, away).leg == 0
-    plan = step(controller)  # the way-point is reached within the first signal
+    first = decide(controller, away, now=0, command=None)
+    assert first.leg == 0
+    plan = decide(
+        controller, command=Command(first.action, 0, HEARD)
+    )  # the way-point is reached within the first signal
     assert plan.leg == 1
     first_way = np.hypot(*(plan.path[1, :, :2] - plan.path[0, :, :2]).T)
     assert first_way == pytest.approx(controller.setup.speed * 2 * PERIOD_S, rel=0.05)
@@ -462,15 +535,19 @@ def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     assert now.allows(51, 0.0) and now.signals_max == 12
 
 
-@pytest.mark.parametrize(("look_s", "searches"), [(0.0, 3), (0.6, 2), (1.1, 1)])
-def test_searches_for_standing_robots_end_after_a_second(look_s, searches):
-    """Each look at the timer takes `look_s`; no plan is good. The turn that follows is given."""
-    search = Scripted(dict.fromkeys(range(100), 2500.0))
-    controller = mpc(spec(collision=RESTS, horizon_max=60, time_limit=40.2), 99, search)
-    looks = itertools.count(step=round(look_s * 1e9))
-    controller.timer = lambda: next(looks)
-    turn = controller.plan(seen())
-    done = [search for search in turn.searches if search.stopped is not StopReason.FIXED]
+@pytest.mark.parametrize(
+    ("search_s", "searches"), [(0.0, 3), (0.6 * SEARCH_S, 2), (1.1 * SEARCH_S, 1)]
+)
+def test_searches_for_standing_robots_end_after_a_second(search_s, searches):
+    """No plan is good, and with time enough three lengths are tried up to the longest. The turn
+    that follows is given."""
+    clock = Clock()
+    search = Slow(clock, search_s)
+    longest = round(SPREAD * FIRST) + 1  # the third length
+    standing = spec(collision=RESTS, horizon_max=longest, time_limit=40.2)
+    controller = mpc(standing, 99, search, timer=clock.read)
+    plan = controller.plan(seen())
+    done = [each for each in plan.searches if each.stopped is not StopReason.FIXED]
     assert len(done) == searches
 
 
@@ -480,5 +557,5 @@ def test_robots_that_cannot_stand_drive_on_where_their_plan_is_longer_than_the_t
     now_ns = 10 * PERIOD_NS
     time_limit = now_ns / 1e9 + signals_in_time * PERIOD_S
     controller, _ = driving({}, left=9, time_limit=time_limit)
-    plan = step(controller, now=now_ns)
+    plan = decide(controller, now=now_ns)
     assert (plan.state, plan.search.length) == (State.DRIVING, signals_in_time)

@@ -7,6 +7,13 @@ and with the versions that wrote the log. *Re-evaluated* (`LoggedSearches`): the
 are read from the log; their J, the choice among them and the predicted path are computed again, and
 must agree within TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
 difference in the last bit of one cost may change the leading particle and then the whole search.
+
+How a search of the controller is answered:
+
+    recompute         begin(the step's logged searches), then lets the controller plan
+    the controller    calls what it takes for its optimiser: _Repeated.search
+    _Repeated         passes on what was asked of which optimiser: LoggedSearches.search
+    LoggedSearches    takes the next logged search, and has it answered: _answer
 """
 
 import copy
@@ -147,7 +154,7 @@ class SearchesAgain(LoggedSearches):
     def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
         super().__init__(cpu)
         self._compiled = False
-        self._until_s = math.inf
+        self._until_s = math.inf  # until `_compile`
 
     def _answer(self, asked: Asked, logged: Search, name: str) -> Search:
         if not self._compiled:
@@ -404,7 +411,10 @@ class _LastDecision:
 def _decide_last(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
 ) -> _LastDecision:
-    """Return what a copy of a controller, for which the log has no more searches, decides."""
+    """Return what a controller, for which the log has no more searches, decides.
+
+    A copy decides, with a copy of its searches, so that each frame is the first after `last`.
+    """
     try:
         decision = plan_again(copy.deepcopy(controller), log, last, observation)
     except NoSearchError:

@@ -91,7 +91,8 @@ class BatchStatistics:
 def describe(batch: Batch, name: str = "") -> BatchStatistics:
     """Describe the trials of one experiment.
 
-    Raises UsageError if they belong to several experiments, or if a simulated trial occurs twice.
+    Raises UsageError if there are none but earlier attempts, if they belong to several experiments,
+    or if a simulated trial occurs twice; LogError if no log can be read.
     """
     experiment = experiment_of(batch)
     origin = batch.trials[0].origin

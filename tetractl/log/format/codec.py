@@ -394,6 +394,7 @@ def _floats(values: Sequence[float]) -> Floats:
 
 
 def _floats_or_none(values: Sequence[float]) -> Floats | None:
+    """Return optional numbers; a message does not tell an empty array from none."""
     return _floats(values) if values else None
 
 

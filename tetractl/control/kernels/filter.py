@@ -9,23 +9,26 @@ z with its covariance, the direction u that the robot would follow, and, as `ln_
     w = ln P(hypothesis is true),    -inf for a slot without a hypothesis.
 
 In the last slot, the robot is stuck: it stands whatever it is sent. In all others it drives, or
-stands because it was commanded to. `follow` takes all filters through some frames. From each frame
-to the next it calls
+stands because it was commanded to.
+
+`place` starts filters from the poses of a frame. `follow` takes them on from there: for each frame,
+each robot and each filter it calls
 
     _predict         moves each hypothesis on to the time of the frame, by the motion's equations.
-                     When a command acts on the way, hypotheses *branch*: the robot heard it, and
-                     follows its direction from then on, or missed it, with the probability
-                     `ASSUMED.lost`
+                     When a command acts on the way, hypotheses *branch* (`_branch`): the robot
+                     heard it, and follows its direction from then on, or missed it, with the
+                     probability `ASSUMED.lost`
     _update          compares each hypothesis with the pose in the frame, by Bayes' rule:
                      w_s <- w_s + ln p(pose | s) - ln L,    L = sum_s exp(w_s) p(pose | s)
     _exchange_stuck  lets some probability pass from driving to being stuck, and back
-    _forget          lets old frames count less in the filter's score, the sum of ln L over the
-                     frames, which is how well its tau does
+
+and adds ln L to the filter's score, which is how well its tau does. `_forget` then lets old frames
+count less in the scores of the robot's filters.
 
 Symbols: b is a filter, i a robot, s a slot, and f a frame; u is a direction [rad], NaN to stand. A
 time ends with `_s`: seconds on the clock of frames and commands, whose orders are those of their
-times. Shapes and units are those of `filter_state`. `tests/oracles/filter.py` computes the same
-with whole matrices, to be read.
+times. The arrays of the bank and its hypotheses are changed in place. Shapes and units are those of
+`filter_state`. `tests/oracles/filter.py` computes the same with whole matrices, to be read.
 """
 
 import math
@@ -130,12 +133,12 @@ def _number_sent_by(commands, time_s):
 @compiled(**ENTRY_FAST)
 def follow(bank, model, commands, frames, noisy, step_s):
     """Take every filter through the frames; it is at the first one, whose poses it knows already.
+    The dead times of a robot are `step_s` apart. Return the ln of the likelihood of each robot's
+    poses by each of its filters (B, N).
 
     A pose is used for an update if it is valid and new. A camera may show old poses as new ones:
     with measurements that are `noisy` a pose equal to the one before is old, unless the camera is
-    so coarse that poses repeat; and in a frame that `_is_frozen` all are. The dead times of a robot
-    are `step_s` apart. Returns the ln of the likelihood of each robot's poses by each of its
-    filters (B, N).
+    so coarse that poses repeat; and in a frame that `_is_frozen` all are.
     """
     filters, robots = bank.dead_time_s.shape
     ln_likelihoods = np.zeros((filters, robots))
@@ -147,6 +150,7 @@ def follow(bank, model, commands, frames, noisy, step_s):
             now_s = frames.time_s[f, i]
             if now_s <= before_s:
                 continue  # this robot's pose is no newer than in the frame before
+            seconds = now_s - before_s
             pose = frames.poses[f, i]
             repeated = noisy and not model.coarse and _equal(pose, frames.poses[f - 1, i])
             used = frames.valid[f, i] and not frozen and not repeated
@@ -155,39 +159,12 @@ def follow(bank, model, commands, frames, noisy, step_s):
                     continue  # there is no filter in this row
                 _predict(bank, model, commands, b, i, before_s, now_s, step_s, scratch)
                 if used:
-                    ln_likelihood = _update(bank, model, b, i, pose, now_s - before_s, scratch)
+                    ln_likelihood = _update(bank, model, b, i, pose, seconds, scratch)
                     ln_likelihoods[b, i] += ln_likelihood
                     bank.score[b, i] += ln_likelihood
-                _exchange_stuck(_hypotheses(bank, b, i), model, now_s - before_s, now_s)
-            _forget(bank, i, now_s - before_s)
+                _exchange_stuck(_hypotheses(bank, b, i), model, seconds, now_s)
+            _forget(bank, i, seconds)
     return ln_likelihoods
-
-
-@compiled(**INLINE_FAST)
-def _scratch(states):
-    """Return room for predictions and updates of hypotheses with some number of states."""
-    return FilterScratch(
-        products=np.empty((3, states)),
-        p_h=np.empty(states),
-        expected=np.empty(3),
-        off=np.empty(3),
-        variance=np.empty(3),
-        slopes=np.zeros(DEPENDS_ON.shape),
-        innovation=np.zeros(3),
-        likeliest_innovation=np.zeros(3),
-    )
-
-
-@compiled(**INLINE_FAST)
-def _hypotheses(bank, b, i):
-    """Return the hypotheses of one filter of a robot, to be read and changed in place."""
-    return Hypotheses(
-        state=bank.state[b, i],
-        cov=bank.cov[b, i],
-        direction=bank.direction[b, i],
-        until_s=bank.until_s[b, i],
-        ln_weight=bank.ln_weight[b, i],
-    )
 
 
 @compiled(**INLINE_FAST)
@@ -226,91 +203,90 @@ def _is_frozen(bank, model, commands, frames, f):
 
 
 @compiled(**INLINE_FAST)
-def _predict(bank, model, commands, b, i, since_s, until_s, step_s, scratch):
+def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
     """Move the hypotheses of a filter on from one time to another. They branch at each command that
-    acts on the way, which is the filter's dead time after it was sent."""
+    acts on the way."""
     hypotheses = _hypotheses(bank, b, i)
     noise_scale = bank.noise_scale[b, i]
-    now_s = since_s
-    while now_s < until_s:
-        command = bank.next_command[b, i]
-        acts_s = math.inf
-        if command < commands.sent_s.size:
-            acts_s = commands.sent_s[command] + bank.dead_time_s[b, i]
-        acts = acts_s <= until_s  # false for NaN, too
-        next_s = max(now_s, acts_s) if acts else until_s
+    now_s = begin_s
+    while now_s < end_s:
+        acts_s = _next_acts_s(bank, commands, b, i)
+        acts = acts_s <= end_s  # false for NaN, too
+        next_s = max(now_s, acts_s) if acts else end_s
         for s in range(hypotheses.ln_weight.size):
             if hypotheses.ln_weight[s] > -math.inf:
                 _predict_one(hypotheses, s, model, i, noise_scale, now_s, next_s, scratch)
         now_s = next_s
         if acts:
             u = commands.directions[bank.next_command[b, i]]
-            if model.branch_all:
-                _branch_all(hypotheses, model, i, u, now_s, step_s)
-            else:
-                _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
+            _branch(hypotheses, model, i, u, now_s, step_s)
             bank.next_command[b, i] += 1
 
 
 @compiled(**INLINE_FAST)
-def _predict_one(hypotheses, s, model, i, noise_scale, since_s, until_s, scratch):
+def _next_acts_s(bank, commands, b, i):
+    """Return when the next command acts in a filter, its dead time after it was sent; infinity if
+    there is none."""
+    command = bank.next_command[b, i]
+    if command < commands.sent_s.size:
+        return commands.sent_s[command] + bank.dead_time_s[b, i]
+    return math.inf
+
+
+@compiled(**INLINE_FAST)
+def _predict_one(hypotheses, s, model, i, noise_scale, begin_s, end_s, scratch):
     """Move one hypothesis on: the robot follows its direction until its watchdog stops it, and then
     stands."""
     z = hypotheses.state[s]
     cov = hypotheses.cov[s]
-    stops_s = min(max(hypotheses.until_s[s], since_s), until_s)
-    driving = (hypotheses.direction[s], stops_s - since_s)
-    standing = (math.nan, until_s - stops_s)
+    stops_s = min(max(hypotheses.until_s[s], begin_s), end_s)
+    driving = (hypotheses.direction[s], stops_s - begin_s)
+    standing = (math.nan, end_s - stops_s)
     for u, seconds in (driving, standing):
         if seconds > 0:
             advance(model, i, z, cov, u, noise_scale, seconds, scratch.products)
-
-
-@compiled(**INLINE_FAST)
-def likeliest(ln, count):
-    """Return the index of the largest of the first `count` logarithms, the first one of equals."""
-    best = 0
-    for s in range(1, count):
-        if ln[s] > ln[best]:
-            best = s
-    return best
-
-
-@compiled(**INLINE_FAST)
-def _least_likely(ln, count):
-    """Return the index of the smallest of the first `count` logarithms, the first one of equals."""
-    least = 0
-    for s in range(1, count):
-        if ln[s] < ln[least]:
-            least = s
-    return least
 
 
 # ---- a command acts: hypotheses branch ----
 
 
 @compiled(**INLINE_FAST)
+def _branch(hypotheses, model, i, u, now_s, step_s):
+    """Branch hypotheses when a command to follow u acts: a robot heard it, or missed it.
+
+    The controller has little time, and a command is rarely missed: it branches the likeliest
+    hypothesis only. Logs have all branched, as their commands may act so soon after each other that
+    frames do not show in between which of them was heard.
+    """
+    if model.branch_all:
+        _branch_all(hypotheses, model, i, u, now_s, step_s)
+    else:
+        _branch_likeliest(hypotheses, model, i, u, now_s, step_s)
+
+
+@compiled(**INLINE_FAST)
 def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
-    """Branch the likeliest hypothesis when a command to follow u acts. This is how the controller
-    follows robots: it has little time, and a command is rarely missed.
+    """Branch the likeliest hypothesis when a command to follow u acts.
 
     The branch that heard the command takes the slot of the least likely hypothesis,
 
         w_heard = w_likeliest + ln(1 - lost),
 
-    and all others, the likeliest too, missed it: w <- w + ln(lost). If one of them follows u
-    already, hearing and missing the command are the same: that one gets w_heard if it had less, is
-    commanded again, and the others stay as they are.
+    and all others, the likeliest too, missed it: w <- w + ln(lost).
+
+    If one of them follows u already, a robot that hears the command becomes that one. It then has
+    the likeliest one's state with w_heard, if it was less likely than that; its watchdog starts
+    again; and the others stay as they are.
     """
     driving = hypotheses.ln_weight.size - 1
     best = likeliest(hypotheses.ln_weight, driving)
     ln_heard_weight = hypotheses.ln_weight[best] + LN_HEARD
-    same = _slot_that_follows(hypotheses, u)
-    if same != NO_SLOT:
-        if hypotheses.ln_weight[same] < ln_heard_weight:
-            _copy_state(hypotheses, best, hypotheses, same)
-            hypotheses.ln_weight[same] = ln_heard_weight
-        hypotheses.until_s[same] = now_s + model.watchdog_s
+    follower = _slot_that_follows(hypotheses, u)
+    if follower != NO_SLOT:
+        if hypotheses.ln_weight[follower] < ln_heard_weight:
+            _copy_state(hypotheses, best, hypotheses, follower)
+            hypotheses.ln_weight[follower] = ln_heard_weight
+        hypotheses.until_s[follower] = now_s + model.watchdog_s
         return
     u_before = _followed(hypotheses, best, now_s)
     least = _least_likely(hypotheses.ln_weight, driving)
@@ -323,62 +299,62 @@ def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
 
 @compiled(**INLINE_FAST)
 def _branch_all(hypotheses, model, i, u, now_s, step_s):
-    """Branch each hypothesis when a command to follow u acts, and keep the likeliest branches. This
-    is how logs are followed: their commands may act so soon after each other that frames do not
-    show in between which of them was heard.
+    """Branch each hypothesis when a command to follow u acts, and keep the likeliest branches.
 
-    From the likeliest on, each branch takes the next slot. One whose twin has a slot does not: it
-    adds its probability to the twin's. When no slot is left, the other branches are dropped.
+    Each hypothesis so far is the *parent* of two branches. From the likeliest on, each branch takes
+    the next slot; but if its *twin* has one already, its probability is added to the twin's. When
+    no slot is left, the other branches are dropped.
     """
     driving = hypotheses.ln_weight.size - 1
-    before = _copied(hypotheses, driving)
-    ln_branches = _ln_branches(before, u)
-    origin = np.empty(driving, np.int64)  # which hypothesis before is that of each slot taken
+    parents = _copied(hypotheses, driving)
+    ln_branches = _ln_branches(parents, u)
+    parent_of = np.empty(driving, np.int64)  # the parent of the branch in each slot taken
     for s in range(driving):
         hypotheses.ln_weight[s] = -math.inf
-    taken = 0  # slots, from the first on
+    taken = 0  # number of slots taken, from the first on
     for _ in range(ln_branches.size):
-        row, s = _likeliest_branch(ln_branches)
-        ln_weight = ln_branches[row, s]
-        ln_branches[row, s] = -math.inf  # it is not the likeliest again
+        row, parent = _likeliest_branch(ln_branches)
+        ln_weight = ln_branches[row, parent]
+        ln_branches[row, parent] = -math.inf  # it is not the likeliest again
         if not ln_weight > -math.inf:  # there is no such branch, or it is no number
             continue
-        u_of_branch = u if row == HEARD else before.direction[s]
-        twin = _find_twin(before, s, u_of_branch, hypotheses, origin[:taken])
+        u_of_branch = u if row == HEARD else parents.direction[parent]
+        twin = _find_twin(parents, parent, u_of_branch, hypotheses, parent_of[:taken])
         if twin != NO_SLOT:
             # ln(exp(w_twin) + exp(w))
             gap = ln_weight - hypotheses.ln_weight[twin]
             hypotheses.ln_weight[twin] += math.log(1 + math.exp(gap))
         elif taken < driving:
-            _copy_state(before, s, hypotheses, taken)
+            _copy_state(parents, parent, hypotheses, taken)
             hypotheses.ln_weight[taken] = ln_weight
-            hypotheses.direction[taken] = u_of_branch
-            hypotheses.until_s[taken] = before.until_s[s]
             if row == HEARD:
-                u_before = _followed(before, s, now_s)
+                u_before = _followed(parents, parent, now_s)
                 _hear(hypotheses, taken, model, i, u_before, u, now_s, step_s)
-            origin[taken] = s
+            else:
+                hypotheses.direction[taken] = parents.direction[parent]
+                hypotheses.until_s[taken] = parents.until_s[parent]
+            parent_of[taken] = parent
             taken += 1
 
 
 @compiled(**INLINE_FAST)
-def _ln_branches(before, u):
-    """Return ln of the probability of both branches of each hypothesis `before`, (2, S) with the
-    rows HEARD and MISSED:
+def _ln_branches(parents, u):
+    """Return ln of the probability of both branches of each parent, (2, S) with the rows HEARD and
+    MISSED:
 
         w_heard = w + ln(1 - lost),    w_missed = w + ln(lost).
 
     To one that follows u already, both are the same: it goes on as HEARD, with all its probability.
     """
-    number = before.ln_weight.size
+    number = parents.ln_weight.size
     ln_branches = np.empty((2, number))
     for s in range(number):
-        if before.direction[s] == u:
-            ln_branches[HEARD, s] = before.ln_weight[s]
+        if parents.direction[s] == u:
+            ln_branches[HEARD, s] = parents.ln_weight[s]
             ln_branches[MISSED, s] = -math.inf
         else:
-            ln_branches[HEARD, s] = before.ln_weight[s] + LN_HEARD
-            ln_branches[MISSED, s] = before.ln_weight[s] + LN_MISSED
+            ln_branches[HEARD, s] = parents.ln_weight[s] + LN_HEARD
+            ln_branches[MISSED, s] = parents.ln_weight[s] + LN_MISSED
     return ln_branches
 
 
@@ -396,16 +372,16 @@ def _likeliest_branch(ln_branches):
 
 
 @compiled(**INLINE_FAST)
-def _find_twin(before, s, u, hypotheses, origin):
-    """Return the slot of the twin of a branch that comes from hypothesis s `before` and follows u.
+def _find_twin(parents, parent, u, hypotheses, parent_of):
+    """Return the slot of the twin of a branch from a parent, which follows u; NO_SLOT if there is
+    none. The branches in the slots taken come from the parents `parent_of`; the first twin counts.
 
-    A twin follows the same direction, and comes from a heading that differs by little for its
-    uncertainty: whichever of both is true, the robot moves alike from now on. The slots taken hold
-    branches of the hypotheses `origin`; the first twin counts, NO_SLOT if there is none.
+    A twin follows the same direction, and the headings of their parents differ by little for their
+    uncertainty: whichever of both is true, the robot moves alike from now on.
     """
-    variance = before.cov[s, HEADING, HEADING]
-    for slot in range(origin.size):
-        gap = before.state[origin[slot], HEADING] - before.state[s, HEADING]
+    variance = parents.cov[parent, HEADING, HEADING]
+    for slot in range(parent_of.size):
+        gap = parents.state[parent_of[slot], HEADING] - parents.state[parent, HEADING]
         if gap**2 < ASSUMED.alike * variance and hypotheses.direction[slot] == u:
             return slot
     return NO_SLOT
@@ -461,33 +437,6 @@ def _turning_rate(model, i, z, u):
     return _rates(z[HEADING], goal, a, parameters[1])[2]
 
 
-@compiled(**INLINE_FAST)
-def _copied(hypotheses, count):
-    """Return a copy of the first `count` hypotheses."""
-    return Hypotheses(
-        state=hypotheses.state[:count].copy(),
-        cov=hypotheses.cov[:count].copy(),
-        direction=hypotheses.direction[:count].copy(),
-        until_s=hypotheses.until_s[:count].copy(),
-        ln_weight=hypotheses.ln_weight[:count].copy(),
-    )
-
-
-@compiled(**INLINE_FAST)
-def _copy_state(source, from_slot, target, to_slot):
-    """Copy the state and covariance of a hypothesis of `source` to a slot of `target`, number by
-    number: arrays that are assigned whole take seconds to compile."""
-    z = source.state[from_slot]
-    cov = source.cov[from_slot]
-    z_copy = target.state[to_slot]
-    cov_copy = target.cov[to_slot]
-    for k in range(z.size):
-        z_copy[k] = z[k]
-    for row in range(cov.shape[0]):
-        for column in range(cov.shape[0]):
-            cov_copy[row, column] = cov[row, column]
-
-
 # ---- update ----
 
 
@@ -526,24 +475,24 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
 
         w_s <- w_s + ln p(pose | s) - ln L,    ln L = ln sum_s exp(w_s) p(pose | s)
 
-    The probabilities have the sum 1 then. No w falls below `ASSUMED.least_ln_weight`: what the
-    robot does may become true again.
+    The probabilities have the sum 1 then. After that, a w below `ASSUMED.least_ln_weight` is raised
+    to it: what the robot does not do may become true again.
     """
     ln_weight = hypotheses.ln_weight
-    most = -math.inf
+    largest = -math.inf
     for s in range(ln_weight.size):
         if ln_weight[s] > -math.inf:
             z = hypotheses.state[s]
             cov = hypotheses.cov[s]
             ln_weight[s] += measure(model, i, z, cov, noise_scale, pose, scratch)
-            if ln_weight[s] > most:
-                most = ln_weight[s]
+            if ln_weight[s] > largest:
+                largest = ln_weight[s]
                 for j in range(3):
                     innovation[j] = scratch.innovation[j]
     total = 0.0
     for s in range(ln_weight.size):
-        total += math.exp(ln_weight[s] - most)  # the largest is 1: no sum overflows
-    ln_likelihood = most + math.log(total)
+        total += math.exp(ln_weight[s] - largest)  # none is above 1: no sum overflows
+    ln_likelihood = largest + math.log(total)
     for s in range(ln_weight.size):
         if ln_weight[s] > -math.inf:
             ln_weight[s] = max(ln_weight[s] - ln_likelihood, ASSUMED.least_ln_weight)
@@ -596,13 +545,20 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
     `seconds` until now.
 
     A robot that drives gets stuck once in `every_s`, and a stuck one comes free after `for_s`, both
-    on average. Of two hypotheses that become one, the likelier keeps its state and its w:
+    on average: in this time with the probabilities
 
-        w_likeliest <- max(w_likeliest, w_stuck + ln(seconds / for_s))
-        w_stuck     <- max(w_stuck + ln(1 - seconds / for_s), w_likeliest + ln(seconds / every_s)),
+        p_stick = seconds / every_s,    p_free = seconds / for_s,    at most 1/2 each.
 
-    of which only the one exchange or the other is made. A stuck robot may stray meanwhile. If the
-    likeliest robot is not to drive, being stuck and standing are the same, and no robot is stuck.
+    Where two hypotheses become one, the likelier's state and w count. One of three things is done:
+
+        it comes free   if w_stuck + ln p_free > w_likeliest, the likeliest takes the stuck state:
+                        w_likeliest <- w_stuck + ln p_free,    w_stuck <- w_stuck + ln(1 - p_free)
+        it gets stuck   else if w_likeliest + ln p_stick > w_stuck + ln(1 - p_free), the stuck one
+                        takes the likeliest state: w_stuck <- w_likeliest + ln p_stick
+        neither         w_stuck <- w_stuck + ln(1 - p_free)
+
+    If the likeliest robot is not to drive, being stuck and standing are the same, and no robot is
+    stuck.
     """
     ln_weight = hypotheses.ln_weight
     stuck = ln_weight.size - 1
@@ -610,16 +566,11 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
     if math.isnan(hypotheses.direction[best]) or hypotheses.until_s[best] <= now_s:
         ln_weight[stuck] = -math.inf
         return
-    cov = hypotheses.cov[stuck]
-    strays2 = model.sticks.strays * model.sticks.strays
-    turns2 = model.sticks.turns * model.sticks.turns
-    cov[X, X] += strays2 * seconds
-    cov[Y, Y] += strays2 * seconds
-    cov[HEADING, HEADING] += turns2 * seconds
+    _stray(hypotheses.cov[stuck], model.sticks, seconds)
     p_free = min(0.5, seconds / model.sticks.for_s)
     p_stick = min(0.5, seconds / model.sticks.every_s)
-    ln_stays_stuck = ln_weight[stuck] + math.log(1 - p_free)
     ln_comes_free = ln_weight[stuck] + math.log(p_free)
+    ln_stays_stuck = ln_weight[stuck] + math.log(1 - p_free)
     ln_gets_stuck = ln_weight[best] + math.log(p_stick)
     if ln_comes_free > ln_weight[best]:
         _copy_state(hypotheses, stuck, hypotheses, best)
@@ -632,6 +583,16 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
         ln_weight[stuck] = ln_stays_stuck
 
 
+@compiled(**INLINE_FAST)
+def _stray(cov, sticks, seconds):
+    """Let the pose of a stuck robot become more uncertain: it may stray, and turn (`Sticks`)."""
+    strays2 = sticks.strays * sticks.strays
+    turns2 = sticks.turns * sticks.turns
+    cov[X, X] += strays2 * seconds
+    cov[Y, Y] += strays2 * seconds
+    cov[HEADING, HEADING] += turns2 * seconds
+
+
 # ---- scores ----
 
 
@@ -640,9 +601,86 @@ def _forget(bank, i, seconds):
     """Let a robot's scores be 0 for its best filter, and their differences decay with time: a dead
     time may change. score <- (score - largest score) exp(-seconds / forget_s)."""
     filters = bank.score.shape[0]
-    most = -math.inf
+    largest = -math.inf
     for b in range(filters):
-        most = max(most, bank.score[b, i])
+        largest = max(largest, bank.score[b, i])
     decay = math.exp(-seconds / ASSUMED.forget_s)
     for b in range(filters):
-        bank.score[b, i] = (bank.score[b, i] - most) * decay
+        bank.score[b, i] = (bank.score[b, i] - largest) * decay
+
+
+# ---- hypotheses in arrays ----
+
+
+@compiled(**INLINE_FAST)
+def _hypotheses(bank, b, i):
+    """Return the hypotheses of one filter of a robot, to be read and changed in place."""
+    return Hypotheses(
+        state=bank.state[b, i],
+        cov=bank.cov[b, i],
+        direction=bank.direction[b, i],
+        until_s=bank.until_s[b, i],
+        ln_weight=bank.ln_weight[b, i],
+    )
+
+
+@compiled(**INLINE_FAST)
+def _copied(hypotheses, count):
+    """Return a copy of the first `count` hypotheses."""
+    return Hypotheses(
+        state=hypotheses.state[:count].copy(),
+        cov=hypotheses.cov[:count].copy(),
+        direction=hypotheses.direction[:count].copy(),
+        until_s=hypotheses.until_s[:count].copy(),
+        ln_weight=hypotheses.ln_weight[:count].copy(),
+    )
+
+
+@compiled(**INLINE_FAST)
+def _copy_state(source, from_slot, target, to_slot):
+    """Copy the state and covariance of a hypothesis of `source` to a slot of `target`, number by
+    number: arrays that are assigned whole take seconds to compile."""
+    z = source.state[from_slot]
+    cov = source.cov[from_slot]
+    z_copy = target.state[to_slot]
+    cov_copy = target.cov[to_slot]
+    for k in range(z.size):
+        z_copy[k] = z[k]
+    for row in range(cov.shape[0]):
+        for column in range(cov.shape[0]):
+            cov_copy[row, column] = cov[row, column]
+
+
+@compiled(**INLINE_FAST)
+def likeliest(ln, count):
+    """Return the index of the largest of the first `count` logarithms, the first one of equals."""
+    best = 0
+    for s in range(1, count):
+        if ln[s] > ln[best]:
+            best = s
+    return best
+
+
+@compiled(**INLINE_FAST)
+def _least_likely(ln, count):
+    """Return the index of the smallest of the first `count` logarithms, the first one of equals."""
+    least = 0
+    for s in range(1, count):
+        if ln[s] < ln[least]:
+            least = s
+    return least
+
+
+@compiled(**INLINE_FAST)
+def _scratch(states):
+    """Return room for predictions and updates of hypotheses with some number of states."""
+    return FilterScratch(
+        products=np.empty((3, states)),
+        p_h=np.empty(states),
+        expected=np.empty(3),
+        off=np.empty(3),
+        variance=np.empty(3),
+        slopes=np.zeros(DEPENDS_ON.shape),
+        innovation=np.zeros(3),
+        likeliest_innovation=np.zeros(3),
+    )

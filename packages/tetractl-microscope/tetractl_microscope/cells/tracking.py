@@ -375,7 +375,7 @@ class CellTracker:
                 self._begin(speck, now)
 
     def _begin(self, track: CellTrack, now: PictureNow) -> None:
-        """CellStart to follow a speck as a cell, since it swims."""
+        """Start to follow a speck as a cell, since it swims."""
         path = np.array(track.path)
         begun_s = float(path[0, 0])
         (vx, vy), fitted = straight(path[-BORN:])
@@ -449,7 +449,7 @@ class CellTracker:
         hidden = [
             cell for cell in self._cells() if cell.merged and now.seconds - cell.hidden_s > GHOST_S
         ]
-        least: dict[int, tuple[float, int]] = {}  # probability and -number, by blob
+        least: dict[int, tuple[float, int]] = {}  # by blob; of equals, the newest
         for cell, likely in zip(hidden, self._probabilities(hidden, now), strict=True):
             this = likely, -cell.number
             least[id(cell.blob)] = min(this, least.get(id(cell.blob), this))

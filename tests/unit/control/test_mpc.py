@@ -196,21 +196,27 @@ def test_longer_plans_are_searched_on_where_the_deadline_came_between():
 def test_the_trial_ends_where_a_stop_is_worth_most():
     """What is left of the plan leads past the targets."""
     controller, _ = driving({})
-    assert decide(controller, short_by(15)) is Outcome.NO_BETTER_PLAN
+    assert decide(controller, short_by(ACCEPT - 5)) is Outcome.NO_BETTER_PLAN
 
 
 def test_robots_too_far_off_go_on_though_the_sequence_is_used_up():
     controller, _ = driving({1: 0.0}, left=0)
-    assert isinstance(decide(controller, short_by(35)), Plan)
+    assert isinstance(decide(controller, short_by(ACCEPT + 15)), Plan)
+
+
+def test_the_trial_ends_near_the_targets_once_the_sequence_is_used_up():
     controller, _ = driving({1: 0.0}, left=0)
-    assert decide(controller, short_by(15)) is Outcome.SEQUENCE_COMPLETED
+    assert decide(controller, short_by(ACCEPT - 5)) is Outcome.SEQUENCE_COMPLETED
 
 
-def test_arrival_and_the_last_step_end_a_trial():
+def test_arrival_ends_a_trial():
     controller, _ = driving({}, arrival_tolerance=20)
     assert decide(controller, short_by(19)) is Outcome.ARRIVED
-    controller, _ = driving({}, time_limit=0.4)
-    assert decide(controller, now=400_000_000) is Outcome.TIME_LIMIT
+
+
+def test_the_limit_of_time_ends_a_trial():
+    controller, _ = driving({}, time_limit=2 * PERIOD_S)
+    assert decide(controller, now=2 * PERIOD_NS) is Outcome.TIME_LIMIT
 
 
 ARRIVES_S = 0.1

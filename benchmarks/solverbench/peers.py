@@ -119,7 +119,7 @@ def reference(meter: Meter, seed: int) -> NoReturn:
         return evaluate(meter.problem, signals.T).total
 
     for again in itertools.count():
-        swarm = Swarm.scatter(_SWARM, meter.length, mix(seed, again), numpy_costs)
+        swarm = Swarm.scattered(_SWARM, meter.length, mix(seed, again), numpy_costs)
         while swarm.z < _SWARM.iterations:
             swarm.iterate()
             meter.note(swarm.best.cost)

@@ -75,7 +75,7 @@ class _Iterations:
 
 
 def _reference(problem: Problem) -> Callable[[int], None]:
-    swarm = Swarm.scatter(SWARM, SIGNALS, 1, lambda signals: evaluate(problem, signals.T).total)
+    swarm = Swarm.scattered(SWARM, SIGNALS, 1, lambda signals: evaluate(problem, signals.T).total)
 
     def run(count: int) -> None:
         for _ in range(count):

@@ -63,8 +63,8 @@ HEADING = 4  # b
 FORWARD = 5  # f
 ASIDE = 6  # l
 LATER = len(TAPS_NS) - 1  # number of delays that have a weight
-TAPS_ALONG = slice(7, 7 + LATER)
-TAPS_AROUND = slice(7 + LATER, 7 + 2 * LATER)
+TAPS_ALONG = slice(7, 7 + LATER)  # weights of the delays of driving
+TAPS_AROUND = slice(7 + LATER, 7 + 2 * LATER)  # of turning
 KNOWN = slice(1, 7 + 2 * LATER)  # all that are constant over a trial
 OWN = slice(KNOWN.stop, KNOWN.stop + 3)  # a constant velocity of one robot
 PICTURE = slice(OWN.stop, OWN.stop + 4)  # shift, turn and growth of the picture
@@ -90,7 +90,8 @@ LIMIT = 16.0
 """Statistic from which on a pose is false: good trials of the emulated lab reach 13
 (docs/decisions/safety.md)."""
 STEADY = 0.25
-"""Largest error of wheels whose error is constant; a dead zone causes a larger one."""
+"""Largest error of wheels whose error is constant, as a part of their speed; a dead zone causes a
+larger one."""
 SURE_ERRORS = 3.0
 """Standard deviations by which a wheel must be beyond its largest error."""
 LEAST_KNOWN = 0.01

@@ -14,7 +14,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 
-LOG_2 = math.log(2.0)
+LOG_2 = math.log(2.0)  # ln 2
 TAN_EIGHTH = math.tan(math.pi / 8)  # tan of an eighth of a half turn
 
 
@@ -34,13 +34,13 @@ def _atan_ratio(q: Floats) -> Floats:
     return np.arctan(root) / root
 
 
-_QUARTER = (math.pi / 4) ** 2
+_QUARTER = (math.pi / 4) ** 2  # square of the largest angle
 SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), _QUARTER, 5)  # sin(t)/t of q = t^2
 COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
 ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
 
-_HALF_STEP = (LOG_2 / 2) ** 2
+_HALF_STEP = (LOG_2 / 2) ** 2  # square of half a step of the exponent
 COSH = fit(lambda q: np.cosh(np.sqrt(q)), _HALF_STEP, 5)  # cosh t of q = t^2
 SINH = fit(lambda q: np.sinh(np.sqrt(q)) / np.sqrt(q), _HALF_STEP, 5)  # sinh(t)/t
 SHIFT = 1.5 * 2.0**52  # floats near it have the bits of integers

@@ -120,9 +120,9 @@ def note(acts_ns: int, speeds: Floats, parameters: Floats, sent_ns: Times, sent:
 
 
 # the rows of the array (ROWS, N) of N robots on wheels
-X = 0
-Y = 1
-HEADING = 2
+X = 0  # [length unit]
+Y = 1  # [length unit]
+HEADING = 2  # [rad]
 LEFT = 3
 """Present speed of the left wheel [length unit/s]."""
 RIGHT = 4
@@ -141,7 +141,7 @@ STANDS_BELOW = 10
 """Speed below which the wheels of a stopped robot stand [length unit/s]."""
 MOVING = 11
 """1 for a robot whose heading swerves, else 0."""
-ROWS = 12
+ROWS = 12  # of the array
 
 
 def roll(

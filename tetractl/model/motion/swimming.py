@@ -46,7 +46,7 @@ FLOW = 14
 """Two rows: x and y of the medium's flow [um/s]."""
 WALLS = 16
 """Four rows: coordinates of the left, right, lower and upper wall, along which cells slide."""
-ROWS = 20
+ROWS = 20  # of the array
 
 
 def steps_in(seconds: float) -> int:

@@ -32,16 +32,18 @@ steered while one is hidden. `abort` is final.
 What happens next, if
 
     a pose jumps              it is refused; after UNTRACKED_STOP_S (experiment/lab_section.py) the
-                              robot is hidden, and stops; after `untracked_abort` it is lost, or the
-                              run is aborted (10), at once if its poses disobey its commands
-    no pose of a robot comes  the same
+                              robot is hidden, and stops; after `untracked_abort` it is lost (3), or
+                              the run is aborted (10)
+    poses disobey commands    they are refused likewise; the run is aborted once the robot is hidden
+    no pose of a robot comes  as if it jumped
     no frame comes            all robots stop after `stale`; the run is aborted after `stream_lost`
                               (9)
     a control step is late    nothing; after `late_steps` in a row the run is aborted
     no plan comes             robots go on by the last direction; the run is aborted after the
                               silence that the rules allow (8)
     a robot dies              it disobeys, as it does not move: the run is aborted once it is hidden
-                              or, if it may lose robots, goes on without it (10)
+                              (10); after `untracked_abort` if its pose is the same to the bit, or
+                              if the run may lose robots: it goes on without it then (3)
     a device fails            the run is aborted (2, 6)
     the operator stops all    the run is aborted, for good (5); Ctrl-C only ends the run, by
                               `end_run`, after the control step

@@ -26,10 +26,12 @@ What happens next, if
     a plan takes long      it is sent late; after a period or more it counts as missed if robots
                            drove
     a step is late         steps that follow are due later if it was late by a period; a lab's guard
-                           aborts after some in a row
-    Ctrl-C                 the step is finished: what is being planned is sent, and ends the trial
-                           if it is an outcome; else the robots stop, and the trial is interrupted
-                           (row 4); a second one breaks planning and sleeping off
+                           aborts after `late_steps` in a row whose direction is sent a period
+                           after their frame
+    Ctrl-C                 the step is finished, between two steps the next one: what is planned is
+                           sent, and ends the trial if it is an outcome; else the robots stop, and
+                           the trial is interrupted (row 4); a second one breaks planning and
+                           sleeping off
     a robot does not move  it is reported; the trial goes on, or the controller ends it
     a frame is missing,    the plant raises an AbortError: rows 1 and 2
     a device fails
@@ -42,7 +44,7 @@ Interruptions are counted by `Interrupt`, in the handlers of signals:
 
     count     meaning                      in the loop                       planning, sleeping
     0                                      goes on                           go on
-    1         `requested`: end the trial   the step, or the side of a        go on
+    1         `requested`: end the trial   the step, or the period of a      go on
                                            square, is finished first
     2 or more end it at once               as for 1                          KeyboardInterrupt
 

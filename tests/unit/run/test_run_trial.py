@@ -430,7 +430,7 @@ def test_in_the_lab_squares_go_on_until_the_plan_is_there():
     assert commands % 40 == 0
 
 
-def test_one_interruption_ends_the_square_after_its_side():
+def test_one_interruption_ends_the_square_after_the_period_under_way():
     fakes = bench(first_plan=SQUARE)
     fakes.do_at("send", 2, fakes.interrupt.request)
     result = fakes.run()

@@ -28,10 +28,10 @@ What happens next, if
     a step is late         steps that follow are due later if it was late by a period; a lab's guard
                            aborts after `late_steps` in a row whose direction is sent a period
                            after their frame
-    Ctrl-C                 the step is finished, between two steps the next one: what is planned is
-                           sent, and ends the trial if it is an outcome; else the robots stop, and
-                           the trial is interrupted (row 4); a second one breaks planning and
-                           sleeping off
+    Ctrl-C                 the step is finished: what is being planned is sent, or ends the trial if
+                           it is an outcome; then, or after the wait for the next step, the robots
+                           stop, and the trial is interrupted (row 4); a second one breaks planning
+                           and sleeping off
     a robot does not move  it is reported; the trial goes on, or the controller ends it
     a frame is missing,    the plant raises an AbortError: rows 1 and 2
     a device fails
@@ -363,9 +363,11 @@ class TrialCourse:
                 self._sleep_until(trial.clock.now() + decision.delay_ns)
                 return LoopEnd(decision.outcome)
             command = self._carry_out(k, observation, decision, solve_ns)
+            due_ns = self._pacing.finish(k, decision.pauses)
+            if not trial.interrupt.requested:
+                self._sleep_until(due_ns)
             if trial.interrupt.requested:
                 return LoopEnd(Outcome.INTERRUPTED, STEP_FINISHED)
-            self._sleep_until(self._pacing.finish(k, decision.pauses))
             before = observation
             observation = trial.plant.observe()
             between = self._frames.take_between(before, observation)

@@ -296,6 +296,21 @@ def test_a_first_interruption_finishes_the_step(where):
     assert fakes.happenings.names.count("plan") == 2
 
 
+def test_a_first_interruption_between_two_steps_begins_no_other(monkeypatch):
+    """Regression: one in the wait for the next step let it be planned and sent."""
+    fakes = bench(5)
+    sleep_until = fakes.plant.clock.sleep_until
+
+    def interrupted_while_asleep(when_ns):
+        sleep_until(when_ns)
+        fakes.interrupt.request()
+
+    monkeypatch.setattr(fakes.plant.clock, "sleep_until", interrupted_while_asleep)
+    result = fakes.run()
+    assert result.reason == "interrupted; the step was finished"
+    assert result.steps == fakes.happenings.names.count("plan") == 1
+
+
 @pytest.mark.parametrize("where", ["plan", "send", "log.step"])
 def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
     fakes = bench(5)

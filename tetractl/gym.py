@@ -100,6 +100,11 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         `seed` is that of the spec's `trials`; without one, it is drawn. `options={"trial": k}`
         opens trial k, by default 0: with the benchmark's seed, those are the benchmark's trials.
         """
+        unknown = sorted(set(options or {}) - {"trial"})
+        if unknown:
+            raise UsageError(
+                f"reset has no option {unknown[0]!r}", "the only one is 'trial', its number"
+            )
         super().reset(seed=seed)
         trial_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
         trial = (options or {}).get("trial", 0)

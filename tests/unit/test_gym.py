@@ -145,6 +145,11 @@ def test_a_trial_that_is_no_number_is_refused():
         TrialEnv(SPEC).reset(seed=1, options={"trial": "first"})
 
 
+def test_an_option_that_a_reset_does_not_have_is_refused():
+    with pytest.raises(UsageError, match="no option 'trail'"):
+        TrialEnv(SPEC).reset(seed=1, options={"trail": 3})
+
+
 def test_an_obstacle_counts_as_the_greatest_error():
     wall = {"type": "circle", "center": [800, 500], "radius": 100}
     env = TrialEnv(SPEC | {"obstacles": [wall]})

@@ -1,3 +1,5 @@
+"""The keys of JSON and the columns of CSV, which scripts rely on."""
+
 import csv
 import io
 import json
@@ -15,72 +17,96 @@ from tetractl.results.open_batch import Damaged
 from tetractl.results.tables import data_table
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
-SPEC_PLAIN = experiment()
+
 SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
 
 
-def as_json(*groups):
-    return json.loads(json_text(comparison_items(contrast(groups))))
+def as_json(described):
+    """The items of one batch as a script reads them."""
+    items = comparison_items(contrast([described]))
+    return json.loads(json_text(items))
 
 
-def rows_of(*groups):
-    return list(csv.DictReader(io.StringIO(csv_text(data_table(contrast(groups))))))
+def as_csv(described):
+    """The rows of one batch as a script reads them."""
+    text = csv_text(data_table(contrast([described])))
+    return list(csv.DictReader(io.StringIO(text)))
 
 
 def test_json_holds_every_key_scripts_rely_on():
-    found = as_json(group(batch(ERRORS, SPEC)))
-    assert (found["n_trials"], found["n_counted"], found["unit"]) == (20, 20, "mm")
+    items = as_json(group(batch(ERRORS, SPEC)))
     figures = {"mean", "std", "median", "min", "max", "ci95"}
-    assert figures <= set(found["total_error"])
-    assert [robot["name"] for robot in found["robots"]] == ["green", "blue", "red"]
-    assert all(figures <= set(robot) for robot in found["robots"])
+    assert figures <= set(items["total_error"])
+    assert all(figures <= set(robot) for robot in items["robots"])
+    assert {"n", "mean", "std", "difference", "ci95", "p_value"} <= set(items["reference"])
+    assert set(items["solve_ms"]) == {"p50", "p99", "max"}
+    error = {"log", "seed", "total_error", "robot_errors"}
+    ending = {"steps", "duration_s", "outcome", "entered_obstacle", "recovered"}
+    assert error | ending <= set(items["trials"][0])
+
+
+def test_json_says_what_a_usual_batch_is():
+    items = as_json(group(batch(ERRORS, SPEC)))
+    assert items["n_trials"] == 20
+    assert items["n_counted"] == 20
+    assert items["unit"] == "mm"
+    assert [robot["name"] for robot in items["robots"]] == ["green", "blue", "red"]
+    assert items["origin"] == "disturbed simulation"
+    assert items["kind"] == "simulated"
+    assert items["disturbed"] is True
+    assert items["arrived"] is None
+    assert items["outcomes"]["sequence completed"] == 20
+    assert items["reference"]["comparable"]
     for count in ("obstacle_violations", "aborted", "deadline_misses", "n_attempts"):
-        assert found[count] == 0
-    assert (found["origin"], found["arrived"]) == ("disturbed simulation", None)
-    assert found["outcomes"]["sequence completed"] == 20
-    assert found["reference"]["comparable"]
-    assert (found["attempts"], found["flagged"]) == ([], [])
-    assert (found["kind"], found["disturbed"]) == ("simulated", True)
-    assert set(found["solve_ms"]) == {"p50", "p99", "max"}
-    assert {"n", "mean", "std", "difference", "ci95", "p_value"} <= set(found["reference"])
-    low, high = found["total_error"]["ci95"]
-    assert low < found["total_error"]["mean"] < high
-    keys = {"log", "seed", "total_error", "robot_errors", "steps", "duration_s", "outcome"}
-    assert keys | {"entered_obstacle", "recovered"} <= set(found["trials"][0])
-    assert found["trials"][0]["total_error"] == pytest.approx(sum(ERRORS[0]))
-    assert found["scaled"]["body_lengths"] == pytest.approx(found["scaled"]["mean"] / 50)
+        assert items[count] == 0
+    assert items["attempts"] == []
+    assert items["flagged"] == []
+
+
+def test_json_has_the_errors_of_the_trials_and_their_interval():
+    items = as_json(group(batch(ERRORS, SPEC)))
+    assert items["trials"][0]["total_error"] == pytest.approx(sum(ERRORS[0]))
+    low, high = items["total_error"]["ci95"]
+    assert low < items["total_error"]["mean"] < high
+    in_bodies = items["scaled"]["mean"] / SCALE["body_length"]
+    assert items["scaled"]["body_lengths"] == pytest.approx(in_bodies)
 
 
 def test_json_without_a_reference_or_enough_trials_says_null():
-    found = as_json(group(batch(ERRORS[:1])))
-    assert found["reference"] is None
-    assert found["scaled"] is None
-    assert found["total_error"]["std"] is None
-    assert found["total_error"]["ci95"] is None
-    assert found["total_error"]["ci95_reason"] == "one value has no spread"
+    items = as_json(group(batch(ERRORS[:1])))
+    assert items["reference"] is None
+    assert items["scaled"] is None
+    assert items["total_error"]["std"] is None
+    assert items["total_error"]["ci95"] is None
+    assert items["total_error"]["ci95_reason"] == "one value has no spread"
 
 
 def test_json_stays_json_where_nothing_is_known():
     trials = batch([[math.nan] * 3] * 2, SPEC, outcome=Outcome.ABORTED, solve_ns=())
-    found = as_json(group(trials, [Damaged("torn.mcap", "no header")]))
-    assert found["total_error"]["mean"] is None
-    assert found["reference"]["difference"] is None
-    assert found["solve_ms"] == {"p50": None, "p99": None, "max": None}
-    assert found["trials"][0]["robot_errors"] == [None] * 3
-    assert found["damaged"] == [{"log": "torn.mcap", "problem": "no header"}]
+    items = as_json(group(trials, [Damaged("torn.mcap", "no header")]))
+    assert items["total_error"]["mean"] is None
+    assert items["reference"]["difference"] is None
+    assert items["solve_ms"] == {"p50": None, "p99": None, "max": None}
+    assert items["trials"][0]["robot_errors"] == [None] * 3
+    assert items["damaged"] == [{"log": "torn.mcap", "problem": "no header"}]
 
 
-def test_attempts_are_rows_that_say_so():
-    trials = batch(ERRORS[:2])
+def batch_with_attempt():
+    """Two trials, and an aborted attempt at one."""
     aborted = result([1, 2, 3], outcome=Outcome.ABORTED)
-    summary = group([*trials, trial("x.attempt-1.mcap", SPEC_PLAIN, aborted)])
-    rows = rows_of(summary)
-    assert [(row["attempt"], row["counted"]) for row in rows] == [
-        ("false", "true"),
-        ("false", "true"),
-        ("true", "false"),
-    ]
+    attempt = trial("x.attempt-1.mcap", experiment(), aborted)
+    return group([*batch(ERRORS[:2]), attempt])
+
+
+def test_attempts_are_rows_of_csv_that_say_so():
+    rows = as_csv(batch_with_attempt())
+    assert [row["attempt"] for row in rows] == ["false", "false", "true"]
+    assert [row["counted"] for row in rows] == ["true", "true", "false"]
     assert {row["origin"] for row in rows} == {"undisturbed simulation"}
-    found = as_json(summary)
-    assert (found["n_trials"], found["n_attempts"]) == (2, 1)
-    assert found["attempts"][0]["outcome"] == "aborted"
+
+
+def test_attempts_are_items_of_json_that_are_not_counted_as_trials():
+    items = as_json(batch_with_attempt())
+    assert items["n_trials"] == 2
+    assert items["n_attempts"] == 1
+    assert items["attempts"][0]["outcome"] == "aborted"

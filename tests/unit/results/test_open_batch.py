@@ -8,86 +8,120 @@ from tetractl.results.open_batch import Source, open_batch, sources
 from tetractl.run import store
 from tetractl.study.options import Logs
 
-ALL, FIRST, NONE = Logs(float("inf"), True), Logs(1, False), Logs(0, False)
+ALL = Logs(float("inf"), failed=True)
+FIRST = Logs(1, failed=False)
+FAILED = Logs(0, failed=True)
+NONE = Logs(0, failed=False)
 
 
-def arm_of(folder, logs):
-    """The folder of an arm of three trials."""
+def arm_of_three_trials(folder, logs):
+    """Run a study whose whole logs are these; return the folder of one arm."""
     run(folder, SMALL, logs=logs)
     return folder / "out" / "dead_time=0.1"
 
 
-def read(*paths):
-    """Whether the log of each trial that counts is whole, and which logs are damaged."""
-    found = open_batch(paths)
-    whole = {trial.trial: not trial.brief for trial in found.trials}
-    return whole, len(found.trials), list(found.damaged)
+def whole_logs(batch):
+    """Whether the log of each trial that counts is whole; none is damaged, no trial twice."""
+    whole_by_trial = {trial.trial: not trial.brief for trial in batch.trials}
+    assert len(whole_by_trial) == len(batch.trials)
+    assert list(batch.damaged) == []
+    return whole_by_trial
+
+
+def sizes_of(paths):
+    """The number of logs of each batch, by its name."""
+    listed = [(source.name, len(source.logs)) for source in sources(paths)]
+    assert len(dict(listed)) == len(listed)
+    return dict(listed)
 
 
 def test_whole_and_brief_logs_are_read_alike(tmp_path):
-    arm = arm_of(tmp_path, FIRST)
+    arm = arm_of_three_trials(tmp_path, FIRST)
     mixed = {0: True, 1: False, 2: False}
-    assert read(arm) == (mixed, 3, [])
-    assert read(str(arm)[:-1] + "*") == (mixed, 3, [])
-    assert read(arm / "*.mcap") == (mixed, 3, [])
-    assert [log.name for log in open_batch([arm]).logs] == ["trial-000.mcap"]
+    batch = open_batch([arm])
+    assert whole_logs(batch) == mixed
+    assert [log.name for log in batch.logs] == ["trial-000.mcap"]
+    assert whole_logs(open_batch([str(arm)[:-1] + "*"])) == mixed
+    assert whole_logs(open_batch([arm / "*.mcap"])) == mixed
 
 
 def test_a_path_spelt_twice_gives_each_trial_once(tmp_path, monkeypatch):
-    arm = arm_of(tmp_path, FIRST)
-    (tmp_path / "link").symlink_to(arm)
+    arm = arm_of_three_trials(tmp_path, FIRST)
+    link = tmp_path / "link"
+    link.symlink_to(arm)
     monkeypatch.chdir(arm.parent)
-    for paths in ([arm, tmp_path / "link"], [arm.name, arm], [f"{arm.name}/trial-000.mcap", arm]):
-        assert read(*paths)[1:] == (3, [])
+    for also_arm in (link, arm.name, f"{arm.name}/trial-000.mcap"):
+        assert set(whole_logs(open_batch([also_arm, arm]))) == {0, 1, 2}
 
 
 def test_a_trial_that_failed_is_counted_once(tmp_path):
-    run(tmp_path, FAILING, logs=Logs(0, True))
-    assert read(tmp_path / "out" / "speed=1e+308") == (dict.fromkeys(range(4), True), 4, [])
+    run(tmp_path, FAILING, logs=FAILED)
+    failed = open_batch([tmp_path / "out" / "speed=1e+308"])
+    assert whole_logs(failed) == {0: True, 1: True, 2: True, 3: True}
 
 
 def test_logs_that_were_set_aside_do_not_count(tmp_path, monkeypatch):
-    arm = arm_of(tmp_path, ALL)
+    arm = arm_of_three_trials(tmp_path, ALL)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
     run(tmp_path, SMALL, logs=NONE, rerun_outdated=True)
     assert len(list(arm.glob("*.attempt-1.mcap"))) == 3
-    assert read(arm) == (dict.fromkeys(range(3), False), 3, [])
+    assert whole_logs(open_batch([arm])) == {0: False, 1: False, 2: False}
 
 
-def test_the_folder_of_a_study_is_a_batch_per_arm_listed_once(tmp_path):
-    arm = arm_of(tmp_path, FIRST)
-    study = arm.parent
-    found = sources([str(study)])
-    assert [(one.name, len(one.logs)) for one in found] == [
-        ("dead_time=0", 3),
-        ("dead_time=0.1", 3),
-    ]
-    assert [len(one.read().trials) for one in found] == [3, 3]
+def test_the_folder_of_a_study_is_a_batch_per_arm(tmp_path):
+    study = arm_of_three_trials(tmp_path, FIRST).parent
+    assert sizes_of([str(study)]) == {"dead_time=0": 3, "dead_time=0.1": 3}
+    arms = [source.read() for source in sources([str(study)])]
+    assert [len(arm.trials) for arm in arms] == [3, 3]
+
+
+def test_an_arm_is_not_listed_again_next_to_its_study(tmp_path):
+    arm = arm_of_three_trials(tmp_path, FIRST)
     with pytest.raises(UsageError, match="holds 2 batches"):
-        sources([str(study), str(arm)])
+        sources([str(arm.parent), str(arm)])
+
+
+def test_a_folder_with_a_log_of_its_own_is_one_batch(tmp_path):
+    study = arm_of_three_trials(tmp_path, FIRST).parent
     (study / "trial-000.mcap").write_bytes(b"of no arm")
     assert len(sources([str(study)])) == 1
 
 
-def test_batches_are_called_by_their_folders_and_by_their_paths_where_those_are_alike(tmp_path):
-    for name in ("a/x", "b/x", "b/y"):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "one.mcap").write_bytes(b"")
-    x, also_x, y = (str(tmp_path / name) for name in ("a/x", "b/x", "b/y"))
-    assert [one.name for one in sources([x, y])] == ["x", "y"]
-    assert [one.name for one in sources([x, also_x])] == [x, also_x]
+def folder_with_a_log(path):
+    path.mkdir(parents=True)
+    (path / "trial-000.mcap").write_bytes(b"")
+    return str(path)
+
+
+def test_batches_are_called_by_their_folders(tmp_path):
+    x = folder_with_a_log(tmp_path / "b/x")
+    y = folder_with_a_log(tmp_path / "b/y")
+    assert list(sizes_of([x, y])) == ["x", "y"]
+
+
+def test_batches_are_called_by_their_paths_where_folders_are_called_alike(tmp_path):
+    x = folder_with_a_log(tmp_path / "a/x")
+    also_x = folder_with_a_log(tmp_path / "b/x")
+    assert list(sizes_of([x, also_x])) == [x, also_x]
+
+
+def test_a_batch_of_several_paths_is_called_by_the_first(tmp_path):
+    x = folder_with_a_log(tmp_path / "x")
+    y = folder_with_a_log(tmp_path / "y")
     assert Source.of([f"{x}/*.mcap", y]).name == f"{x}/*.mcap and 1 more"
 
 
 def test_a_folder_of_folders_with_logs_is_a_batch_for_each(tmp_path):
-    for name in ("demo/ours", "demo/paper", "other"):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "trial-000.mcap").write_bytes(b"")
-    demo = tmp_path / "demo"
-    assert [(one.name, len(one.logs)) for one in sources([str(demo)])] == [
-        ("ours", 1),
-        ("paper", 1),
-    ]
-    assert len(sources([f"{demo}/*/*.mcap"])) == 1  # a pattern pools
+    folder_with_a_log(tmp_path / "demo/ours")
+    folder_with_a_log(tmp_path / "demo/paper")
+    elsewhere = folder_with_a_log(tmp_path / "elsewhere")
+    demo = str(tmp_path / "demo")
+    assert sizes_of([demo]) == {"ours": 1, "paper": 1}
     with pytest.raises(UsageError, match="holds 2 batches"):
-        sources([str(demo), str(tmp_path / "other")])
+        sources([demo, elsewhere])
+
+
+def test_a_pattern_pools_what_it_matches(tmp_path):
+    folder_with_a_log(tmp_path / "demo/ours")
+    folder_with_a_log(tmp_path / "demo/paper")
+    assert len(sources([f"{tmp_path}/demo/*/*.mcap"])) == 1

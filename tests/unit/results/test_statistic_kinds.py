@@ -16,7 +16,8 @@ from tetractl.results.contrast import contrast
 from tetractl.results.statistic import number
 from tetractl.results.tables import data_table, tables
 
-ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
+ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()  # of three robots [mm]
+MEAN_OF_WORST = np.max(ERRORS, axis=1).mean()
 WORST = number("worst_error", "error of the worst robot", lambda result: max(result.robot_errors))
 
 
@@ -25,19 +26,35 @@ def registered(monkeypatch):
     monkeypatch.setitem(STATISTICS.builtin, "worst_error", f"{__name__}:WORST")
 
 
-def test_it_is_in_every_table(capsys):
-    shown = tables(contrast([group(batch(ERRORS))]))
-    print_tables(shown)
-    mean = np.max(ERRORS, axis=1).mean()
-    for text in (capsys.readouterr().out, *(write(shown) for write in TEXTS.values())):
-        assert re.search(rf"error of the worst robot, mean\W(.*\W)?{mean:.1f} \(95", text)
+@pytest.fixture
+def comparison():
+    """The comparison of one batch with nothing."""
+    described = group(batch(ERRORS))
+    return contrast([described])
 
 
-def test_it_is_in_json_and_csv():
-    described = contrast([group(batch(ERRORS))])
-    found = comparison_items(described)
-    assert found["worst_error"]["mean"] == pytest.approx(np.max(ERRORS, axis=1).mean())
-    assert found["worst_error"]["n"] == 20
-    assert found["trials"][3]["worst_error"] == max(ERRORS[3])
-    rows = list(csv.DictReader(io.StringIO(csv_text(data_table(described)))))
+ROW = rf"error of the worst robot, mean\W(.*\W)?{MEAN_OF_WORST:.1f} \(95"
+
+
+def test_it_is_printed(comparison, capsys):
+    print_tables(tables(comparison))
+    assert re.search(ROW, capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("text_format", TEXTS)
+def test_it_is_in_every_text(comparison, text_format):
+    write = TEXTS[text_format]
+    assert re.search(ROW, write(tables(comparison)))
+
+
+def test_it_is_in_json(comparison):
+    items = comparison_items(comparison)
+    assert items["worst_error"]["mean"] == pytest.approx(MEAN_OF_WORST)
+    assert items["worst_error"]["n"] == 20
+    assert items["trials"][3]["worst_error"] == max(ERRORS[3])
+
+
+def test_it_is_in_csv(comparison):
+    text = csv_text(data_table(comparison))
+    rows = list(csv.DictReader(io.StringIO(text)))
     assert [float(row["worst_error"]) for row in rows] == [max(errors) for errors in ERRORS]

@@ -19,104 +19,129 @@ from tetractl.results.flagged import flagged
 from tetractl.results.tables import summary
 from tetractl.results.turning import turned_otherwise
 
-NAMES, WHEELS = ("green", "blue", "red"), np.array([0.03, -0.17, 0.11])
-ERROR = 0.014  # as of 15 s at 180 mm/s before a camera of 120 Hz [rad/s]
+WHEELS_TURN_RAD_S = np.array([0.03, -0.17, 0.11])  # of green, blue and red
+ERROR_RAD_S = 0.014  # as of 15 s at 180 mm/s before a camera of 120 Hz
 
 
-def turned(n, spread=0.005, seed=1, spec=None, **false):
-    """Trials of the emulated lab of robots whose wheels differ; in those whose number is given,
-    as `trial_3`, robots turn by so much more.
+def emulated_trials(n, spread=0.005, seed=1, false_turns=None):
+    """Trials of the emulated lab, of robots whose wheels differ.
+
+    `spread` is the standard deviation of how a robot turns from trial to trial [rad/s].
+    `false_turns` says by how much more the three robots turn in those trials [rad/s].
     """
-    rng, found = np.random.default_rng(seed), []
-    spec = spec or experiment(3, wheels={"radius": 40})
+    rng = np.random.default_rng(seed)
+    spec = experiment(3, wheels={"radius": 40})
+    trials = []
     for k, trial in enumerate(batch([[1.0, 2.0, 3.0]] * n, spec)):
-        turn = WHEELS + rng.normal(0.0, spread, 3) + false.get(f"trial_{k}", 0.0)
-        verdict = replace(trial.result.verdict, turn=tuple(turn.tolist()), turn_std=(ERROR,) * 3)
-        result = replace(trial.result, verdict=verdict)
-        found.append(replace(trial, result=result, origin=Origin.EMULATED, digest=trial.log))
-    return found
+        turn = WHEELS_TURN_RAD_S + rng.normal(0.0, spread, 3)
+        if false_turns and k in false_turns:
+            turn += false_turns[k]
+        trial = with_verdict(trial, turn=tuple(turn.tolist()), turn_std=(ERROR_RAD_S,) * 3)
+        trials.append(replace(trial, origin=Origin.EMULATED, digest=trial.log))
+    return trials
 
 
-def changed(trial, **fields):
+def with_verdict(trial, **fields):
     verdict = replace(trial.result.verdict, **fields)
     return replace(trial, result=replace(trial.result, verdict=verdict))
 
 
-def printed(found, of):
+def printed_summary(described):
     out = io.StringIO()
-    print_tables(of(contrast([found])), Console(file=out, width=100))
+    shown_tables = summary(contrast([described]))
+    print_tables(shown_tables, Console(file=out, width=100))
     return out.getvalue()
 
 
-def test_a_trial_in_which_a_robot_turns_unlike_in_the_others_is_marked_and_counted():
-    trials = turned(20, trial_3=[0.1, 0.0, 0.0], trial_7=[0.0, 0.0, 0.2], trial_9=[0, -0.15, 0])
+FALSE_TURNS = {3: [0.1, 0.0, 0.0], 7: [0.0, 0.0, 0.2], 9: [0.0, -0.15, 0.0]}
+
+
+def test_a_trial_in_which_a_robot_turns_unlike_in_the_others_is_marked():
+    trials = emulated_trials(20, false_turns=FALSE_TURNS)
     marks = turned_otherwise(trials)
-    assert {path: [text.split()[0] for text in texts] for path, texts in marks.items()} == {
-        "trial-003.mcap": ["green"],
-        "trial-007.mcap": ["red"],
-        "trial-009.mcap": ["blue"],
-    }
-    found = group(trials)
-    assert [one.log for one in flagged(found.batch)] == sorted(marks)
-    assert batch_items(found)["less_certain"] == 3
-    assert found.counted == 20  # only marked: one trial cannot show which of the two it was
-    said = printed(found, summary)
-    assert len(said.splitlines()) <= 12
-    (line,) = re.findall("less certain: .*", said)
+    assert sorted(marks) == ["trial-003.mcap", "trial-007.mcap", "trial-009.mcap"]
+    (of_trial_3,) = marks["trial-003.mcap"]
+    assert of_trial_3.startswith("green ")
+    (of_trial_7,) = marks["trial-007.mcap"]
+    assert of_trial_7.startswith("red ")
+    (of_trial_9,) = marks["trial-009.mcap"]
+    assert of_trial_9.startswith("blue ")
+    assert [trial.log for trial in flagged(group(trials).batch)] == sorted(marks)
+
+
+def test_a_marked_trial_counts():
+    """One trial cannot show which of the two it was: wheels that changed, or a false pose."""
+    described = group(emulated_trials(20, false_turns=FALSE_TURNS))
+    assert batch_items(described)["less_certain"] == 3
+    assert described.counted == 20
+
+
+def test_the_summary_says_which_trials_are_marked_and_why():
+    text = printed_summary(group(emulated_trials(20, false_turns=FALSE_TURNS)))
+    assert len(text.splitlines()) <= 12
+    (line,) = re.findall("less certain: .*", text)
     assert line.startswith("less certain: 3 of 20 trials, by wheels that changed or false poses: ")
     assert re.search(r"green in trial-003, \+0\.\d\d rad/s; blue in trial-009, -0\.1", line)
-    assert "trial-007: red turned by +0.20 rad/s unlike in the other trials" in said
+    assert "trial-007: red turned by +0.20 rad/s unlike in the other trials" in text
 
 
 def test_one_that_was_stopped_for_another_reason_is_marked_too():
-    trials = turned(8, trial_2=[0.2, 0.0, 0.0])
+    trials = emulated_trials(8, false_turns={2: [0.2, 0.0, 0.0]})
     aborted = {"outcome": Outcome.ABORTED, "reason": "green and red are too close"}
     trials[2] = replace(trials[2], result=replace(trials[2].result, **aborted))
-    (note,) = flagged(group(trials).batch)
-    assert note.notes[:2] == ("excluded", "green and red are too close")
-    assert note.notes[2].startswith("green turned by +0.2")
+    (flag,) = flagged(group(trials).batch)
+    assert flag.notes[:2] == ("excluded", "green and red are too close")
+    assert flag.notes[2].startswith("green turned by +0.2")
 
 
+@pytest.mark.parametrize("n", [6, 10, 20])
 @pytest.mark.parametrize("spread", [0.0, 0.005, 0.03])
-def test_honest_batches_are_hardly_ever_marked(spread):
-    for n in (6, 10, 20):
-        marked = sum(bool(turned_otherwise(turned(n, spread, seed))) for seed in range(60))
-        assert marked <= 2, n
+def test_honest_batches_are_hardly_ever_marked(n, spread):
+    """In 3 % of small batches and 1 % of others one is marked by chance: at most 2 of 60."""
+    batches = [emulated_trials(n, spread, seed) for seed in range(60)]
+    marked = [trials for trials in batches if turned_otherwise(trials)]
+    assert len(marked) <= 2
 
 
-def test_what_would_be_seen_is_told_in_full_and_few_trials_are_not_compared():
-    found = group(turned(20))
-    assert (
-        texts_by_label(found)["less certain"]
-        == "0 of 20 trials, turns above 0.05 rad/s would be seen"
-    )
-    assert batch_items(found)["less_certain"] == 0
-    assert "less certain" not in printed(found, summary)
-    few = group(turned(5, trial_3=[0.3, 0.0, 0.0]))
+def test_a_batch_without_marks_says_in_full_which_turns_would_be_seen():
+    described = group(emulated_trials(20))
+    text = texts_by_label(described)["less certain"]
+    assert text == "0 of 20 trials, turns above 0.05 rad/s would be seen"
+    assert batch_items(described)["less_certain"] == 0
+    assert "less certain" not in printed_summary(described)
+
+
+def test_few_trials_are_not_compared_and_say_so():
+    few = group(emulated_trials(5, false_turns={3: [0.3, 0.0, 0.0]}))
     assert texts_by_label(few)["less certain"] == (
         "- (one camera does not tell a pose that turns by up to 0.6 rad/s while its robot drives "
         "from unequal wheels; 6 trials are compared)"
     )
     assert batch_items(few)["less_certain"] is None
-    shown = " ".join(printed(few, summary).split())
-    assert "does not tell a pose that turns by up to 0.6 rad/s" in shown, "run prints this"
+    words = printed_summary(few).split()  # `run` prints this, wrapped
+    assert "does not tell a pose that turns by up to 0.6 rad/s" in " ".join(words)
 
 
-def test_robots_that_did_not_drive_and_older_logs_are_left_out():
-    trials = turned(9, trial_1=[9.0, 0.0, 0.0])
-    trials[1] = changed(trials[1], turn_std=(np.inf, ERROR, ERROR))
-    trials[2] = changed(trials[2], turn=(), turn_std=())
+def test_robots_that_did_not_drive_and_older_logs_are_not_marked():
+    trials = emulated_trials(9, false_turns={1: [9.0, 0.0, 0.0]})
+    trials[1] = with_verdict(trials[1], turn_std=(np.inf, ERROR_RAD_S, ERROR_RAD_S))
+    trials[2] = with_verdict(trials[2], turn=(), turn_std=())
     assert turned_otherwise(trials) == {}
-    found = group(trials)
-    columns = batch_items(found)["trials"]
-    assert columns[0]["turn_blue_rad_s"] == trials[0].result.verdict.turn[1]
-    assert columns[0]["turn_std_blue_rad_s"] == ERROR
-    assert columns[1]["turn_green_rad_s"] is columns[2]["turn_blue_rad_s"] is None
-    old = group([changed(trial, turn=(), turn_std=()) for trial in trials])
-    assert "less certain" not in texts_by_label(old)
+    usual, green_stood, older = batch_items(group(trials))["trials"][:3]
+    assert usual["turn_blue_rad_s"] == trials[0].result.verdict.turn[1]
+    assert usual["turn_std_blue_rad_s"] == ERROR_RAD_S
+    assert green_stood["turn_green_rad_s"] is None
+    assert older["turn_blue_rad_s"] is None
+
+
+def test_a_batch_of_older_logs_does_not_mention_turns():
+    trials = emulated_trials(9)
+    older = [with_verdict(trial, turn=(), turn_std=()) for trial in trials]
+    assert "less certain" not in texts_by_label(group(older))
 
 
 def test_a_simulation_has_no_such_figures():
-    found = group(batch([[1.0, 2.0, 3.0]] * 6))
-    assert "less certain" not in texts_by_label(found)
-    assert not [key for key in batch_items(found)["trials"][0] if key.startswith("turn")]
+    described = group(batch([[1.0, 2.0, 3.0]] * 6))
+    assert "less certain" not in texts_by_label(described)
+    trial_items = batch_items(described)["trials"][0]
+    assert not [key for key in trial_items if key.startswith("turn")]

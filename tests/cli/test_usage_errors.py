@@ -272,7 +272,7 @@ def test_the_end_of_a_file_does_not_read_as_an_interruption(tmp_path, monkeypatc
     def cut(*_):
         raise EOFError("the pipe has ended")
 
-    monkeypatch.setattr("tetractl.experiment.load.read_spec", cut)
+    monkeypatch.setattr("tetractl.experiment.yaml.document.read_document", cut)
     done = tetractl(tmp_path, "lab", "check", "first.yaml")
     assert done.returncode == 1
     assert done.stderr.endswith("error: EOFError: the pipe has ended\n")

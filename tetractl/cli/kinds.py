@@ -104,8 +104,9 @@ def _home(kind: "Kind") -> str:
 
 def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     from tetractl.cli.specs import template
+    from tetractl.experiment.base import with_tuples
     from tetractl.experiment.load import parse_spec
-    from tetractl.experiment.yaml.document import frozen, parse_value
+    from tetractl.experiment.yaml.document import parse_value
     from tetractl.testing import check_kind
 
     sys.path.append("")  # modules in this folder, but in place of no other
@@ -114,7 +115,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
         name, equals, text = setting.partition("=")
         if not equals:
             raise UsageError(f"--set {setting}: must be FIELD=VALUE")
-        fields[name] = frozen(parse_value(text, printable(f"--set {setting}"), (name,)))
+        fields[name] = with_tuples(parse_value(text, printable(f"--set {setting}"), (name,)))
     text = template("check", "check")
     loaded = parse_spec(text, "check") if spec is None else ui.load(spec, None)
     lab = loaded.experiment.lab if spec else None

@@ -41,13 +41,14 @@ def check(
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
-    from tetractl.experiment.load import read_spec
+    from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import on_plant, settings_on
+    from tetractl.experiment.yaml.document import read_document
     from tetractl.lab.preflight import look_over
     from tetractl.view.terminal import findings
 
-    source = read_spec(spec)
-    loaded = source.load(settings_on(source, sets or [], plant))
+    document = read_document(spec)
+    loaded = load_document(document, settings_on(document, sets or [], plant))
     experiment = on_plant(loaded, plant).experiment
     rig = ui.rig_of(experiment)
     if experiment.open:
@@ -140,13 +141,14 @@ def calibrate(
     from numpy.random import SeedSequence
 
     from tetractl.core.protocols import LabSupervision
-    from tetractl.experiment.load import read_spec
+    from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import on_plant, settings_on
+    from tetractl.experiment.yaml.document import read_document
     from tetractl.plant.lab_plant import RigSection
 
     ui.refuse_existing(out)
-    source = read_spec(spec)
-    loaded = source.load(settings_on(source, sets or [], plant))
+    document = read_document(spec)
+    loaded = load_document(document, settings_on(document, sets or [], plant))
     experiment = on_plant(loaded, plant).experiment
     lab, setup = experiment.plant, experiment.setup
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"

@@ -51,18 +51,20 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.experiment.load import FieldValue, SpecSetting, read_spec
+    from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import on_plant, settings_on
+    from tetractl.experiment.yaml.document import read_document
+    from tetractl.experiment.yaml.settings import FieldValue, SpecSetting
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
-    source = read_spec(spec)
-    settings: list[SpecSetting] = list(settings_on(source, sets or [], plant))
+    document = read_document(spec)
+    settings: list[SpecSetting] = list(settings_on(document, sets or [], plant))
     if trials is not None:
         settings.append(FieldValue("trials.count", trials, "--trials"))
     if seed is not None:
         settings.append(FieldValue("trials.seed", seed, "--seed"))
-    loaded = source.load(settings)
+    loaded = load_document(document, settings)
     ui.warn(loaded, settings, strict)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")

@@ -16,7 +16,8 @@ from tetractl.core.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.load import LoadedSpec, SpecSetting
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.experiment.yaml.settings import SpecSetting
     from tetractl.lab.rig import Rig
     from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.run.plausibility import PlacedWarning

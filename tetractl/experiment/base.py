@@ -20,6 +20,13 @@ class Model(BaseModel):
     )
 
 
+def with_tuples(value: Any) -> Any:
+    """Return a file's data with tuples for lists, as strict validation of a `Model` requires."""
+    if isinstance(value, dict):
+        return {key: with_tuples(item) for key, item in value.items()}
+    return tuple(map(with_tuples, value)) if isinstance(value, list) else value
+
+
 Section = TypeVar("Section", bound=Model)
 
 

@@ -194,11 +194,14 @@ def without_retired(data: dict[str, Any]) -> None:
         control["time_limit"] = limit
 
 
-def as_given(fields: Any, given: Any) -> Any:
-    """Return the fields of a spec with the keys, also retired ones, `given` in a log: a field that
-    was added since has its default in it."""
-    if isinstance(fields, dict) and isinstance(given, dict):
-        return {k: as_given(fields[k], v) if k in fields else v for k, v in given.items()}
-    if isinstance(fields, list) and isinstance(given, list) and len(fields) == len(given):
-        return [as_given(*pair) for pair in zip(fields, given, strict=True)]
+def with_logged_keys(fields: Any, logged: Any) -> Any:
+    """Return the fields of a spec with the keys, also retired ones, of the spec `logged` in a log:
+    a field that was added since is left out."""
+    if isinstance(fields, dict) and isinstance(logged, dict):
+        return {
+            key: with_logged_keys(fields[key], value) if key in fields else value
+            for key, value in logged.items()
+        }
+    if isinstance(fields, list) and isinstance(logged, list) and len(fields) == len(logged):
+        return [with_logged_keys(*pair) for pair in zip(fields, logged, strict=True)]
     return fields

@@ -7,11 +7,12 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from tetractl.experiment.base import with_tuples
 from tetractl.experiment.controller import retired_hint
 from tetractl.experiment.registry_fields import STRICT
 from tetractl.experiment.schema import alternatives, child, describe, homes, schema_of, tag
 from tetractl.experiment.yaml.core_yaml import with_space
-from tetractl.experiment.yaml.document import Document, frozen
+from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, did_you_mean
 
 Schema = dict[str, Any]
@@ -49,12 +50,12 @@ Section = TypeVar("Section", bound=BaseModel)
 def validated(model: type[Section], document: Document) -> Section:
     """Validate a document as a given type; InvalidSpecError lists its problems."""
     try:
-        found = model.model_validate(frozen(document.data), strict=True, context=STRICT)
+        found = model.model_validate(with_tuples(document.data), strict=True, context=STRICT)
     except ValidationError as error:
         problems = explain(error, document, schema_of(model))
-        raise InvalidSpecError([*document.found, *problems]) from None
-    if document.found:
-        raise InvalidSpecError(document.found)
+        raise InvalidSpecError([*document.all_problems, *problems]) from None
+    if document.all_problems:
+        raise InvalidSpecError(document.all_problems)
     return found
 
 

@@ -8,8 +8,9 @@ from pydantic import Field
 from tetractl.core.errors import printable
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.explain import validated
-from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.document import Document, Place, read_document
+from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
+from tetractl.experiment.yaml.settings import holder_of, put
 
 
 class IdentifiedValue(Model):
@@ -63,70 +64,78 @@ class Identified(Model):
 
 def read_identified(path: Path) -> tuple[Identified, str]:
     """Return a file's values and its text; problems are reported like problems of a spec."""
-    text = read_text(path)
-    document = parse_document(text, str(path))
-    found = validated(Identified, document)
-    for name, robot in found.robots.items():
-        for key, wrong, words in (
-            ("a", robot.a.value <= 0, "must be greater than 0"),
-            ("speed", robot.speed.value < 0, "must be at least 0"),
-        ):
-            if wrong:
-                place = document.place(("robots", name, key, "value"))
-                problem = place.problem(("robots", name, key, "value"), words, place.text)
-                document.problems.append(problem)
-    if document.found:
-        raise InvalidSpecError(document.found)
-    return found, text
+    document = read_document(path)
+    identified = validated(Identified, document)
+    for name, robot in identified.robots.items():
+        if robot.a.value <= 0:
+            _refuse(document, ("robots", name, "a", "value"), "must be greater than 0")
+        if robot.speed.value < 0:
+            _refuse(document, ("robots", name, "speed", "value"), "must be at least 0")
+    if document.all_problems:
+        raise InvalidSpecError(document.all_problems)
+    return identified, document.text
 
 
-def merge(document: Document, found: Identified, origin: str) -> None:
+def _refuse(document: Document, loc: Loc, message: str) -> None:
+    """Add the problem of the value at a location to a document."""
+    place = document.place(loc)
+    document.problems.append(place.problem(loc, message, place.text))
+
+
+def merge(document: Document, identified: Identified, origin: str) -> None:
     """Replace a spec's values by the identified values; add problems to the document.
 
     Each robot's turning rate a and speed, and the controller's dead time, are replaced; an alpha by
-    a over the strength at which a was identified. The dead
-    time counts from sending a command if the controller identifies while driving (`estimate`),
-    otherwise from the exposure of the frame.
+    a over the strength at which a was identified. The dead time counts from sending a command if
+    the controller identifies while driving (`estimate`), otherwise from the exposure of the frame.
     """
-    data = document.data
     place = Place(origin)
-    units = data.get("units")
-    unit = units.get("length", "mm") if isinstance(units, dict) else "mm"
-    if unit != found.unit:
-        document.problems.append(
-            place.problem(
-                ("unit",),
-                f"differs from the spec's, {printable(str(unit), 60)}",
-                printable(found.unit, 60),
-            )
-        )
+    unit = _length_unit(document)
+    if unit != identified.unit:
+        message = f"differs from the spec's, {printable(str(unit), 60)}"
+        document.problems.append(place.problem(("unit",), message, printable(identified.unit, 60)))
         return
-    robots = data.get("robots")
-    listed = [one for one in robots if isinstance(one, dict)] if isinstance(robots, list) else []
-    names = [one.get("name") for one in listed]
-    for name in found.robots.keys() - set(names):
+    robots = _listed_robots(document)
+    names = {str(robot.get("name")) for robot in robots.values()}
+    for name in identified.robots.keys() - names:
         document.problems.append(place.problem(("robots", name), "is not a robot of the spec"))
-    for i, robot in enumerate(listed):
-        if values := found.robots.get(str(robot.get("name"))):
-            _put_rate(document, place, i, robot, values.a.value, found.strength)
-            document.put(robot, ("robots", i, "speed"), values.speed.value, place)
-    controller = data.setdefault("controller", {})
+    for i, robot in robots.items():
+        values = identified.robots.get(str(robot.get("name")))
+        if values is not None:
+            _put_rate(document, ("robots", i, "a"), values.a.value, identified.strength, place)
+            put(document, ("robots", i, "speed"), values.speed.value, place)
+    controller = document.data.setdefault("controller", {})
     if isinstance(controller, dict):
-        estimates = controller.get("estimate") is True
-        dead_time = found.dead_time.value + (0.0 if estimates else found.frame_age)
-        document.put(controller, ("controller", "dead_time"), dead_time, place)
+        dead_time_s = identified.dead_time.value
+        if controller.get("estimate") is not True:
+            dead_time_s += identified.frame_age
+        put(document, ("controller", "dead_time"), dead_time_s, place)
+
+
+def _length_unit(document: Document) -> Any:
+    """Return the length unit that a spec states, which need not be valid, or the default."""
+    units = document.data.get("units")
+    return units.get("length", "mm") if isinstance(units, dict) else "mm"
+
+
+def _listed_robots(document: Document) -> dict[int, dict[str, Any]]:
+    """Return the robots of a spec that are mappings, by their index in its list."""
+    robots = document.data.get("robots")
+    if not isinstance(robots, list):
+        return {}
+    return {i: robot for i, robot in enumerate(robots) if isinstance(robot, dict)}
 
 
 def _put_rate(
-    document: Document, place: Place, i: int, robot: dict[str, Any], a: float, at: float | None
+    document: Document, loc: Loc, a_rad_s: float, strength: float | None, place: Place
 ) -> None:
-    """Replace robot i's a by one [rad/s] that was identified at a strength `at`."""
-    loc, given = ("robots", i, "a"), robot.get("a")
-    if not isinstance(given, dict) or len(given) != 1:
-        document.put(robot, loc, a, place)
-    elif at is None:
+    """Replace a robot's a, at a location, by one that was identified at a strength."""
+    stated = holder_of(document, loc).get("a")
+    if not isinstance(stated, dict) or len(stated) != 1:
+        put(document, loc, a_rad_s, place)
+    elif strength is None:
         message = "is per strength in the spec, but its logs state no strength"
         document.problems.append(place.problem(loc, message))
     else:
-        (key,) = given
-        document.put(given, (*loc, key), a / at, place)
+        (key,) = stated
+        put(document, (*loc, key), a_rad_s / strength, place)

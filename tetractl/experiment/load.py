@@ -15,81 +15,18 @@ from pydantic import TypeAdapter, ValidationError
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.trial import OWN_FILES, Start
+from tetractl.experiment.base import with_tuples
 from tetractl.experiment.consistency import Entries, errors_of
-from tetractl.experiment.controller import ControllerSection, as_given, without_retired
+from tetractl.experiment.controller import ControllerSection, with_logged_keys, without_retired
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot, Trials
 from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.policy_weights import put_layers, read_weights
 from tetractl.experiment.registry_fields import STRICT, packages
-from tetractl.experiment.yaml.core_yaml import MAX_DEPTH, dump
-from tetractl.experiment.yaml.document import (
-    Document,
-    Place,
-    frozen,
-    parse_document,
-    parse_value,
-    read_text,
-)
+from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.experiment.yaml.document import Document, parse_document, read_document
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
-
-
-@dataclass(frozen=True, slots=True)
-class FieldValue:
-    """The value that an option such as `--seed 3` states for the field at a path, such as
-    `trials.seed`; problems with the value name the option.
-    """
-
-    path: str
-    value: Any
-    option: str
-
-    @property
-    def origin(self) -> str:
-        """The option and its value, as typed."""
-        return f"{self.option} {self.value}"
-
-
-SpecSetting = str | FieldValue
-"""A value of one field: `PATH=VALUE`, with a value in YAML, or a `FieldValue`."""
-
-
-def override(document: Document, setting: SpecSetting) -> None:
-    """Apply a setting to a document; add errors to the document's problems.
-
-    A step of its path is a key, an index, or the `name` of an entry: `robots.0.a`,
-    `robots.green.a`. Mappings that the spec omits are created.
-    """
-    try:
-        if isinstance(setting, str):
-            _put_text(document, setting)
-        else:
-            _put_value(document, setting)
-    except InvalidSpecError as error:
-        document.problems.extend(error.problems)
-
-
-def _put_text(document: Document, setting: str) -> None:
-    """Put the value of a setting such as `robots.0.a=6`, which is YAML, in its place."""
-    place = Place(f"--set {printable(setting, 200)}")
-    path, equals, text = setting.partition("=")
-    path = path.strip()
-    if not (equals and path):
-        message = "must be PATH=VALUE, for instance controller.optimizer.particles=200"
-        raise InvalidSpecError([place.problem((), message)])
-    steps = path.split(".")
-    if len(steps) > MAX_DEPTH:
-        raise InvalidSpecError([place.problem((), f"the path has more than {MAX_DEPTH} steps")])
-    holder, loc = document.holder(steps, place)
-    value = parse_value(text, place.origin, loc)
-    document.put(holder, loc, value, replace(place, text=printable(text, 60) or None))
-
-
-def _put_value(document: Document, setting: FieldValue) -> None:
-    place = Place(setting.origin, text=str(setting.value))
-    holder, loc = document.holder(setting.path.split("."), place)
-    document.put(holder, loc, setting.value, place)
-
+from tetractl.experiment.yaml.settings import SpecSetting, copied, with_settings
 
 Attached = tuple[tuple[str, str], ...]
 """Names and texts of the files that a spec names, which the log stores with it."""
@@ -99,8 +36,8 @@ Attached = tuple[tuple[str, str], ...]
 class LoadedSpec:
     """A valid spec: the experiment with `--set` applied, and the spec's original text.
 
-    `resolved`, its YAML with every field, and `hash` are computed once, for all trials. `given` is
-    the data of a resolved spec that tetractl has written.
+    `resolved`, its YAML with every field, and `hash` are computed once, for all trials. `logged` is
+    the data of a resolved spec that tetractl has written into a log.
     """
 
     experiment: Experiment
@@ -108,7 +45,7 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: Attached = field(default=(), repr=False)
-    given: Any = field(default=None, repr=False)
+    logged: Any = field(default=None, repr=False)
 
     @cached_property
     def resolved(self) -> str:
@@ -118,85 +55,44 @@ class LoadedSpec:
     @cached_property
     def hash(self) -> str:
         """The SHA-256 of the experiment, by `spec_hash`."""
-        return spec_hash(self.experiment, self.given)
+        return spec_hash(self.experiment, self.logged)
 
 
-@dataclass(frozen=True)
-class SpecText:
-    """The text of a spec, parsed once; `load` makes an experiment of it, with other values each
-    time.
+def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Check a parsed spec, which stays as it is; settings replace its values.
 
-    `origin` is its name in messages. The files that it names are in the folder of its own file; a
-    text that comes from no file must not name any.
+    The files that it names are in the folder of its own file; a spec that comes from no file must
+    not name any. Raises InvalidSpecError with one line per problem: `file:line:column: field:
+    value: what is wrong; what would be right`.
     """
-
-    text: str = field(repr=False)
-    origin: str
-    path: Path | None = None
-
-    @cached_property
-    def document(self) -> Document:
-        """The spec's data with its places; InvalidSpecError if it cannot be read as YAML."""
-        return parse_document(self.text, self.origin)
-
-    def with_settings(self, settings: Sequence[SpecSetting]) -> Document:
-        """Return the spec's data with settings; errors are added to the document's problems."""
-        document = self.document.copy()
-        for setting in settings:
-            override(document, setting)
-        return document
-
-    def load(self, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-        """Check the spec; its settings replace its values.
-
-        Raises InvalidSpecError with one line per problem: `file:line:column: field: value: what is
-        wrong; what would be right`.
-        """
-        document = self.with_settings(settings)
-        _refuse_study(document)
-        attached: Attached = ()
-        if self.path is None:
-            _refuse_named_files(document)
-        else:
-            if _identified_file(document) is not None:
-                document, attached = self._with_identified(document, self.path.parent, settings)
-            attached = _with_weights(document, self.path.parent, attached)
-        experiment = validated_experiment(document, written=False)
-        name = printable(self.path.name) if self.path else self.origin
-        return LoadedSpec(experiment, self.text, name, self.path, attached)
-
-    def _with_identified(
-        self, named: Document, folder: Path, settings: Sequence[SpecSetting]
-    ) -> tuple[Document, Attached]:
-        """Return the spec's data with the values of the file that it names, then the settings; and
-        the file for the log.
-        """
-        path = folder / str(_identified_file(named))
-        identified, text = read_identified(path)
-        document = self.document.copy()
-        merge(document, identified, str(path))
-        for setting in settings:
-            override(document, setting)
-        del document.data["identified"]  # its values are now in the spec
-        return document, attach((), path, text)
-
-
-def read_spec(path: Path) -> SpecText:
-    """Read a spec file; InvalidSpecError if it cannot be read."""
-    return SpecText(read_text(path), str(path), path)
+    settled = with_settings(document, settings)
+    _refuse_study(settled)
+    attached: Attached = ()
+    name = document.origin
+    if document.path is None:
+        _refuse_named_files(settled)
+    else:
+        name = printable(document.path.name)
+        folder = document.path.parent
+        identified_file = _identified_file(settled)
+        if identified_file is not None:
+            settled, attached = _with_identified(document, folder / identified_file, settings)
+        attached = _with_weights(settled, folder, attached)
+    experiment = validated_experiment(settled, written=False)
+    return LoadedSpec(experiment, document.text, name, document.path, attached)
 
 
 def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Read and check a spec file, as `SpecText.load` does."""
-    return read_spec(path).load(settings)
+    """Read and check a spec file, as `load_document` does."""
+    return load_document(read_document(path), settings)
 
 
 def parse_spec(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Check the text of a spec, as `SpecText.load` does; `name` is its name in error messages.
+    """Check the text of a spec, as `load_document` does; `name` is its name in error messages.
 
     The spec must not name a file, as there is no folder to find it in.
     """
-    return SpecText(text, name).load(settings)
+    return load_document(parse_document(text, name), settings)
 
 
 def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
@@ -204,13 +100,13 @@ def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) ->
 
     Its places are not checked: a trial may have measured them.
     """
-    document = SpecText(text, name).with_settings(settings)
+    document = with_settings(parse_document(text, name), settings)
     _refuse_study(document)
     _refuse_named_files(document)
-    given = deepcopy(document.data)
+    logged = deepcopy(document.data)
     without_retired(document.data)
     experiment = validated_experiment(document, written=True)
-    return LoadedSpec(experiment, text, name, given=given)
+    return LoadedSpec(experiment, text, name, logged=logged)
 
 
 def parse_contents(
@@ -264,13 +160,13 @@ def resolved_yaml(experiment: Experiment) -> str:
     return dump(experiment.model_dump(mode="json"))
 
 
-def spec_hash(experiment: Experiment, given: Any = None) -> str:
+def spec_hash(experiment: Experiment, logged: Any = None) -> str:
     """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count. Of
-    an earlier log it is that of the keys `given` in its resolved spec."""
+    an earlier log it is that of the keys of its resolved spec, `logged`."""
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
-    if given is not None:
-        fields = as_given(fields, given)
+    if logged is not None:
+        fields = with_logged_keys(fields, logged)
     canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -347,6 +243,20 @@ def _refuse_named_files(document: Document) -> None:
             document.problems.append(place.problem(loc, message, place.text))
 
 
+def _with_identified(
+    document: Document, path: Path, settings: Sequence[SpecSetting]
+) -> tuple[Document, Attached]:
+    """Return the spec's data with the values of the file of identified values, then the settings;
+    and the file for the log.
+    """
+    identified, text = read_identified(path)
+    merged = copied(document)
+    merge(merged, identified, str(path))
+    settled = with_settings(merged, settings)
+    del settled.data["identified"]  # its values are now in the spec
+    return settled, attach((), path, text)
+
+
 def _with_weights(document: Document, folder: Path, attached: Attached) -> Attached:
     """Put the layers of a policy's file of weights, if the spec names one, into the document, and
     return the attached files with that file."""
@@ -371,14 +281,14 @@ def validated_experiment(document: Document, written: bool) -> Experiment:
     for error in errors_of(entries, experiment, written):
         place = document.place(error.where)
         document.problems.append(place.problem(error.where, error.text, place.text))
-    if document.found or experiment is None:
-        raise InvalidSpecError(document.found)
+    if document.all_problems or experiment is None:
+        raise InvalidSpecError(document.all_problems)
     return experiment
 
 
 def _with_entries(data: Mapping[str, Any], entries: Entries) -> dict[str, Any]:
     """Return a spec's data for validation, in which valid parts are not validated again."""
-    values = frozen(data)
+    values = with_tuples(data)
     if entries.arena is not None:
         values["arena"] = entries.arena
     for key, valid in (("robots", entries.robots), ("obstacles", entries.obstacles)):
@@ -389,15 +299,20 @@ def _with_entries(data: Mapping[str, Any], entries: Entries) -> dict[str, Any]:
 
 def _valid_entries(data: dict[str, Any]) -> Entries:
     """Return the valid arena, robots and obstacles, even if other parts of the spec are invalid."""
+    return Entries(
+        arena=_valid_by_index(Arena, [data.get("arena")]).get(0),
+        robots=_valid_by_index(Robot, data.get("robots")),
+        obstacles=_valid_by_index(Obstacle, data.get("obstacles")),
+    )
 
-    def valid(kind: Any, values: Any) -> Iterator[tuple[int, Any]]:
-        adapter = TypeAdapter(kind)
-        for i, value in enumerate(values if isinstance(values, list) else ()):
-            try:
-                yield i, adapter.validate_python(frozen(value), strict=True, context=STRICT)
-            except ValidationError:
-                continue
 
-    arena = dict(valid(Arena, [data.get("arena")])).get(0)
-    robots = dict(valid(Robot, data.get("robots")))
-    return Entries(arena, robots, dict(valid(Obstacle, data.get("obstacles"))))
+def _valid_by_index(kind: Any, values: Any) -> dict[int, Any]:
+    """Return the valid sections of a kind, by their index in the list `values`."""
+    adapter = TypeAdapter(kind)
+    valid: dict[int, Any] = {}
+    for i, value in enumerate(values if isinstance(values, list) else ()):
+        try:
+            valid[i] = adapter.validate_python(with_tuples(value), strict=True, context=STRICT)
+        except ValidationError:
+            continue  # the validation of the whole spec reports it
+    return valid

@@ -15,11 +15,12 @@ from tetractl.experiment.consistency import section_errors
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.explain import validated
 from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.load import LoadedSpec, SpecText, attach
+from tetractl.experiment.load import LoadedSpec, attach
 from tetractl.experiment.packages import not_installed
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
+from tetractl.experiment.yaml.settings import holder_of, make_way, put
 
 
 class Calibration(Model):
@@ -78,14 +79,14 @@ def _with_defaults(kind: str) -> PlantSection:
         raise UsageError(f"--plant {kind}: write it in the spec, as it needs: {fields}") from None
 
 
-def settings_on(spec: SpecText, sets: Sequence[str], kind: str | None) -> list[str]:
+def settings_on(spec: Document, sets: Sequence[str], kind: str | None) -> list[str]:
     """Return the settings of a spec that will run on the plant of a kind: those of `plant` are of
     the spec's `lab`, if that will be the plant.
     """
     named = any(setting.startswith("plant.") for setting in sets)
     if kind is None or not named or not of_lab(kind):
         return list(sets)
-    if "lab" not in spec.document.data:
+    if "lab" not in spec.data:
         return list(sets)
     moved = [re.sub(r"^plant\.", "lab.", setting) for setting in sets]
     return [f"lab.type={kind}", *moved]
@@ -130,9 +131,9 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     merged = Document(document.origin, experiment.model_dump(mode="json"))
     for device in ("camera", "actuator"):
         for steps, at, value in _values(document.data.get(device, {}), (device,), (device,)):
-            holder, loc = merged.holder(("plant", *steps), document.place(at))
-            if value != {} or loc[-1] not in holder:
-                merged.put(holder, loc, value, document.place(at))
+            loc = make_way(merged, ("plant", *steps), document.place(at))
+            if value != {} or loc[-1] not in holder_of(merged, loc):
+                put(merged, loc, value, document.place(at))
     updated = validated(Experiment, merged)
     for error in section_errors(updated):
         where = dotted(error.where)

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tetractl.experiment.load import FieldValue, LoadedSpec, load_spec
+from tetractl.experiment.load import LoadedSpec, load_spec
+from tetractl.experiment.yaml.settings import FieldValue
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.reproduce.paper import Paper, Runs, Work

@@ -19,7 +19,7 @@ from tetractl.experiment.consistency import nearest_starts, nearest_targets
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.load import LoadedSpec, SpecSetting, SpecText
+from tetractl.experiment.load import LoadedSpec
 from tetractl.experiment.section_abilities import (
     Accepting,
     CountsSteps,
@@ -31,7 +31,9 @@ from tetractl.experiment.section_abilities import (
     PlansSignals,
 )
 from tetractl.experiment.spec_finding import SpecFinding, warning
+from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
+from tetractl.experiment.yaml.settings import SpecSetting, with_settings
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
@@ -473,7 +475,7 @@ def find_warnings(
     if not findings:
         return ()
     origin = str(loaded.path or loaded.name)
-    document = SpecText(loaded.text, origin).with_settings(settings)
+    document = with_settings(parse_document(loaded.text, origin), settings)
     warnings: list[PlacedWarning] = []
     for finding in findings:
         place = document.place(finding.where)

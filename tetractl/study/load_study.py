@@ -22,15 +22,14 @@ from tetractl.experiment.experiment import Trials
 from tetractl.experiment.explain import validated
 from tetractl.experiment.load import (
     LoadedSpec,
-    SpecText,
     arm_hash,
     as_text,
-    read_spec,
+    load_document,
     without_lines,
 )
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.schema import schema_of
-from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.document import Document, parse_document, read_document
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
 from tetractl.run.store import BatchFolder, Store
 from tetractl.run.task import code_of
@@ -153,11 +152,11 @@ class Base:
     source: Path | dict[str, Any]
 
     @cached_property
-    def text(self) -> SpecText:
-        """The base's text, parsed once for all arms; InvalidSpecError if it cannot be read."""
+    def document(self) -> Document:
+        """The base, parsed once for all arms; InvalidSpecError if it cannot be read."""
         if isinstance(self.source, dict):
-            return SpecText(as_text(self.source, "base"), "base")
-        return read_spec(self.source)
+            return parse_document(as_text(self.source, "base"), "base")
+        return read_document(self.source)
 
     @property
     def named(self) -> str | None:
@@ -168,8 +167,8 @@ class Base:
         """Return the spec with `path=value` settings; raises InvalidSpecError."""
         if isinstance(self.source, dict):
             with without_lines():
-                return self.text.load(sets)
-        return self.text.load(sets)
+                return load_document(self.document, sets)
+        return load_document(self.document, sets)
 
 
 def load_study(source: Path | Mapping[str, Any]) -> LoadedStudy:
@@ -179,7 +178,7 @@ def load_study(source: Path | Mapping[str, Any]) -> LoadedStudy:
     of the study causes it, and in the base spec if that is invalid by itself.
     """
     if isinstance(source, Path):
-        return _loaded(parse_document(read_text(source), str(source)), source.parent)
+        return _loaded(read_document(source), source.parent)
     document = parse_document(as_text(source, "study"), "study")
     with without_lines():
         return _loaded(document, Path())
@@ -209,7 +208,7 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
 
 def is_study(path: Path) -> bool:
     """Return whether the keys of a file are those of a study, not of a spec."""
-    data = parse_document(read_text(path), str(path)).data
+    data = read_document(path).data
     return "base" in data and "robots" not in data
 
 

@@ -9,10 +9,10 @@ from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import AbortError, SpecError
-from tetractl.experiment.base import Finite, Model, Name, Point
+from tetractl.experiment.base import Finite, Model, Name, Point, with_tuples
 from tetractl.experiment.explain import words
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
+from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl_emulator.faults import MARK, Fault
 from tetractl_emulator.process import PROCESS_FAULTS
@@ -131,13 +131,15 @@ def parse_script(
     document = parse_document(text, origin)
     sides = Sides.of(camera, actuator)
     try:
-        script = Script.model_validate(frozen(document.data), strict=True, context={"sides": sides})
+        script = Script.model_validate(
+            with_tuples(document.data), strict=True, context={"sides": sides}
+        )
     except ValidationError as error:
         problem = error.errors(include_url=False)
         problems = [_problem(details, document, sides) for details in problem]
-        raise InvalidSpecError([*document.found, *problems]) from None
-    if document.found:
-        raise InvalidSpecError(document.found)
+        raise InvalidSpecError([*document.all_problems, *problems]) from None
+    if document.all_problems:
+        raise InvalidSpecError(document.all_problems)
     return script
 
 

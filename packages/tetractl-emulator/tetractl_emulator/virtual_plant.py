@@ -65,14 +65,14 @@ class EmulatedPlantSection(RigSection):
 
     def with_files(self, folder: Path) -> Self:
         """Return the section with the script in place of its file's name."""
-        from tetractl.experiment.yaml.document import parse_document, read_text
+        from tetractl.experiment.yaml.document import read_document
         from tetractl_emulator.script import load_script
 
         if not isinstance(self.faults, str):
             return self
         path = folder / self.faults
         load_script(path, self.camera.type, self.actuator.type)
-        return self.model_copy(update={"faults": parse_document(read_text(path), "").data})
+        return self.model_copy(update={"faults": read_document(path).data})
 
     def require_devices(self) -> None:
         """Raise SpecError if a device cannot be emulated, AbortError if software is missing."""

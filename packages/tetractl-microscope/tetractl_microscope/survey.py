@@ -61,9 +61,10 @@ def survey(
     from tetractl.analysis.closed_loop import Noise
     from tetractl.analysis.steering import planner, tolerance
     from tetractl.core.protocols import LabSupervision
-    from tetractl.experiment.load import SpecText
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl.experiment.yaml.document import parse_document
+    from tetractl.experiment.yaml.settings import with_settings
     from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choice.ranked import alike, ranked
     from tetractl_microscope.choice.section import Choice
@@ -146,7 +147,7 @@ def survey(
         ui.tell(f"no choice of these cells can be steered to the targets: {why}")
         return Exit.FAILED
     if out is not None:
-        data = SpecText(loaded.text, str(spec)).with_settings(sets or []).data
+        data = with_settings(parse_document(loaded.text, str(spec)), sets or []).data
         wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in choices[0].cells]
         data["robots"]["wanted"] = wanted
         save_whole(out, dump(data).encode())

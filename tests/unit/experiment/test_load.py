@@ -14,9 +14,8 @@ from support.trials import experiment
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
 from tetractl.experiment.experiment import Experiment, Robot
-from tetractl.experiment.identified import Identified, IdentifiedValue, merge
+from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue, merge
 from tetractl.experiment.load import (
-    FieldValue,
     attach,
     load_spec,
     parse_spec,
@@ -26,6 +25,7 @@ from tetractl.experiment.load import (
 )
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.experiment.yaml.settings import FieldValue
 from tetractl.log.format import channels
 
 EXPERIMENTS = ROOT / "experiments"
@@ -434,3 +434,16 @@ def test_a_valid_robot_is_not_validated_again_with_the_whole_spec():
     (data,) = whole.call_args.args
     assert [isinstance(robot, Robot) for robot in data["robots"]] == [True, False]
     assert [obstacle.type for obstacle in data["obstacles"]] == ["rectangle", "circle"]
+
+
+def test_an_identified_value_goes_to_its_robot_also_behind_an_entry_that_is_none():
+    document = parse_document("robots: [oops, {name: red, a: !!set {x}}]", "s.yaml")
+    values = dict.fromkeys(IdentifiedRobot.model_fields, IdentifiedValue(value=4.0))
+    robots = {"red": IdentifiedRobot(**values)}
+    dead_time = IdentifiedValue(value=0.1)
+    identified = Identified(
+        identified="", origin="lab", unit="mm", dead_time=dead_time, robots=robots
+    )
+    merge(document, identified, "found.yaml")
+    assert document.data["robots"][1] == {"name": "red", "a": 4.0, "speed": 4.0}
+    assert document.all_problems == []  # the a that could not be read is replaced

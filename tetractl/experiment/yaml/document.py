@@ -1,7 +1,6 @@
 """A spec's text as plain data, with the location of each value in the text."""
 
-from collections.abc import Iterator, Sequence
-from copy import deepcopy
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -38,8 +37,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A parsed spec: data, the location of every value and key, and problems. `refused` holds the
-    errors of refused values, which are None in `data`.
+    """A parsed spec: data, the location of every value and key, and problems.
+
+    `refused` holds the errors of refused values, which are None in `data`. `text` is the spec as
+    written, and `path` its file, None for a text that comes from no file.
     """
 
     origin: str
@@ -48,20 +49,11 @@ class Document:
     keys: dict[Loc, Place] = field(default_factory=dict)
     problems: list[SpecProblem] = field(default_factory=list)
     refused: dict[Loc, SpecProblem] = field(default_factory=dict)
-
-    def copy(self) -> "Document":
-        """Return a document that can be changed without changing this one."""
-        return Document(
-            self.origin,
-            deepcopy(self.data),
-            dict(self.values),
-            dict(self.keys),
-            list(self.problems),
-            dict(self.refused),
-        )
+    text: str = field(default="", repr=False)
+    path: Path | None = None
 
     @property
-    def found(self) -> list[SpecProblem]:
+    def all_problems(self) -> list[SpecProblem]:
         """The document's problems so far, including refused values."""
         return [*self.problems, *self.refused.values()]
 
@@ -74,57 +66,6 @@ class Document:
         while loc and loc not in self.values:
             loc = loc[:-1]
         return self.values.get(loc) or Place(self.origin)
-
-    def holder(self, steps: Sequence[str], place: Place) -> tuple[Any, Loc]:
-        """Return the mapping or list to which the last step of a path belongs, and the path's
-        location.
-
-        A step is a key, the `name` of a list's entry, or an index. Mappings that do not exist are
-        created. InvalidSpecError, at the `place` where the path is given, if there is none.
-        """
-        data: Any = self.data
-        loc: Loc = ()
-        for step in steps[:-1]:
-            loc = (*loc, _key(data, loc, step, place))
-            if isinstance(data, dict) and data.get(step) is None:
-                self.put(data, loc, {}, replace(place, text=None))
-            data = data[loc[-1]]
-        return data, (*loc, _key(data, loc, steps[-1], place))
-
-    def put(self, holder: Any, loc: Loc, value: Any, place: Place) -> None:
-        """Replace the value at a location, in its `holder`, by one that is given at `place`."""
-        holder[loc[-1]] = value
-        for notes in (self.values, self.keys, self.refused):
-            for stale in [key for key in notes if key[: len(loc)] == loc]:
-                del notes[stale]
-        self.values[loc] = self.keys[loc] = place
-
-
-def _key(data: Any, loc: Loc, step: str, place: Place) -> str | int:
-    """Return the key or index that a step of a path means in `data`, the value at `loc`."""
-    if isinstance(data, dict) and step:
-        return step
-    message = "a step of the path is empty"
-    if isinstance(data, list):
-        names = {
-            i: str(e["name"]) for i, e in enumerate(data) if isinstance(e, dict) and "name" in e
-        }
-        for i in range(len(data)):
-            if step in (str(i), names.get(i)):
-                return i
-        known = f" or {', '.join(names.values())}" if names else ""
-        indices = f"0 to {len(data) - 1}{known}" if data else "none: it is empty"
-        message = f"has no entry '{printable(step, 60)}'; its entries are {indices}"
-    elif not isinstance(data, dict):
-        message = f"has no '{printable(step, 60)}'; it is a single value"
-    raise InvalidSpecError([place.problem(loc, message)])
-
-
-def frozen(value: Any) -> Any:
-    """Return a document's data with tuples for lists, as strict validation requires."""
-    if isinstance(value, dict):
-        return {key: frozen(item) for key, item in value.items()}
-    return tuple(map(frozen, value)) if isinstance(value, list) else value
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
@@ -160,13 +101,18 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
         raise refusal("is not UTF-8 text; save the file as UTF-8", line, column) from None
 
 
+def read_document(path: Path) -> Document:
+    """Read and parse a spec file, or one that a spec names, as `read_text` and `parse_document`."""
+    return replace(parse_document(read_text(path), str(path)), path=path)
+
+
 def parse_document(text: str, origin: str) -> Document:
     """Parse a spec's text; raise InvalidSpecError if it is not readable as YAML.
 
     Errors that leave the rest readable are in the document's `problems` and `refused`.
     """
+    document = Document(printable(origin), text=text)
     text = text.removeprefix("\ufeff")
-    document = Document(printable(origin))
     root = compose(text, document.origin)
     if root is None:
         message = "is empty; a spec starts with 'name:'"
@@ -193,8 +139,8 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
             value = _Builder(text, document).build(root, loc, 0)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
-    if document.found:
-        problems = document.found
+    if document.all_problems:
+        problems = document.all_problems
         raise InvalidSpecError(SpecProblem(p.origin, p.message, field=p.field) for p in problems)
     return value
 

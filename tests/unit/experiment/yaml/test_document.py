@@ -43,7 +43,7 @@ def test_a_byte_order_mark_and_windows_line_ends_do_not_shift_places():
 
 def lines(text):
     document = parse_document(text, "s.yaml")
-    return [str(problem) for problem in document.found]
+    return [str(problem) for problem in document.all_problems]
 
 
 def test_duplicate_keys_are_reported_with_both_lines():
@@ -103,7 +103,7 @@ def bomb(levels):
 def test_texts_that_are_no_spec_at_all(text, words):
     with pytest.raises(InvalidSpecError) as caught:
         document = parse_document(text, "s.yaml")
-        raise InvalidSpecError(document.found)
+        raise InvalidSpecError(document.all_problems)
     assert words in str(caught.value)
     assert len(caught.value.message.splitlines()) == 1
 

@@ -1,6 +1,7 @@
 """Predicts how accurately the robots of a setup can be steered together, along several good plans.
 
-The plans are those that the controllers of the first trials would find in their first step.
+The plans are those that the controllers of the first trials would find in their first step, if
+these had all the time that their searches take.
 """
 
 from collections.abc import Iterator
@@ -15,11 +16,15 @@ from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
+from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.run.spec_trial import trial_seeds
 
 POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False, silence=0.0)
 """How robots are steered whose controller has no margins: as points that may leave the arena."""
+UNHURRIED = Host(timer=lambda: 0)
+"""The host of controllers whose searches no deadline ends: on a busy machine it would end them
+earlier, and the predictions would be others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +81,7 @@ def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Itera
     within = bool(problem.obstacles.contain(setup.starts.x, setup.starts.y).any())
     for trial in range(count):
         key, _ = trial_seeds(seed, trial)
-        plan = section.build(setup, key).plan(observation)
+        plan = section.build(setup, key, UNHURRIED).plan(observation)
         if isinstance(plan, Plan):
             # robots that start within a margin are steered out of it; no plan avoids that cost
             reaches = (plan.target_cost if within else plan.cost) <= enough

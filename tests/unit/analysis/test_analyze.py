@@ -6,10 +6,12 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
 from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
-from tetractl.analysis.steering import planner
+from tetractl.analysis.steering import planner, plans
+from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import UsageError
 from tetractl.core.table.table_files import json_text
+from tetractl.experiment.controller import ALONE
 from tetractl.view.figures.analysis import analysis_figure
 
 pytestmark = pytest.mark.slow
@@ -118,6 +120,23 @@ def test_any_controller_is_analysed_by_multistart():
     own = planner(experiment())  # of the particle swarm
     assert isinstance(own.optimizer, Multistart)
     assert own.motion == experiment().controller.motion
+
+
+def test_no_deadline_ends_a_search_however_busy_the_machine_is(monkeypatch):
+    build = RecommendedMpc.build
+    hosts = []
+
+    def watched_build(section, setup, key, host=ALONE):
+        hosts.append(host)
+        return build(section, setup, key, host)
+
+    monkeypatch.setattr(RecommendedMpc, "build", watched_build)
+    spec = experiment(controller=CONTROLLER)
+    assert len(list(plans(planner(spec), spec.setup, seed=0, count=2))) == 2
+    before_ns = [host.timer() for host in hosts]
+    after_ns = [host.timer() for host in hosts]
+    assert len(hosts) == 2
+    assert before_ns == after_ns  # deadlines are read on this clock, which stands
 
 
 @pytest.mark.parametrize("adaptive", [True, False])

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mcap.records import Chunk, Message
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import Entry
@@ -25,36 +25,45 @@ class Tally:
     wrong: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class ChunkSpan:
+    """Where one chunk lies in a file, in bytes from its first."""
+
+    begin: int
+    end: int  # behind its last byte
+
+
 class Original:
     """An intact log and where its chunks are, by the official reader."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.data = path, path.read_bytes()
+        self.path = path
+        self.data = path.read_bytes()
         self.contents = scan(path)
         self.records = {_key(record) for record in self.contents.records}
-        self.chunks: list[tuple[int, int, int]] = []  # first byte, behind the last, messages
+        self.chunks: list[ChunkSpan] = []
         with path.open("rb") as file:
             begin = len(MAGIC)
             for record in StreamReader(file, emit_chunks=True).records:
                 if isinstance(record, Chunk):
-                    inside = breakup_chunk(record, True)
-                    count = sum(isinstance(item, Message) for item in inside)
-                    self.chunks.append((begin, file.tell(), count))
+                    self.chunks.append(ChunkSpan(begin, file.tell()))
                 begin = file.tell()
 
     def truncated(self, count: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
         """Yield copies cut off anywhere, and how many chunks are complete in them."""
         for _ in range(count):
             cut = rng.randrange(len(self.data))
-            yield self.data[:cut], sum(end <= cut for _, end, _ in self.chunks)
+            yield self.data[:cut], sum(chunk.end <= cut for chunk in self.chunks)
 
     def flipped(self, count: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
         """Yield copies with one byte changed, and how many chunks are untouched in them."""
         for _ in range(count):
-            at, mask = rng.randrange(len(self.data)), rng.randrange(1, 256)
+            offset = rng.randrange(len(self.data))
+            mask = rng.randrange(1, 256)
             data = bytearray(self.data)
-            data[at] ^= mask
-            yield bytes(data), sum(not begin <= at < end for begin, end, _ in self.chunks)
+            data[offset] ^= mask
+            untouched = [c for c in self.chunks if not c.begin <= offset < c.end]
+            yield bytes(data), len(untouched)
 
 
 def examine(original: Original, copy: Path, data: bytes, complete: int, tally: Tally) -> None:
@@ -74,15 +83,15 @@ def examine(original: Original, copy: Path, data: bytes, complete: int, tally: T
         tally.wrong.append(f"{complete - contents.chunks} good chunks not found")
     if not {_key(record) for record in contents.records} <= original.records:
         tally.wrong.append("a record that was never written")
-    whole = len(contents.records) == len(original.contents.records)
-    if not whole and not contents.problems:
+    complete_records = len(contents.records) == len(original.contents.records)
+    if not complete_records and not contents.problems:
         tally.wrong.append("records are lost and nothing is said")
     try:
         trial = trial_of(contents)
     except LogError:
         tally.unreadable += 1
         return
-    if trial.damage is None and not (whole and contents.digests.content == trial.digest):
+    if trial.damage is None and not (complete_records and contents.digests.content == trial.digest):
         tally.wrong.append("a damaged trial is said to be whole")
 
 

@@ -26,7 +26,7 @@ OBSTACLES = [
 
 
 @dataclass(frozen=True)
-class Made:
+class RandomTrial:
     """A trial as its loop would emit it: per control step the frames before it, and the step."""
 
     experiment: Experiment
@@ -51,7 +51,7 @@ class Made:
 
 
 def experiment(robots: int = 3, **fields: Any) -> Experiment:
-    found = {
+    document = {
         "name": "made-up",
         "arena": {"left": 600, "bottom": 350, "width": 1600, "height": 1800},
         "robots": [
@@ -70,7 +70,7 @@ def experiment(robots: int = 3, **fields: Any) -> Experiment:
         "trials": {"count": 3, "seed": 2**64 - 1},
     }
     fields["controller"] = {"type": "pso-mpc"} | fields.get("controller", {})
-    return Experiment.model_validate(found | fields)
+    return Experiment.model_validate(document | fields)
 
 
 def trial(
@@ -86,7 +86,7 @@ def trial(
     index: int = 0,
     host_ns: int = 1_000_000,
     **fields: Any,
-) -> Made:
+) -> RandomTrial:
     """A trial of `steps` control steps at 5 Hz, the same for the same arguments."""
     rng = np.random.default_rng(seed)
     spec = experiment(robots, **fields)
@@ -97,10 +97,10 @@ def trial(
         for i in range(frames):
             sampled = k * period + i * period // frames
             valid = np.ones(robots, bool) if simulated else rng.random(robots) < 0.9
-            seen = Observation(
+            observation = Observation(
                 k * frames + i, sampled, sampled + 5_400_000, _poses(rng, robots), valid
             )
-            samples.append(Sample(seen, _single(_poses(rng, robots)) if simulated else None))
+            samples.append(Sample(observation, _single(_poses(rng, robots)) if simulated else None))
         step = _step(rng, k, samples[-1].observation, first, iterations, length)
         rounds.append((samples, replace(step, solve_ns=step.solve_ns + host_ns)))
     final = _poses(rng, robots)
@@ -129,18 +129,18 @@ def trial(
         EPOCH_NS if simulated else 1_790_000_000_123_456_789,
     )
     stop = Command(Stop(), steps * period, tuple((rng.random(robots) < 0.5).tolist()))
-    return Made(spec, start, rounds, stop, result)
+    return RandomTrial(spec, start, rounds, stop, result)
 
 
-def write(made: Made, path: Path, environment: str = "{}\n") -> Path:
+def write(random_trial: RandomTrial, path: Path, environment: str = "{}\n") -> Path:
     """Write a made-up trial as the loop would, of a size that no checkout's state changes."""
     with (
         mock.patch.object(provenance, "environment", lambda: environment),
         LogWriter(path) as writer,
     ):
-        writer.on_start(made.start)
-        made.give_rounds(writer)
-        writer.on_stop(made.stop, made.result)
+        writer.on_start(random_trial.start)
+        random_trial.give_rounds(writer)
+        writer.on_stop(random_trial.stop, random_trial.result)
     return path
 
 
@@ -163,9 +163,14 @@ def _clearances(rng: np.random.Generator, robots: int) -> tuple[float, ...]:
 
 
 def _step(
-    rng: np.random.Generator, k: int, seen: Observation, first: int, iterations: int, length: int
+    rng: np.random.Generator,
+    k: int,
+    observation: Observation,
+    first: int,
+    iterations: int,
+    length: int,
 ) -> Step:
-    robots = len(seen.valid)
+    robots = len(observation.valid)
     lengths = range(length - first + 1, length + 1) if k == 0 else (length - 1, length, length + 1)
     searches = tuple(
         Search(
@@ -192,12 +197,12 @@ def _step(
     )
     command = Command(
         action=plan.action,
-        sent_ns=seen.received_ns + int(rng.integers(10**6)),
+        sent_ns=observation.received_ns + int(rng.integers(10**6)),
         delivered=tuple((rng.random(robots) < 0.9).tolist()),
         left=rng.normal(0, 200, robots) if k % 2 else None,
         right=rng.normal(0, 200, robots) if k % 2 else None,
     )
-    return Step(k, seen, plan, command, int(rng.integers(10**9)), bool(rng.random() < 0.1))
+    return Step(k, observation, plan, command, int(rng.integers(10**9)), bool(rng.random() < 0.1))
 
 
 def _estimate(rng: np.random.Generator, k: int, robots: int) -> Estimate | None:

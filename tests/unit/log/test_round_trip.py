@@ -18,30 +18,34 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.replay.comparison import first_difference
 
 
-def assert_same_trial(log, made):
-    seen = [sample.observation for sample in made.samples]
+def assert_same_trial(log, random_trial):
     assert log.damage is None
-    assert not first_difference(log.start, made.start)
-    assert not first_difference(log.steps, tuple(made.steps))
-    assert not first_difference(log.stop, made.stop)
-    assert not first_difference(log.result, made.result)
-    assert log.start.seed == made.experiment.trials.seed
-    assert not first_difference(log.frames, np.array([item.frame for item in seen], dtype=np.int64))
-    assert not first_difference(
-        log.mocap_ns, np.array([item.sampled_ns for item in seen], dtype=np.int64)
-    )
-    assert not first_difference(
-        log.received_ns, np.array([item.received_ns for item in seen], dtype=np.int64)
-    )
-    assert not first_difference(log.mocap, np.array([item.poses.array() for item in seen]))
-    assert not first_difference(log.valid, np.array([item.valid for item in seen]))
-    if made.start.plant.simulated:
-        assert not first_difference(
-            log.truth, np.array([s.truth.array() for s in made.samples if s.truth])
-        )
-    else:
-        assert log.truth is None
-    assert not first_difference(log.commands, (*(step.command for step in made.steps), made.stop))
+    assert not first_difference(log.start, random_trial.start)
+    assert not first_difference(log.steps, tuple(random_trial.steps))
+    assert not first_difference(log.stop, random_trial.stop)
+    assert not first_difference(log.result, random_trial.result)
+    assert log.start.seed == random_trial.experiment.trials.seed
+    commands = [step.command for step in random_trial.steps]
+    assert not first_difference(log.commands, (*commands, random_trial.stop))
+    assert_same_frames(log, random_trial)
+
+
+def assert_same_frames(log, random_trial):
+    observations = [sample.observation for sample in random_trial.samples]
+    numbers = np.array([o.frame for o in observations], dtype=np.int64)
+    sampled_ns = np.array([o.sampled_ns for o in observations], dtype=np.int64)
+    received_ns = np.array([o.received_ns for o in observations], dtype=np.int64)
+    poses = np.array([o.poses.array() for o in observations])
+    valid = np.array([o.valid for o in observations])
+    truth = None
+    if random_trial.start.plant.simulated:
+        truth = np.array([sample.truth.array() for sample in random_trial.samples])
+    assert not first_difference(log.frames, numbers)
+    assert not first_difference(log.mocap_ns, sampled_ns)
+    assert not first_difference(log.received_ns, received_ns)
+    assert not first_difference(log.mocap, poses)
+    assert not first_difference(log.valid, valid)
+    assert not first_difference(log.truth, truth)
 
 
 @settings(max_examples=25, deadline=None)
@@ -53,43 +57,45 @@ def assert_same_trial(log, made):
     length=st.integers(2, 12),
 )
 def test_a_trial_comes_back_bit_for_bit(tmp_path_factory, seed, robots, steps, simulated, length):
-    made = trial(
+    random_trial = trial(
         seed, robots=robots, steps=steps, simulated=simulated, length=length, first=min(length, 5)
     )
-    path = write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
-    assert_same_trial(read_trial(path), made)
+    path = write(random_trial, tmp_path_factory.mktemp("log") / "trial.mcap")
+    assert_same_trial(read_trial(path), random_trial)
 
 
 def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path):
-    made = trial(steps=1)
+    random_trial = trial(steps=1)
     square = Command(Steer(1.25), 17, (True, False, True))
     with LogWriter(tmp_path / "trial.mcap") as writer:
-        writer.on_start(made.start)
+        writer.on_start(random_trial.start)
         writer.on_command(square)
-        made.give_rounds(writer)
-        writer.on_stop(made.stop, made.result)
+        random_trial.give_rounds(writer)
+        writer.on_stop(random_trial.stop, random_trial.result)
     log = read_trial(tmp_path / "trial.mcap")
-    assert not first_difference(log.commands, (square, made.steps[0].command, made.stop))
-    assert not first_difference(log.steps, tuple(made.steps))
-    assert not first_difference(log.stop, made.stop)
+    assert not first_difference(
+        log.commands, (square, random_trial.steps[0].command, random_trial.stop)
+    )
+    assert not first_difference(log.steps, tuple(random_trial.steps))
+    assert not first_difference(log.stop, random_trial.stop)
 
 
 def test_the_result_is_read_without_the_course(tmp_path):
-    made = trial(index=2)
-    path = write(made, tmp_path / "trial.mcap")
+    random_trial = trial(index=2)
+    path = write(random_trial, tmp_path / "trial.mcap")
     summary = read_result(path)
-    assert not first_difference(summary.result, made.result)
+    assert not first_difference(summary.result, random_trial.result)
     assert (summary.trial, summary.seed) == (2, 2**64 - 1)
-    assert (summary.experiment, summary.simulated) == (made.experiment, True)
+    assert (summary.experiment, summary.simulated) == (random_trial.experiment, True)
     assert summary.digest == read_trial(path).digest
     assert not summary.recovered
 
 
 def test_an_outcome_that_logs_call_by_its_first_name_is_read_by_its_present_one(tmp_path):
     """So that digests stay as they are, and older logs are read and verified."""
-    made = trial(1, steps=1)
-    ended = replace(made.result, outcome=Outcome.NO_BETTER_PLAN, reason="")
-    path = write(replace(made, result=ended), tmp_path / "trial.mcap")
+    random_trial = trial(1, steps=1)
+    ended = replace(random_trial.result, outcome=Outcome.NO_BETTER_PLAN, reason="")
+    path = write(replace(random_trial, result=ended), tmp_path / "trial.mcap")
     assert b"nothing better" in scan(path).by_topic[RESULT][0].data
     assert read_result(path).outcome is Outcome.NO_BETTER_PLAN
     log = read_trial(path)

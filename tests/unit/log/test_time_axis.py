@@ -17,11 +17,12 @@ PLACING_NS = 20_000_000_000
 
 def later(log, by_ns=PLACING_NS):
     """The same trial, with a clock that started while the robots were still being placed."""
-    commands = tuple(replace(one, sent_ns=one.sent_ns + by_ns) for one in log.commands)
-    steps = tuple(
-        replace(one, command=replace(one.command, sent_ns=one.command.sent_ns + by_ns))
-        for one in log.steps
-    )
+
+    def sent_later(command):
+        return replace(command, sent_ns=command.sent_ns + by_ns)
+
+    commands = tuple(sent_later(command) for command in log.commands)
+    steps = tuple(replace(step, command=sent_later(step.command)) for step in log.steps)
     return replace(log, commands=commands, steps=steps, mocap_ns=log.mocap_ns + by_ns)
 
 
@@ -40,7 +41,7 @@ def test_the_axis_starts_with_the_first_direction():
 
 def test_a_stop_is_no_direction_and_no_direction_leaves_the_clock_as_it_is():
     log = later(three_robots())
-    stops = tuple(one for one in log.commands if one.direction is None)
+    stops = tuple(command for command in log.commands if command.direction is None)
     assert stops
     assert replace(log, commands=stops, steps=()).began_ns == 0
     stopped_first = replace(stops[0], sent_ns=5)
@@ -50,26 +51,26 @@ def test_a_stop_is_no_direction_and_no_direction_leaves_the_clock_as_it_is():
 
 
 def test_notes_come_back_as_they_were(tmp_path):
-    made = trial(steps=3, simulated=False)
+    random_trial = trial(steps=3, simulated=False)
     notes = (Note(100_000_001, "warning", "robot 1 turns the wrong way"), Note(7, "error", "ü"))
     path = tmp_path / "trial.mcap"
     with LogWriter(path) as writer:
-        writer.on_start(made.start)
-        made.give_rounds(writer)
+        writer.on_start(random_trial.start)
+        random_trial.give_rounds(writer)
         for note in notes:
             writer.on_note(note)
-        writer.on_stop(made.stop, made.result)
+        writer.on_stop(random_trial.stop, random_trial.result)
     log = read_trial(path)
     assert [note for note in log.notes if note in notes] == list(notes)
     assert log.notes[0] == Note(0, "info", "trial 0 of made-up starts")
     ended = "sequence completed (no signal left) after 3 control steps"
-    assert log.notes[-1] == Note(made.stop.sent_ns, "info", ended)
+    assert log.notes[-1] == Note(random_trial.stop.sent_ns, "info", ended)
 
 
 def test_undelivered_commands_and_lost_robots_are_notes(tmp_path):
-    made = trial(steps=4, simulated=False)
-    texts = [note.text for note in read_trial(write(made, tmp_path / "trial.mcap")).notes]
-    lost = sum(np.count_nonzero(~np.array(step.command.delivered)) for step in made.steps)
+    random_trial = trial(steps=4, simulated=False)
+    texts = [note.text for note in read_trial(write(random_trial, tmp_path / "trial.mcap")).notes]
+    lost = sum(np.count_nonzero(~np.array(step.command.delivered)) for step in random_trial.steps)
     assert sum("did not get the command" in text for text in texts) == lost > 0
     assert any(text.endswith("is lost") for text in texts)
     events = [event.text for event in read_trial(tmp_path / "trial.mcap").events]

@@ -1,7 +1,6 @@
 """Two runs of one trial differ in nothing but the host records."""
 
 import pytest
-from mcap.records import Attachment
 from support.random_trials import trial, write
 
 from tetractl.log import provenance
@@ -11,10 +10,14 @@ from tetractl.log.read.reader import content_digest
 from tetractl.log.read.salvage import scan
 
 
+def _named(record):
+    return record.topic if isinstance(record, Entry) else record.name
+
+
 def _repeating(path):
-    names = {Entry: "topic", Attachment: "name"}
-    differ, records = HOST_RECORDS | {DIGESTS}, scan(path).records
-    return [item for item in records if getattr(item, names[type(item)]) not in differ]
+    """The records that each run of one trial must repeat."""
+    differing = HOST_RECORDS | {DIGESTS}
+    return [record for record in scan(path).records if _named(record) not in differing]
 
 
 @pytest.fixture
@@ -26,28 +29,31 @@ def elsewhere(monkeypatch):
 
 
 def test_the_digest_ignores_where_and_when(tmp_path, request):
-    here = write(trial(), tmp_path / "here.mcap")
+    on_this_machine = write(trial(), tmp_path / "here.mcap")
     request.getfixturevalue("elsewhere")
-    there = write(trial(), tmp_path / "there.mcap", environment="other\n")
-    assert scan(here).facts != scan(there).facts
-    assert scan(here).text("environment.json") != scan(there).text("environment.json")
-    assert _repeating(here) == _repeating(there)
-    assert content_digest(here) == content_digest(there)
+    on_another = write(trial(), tmp_path / "there.mcap", environment="other\n")
+    contents = scan(on_this_machine)
+    contents_of_another = scan(on_another)
+    assert contents.facts != contents_of_another.facts
+    assert contents.text("environment.json") != contents_of_another.text("environment.json")
+    assert _repeating(on_this_machine) == _repeating(on_another)
+    assert content_digest(on_this_machine) == content_digest(on_another)
 
 
 def test_every_part_of_a_record_counts():
+    def digest(entry, attached):
+        digests = LogDigests()
+        digests.messages([entry])
+        digests.attachment("spec.yaml", "application/yaml", 0, attached)
+        return digests.stated().content
+
     entry = Entry("/step", 1, 2, b"x")
-    records = {"entry": entry, "data": b"x"}
-    others = (
-        *({"entry": entry._replace(**{name: new})} for name, new in
-          (("topic", "/stop"), ("log_ns", 3), ("publish_ns", 3), ("data", b"y"))),
-        {"data": b"y"},
-    )  # fmt: skip
-
-    def digest(entry, data):
-        made = LogDigests()
-        made.messages([entry])
-        made.attachment("spec.yaml", "application/yaml", 0, data)
-        return made.stated().content
-
-    assert len({digest(**records | other) for other in ({}, *others)}) == 6
+    all_digests = {
+        digest(entry, b"x"),
+        digest(entry._replace(topic="/stop"), b"x"),
+        digest(entry._replace(log_ns=3), b"x"),
+        digest(entry._replace(publish_ns=3), b"x"),
+        digest(entry._replace(data=b"y"), b"x"),
+        digest(entry, b"y"),
+    }
+    assert len(all_digests) == 6  # no two are equal

@@ -16,7 +16,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 
 
-def made(**changes):
+def layout_of(**changes):
     return json.loads(layout(experiment(**changes).setup))
 
 
@@ -26,11 +26,11 @@ def test_the_documented_layouts_are_what_is_written():
 
 
 def test_every_path_leads_to_a_channel_and_every_panel_is_arranged():
-    found = made()
-    panels = found["configById"]
+    document = layout_of()
+    panels = document["configById"]
     values = [curve["value"] for panel in panels.values() for curve in panel.get("paths", ())]
     paths = [value for value in values if value.startswith("/")]
-    (script,) = found["userNodes"].values()
+    (script,) = document["userNodes"].values()
     computed = re.search(r'output = "(.*)"', script["sourceCode"])[1]
     fields = {
         f"{topic}.{name}"
@@ -41,13 +41,13 @@ def test_every_path_leads_to_a_channel_and_every_panel_is_arranged():
     for path in paths:
         assert path.startswith(f"{computed}.") or path.partition("[")[0] in fields
     assert set(panels["3D!arena"]["topics"]) <= set(channels.CHANNELS)
-    arranged = re.findall(r"(?:3D|Plot)!\w+", json.dumps(found["layout"]))
+    arranged = re.findall(r"(?:3D|Plot)!\w+", json.dumps(document["layout"]))
     assert sorted(arranged) == sorted(panels)
 
 
 def _inside(field):
     inner = field.message_type.fields if field.message_type else ()
-    return [f"{field.name}.{one.name}" for one in inner]
+    return [f"{field.name}.{inner_field.name}" for inner_field in inner]
 
 
 def test_a_log_holds_its_layout(tmp_path):
@@ -59,7 +59,7 @@ def test_a_log_holds_its_layout(tmp_path):
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="there is no node on this machine")
 def test_the_script_computes_the_error():
-    (script,) = made()["userNodes"].values()
+    (script,) = layout_of()["userNodes"].values()
     source = re.sub(
         r"^import.*$|^type.*$| as unknown as \{.*?\}", "", script["sourceCode"], flags=re.M
     )

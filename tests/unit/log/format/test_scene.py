@@ -25,35 +25,36 @@ from tetractl.log.format.scene import Scene, frame_of, stamp
 
 
 @pytest.fixture(scope="module")
-def made():
+def random_trial():
     return trial(steps=3, robots=3)
 
 
 @pytest.fixture(scope="module")
-def messages(made, tmp_path_factory):
+def messages(random_trial, tmp_path_factory):
     """Messages by topic, through the official indexed reader with CRC validation."""
-    path = write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
-    found = defaultdict(list)
+    path = write(random_trial, tmp_path_factory.mktemp("log") / "trial.mcap")
+    by_topic = defaultdict(list)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages():
-            found[channel.topic].append(message)
-    return found
+            by_topic[channel.topic].append(message)
+    return by_topic
 
 
 def corners_of(entity):
     return np.array([(point.x, point.y, point.z) for point in entity.triangles[0].points])
 
 
-def test_transforms_are_the_measured_poses_in_metres_at_their_times(made, messages):
+def test_transforms_are_the_measured_poses_in_metres_at_their_times(random_trial, messages):
     """Of 120 Hz every eighth frame is shown; the newest of each message is."""
-    names, shown = ["robot/robot 0", "robot/robot 1", "robot/robot 2"], made.samples[1::8]
     (message,) = messages["/tf"]
-    items = sorted(message.transforms, key=lambda item: (_stamp(item), item.child_frame_id))
-    for sample, at in zip(shown, range(0, len(items), 3), strict=True):
+    transforms = sorted(message.transforms, key=lambda item: (_stamp(item), item.child_frame_id))
+    frames = [transforms[first : first + 3] for first in range(0, len(transforms), 3)]
+    for sample, of_frame in zip(random_trial.samples[1::8], frames, strict=True):
         poses = sample.observation.poses
-        assert [item.child_frame_id for item in items[at : at + 3]] == names
-        for i, item in enumerate(items[at : at + 3]):
+        names = [item.child_frame_id for item in of_frame]
+        assert names == ["robot/robot 0", "robot/robot 1", "robot/robot 2"]
+        for i, item in enumerate(of_frame):
             assert item.parent_frame_id == "world"
             assert item.translation.x == pytest.approx(poses.x[i] / 1000, rel=DRAWN_PRECISION)
             assert item.translation.y == pytest.approx(poses.y[i] / 1000, rel=DRAWN_PRECISION)
@@ -68,7 +69,7 @@ def _stamp(item):
     return item.timestamp.seconds * 10**9 + item.timestamp.nanos
 
 
-def test_the_scene_stands_where_the_spec_says(made, messages):
+def test_the_scene_stands_where_the_spec_says(messages):
     (scene,) = messages["/scene/static"]
     entities = {item.id: item for item in scene.entities}
     assert len(entities) == len(scene.entities) == 1 + 2 + 2 * 3
@@ -89,11 +90,16 @@ def test_the_scene_stands_where_the_spec_says(made, messages):
     assert body.texts[0].text == "robot 2"
 
 
+def rgb_of(entity):
+    color = entity.triangles[0].color
+    return [round(255 * part) for part in (color.r, color.g, color.b)]
+
+
 def test_colors_are_the_specs_or_the_lists(messages):
     entities = {item.id: item for item in messages["/scene/static"][0].entities}
-    colors = [entities[f"robot/robot {i}"].triangles[0].color for i in range(3)]
-    rgb = [tuple(round(255 * part) for part in (c.r, c.g, c.b)) for c in colors]
-    assert rgb == [(0x00, 0x9E, 0x73), (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)]
+    assert rgb_of(entities["robot/robot 0"]) == [0x00, 0x9E, 0x73]  # the spec's "green"
+    assert rgb_of(entities["robot/robot 1"]) == [0x00, 0x72, 0xB2]  # the spec's "#0072b2"
+    assert rgb_of(entities["robot/robot 2"]) == [0xD5, 0x5E, 0x00]  # the list's, the spec has none
 
 
 NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, math.pi, 5e-324, 1e308])
@@ -111,18 +117,22 @@ def test_the_bytes_are_those_of_protobufs_own_encoder(data, robots, count):
     valid = data.draw(arrays(bool, (count, robots)))
     times = data.draw(arrays(np.int64, count, elements=UNIX_NS))
     unix_ns = data.draw(UNIX_NS)
-    transforms, plans = FrameTransforms(), SceneUpdate()
+    transforms = FrameTransforms()
+    plans = SceneUpdate()
     for i, name in enumerate(setup.names):
-        seen = valid[:, i] & np.isfinite(poses[:, i]).all(axis=1)
-        x, y, heading = poses[seen, i].T
-        columns = x * setup.metres, y * setup.metres, np.sin(heading / 2), np.cos(heading / 2)
-        for t, row in zip(times[seen].tolist(), np.transpose(columns).tolist(), strict=True):
+        tracked = valid[:, i] & np.isfinite(poses[:, i]).all(axis=1)
+        x, y, heading = poses[tracked, i].T
+        x_m = x * setup.metres
+        y_m = y * setup.metres
+        sine = np.sin(heading / 2)
+        cosine = np.cos(heading / 2)
+        for row, time_ns in enumerate(times[tracked].tolist()):
             transforms.transforms.add(
-                timestamp=stamp(t),
+                timestamp=stamp(time_ns),
                 parent_frame_id="world",
                 child_frame_id=frame_of(name),
-                translation=Vector3(x=row[0], y=row[1]),
-                rotation=Quaternion(z=row[2], w=row[3]),
+                translation=Vector3(x=x_m[row], y=y_m[row]),
+                rotation=Quaternion(z=sine[row], w=cosine[row]),
             )
         xy = poses[np.isfinite(poses[:, i, :2]).all(axis=1), i, :2] * setup.metres
         line = LinePrimitive(
@@ -132,15 +142,10 @@ def test_the_bytes_are_those_of_protobufs_own_encoder(data, robots, count):
             points=[Point3(x=x, y=y) for x, y in xy.tolist()],
             color=colors[f"target/{name}"],
         )
-        plans.entities.add(
-            timestamp=stamp(unix_ns),
-            frame_id="world",
-            id=f"plan/{name}",
-            frame_locked=True,
-            lines=[line],
-        )
-    own = times[:, None].repeat(poses.shape[1], axis=1)
-    frames = Frames(times, times, times, poses, valid, None, own)
+        entity = {"frame_id": "world", "id": f"plan/{name}", "frame_locked": True}
+        plans.entities.add(timestamp=stamp(unix_ns), lines=[line], **entity)
+    exposed_ns = times[:, None].repeat(robots, axis=1)
+    frames = Frames(times, times, times, poses, valid, None, exposed_ns)
     assert scene.transforms([frames], 0) == [transforms.SerializeToString()]
     assert scene.plan(poses, unix_ns) == plans.SerializeToString()
 

@@ -45,8 +45,8 @@ def folder(tmp_path):
     ],
 )  # fmt: skip
 def test_paths_folders_and_patterns_name_logs(folder, paths, names):
-    found = find_logs(folder / path for path in paths)
-    assert [str(log.relative_to(folder)) for log in found] == names
+    logs = find_logs(folder / path for path in paths)
+    assert [str(log.relative_to(folder)) for log in logs] == names
 
 
 def test_a_pattern_may_be_relative_and_what_is_none_is_named(folder, monkeypatch):

@@ -38,8 +38,8 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     """Small, so that most bytes matter."""
-    made = trial(steps=12, robots=1, frames=2, first=2, iterations=3, length=3)
-    return write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
+    random_trial = trial(steps=12, robots=1, frames=2, first=2, iterations=3, length=3)
+    return write(random_trial, tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +70,9 @@ def with_chunks(log, path, chunks):
 def test_a_bomb_is_not_unpacked(log, tmp_path, said):
     bomb = chunk(b"\0" * (limits.CHUNK_MAX + 1), said)
     assert len(bomb) < 10_000
-    found = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
-    assert any("claims to unpack to 16777217 bytes" in problem for problem in found.problems)
-    assert found.entries == scan(log).entries
+    contents = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
+    assert any("claims to unpack to 16777217 bytes" in problem for problem in contents.problems)
+    assert contents.entries == scan(log).entries
 
 
 PADDING = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
@@ -87,12 +87,12 @@ def test_many_chunks_together_are_bounded(log, tmp_path, inside):
         scan(path)
 
 
-def test_the_search_of_a_damaged_file_ends(log, tmp_path, monkeypatch):
+def test_the_search_of_a_damaged_file_ends(log, contents, tmp_path, monkeypatch):
     """Each of these would copy the rest of the file: quadratic, were it not for the limit."""
     trace = bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 1 << 19)
     path = tmp_path / "overlap.mcap"
     path.write_bytes(log.read_bytes()[:-100] + trace * 1000)
-    assert len(scan(path).entries) == len(scan(log).entries)
+    assert len(scan(path).entries) == len(contents.entries)
     monkeypatch.setattr(salvage, "seconds_limit", lambda: -1)
     with pytest.raises(LogError, match="very many damaged records"):
         scan(path)
@@ -126,7 +126,8 @@ def test_an_index_that_cannot_be_read_is_left_out(log, tmp_path):
     assert scan(path).entries == scan(log).entries
 
 
-NAN, INF = float("nan"), float("inf")
+NAN = float("nan")
+INF = float("inf")
 
 
 def spoilt_frames(times=((0, 0, 0),), poses=((1.0, 1.0, 1.0),), truth=(), valid=(True,)):
@@ -141,13 +142,16 @@ def spoilt_frames(times=((0, 0, 0),), poses=((1.0, 1.0, 1.0),), truth=(), valid=
 
 def spoilt_step(**changes):
     """A step of one robot that could be ours, but for the changes."""
-    seen = MocapSample(x=[1.0], y=[1.0], heading=[1.0], valid=[True])
-    one = Search(length=1, signals=[0.5], cost=1.0, history=[1.0], evaluations=1)
-    command = WheelCommand(direction=0.5, delivered=[True])
-    path = {"path_x": [1.0] * 2, "path_y": [1.0] * 2}
-    whole = {"observation": seen, "searches": [one], "command": command, "signals": [0.5], **path}
-    whole["state"] = "driving"
-    return ControllerStep(**{**whole, **changes})
+    fields = {
+        "observation": MocapSample(x=[1.0], y=[1.0], heading=[1.0], valid=[True]),
+        "searches": [Search(length=1, signals=[0.5], cost=1.0, history=[1.0], evaluations=1)],
+        "command": WheelCommand(direction=0.5, delivered=[True]),
+        "signals": [0.5],
+        "path_x": [1.0, 1.0],
+        "path_y": [1.0, 1.0],
+        "state": "driving",
+    }
+    return ControllerStep(**(fields | changes))
 
 
 @pytest.mark.parametrize(
@@ -199,11 +203,11 @@ def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, 
     path = rewrite(contents, tmp_path / "trial.mcap", torn)
     for read in (read_trial, read_result, overview, verify):
         try:
-            found = read(path)
+            answer = read(path)
         except TetractlError as error:
             assert "\n" not in str(error)
         else:
-            assert read is not verify or found.problems
+            assert read is not verify or answer.problems
 
 
 @pytest.mark.parametrize(
@@ -247,6 +251,6 @@ def test_names_in_a_log_are_no_paths(tmp_path, log, name):
     builder = RecordBuilder()
     Attachment(0, 0, name, "application/yaml", b"evil").write(builder)
     path = with_chunks(log, tmp_path / "trial.mcap", [builder.end()])
-    out = recover(path)
-    assert "evil" in [item.data.decode() for item in scan(Path(str(out.path))).attachments.values()]
-    assert {*tmp_path.rglob("*")} == {path, Path(str(out.path))}
+    out = Path(str(recover(path).path))
+    assert b"evil" in [attachment.data for attachment in scan(out).attachments.values()]
+    assert {*tmp_path.rglob("*")} == {path, out}

@@ -36,18 +36,36 @@ def reader(tmp_path_factory):
     return folder / "read.mjs"
 
 
-def test_our_messages_decode_to_the_values_written(reader, tmp_path):
-    made = trial(steps=12)
-    samples, _ = made.rounds[0]
-    seen = samples[0].observation
-    x, valid = seen.poses.x.copy(), seen.valid.copy()
-    x[1], valid[1] = np.nan, False
-    seen = replace(seen, poses=replace(seen.poses, x=x), valid=valid)
-    samples[0] = replace(samples[0], observation=seen)
-    log, step = write(made, tmp_path / "trial.mcap"), made.steps[0]
+@pytest.fixture(scope="module")
+def random_trial():
+    """A trial whose first frame lacks robot 1."""
+    random_trial = trial(steps=12)
+    samples, _ = random_trial.rounds[0]
+    observation = samples[0].observation
+    x = observation.poses.x.copy()
+    x[1] = np.nan
+    valid = observation.valid.copy()
+    valid[1] = False
+    lost = replace(observation, poses=replace(observation.poses, x=x), valid=valid)
+    samples[0] = replace(samples[0], observation=lost)
+    return random_trial
+
+
+@pytest.fixture(scope="module")
+def log(random_trial, tmp_path_factory):
+    return write(random_trial, tmp_path_factory.mktemp("log") / "trial.mcap")
+
+
+@pytest.fixture(scope="module")
+def decoded(reader, log):
+    """What the JavaScript reader prints of the log."""
     done = subprocess.run(["node", reader, log], capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    message = found["channels"]["/controller/step"]
+    return json.loads(done.stdout)
+
+
+def test_a_control_step_decodes_to_the_values_written(decoded, random_trial):
+    step = random_trial.steps[0]
+    message = decoded["channels"]["/controller/step"]
     assert (message["type"], message["count"]) == (".tetractl.ControllerStep", 12)
     first = message["first"]
     assert first["signals"] == step.plan.signals.tolist()
@@ -55,17 +73,34 @@ def test_our_messages_decode_to_the_values_written(reader, tmp_path):
     assert [item["history"] for item in first["searches"]] == [
         search.history.tolist() for search in step.plan.searches
     ]
-    assert int(message["logTime"]) == made.start.start_unix_ns + step.command.sent_ns
-    assert int(message["publishTime"]) == made.start.start_unix_ns + step.observation.sampled_ns
-    x = made.samples[0].observation.poses.x.tolist()
-    frame = found["channels"]["/frames"]["first"]
-    poses = unpack_columns(base64.b64decode(frame["poses"]), 9, "<f8")
-    assert np.array_equal(poses[0, ::3], x, equal_nan=True)
-    shown = [item["child_frame_id"] for item in found["channels"]["/tf"]["first"]["transforms"]]
-    assert set(shown) == {"robot/robot 0", "robot/robot 1", "robot/robot 2"}
-    counts = {topic: channel["count"] for topic, channel in found["channels"].items()}
-    assert counts == {topic: len(all_) for topic, all_ in scan(log).by_topic.items()}
-    assert found["attachments"]["spec.yaml"] == made.start.spec_text
+    start_unix_ns = random_trial.start.start_unix_ns
+    assert int(message["logTime"]) == start_unix_ns + step.command.sent_ns
+    assert int(message["publishTime"]) == start_unix_ns + step.observation.sampled_ns
+
+
+def test_camera_frames_unpack_to_the_poses_measured(decoded, random_trial):
+    frames = decoded["channels"]["/frames"]["first"]
+    numbers = unpack_columns(base64.b64decode(frames["poses"]), 3 * 3, "<f8")  # 3 of each robot
+    measured = random_trial.samples[0].observation.poses.x
+    assert np.array_equal(numbers[0, ::3], measured, equal_nan=True)
+
+
+def test_every_robot_is_drawn(decoded):
+    transforms = decoded["channels"]["/tf"]["first"]["transforms"]
+    drawn = {item["child_frame_id"] for item in transforms}
+    assert drawn == {"robot/robot 0", "robot/robot 1", "robot/robot 2"}
+
+
+def test_every_message_of_every_channel_is_read(decoded, log):
+    counts = {topic: channel["count"] for topic, channel in decoded["channels"].items()}
+    assert counts == {topic: len(entries) for topic, entries in scan(log).by_topic.items()}
+
+
+def test_the_spec_is_an_attachment(decoded, random_trial):
+    assert decoded["attachments"]["spec.yaml"] == random_trial.start.spec_text
+
+
+def test_a_flipped_byte_is_refused(reader, log, tmp_path):
     data = bytearray(log.read_bytes())
     data[len(data) // 2] ^= 0xFF
     spoilt = tmp_path / "spoilt.mcap"

@@ -37,5 +37,6 @@ def test_any_disturbance_disturbs_a_simulation(disturbance):
     ],
 )
 def test_an_emulated_device_makes_an_emulated_lab(facts, origin):
-    found = Origin.of(experiment(plant=DISTURBED), PlantInfo("lab", False, 120.0, facts))
-    assert (found, found.simulated) == (origin, False)
+    info = PlantInfo("lab", False, 120.0, facts)
+    assert Origin.of(experiment(plant=DISTURBED), info) is origin
+    assert not origin.simulated

@@ -22,6 +22,9 @@ from tetractl.replay.comparison import first_difference
 from tetractl.results.describe import describe
 from tetractl.results.open_batch import open_batch
 
+# In a chunk's record: the name of its compression with its length in front, then the data.
+CHUNK_DATA = b"\x04\0\0\0zstd"
+
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
@@ -34,8 +37,20 @@ def damaged(folder, data, name="trial.mcap"):
     return path
 
 
-def flipped(data, at):
-    return data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
+def torn(log, folder):
+    """A copy that lost its end, and with it the index."""
+    return damaged(folder, log.read_bytes()[:-2000], "trial.mcap.part")
+
+
+def flipped(data, offset):
+    """The bytes with one bit changed."""
+    return data[:offset] + bytes([data[offset] ^ 0x10]) + data[offset + 1 :]
+
+
+def out_path(done):
+    """Where a recovery wrote the log."""
+    assert done.path is not None
+    return Path(done.path)
 
 
 def test_a_complete_log_needs_no_recovery(log, tmp_path):
@@ -51,40 +66,60 @@ def test_a_lost_index_costs_nothing(log, tmp_path):
     done = recover(torn(log, tmp_path))
     assert done.path == str(tmp_path / "trial.recovered.mcap")
     assert (done.whole, done.damage.lost) == (True, ())
-    again = read_trial(Path(done.path))
+    out = out_path(done)
+    again = read_trial(out)
     assert again.damage is None
-    assert content_digest(Path(done.path)) == again.digest == content_digest(log)
-    assert not read_result(Path(done.path)).recovered
+    assert content_digest(out) == again.digest == content_digest(log)
+    assert not read_result(out).recovered
 
 
-def test_what_is_lost_and_when_is_told(log, tmp_path):
+@pytest.fixture
+def rotten(log, tmp_path):
+    """A log with a bit flipped in its fourth chunk, which holds control steps and frames."""
     data = log.read_bytes()
-    chunks = [i for i in range(len(data)) if data.startswith(b"\x04\0\0\0zstd", i)]
-    rotten = damaged(tmp_path, flipped(data, chunks[3] + 60))
+    chunks = [i for i in range(len(data)) if data.startswith(CHUNK_DATA, i)]
+    return damaged(tmp_path, flipped(data, chunks[3] + 60))
+
+
+def test_what_is_lost_and_when_is_told(log, rotten):
     done = recover(rotten)
     assert not done.whole
-    whole, left = read_trial(log), read_trial(Path(str(done.path)))
-    missing = [step.k for step in whole.steps if step.k not in {s.k for s in left.steps}]
+    recovered = {step.k for step in read_trial(out_path(done)).steps}
+    missing = [step.k for step in read_trial(log).steps if step.k not in recovered]
     assert missing
     assert missing == list(range(missing[0], missing[-1] + 1))
     text = " ".join(done.damage.lost)
     assert f"control steps {missing[0]} to {missing[-1]}, between " in text
     assert "camera frames" in text
-    assert left.damage is not None
-    assert left.damage.problems[0] == "recovered from trial.mcap, which was damaged"
-    assert set(done.damage.lost) <= set(left.damage.lost)
-    assert read_result(Path(str(done.path))).recovered
-    assert content_digest(Path(str(done.path))) == content_digest(rotten)  # that of what is left
-    recover(Path(str(done.path)), tmp_path / "twice.mcap")
+
+
+def test_a_recovered_log_says_what_was_lost(rotten):
+    done = recover(rotten)
+    damage = read_trial(out_path(done)).damage
+    assert damage is not None
+    assert damage.problems[0] == "recovered from trial.mcap, which was damaged"
+    assert set(done.damage.lost) <= set(damage.lost)
+    assert read_result(out_path(done)).recovered
+
+
+def test_a_recovered_log_has_the_digest_of_what_is_intact(rotten):
+    out = out_path(recover(rotten))
+    assert content_digest(out) == content_digest(rotten)
+
+
+def test_a_log_that_is_recovered_twice_says_it_once(rotten, tmp_path):
+    recover(out_path(recover(rotten)), tmp_path / "twice.mcap")
     assert len(scan(tmp_path / "twice.mcap").by_topic[RECOVERED]) == 1
 
 
 def test_every_intact_record_comes_back(log, tmp_path):
-    data, rng = log.read_bytes(), random.Random(3)
+    data = log.read_bytes()
+    rng = random.Random(3)
     for i in range(30):
-        cut = damaged(tmp_path, flipped(data, rng.randrange(len(data))), f"{i}.mcap")
-        before = scan(cut)
-        done = recover(cut)
+        spoilt = flipped(data, rng.randrange(len(data)))
+        path = damaged(tmp_path, spoilt, f"{i}.mcap")
+        before = scan(path)
+        done = recover(path)
         if done.path is None:
             continue
         after = scan(Path(done.path))
@@ -105,35 +140,33 @@ def test_nothing_is_overwritten(log, tmp_path):
 @pytest.mark.parametrize("name", ["trial-000.mcap", "trial-000.mcap.part"])
 @pytest.mark.parametrize("simulated", [True, False])
 def test_a_recovered_trial_counts_once(tmp_path, name, simulated):
-    whole = write(trial(steps=34, simulated=simulated), tmp_path / "whole")
-    damaged(tmp_path, whole.read_bytes()[: whole.stat().st_size // 2], name)
-    whole.unlink()
-    done = recover(tmp_path / name)
-    assert find_logs([tmp_path]) == [tmp_path / name]
-    assert find_logs(tmp_path.glob("*")) == [tmp_path / name]
-    assert len(open_batch([tmp_path / name, str(done.path)]).trials) == 1
-    (tmp_path / name).unlink()
-    assert find_logs([tmp_path]) == [Path(str(done.path))]
+    log = write(trial(steps=34, simulated=simulated), tmp_path / "whole")
+    data = log.read_bytes()
+    log.unlink()
+    cut = damaged(tmp_path, data[: len(data) // 2], name)
+    out = out_path(recover(cut))
+    assert find_logs([tmp_path]) == [cut]
+    assert find_logs(tmp_path.glob("*")) == [cut]
+    assert len(open_batch([cut, out]).trials) == 1
+    cut.unlink()
+    assert find_logs([tmp_path]) == [out]
     batch = open_batch([tmp_path])
     assert (len(batch.trials), batch.damaged) == (1, ())
     assert batch.trials[0].recovered
     assert describe(batch).experiment.name == "made-up"
 
 
-def torn(log, folder):
-    return damaged(folder, log.read_bytes()[:-2000], "trial.mcap.part")
-
-
 def test_what_a_killed_recovery_left_is_replaced(log, tmp_path):
     """Regression: `recover` refused to run again."""
     source = torn(log, tmp_path)
-    left = tmp_path / f"trial.recovered.mcap{PART_SUFFIX}"
-    left.write_bytes(log.read_bytes()[:5000])
+    unfinished = tmp_path / f"trial.recovered.mcap{PART_SUFFIX}"
+    unfinished.write_bytes(log.read_bytes()[:5000])
     assert find_logs([tmp_path]) == [source]
     done = recover(source)
     assert done.whole
-    assert not left.exists()
-    assert not first_difference(read_trial(Path(str(done.path))).steps, read_trial(log).steps)
+    assert not unfinished.exists()
+    steps = read_trial(out_path(done)).steps
+    assert not first_difference(steps, read_trial(log).steps)
 
 
 def test_a_recovery_that_is_under_way_is_left_alone(log, tmp_path):
@@ -165,21 +198,25 @@ def test_a_full_disk_leaves_nothing_behind(log, tmp_path):
 
 def test_a_channel_that_is_only_in_the_index_is_copied(log, tmp_path):
     """Regression: `recover` copied messages of a channel that it had not made."""
-    contents, extra = scan(log), Entry("/only", 1, 1, b"data")
+    contents = scan(log)
+    extra = Entry("/only", 1, 1, b"data")
     first = contents.records.index(contents.entries[0])
     records = [*contents.records[:first], extra, *contents.records[first:]]
     records.insert(first + 40, extra)  # the first takes the record of the channel with it
     more = {"/only": (Channel(77, "/only", "none", {}, 0), None)}
     changed = RawLog(log, records=records, channels=contents.channels | more)
     data = rewrite(changed, tmp_path / "whole", {}, apart=True).read_bytes()
-    cut = damaged(tmp_path, flipped(data, data.index(b"\x04\0\0\0zstd") + 60))
-    assert extra in scan(Path(str(recover(cut).path))).entries
+    spoilt = flipped(data, data.index(CHUNK_DATA) + 60)
+    done = recover(damaged(tmp_path, spoilt))
+    assert extra in scan(out_path(done)).entries
 
 
 def test_a_lost_record_of_the_host_is_a_loss(log, tmp_path):
     """The file is whole, and so is the trial: the digest of the host's records alone tells."""
-    contents, path = scan(log), tmp_path / "changed.mcap"
-    timing, sink = contents.by_topic[HOST_TIMING][3], Sink(path)
+    contents = scan(log)
+    timing = contents.by_topic[HOST_TIMING][3]
+    path = tmp_path / "changed.mcap"
+    sink = Sink(path)
     for record in contents.records:
         if isinstance(record, Attachment):
             sink.attachment(record.name, record.media_type, record.log_time, record.data)

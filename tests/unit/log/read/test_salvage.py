@@ -22,6 +22,9 @@ from tetractl.replay.comparison import first_difference
 
 pytestmark = pytest.mark.slow
 
+# How the record at the end of the data begins: its opcode, its length; 4 bytes of CRC-32 follow.
+DATA_END = b"\x0f" + (4).to_bytes(8, "little")
+
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
@@ -30,33 +33,34 @@ def log(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def whole(log):
+def undamaged(log):
+    """What the log says before it is damaged."""
     return read_trial(log)
 
 
 @pytest.fixture(scope="module")
 def chunks(log):
-    """Of each chunk: first byte, byte behind it, messages; by the official reader."""
-    found = Original(log).chunks
-    assert len(found) > 3
-    return found
+    """Where its chunks lie, by the official reader."""
+    spans = Original(log).chunks
+    assert len(spans) > 3
+    return spans
 
 
-def assert_part_of(damaged, whole):
+def assert_part_of(damaged, undamaged):
     """Every number of a damaged log is one of the whole log's."""
-    assert damaged.experiment == whole.experiment
-    assert damaged.start.spec_text in ("", whole.start.spec_text)
-    assert damaged.start.seed == whole.start.seed
-    steps = {step.k: step for step in whole.steps}
+    assert damaged.experiment == undamaged.experiment
+    assert damaged.start.spec_text in ("", undamaged.start.spec_text)
+    assert damaged.start.seed == undamaged.start.seed
+    steps = {step.k: step for step in undamaged.steps}
     assert all(not first_difference(step, steps[step.k]) for step in damaged.steps)
-    rows = np.searchsorted(whole.frames, damaged.frames)
+    rows = np.searchsorted(undamaged.frames, damaged.frames)
     for name in ("frames", "mocap_ns", "received_ns", "mocap", "valid", "truth"):
-        assert not first_difference(getattr(damaged, name), getattr(whole, name)[rows])
-    assert damaged.stop is None or not first_difference(damaged.stop, whole.stop)
-    assert whole.result is not None
-    untimed = replace(whole.result, solve_ns=(), deadline_misses=0)
+        assert not first_difference(getattr(damaged, name), getattr(undamaged, name)[rows])
+    assert damaged.stop is None or not first_difference(damaged.stop, undamaged.stop)
+    assert undamaged.result is not None
+    untimed = replace(undamaged.result, solve_ns=(), deadline_misses=0)
     assert any(
-        not first_difference(damaged.result, result) for result in (None, untimed, whole.result)
+        not first_difference(damaged.result, result) for result in (None, untimed, undamaged.result)
     )
 
 
@@ -67,87 +71,103 @@ def _damaged(tmp_path, data):
 
 
 @pytest.mark.parametrize("field", range(1, 9))
-def test_a_bad_record_length_costs_nothing(tmp_path, log, whole, chunks, field):
+def test_a_bad_record_length_costs_nothing(tmp_path, log, undamaged, chunks, field):
     data = bytearray(log.read_bytes())
-    data[chunks[1][0] + field] ^= 0x41
-    found = read_trial(_damaged(tmp_path, bytes(data)))
-    assert found.damage is not None
-    assert len(found.steps) == len(whole.steps)
-    assert not first_difference(found.mocap, whole.mocap)
-    assert_part_of(found, whole)
+    data[chunks[1].begin + field] ^= 0x41
+    salvaged = read_trial(_damaged(tmp_path, bytes(data)))
+    assert salvaged.damage is not None
+    assert len(salvaged.steps) == len(undamaged.steps)
+    assert not first_difference(salvaged.mocap, undamaged.mocap)
+    assert_part_of(salvaged, undamaged)
 
 
-def test_without_first_chunk_and_index_the_rest_is_read(tmp_path, log, whole, chunks):
-    data = bytearray(log.read_bytes()[: chunks[-1][1]])
-    for begin, end, _ in chunks[:3]:  # the run's with all channel records, the scene's, the next
-        data[(begin + end) // 2] ^= 0xFF
-    found = read_trial(_damaged(tmp_path, bytes(data)))
-    assert 0 < len(found.steps) < len(whole.steps)
-    assert_part_of(found, whole)
+def test_without_first_chunk_and_index_the_rest_is_read(tmp_path, log, undamaged, chunks):
+    data = bytearray(log.read_bytes()[: chunks[-1].end])
+    for chunk in chunks[:3]:  # the run's with all channel records, the scene's, the next
+        data[(chunk.begin + chunk.end) // 2] ^= 0xFF
+    salvaged = read_trial(_damaged(tmp_path, bytes(data)))
+    assert 0 < len(salvaged.steps) < len(undamaged.steps)
+    assert_part_of(salvaged, undamaged)
 
 
-def test_a_file_that_lost_its_head_is_read(tmp_path, log, whole):
+def test_a_file_that_lost_its_head_is_read(tmp_path, log, undamaged):
     data = log.read_bytes()
-    for head in (data[8:], b"\0" * 40 + data[40:], b"some text before\n" + data):
-        found = read_trial(_damaged(tmp_path, head))
-        assert found.damage is not None
-        assert not first_difference(found.mocap, whole.mocap)
-        assert not first_difference(found.result, whole.result)
+    for beheaded in (data[8:], b"\0" * 40 + data[40:], b"some text before\n" + data):
+        salvaged = read_trial(_damaged(tmp_path, beheaded))
+        assert salvaged.damage is not None
+        assert not first_difference(salvaged.mocap, undamaged.mocap)
+        assert not first_difference(salvaged.result, undamaged.result)
 
 
 @pytest.mark.parametrize("tail", [b"\0" * 5000, b"\xff" * 5000, MAGIC])
-def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(tmp_path, log, whole, chunks, tail):
-    found = read_trial(_damaged(tmp_path, log.read_bytes()[: chunks[-2][1]] + tail))
-    assert found.damage is not None
-    assert found.result is None
-    assert_part_of(found, whole)
-    assert len(found.steps) >= 10
+def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(
+    tmp_path, log, undamaged, chunks, tail
+):
+    cut = log.read_bytes()[: chunks[-2].end]
+    salvaged = read_trial(_damaged(tmp_path, cut + tail))
+    assert salvaged.damage is not None
+    assert salvaged.result is None
+    assert_part_of(salvaged, undamaged)
+    assert len(salvaged.steps) >= 10
 
 
-def test_a_lost_result_is_computed_from_the_last_true_poses(tmp_path, log, whole, chunks):
-    cut = _damaged(tmp_path, log.read_bytes()[: chunks[-2][1]])
-    found, result = read_trial(cut), read_result(cut)
-    assert result.recovered
-    assert found.truth is not None
-    final = found.truth[-1]
-    targets = np.array([robot.target for robot in whole.experiment.robots])
+@pytest.fixture
+def without_result(log, chunks, tmp_path):
+    """The log as a crash leaves it just before the result is written."""
+    return _damaged(tmp_path, log.read_bytes()[: chunks[-2].end])
+
+
+def test_a_lost_result_is_computed_from_the_last_true_poses(undamaged, without_result):
+    salvaged = read_trial(without_result)
+    summary = read_result(without_result)
+    assert summary.recovered
+    assert summary.result.outcome is Outcome.ABORTED
+    assert summary.result.steps == len(salvaged.steps)
+    assert salvaged.truth is not None
+    final = salvaged.truth[-1]
+    targets = np.array([robot.target for robot in undamaged.experiment.robots])
     errors = np.hypot(*(final[:, :2] - targets).T)
-    assert result.result.robot_errors == tuple(errors)
-    assert result.result.total_error == pytest.approx(errors.sum(), rel=1e-15)
-    assert not first_difference(result.result.verdict.final.array(), final)
-    assert result.result.outcome is Outcome.ABORTED
-    assert result.result.steps == len(found.steps)
-    box = whole.experiment.obstacles[0]
-    circle = whole.experiment.obstacles[1]
-    inside = [
-        any(
-            (box.shape().contain(x, y) | circle.shape().contain(x, y)).any()
-            for x, y, _ in found.truth[:, i]
-        )
-        for i in range(3)
-    ]
-    assert result.result.verdict.entered == tuple(inside)
+    assert summary.result.robot_errors == tuple(errors)
+    assert summary.result.total_error == pytest.approx(errors.sum(), rel=1e-15)
+    assert not first_difference(summary.result.verdict.final.array(), final)
+
+
+def test_a_lost_result_says_who_was_in_an_obstacle(undamaged, without_result):
+    shapes = [obstacle.shape() for obstacle in undamaged.experiment.obstacles]
+
+    def in_an_obstacle(poses):
+        x, y, _ = poses.T
+        return any(shape.contain(x, y).any() for shape in shapes)
+
+    truth = read_trial(without_result).truth
+    assert truth is not None
+    inside = tuple(in_an_obstacle(truth[:, i]) for i in range(3))
+    assert read_result(without_result).result.verdict.entered == inside
+
+
+def _lose(sample, tracked):
+    """The sample with robots that are not tracked, whose poses then are no measurements."""
+    poses = sample.observation.poses
+    nowhere = replace(poses, x=np.where(tracked, poses.x, 1e9))
+    return replace(sample, observation=replace(sample.observation, poses=nowhere, valid=tracked))
 
 
 def test_in_the_lab_the_last_tracked_pose_counts(tmp_path):
-    made = trial(steps=12, simulated=False)
-    for samples, _ in made.rounds:  # an untracked robot's pose is no measurement
-        for i, sample in enumerate(samples):
-            seen, last = sample.observation, sample is made.samples[-1]
-            valid = np.array([False, True, True]) if last else seen.valid
-            poses = replace(seen.poses, x=np.where(valid, seen.poses.x, 1e9))
-            samples[i] = replace(sample, observation=replace(seen, poses=poses, valid=valid))
-    contents = scan(write(made, tmp_path / "trial.mcap"))
+    random_trial = trial(steps=12, simulated=False)
+    last_round, _ = random_trial.rounds[-1]
+    last = _lose(last_round[-1], np.array([False, True, True]))
+    for samples, _ in random_trial.rounds:
+        samples[:] = [_lose(sample, sample.observation.valid) for sample in samples]
+    last_round[-1] = last
+    contents = scan(write(random_trial, tmp_path / "trial.mcap"))
     spoilt = rewrite(contents, tmp_path / "no.mcap", stating(contents, RESULT, duration_s=math.nan))
     summary = read_result(spoilt)
     assert summary.recovered
     assert max(summary.result.robot_errors) < 1e6
-    last = [
-        next(s.observation for s in reversed(made.samples) if s.observation.valid[i])
-        for i in range(3)
-    ]
-    expected = [seen.poses.x[i] for i, seen in enumerate(last)]
-    assert summary.result.verdict.final.x.tolist() == expected
+    observations = [sample.observation for sample in random_trial.samples]
+    for i in range(3):
+        tracked_x = [o.poses.x[i] for o in observations if o.valid[i]]
+        assert summary.result.verdict.final.x[i] == tracked_x[-1]
 
 
 def test_without_any_pose_there_is_no_result(tmp_path):
@@ -196,7 +216,7 @@ def test_an_mcap_file_of_somebody_else_is_refused(tmp_path):
         read_trial(path)
 
 
-LEFT_OUT = {
+OPTIONS_WITHOUT = {
     "checksums": {"enable_crcs": False},
     "summary": {
         "index_types": IndexType.NONE,
@@ -208,39 +228,41 @@ LEFT_OUT = {
 }
 
 
-@pytest.mark.parametrize("left_out", LEFT_OUT)
+@pytest.mark.parametrize("left_out", OPTIONS_WITHOUT)
 def test_a_log_that_another_program_wrote_again_without_a_part_is_whole(
-    left_out, log, whole, tmp_path
+    left_out, log, undamaged, tmp_path
 ):
     """Regression: without checksums "the record of the run is lost", without a summary "the index
     is damaged"."""
     path = tmp_path / "again.mcap"
     contents = scan(log)
     with path.open("wb") as file:
-        writer = Writer(file, **LEFT_OUT[left_out])
+        writer = Writer(file, **OPTIONS_WITHOUT[left_out])
         writer.start(library="another 1.0")
         numbers = {}
         for topic, (channel, schema) in contents.channels.items():
             number = writer.register_schema(schema.name, schema.encoding, schema.data)
             encoding = channel.message_encoding
             numbers[topic] = writer.register_channel(topic, encoding, number)
-        for one in contents.records:
-            if isinstance(one, Attachment):
-                writer.add_attachment(0, one.log_time, one.name, one.media_type, one.data)
+        for record in contents.records:
+            if isinstance(record, Attachment):
+                when = record.log_time
+                writer.add_attachment(0, when, record.name, record.media_type, record.data)
             else:
-                writer.add_message(numbers[one.topic], one.log_ns, one.data, one.publish_ns)
+                number = numbers[record.topic]
+                writer.add_message(number, record.log_ns, record.data, record.publish_ns)
         writer.finish()
-    found = read_trial(path)
-    assert found.damage is None
-    assert not first_difference(found.mocap, whole.mocap)
-    assert not first_difference(found.result, whole.result)
+    again = read_trial(path)
+    assert again.damage is None
+    assert not first_difference(again.mocap, undamaged.mocap)
+    assert not first_difference(again.result, undamaged.result)
 
 
 def test_a_log_of_another_format_is_refused(tmp_path, log):
     contents = scan(log)
-    other = rewrite(contents, tmp_path / "new.mcap", stating(contents, RUN, format_version=5))
+    newer = rewrite(contents, tmp_path / "new.mcap", stating(contents, RUN, format_version=5))
     with pytest.raises(LogError, match="format 5, not 4; read it by what wrote it, tetractl 0"):
-        read_trial(other)
+        read_trial(newer)
 
 
 @pytest.mark.parametrize("version", ["1", "2"])
@@ -270,21 +292,25 @@ def test_a_log_that_was_written_again_without_chunks_is_told(log, tmp_path):
 @pytest.mark.parametrize("how", [CompressionType.LZ4, CompressionType.NONE])
 def test_chunks_of_other_writers_are_read(tmp_path, log, how):
     again = rewritten(log, tmp_path / "again.mcap", True, compression=how, chunk_size=3000)
-    assert [entry.data for entry in scan(again).entries] == [one.data for one in scan(log).entries]
-    assert not scan(again).problems
+    contents = scan(again)
+    assert [entry.data for entry in contents.entries] == [entry.data for entry in scan(log).entries]
+    assert not contents.problems
 
 
 def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):
     """Regression: `stats` and `--resume`, which read by the index, missed nine of ten."""
-    data, rng = log.read_bytes(), random.Random(7)
+    data = log.read_bytes()
+    rng = random.Random(7)
     path = tmp_path / "trial.mcap"
-    end = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))  # of the data, with its length
-    for at in (*range(end, end + 13), *(rng.randrange(len(data)) for _ in range(100))):
+    end = data.rindex(DATA_END)
+    in_the_data_end = range(end, end + len(DATA_END) + 4)
+    anywhere = [rng.randrange(len(data)) for _ in range(100)]
+    for offset in (*in_the_data_end, *anywhere):
         changed = bytearray(data)
-        changed[at] ^= 1 << rng.randrange(8)
+        changed[offset] ^= 1 << rng.randrange(8)
         path.write_bytes(changed)
         try:
-            assert read_result(path).recovered, at
+            assert read_result(path).recovered, offset
         except LogError:
             continue
 
@@ -292,5 +318,6 @@ def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):
 def test_a_file_without_the_checksum_of_its_data_is_not_read_by_its_index(log, tmp_path):
     data = log.read_bytes()
     assert peek(log) is not None
-    at = data.rindex(b"\x0f" + (4).to_bytes(8, "little")) + 9
-    assert peek(_damaged(tmp_path, data[:at] + bytes(4) + data[at + 4 :])) is None
+    checksum = data.rindex(DATA_END) + len(DATA_END)
+    without = data[:checksum] + bytes(4) + data[checksum + 4 :]
+    assert peek(_damaged(tmp_path, without)) is None

@@ -16,18 +16,22 @@ from tetractl.log.write.file_writer import FileWriter
 
 def brief(path):
     """Write the brief log of a trial without steps."""
-    ended = trial(steps=1)
+    random_trial = trial(steps=1)
     log = BriefLog()
-    log.on_start(ended.start)
-    log.on_stop(ended.stop, ended.result)
+    log.on_start(random_trial.start)
+    log.on_stop(random_trial.stop, random_trial.result)
     log.save(path)
     return path
 
 
-@pytest.mark.parametrize("made", [lambda path: write(trial(steps=1), path), brief])
-def test_a_viewer_lists_no_channel_without_messages(made, tmp_path):
+def full(path):
+    return write(trial(steps=1), path)
+
+
+@pytest.mark.parametrize("write_log", [full, brief])
+def test_a_viewer_lists_no_channel_without_messages(write_log, tmp_path):
     """Regression: it listed /unused/11 and, of a brief log too, the channels of a camera."""
-    with made(tmp_path / "trial.mcap").open("rb") as file:
+    with write_log(tmp_path / "trial.mcap").open("rb") as file:
         listed = make_reader(file).get_summary()
     counts = listed.statistics.channel_message_counts
     assert {number for number, count in counts.items() if count} == listed.channels.keys()
@@ -70,19 +74,20 @@ def without_second_chunk(path, writer, stream, add):
 
 
 def test_messages_of_a_channel_whose_record_is_lost_are_read_by_their_number(tmp_path):
-    writer = FileWriter(stream := BytesIO())
-    found = without_second_chunk(
-        tmp_path / "log.mcap",
-        writer,
-        stream,
-        lambda topic: writer.add_entry(Entry(topic, 0, 0, b"")),
-    )
-    assert found == {RUN: 1, LOG: 1}
+    stream = BytesIO()
+    writer = FileWriter(stream)
+
+    def add(topic):
+        writer.add_entry(Entry(topic, 0, 0, b""))
+
+    counts = without_second_chunk(tmp_path / "log.mcap", writer, stream, add)
+    assert counts == {RUN: 1, LOG: 1}
 
 
 def test_the_numbers_of_another_writer_are_not_taken_for_those_of_the_format(tmp_path):
     """Its second channel, whose record is lost, is not /host/machine, the second of ours."""
-    writer = Writer(stream := BytesIO())
+    stream = BytesIO()
+    writer = Writer(stream)
     writer.start()
     numbers = {}
 
@@ -92,4 +97,5 @@ def test_the_numbers_of_another_writer_are_not_taken_for_those_of_the_format(tmp
         writer.add_message(numbers[topic], 0, b"", 0)
 
     writer.register_channel("/other", "protobuf", 0)
-    assert without_second_chunk(tmp_path / "log.mcap", writer, stream, add) == {RUN: 1}
+    counts = without_second_chunk(tmp_path / "log.mcap", writer, stream, add)
+    assert counts == {RUN: 1}

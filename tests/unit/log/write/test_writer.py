@@ -17,14 +17,15 @@ pytestmark = pytest.mark.slow
 
 
 def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path):
-    made = trial(steps=1)
-    path, part = tmp_path / "trial.mcap", tmp_path / "trial.mcap.part"
+    random_trial = trial(steps=1)
+    path = tmp_path / "trial.mcap"
+    part = tmp_path / "trial.mcap.part"
     writer = LogWriter(path)
     assert not part.exists()
-    writer.on_start(made.start)
+    writer.on_start(random_trial.start)
     assert part.exists()
     assert not path.exists()
-    writer.on_stop(made.stop, made.result)
+    writer.on_stop(random_trial.stop, random_trial.result)
     assert path.exists()
     assert not part.exists()
     writer.close()
@@ -32,25 +33,25 @@ def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path):
 
 
 def test_a_trial_without_an_end_stays_a_part(tmp_path):
-    made = trial(steps=2)
+    random_trial = trial(steps=2)
     with pytest.raises(RuntimeError), LogWriter(tmp_path / "trial.mcap") as writer:
-        writer.on_start(made.start)
-        made.give_rounds(writer)
+        writer.on_start(random_trial.start)
+        random_trial.give_rounds(writer)
         raise RuntimeError("a bug in the loop")
     assert [path.name for path in tmp_path.iterdir()] == ["trial.mcap.part"]
-    found = read_trial(tmp_path / "trial.mcap.part")
-    assert len(found.steps) == 2
-    assert found.result is None
-    assert found.damage is not None
+    log = read_trial(tmp_path / "trial.mcap.part")
+    assert len(log.steps) == 2
+    assert log.result is None
+    assert log.damage is not None
 
 
 def test_a_long_environment_keeps_no_reader_from_a_log_that_is_cut_off(tmp_path):
     path = write(trial(steps=1), tmp_path / "trial.mcap", environment="+ a changed line\n" * 9000)
     with path.open("r+b") as file:
         file.truncate(30_000)
-    found = read_trial(path)
-    assert found.damage is not None
-    assert found.start == read_trial(write(trial(steps=1), tmp_path / "other.mcap")).start
+    log = read_trial(path)
+    assert log.damage is not None
+    assert log.start == read_trial(write(trial(steps=1), tmp_path / "other.mcap")).start
 
 
 def test_no_robot_moves_before_the_start_is_on_the_disk(tmp_path, monkeypatch):
@@ -63,16 +64,16 @@ def test_no_robot_moves_before_the_start_is_on_the_disk(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("real_time", "seconds"), [(False, 2.2), (True, 0.45)])
 def test_little_trial_time_is_all_a_crash_can_cost(real_time, seconds, tmp_path):
-    made = trial(steps=32)
+    random_trial = trial(steps=32)
     writer = LogWriter(tmp_path / "trial.mcap", real_time)
-    writer.on_start(made.start)
-    for samples, step in made.rounds:
+    writer.on_start(random_trial.start)
+    for samples, step in random_trial.rounds:
         writer.on_samples(samples)
         writer.on_step(step)
         writer.drain()
-        found = read_trial(tmp_path / "trial.mcap.part")  # as if killed here
-        seen_ns = int(found.received_ns[-1]) if len(found.received_ns) else 0
-        assert samples[-1].observation.received_ns - seen_ns <= seconds * SECOND
+        received_ns = read_trial(tmp_path / "trial.mcap.part").received_ns  # as if killed here
+        logged_ns = int(received_ns[-1]) if len(received_ns) else 0
+        assert samples[-1].observation.received_ns - logged_ns <= seconds * SECOND
     writer.close()
 
 
@@ -80,10 +81,10 @@ def test_other_readers_find_metadata_and_attachments(tmp_path):
     """Some report a file that has none of either as damaged."""
     with write(trial(), tmp_path / "trial.mcap").open("rb") as file:
         reader = make_reader(file)
-        assert [(one.name, one.metadata) for one in reader.iter_metadata()] == [
-            ("tetractl", {"format": str(FORMAT_VERSION)})
-        ]
-        assert "spec.yaml" in {one.name for one in reader.iter_attachments()}
+        metadata = [(record.name, record.metadata) for record in reader.iter_metadata()]
+        attachments = {attachment.name for attachment in reader.iter_attachments()}
+    assert metadata == [("tetractl", {"format": str(FORMAT_VERSION)})]
+    assert "spec.yaml" in attachments
 
 
 def test_a_disk_that_was_full_before_the_log_began_takes_no_start(tmp_path):
@@ -94,11 +95,11 @@ def test_a_disk_that_was_full_before_the_log_began_takes_no_start(tmp_path):
             writer.on_start(start)
 
 
-@pytest.mark.parametrize("left", ["trial.mcap", "trial.mcap.part"])
-def test_a_log_is_never_overwritten(tmp_path, left):
-    old = write(trial(), tmp_path / "old.mcap").rename(tmp_path / left)
+@pytest.mark.parametrize("existing", ["trial.mcap", "trial.mcap.part"])
+def test_a_log_is_never_overwritten(tmp_path, existing):
+    old = write(trial(), tmp_path / "old.mcap").rename(tmp_path / existing)
     before = old.read_bytes()
-    with pytest.raises(LogError, match=f"{left}: this log exists already"):
+    with pytest.raises(LogError, match=f"{existing}: this log exists already"):
         LogWriter(tmp_path / "trial.mcap").on_start(trial(2).start)
     assert old.read_bytes() == before
 
@@ -109,26 +110,28 @@ def test_a_log_is_never_overwritten(tmp_path, left):
 )
 def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path, folder, why):
     (tmp_path / "a-file").write_text("")
-    made, writer = trial(), LogWriter(tmp_path / folder / "trial.mcap")
+    random_trial = trial()
+    writer = LogWriter(tmp_path / folder / "trial.mcap")
     with pytest.raises(LogError, match=why) as caught:
-        writer.on_start(made.start)
+        writer.on_start(random_trial.start)
     assert "\n" not in caught.value.message
     assert caught.value.hint is None
-    made.give_rounds(writer)  # what comes while the trial is ended is dropped
-    writer.on_stop(made.stop, made.result)
+    random_trial.give_rounds(writer)  # what comes while the trial is ended is dropped
+    writer.on_stop(random_trial.stop, random_trial.result)
     writer.close()
     assert writer.warnings == 0
 
 
 def test_a_folder_removed_during_the_trial_is_one_line(tmp_path):
-    made, folder = trial(steps=1), tmp_path / "logs"
+    random_trial = trial(steps=1)
+    folder = tmp_path / "logs"
     folder.mkdir()
     writer = LogWriter(folder / "trial.mcap")
-    writer.on_start(made.start)
+    writer.on_start(random_trial.start)
     shutil.rmtree(folder)
-    made.give_rounds(writer)
+    random_trial.give_rounds(writer)
     with pytest.raises(LogError, match="the file or its folder was removed during") as caught:
-        writer.on_stop(made.stop, made.result)
+        writer.on_stop(random_trial.stop, random_trial.result)
     assert caught.value.hint == f"the log so far is in {folder / 'trial.mcap.part'}"
     writer.close()
     put_back = read_trial(folder / "trial.mcap.part")
@@ -136,14 +139,17 @@ def test_a_folder_removed_during_the_trial_is_one_line(tmp_path):
 
 
 def test_a_folder_moved_during_the_trial_takes_its_log_along(tmp_path):
-    made, folder = trial(steps=1), tmp_path / "logs"
+    random_trial = trial(steps=1)
+    folder = tmp_path / "logs"
     folder.mkdir()
     writer = LogWriter(folder / "trial.mcap")
-    writer.on_start(made.start)
+    writer.on_start(random_trial.start)
     folder.rename(tmp_path / "moved")
-    writer.on_samples(made.samples)
+    writer.on_samples(random_trial.samples)
     with pytest.raises(LogError, match="was moved during the trial") as caught:
-        writer.on_stop(made.stop, made.result)
+        writer.on_stop(random_trial.stop, random_trial.result)
     assert caught.value.hint is None
     assert not folder.exists()
-    assert len(read_trial(tmp_path / "moved" / "trial.mcap.part").frames) == len(made.samples)
+    assert len(read_trial(tmp_path / "moved" / "trial.mcap.part").frames) == len(
+        random_trial.samples
+    )

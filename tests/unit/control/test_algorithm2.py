@@ -15,18 +15,20 @@ def spec(**controller):
 
 def test_step_0_tries_every_horizon_from_nothing_and_takes_the_best():
     search = Scripted({4: 7.0})
-    plan = mpc(spec(), 99, search).plan(seen())
+    controller = mpc(spec(), 99, search)
+    plan = controller.plan(seen())
     assert isinstance(plan, Plan)
     assert [(length, warm) for length, warm, *_ in search.asked] == [(n, None) for n in range(1, 7)]
     assert (plan.chosen, plan.search.length, plan.cost) == (3, 4, 7.0)
     assert plan.signals is plan.searches[3].signals
     assert len(plan.searches) == 6
-    assert plan.evaluations == 60
+    assert plan.evaluations == 6 * search.evaluations
 
 
 def test_of_equal_costs_the_first_is_taken():
     search = Scripted({3: 7.0, 5: 7.0})
-    plan = mpc(spec(), 99, search).plan(seen())
+    controller = mpc(spec(), 99, search)
+    plan = controller.plan(seen())
     assert isinstance(plan, Plan)
     assert plan.search.length == 3
 
@@ -74,7 +76,7 @@ def test_draws_come_from_the_key_the_step_and_the_length():
         for length, _, key, _ in search.forget():
             assert key == mix(mix(99, k), length)
             keys.add(key)
-    assert len(keys) == 6 + 3 + 3
+    assert len(keys) == 6 + 3 + 3  # lengths of the first step and of the two after it
 
 
 def test_a_used_up_sequence_is_the_outcome():
@@ -95,8 +97,8 @@ def test_arrival_means_every_robot_within_the_tolerance():
 
 
 def test_a_tolerance_of_0_never_ends_a_trial():
-    plan = mpc(spec(arrival_tolerance=0), 99, Scripted()).plan(seen(TARGETS))
-    assert isinstance(plan, Plan)
+    controller = mpc(spec(arrival_tolerance=0), 99, Scripted())
+    assert isinstance(controller.plan(seen(TARGETS)), Plan)
 
 
 def test_arrival_comes_before_the_other_ends():

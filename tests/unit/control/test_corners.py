@@ -1,4 +1,4 @@
-"""Turns on the spot out of a corner."""
+"""Turns on the spot out of a corner: three robots in a row, near one wall or two."""
 
 import math
 from dataclasses import replace
@@ -19,67 +19,79 @@ from tetractl.control.discs import Discs
 from tetractl.core.poses import Poses, wrap
 
 SETUP = experiment().setup
-BODY = 47.0  # mm
-APART = 2 * BODY
-STEP = 2 * math.pi / FACINGS
+PROBLEM = experiment(controller={"type": "mpc"}).controller.problem(SETUP)
+BODY = 47.0  # radius [mm]
+APART = 2 * BODY  # bodies that touch [mm]
+BODIES = Discs(BODY, SETUP.obstacles, SETUP.arena)
+IN_A_ROW = 105.0  # distance of neighbours [mm]: 11 mm of room between their bodies
+FAR = 700.0  # distance of a wall beyond the longest drive straight ahead, of 320 mm [mm]
+NEAR = 60.0  # distance of a wall that each robot would reach [mm]: 13 mm of room
+UPWARDS = math.pi / 2
+BETWEEN_FACINGS = 2 * math.pi / FACINGS
 
 
-def standing(xy):
-    """Three robots that stand at xy (3, 2) with headings of 0, and their bodies."""
-    discs = Discs(BODY, SETUP.obstacles, SETUP.arena)
-    section = experiment(controller={"type": "mpc"}).controller
-    poses = Poses.of(np.column_stack([xy, np.zeros(3)]))
-    return replace(section.problem(SETUP), poses=poses), discs
+def row_of_robots(from_left_wall, from_bottom_wall):
+    """The problem of three robots that stand side by side and head to the right, the first of them
+    at these distances [mm] from two walls."""
+    x = SETUP.arena.left + from_left_wall + IN_A_ROW * np.arange(3)
+    y = np.full(3, SETUP.arena.bottom + from_bottom_wall)
+    return replace(PROBLEM, poses=Poses(x, y, np.zeros(3)))
 
 
-def in_a_row(left, bottom):
-    """Places 105 mm apart, beginning at a distance from the left and from the bottom wall."""
-    x = SETUP.arena.left + left + 105.0 * np.arange(3)
-    return np.column_stack([x, np.full(3, SETUP.arena.bottom + bottom)])
+def facing_after(problem, turning):
+    """The direction of the next step of robots that have turned so far as `turning` says."""
+    return next_facing(problem, BODIES, APART, turning)
 
 
-def turns(problem, discs):
+def facings(problem):
     """The directions of one step after another until there is none."""
     turning = NOT_TURNING
-    while (facing := next_facing(problem, discs, APART, turning)) is not None:
-        turning = turning.then(facing)
+    facing = facing_after(problem, turning)
+    while facing is not None:
         yield facing
+        turning = turning.then(facing)
+        facing = facing_after(problem, turning)
 
 
 def test_robots_beside_a_wall_turn_away_from_it():
-    """The lower wall is 60 mm off; to the left and right there is room."""
-    assert roomiest(*standing(in_a_row(700.0, 60.0)), APART) == pytest.approx(math.pi / 2, abs=STEP)
+    """To the left and right there is room."""
+    above_the_lower_wall = row_of_robots(FAR, NEAR)
+    facing = roomiest(above_the_lower_wall, BODIES, APART)
+    assert facing == pytest.approx(UPWARDS, abs=BETWEEN_FACINGS)
 
 
 def test_robots_in_a_corner_turn_to_where_they_come_nearer_to_neither_wall():
-    facing = roomiest(*standing(in_a_row(60.0, 60.0)), APART)
-    assert -1e-9 < facing < math.pi / 2 + 1e-9
+    in_the_lower_left_corner = row_of_robots(NEAR, NEAR)
+    facing = roomiest(in_the_lower_left_corner, BODIES, APART)
+    assert -1e-9 < facing < UPWARDS + 1e-9
 
 
 def test_robots_whose_bodies_touch_a_wall_turn_away_from_it():
-    assert roomiest(*standing(in_a_row(700.0, BODY - 5.0)), APART) == pytest.approx(
-        math.pi / 2, abs=STEP
-    )
+    touching_the_lower_wall = row_of_robots(FAR, BODY - 5.0)
+    facing = roomiest(touching_the_lower_wall, BODIES, APART)
+    assert facing == pytest.approx(UPWARDS, abs=BETWEEN_FACINGS)
 
 
 def test_a_direction_is_kept_for_some_steps_also_if_poses_are_measured_anew():
     """Regression: a robot opposite to it dithered, as each step chose another one: 1,769 turns."""
-    problem, discs = standing(in_a_row(700.0, 60.0))
-    turning = NOT_TURNING.then(next_facing(problem, discs, APART, NOT_TURNING))
-    moved, discs = standing(in_a_row(60.0, 700.0))
+    first_facing = facing_after(row_of_robots(FAR, NEAR), NOT_TURNING)
+    turning = NOT_TURNING.then(first_facing)
+    measured_elsewhere = row_of_robots(NEAR, FAR)
     for _ in range(1, STEPS):
-        assert next_facing(moved, discs, APART, turning) == turning.facing
-        turning = turning.then(turning.facing)
-    assert next_facing(moved, discs, APART, turning) != turning.facing
+        assert facing_after(measured_elsewhere, turning) == first_facing
+        turning = turning.then(first_facing)
+    assert facing_after(measured_elsewhere, turning) != first_facing
 
 
 def test_turns_in_vain_are_followed_by_turns_to_other_directions_and_end():
     """Regression: a trial ended in a corner at once, 4.3 m from its targets: two bodies touched."""
-    tried = list(turns(*standing(in_a_row(700.0, 60.0))))
-    assert len(tried) == STEPS * TURNS_IN_VAIN
-    assert tried[::STEPS] == list(dict.fromkeys(tried))  # each kept, none twice
-    steps = np.abs(wrap(np.diff(tried[::STEPS])))
-    assert steps.min() > math.pi / 2  # to other sides, not to neighbours
+    facing_of_steps = list(facings(row_of_robots(FAR, NEAR)))
+    assert len(facing_of_steps) == STEPS * TURNS_IN_VAIN
+    facing_of_turns = facing_of_steps[::STEPS]
+    assert len(set(facing_of_turns)) == TURNS_IN_VAIN  # none twice
+    assert facing_of_steps == list(np.repeat(facing_of_turns, STEPS))
+    changes = np.abs(wrap(np.diff(facing_of_turns)))
+    assert changes.min() > math.pi / 2  # to other sides, not to neighbours
 
 
 def test_robots_that_do_anything_else_begin_to_turn_anew():

@@ -49,12 +49,16 @@ def test_13_sees_samples_only_and_swept_sees_the_corner_cut():
     wall = Rectangle(type="rectangle", left=25, bottom=-50, width=10, height=100)
     world = oracle.World([robot_at(0, 0)], [wall], weight=1000)
     sampled = problems.problem(world)
-    assert evaluate(sampled, np.zeros((1, 3))).obstacle.tolist() == [0]
-    assert evaluate(replace(sampled, swept=True), np.zeros((1, 3))).obstacle.tolist() == [1]
+    swept = replace(sampled, swept=True)
+    straight_on = np.zeros((1, 3))
+    assert evaluate(sampled, straight_on).obstacle.tolist() == [0]
+    assert evaluate(swept, straight_on).obstacle.tolist() == [1]
 
 
 def test_the_first_signal_may_be_held_for_another_time():
-    problem = replace(problems.problem(oracle.World([robot_at(0, 0)], [])), first_period=0.05)
+    """At 100 mm/s: 5 mm in 0.05 s, then 20 mm in each period of 0.2 s."""
+    world = oracle.World([robot_at(0, 0, speed=100.0)], [], period=0.2)
+    problem = replace(problems.problem(world), first_period=0.05)
     path = predict(problem, np.zeros(3))
     assert path[:, 0, 0].tolist() == pytest.approx([0, 5, 25, 45])
 
@@ -91,8 +95,15 @@ def test_costs_that_are_not_finite_are_refused(bad):
 
 
 def test_each_pair_counts_at_each_position_where_it_is_nearer_than_its_separation():
-    """Two robots side by side, 60 apart, and a third that stays away; the start is not counted."""
-    world = oracle.World([robot_at(0, 0), robot_at(0, 60), robot_at(0, 500)], [], weight=10.0)
-    apart = [evaluate(problems.problem(world, d), np.zeros((1, 4))) for d in (59.0, 60.0, 501.0)]
-    assert [costs.obstacle.tolist() for costs in apart] == [[0], [4], [12]]
-    assert apart[1].total - apart[0].total == pytest.approx(40)
+    """Robots that drive side by side, the second 60 from the first, the third 500. Positions are
+    those after each of four signals; the start is not counted."""
+    robots = [robot_at(0, 0), robot_at(0, 60), robot_at(0, 500)]
+    world = oracle.World(robots, [], weight=10.0)
+
+    def costs(separation):
+        return evaluate(problems.problem(world, separation), np.zeros((1, 4)))
+
+    assert costs(59.0).obstacle.tolist() == [0]
+    assert costs(60.0).obstacle.tolist() == [1 * 4]  # one pair
+    assert costs(501.0).obstacle.tolist() == [3 * 4]  # all pairs
+    assert costs(60.0).total - costs(59.0).total == pytest.approx(10.0 * 4)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 
 
 def drive(settings, steps, after_step):
-    """Drive the simulated robots in varying directions; after_step(plant, observation, command)."""
+    """Drive the simulated robots in varying directions, 5 a second; `after_step(plant, observation,
+    send)` is called at each step, and `send()` sends its direction and returns the command."""
     experiment = load_spec(EXPERIMENT, settings).experiment
     clock = VirtualClock()
     plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(3))
@@ -28,14 +30,15 @@ def drive(settings, steps, after_step):
     for k, direction in enumerate(directions):
         clock.sleep_until(k * SECOND // 5)
         observation = plant.observe()
-        after_step(plant, observation, lambda u=float(direction): plant.send(Steer(u)))
+        send = partial(plant.send, Steer(float(direction)))
+        after_step(plant, observation, send)
 
 
 def estimator(dead_time, **prior):
     experiment = load_spec(EXPERIMENT).experiment
     problem = experiment.controller.problem(experiment.setup)
-    known = nothing(problem, dead_time)._replace(**prior)
-    return problem, StateEstimator(problem, 0.2, known)
+    only_dead_time = nothing(problem, dead_time)._replace(**prior)
+    return problem, StateEstimator(problem, 0.2, only_dead_time)
 
 
 def seen(problem, at_s, **poses):
@@ -53,23 +56,24 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
     """What is predicted on a frame is what the cameras see one dead time later."""
     _, estimates = estimator(dead_time)
     predicted = []
-    frames = {}
+    truths = {}  # true poses by the number of their frame, 120 a second
     last = None
 
-    def after_step(plant, observation, steer):
+    def after_step(plant, observation, send):
         nonlocal last
         motion = estimates.seen(observation, last)
         predicted.append((observation.sampled_ns, motion.poses))
-        last = steer()
-        for s in plant.samples():
-            frames[round(s.observation.sampled_ns / SECOND * 120)] = s.truth
+        last = send()
+        for sample in plant.samples():
+            number = round(sample.observation.sampled_ns / SECOND * 120)
+            truths[number] = sample.truth
 
     drive([f"plant.dead_time={dead_time}"], 20, after_step)
     checked = 0
     for sampled_ns, poses in predicted:
         frame = (sampled_ns / SECOND + dead_time) * 120
-        if round(frame) in frames and abs(frame - round(frame)) < 1e-6:
-            truth = frames[round(frame)]
+        if round(frame) in truths and abs(frame - round(frame)) < 1e-6:
+            truth = truths[round(frame)]
             assert poses.x == pytest.approx(truth.x, abs=0.1)
             assert poses.heading == pytest.approx(truth.heading, abs=1e-3)
             checked += 1
@@ -102,6 +106,8 @@ def test_the_next_direction_comes_a_period_after_the_last_if_that_is_near(last_s
 
 def test_the_last_of_many_commands_is_held():
     problem, estimates = estimator(0.1)
-    for k in range(300):
-        estimates.seen(seen(problem, 0.2 * k), command(float(k), 0.2 * k - 0.2) if k else None)
+    estimates.seen(seen(problem, 0.0), None)
+    for k in range(1, 300):
+        sent = command(float(k), 0.2 * (k - 1))
+        estimates.seen(seen(problem, 0.2 * k), sent)
     assert estimates.held_at_action.tolist() == [299.0] * 3

@@ -147,10 +147,10 @@ def drive(
     experiment = load_spec(spec, settings).experiment
     plant = open_plant(experiment, seed, disturbance)
     estimator = estimator_of(experiment, rate)
-    knots = np.random.default_rng(1).uniform(-2, 2, 2 * seconds + 2)
+    directions = smooth_directions(seconds, rate)
     last_ns = -1
     command = None
-    for k in range(seconds * rate):
+    for k, direction in enumerate(directions):
         plant.clock.sleep_until(k * SECOND // rate)
         newest, earlier = new_frames(plant, last_ns)
         last_ns = newest.sampled_ns
@@ -160,10 +160,17 @@ def drive(
         estimator.seen(newest, command, earlier)
         if watch:
             watch(k, estimator, plant)
-        direction = float(np.interp(2 * k / rate, np.arange(len(knots)), knots))
         command = plant.send(Steer(direction) if k < stop_s * rate else Stop())
     assert estimator.estimate is not None
     return Driven(estimator.estimate, plant, estimator)
+
+
+def smooth_directions(seconds, rate):
+    """Directions [rad], `rate` of them a second, between random ones at every half second."""
+    knots = np.random.default_rng(1).uniform(-2, 2, 2 * seconds + 2)
+    knots_s = 0.5 * np.arange(len(knots))
+    times_s = np.arange(seconds * rate) / rate
+    return np.interp(times_s, knots_s, knots).tolist()
 
 
 def open_plant(experiment, seed, disturbance):
@@ -193,6 +200,12 @@ def new_frames(plant, last_ns):
 def likely(filters):
     """The state of each robot's likeliest hypothesis (N, STATES) at the last frame."""
     return filters.bank.state[filters.likeliest()]
+
+
+def assert_same_estimates(estimate, expected):
+    """All that is estimated is the same to the bit."""
+    for name, value in asdict(expected).items():
+        assert np.array_equal(value, getattr(estimate, name), equal_nan=True), name
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.14, 0.26])
@@ -296,7 +309,8 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
     def compare(k, estimator, plant):
         if k > 4:
             held = estimator.filter.forecast(0).directions
-            right.append(np.abs(held - plant.drive.held.direction) < 1e-9)
+            truly_held = plant.drive.held.direction
+            right.append(np.abs(held - truly_held) < 1e-9)
 
     drive(settings, 40, 2, watch=compare)
     assert np.mean(right) > 0.9
@@ -322,7 +336,8 @@ def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
     assert estimate.a == pytest.approx(plant.a, rel=0.03)
     rests = estimator.filter.forecast(plant.clock.now()).poses
     plant.stop()
-    assert plant.settle().final.array() == pytest.approx(rests.array(), abs=1.5)
+    settled = plant.settle().final
+    assert settled.array() == pytest.approx(rests.array(), abs=1.5)
 
 
 WOBBLE = (  # points that weave, seen by a camera that measures the body's axis
@@ -373,18 +388,19 @@ def test_a_cell_that_rests_is_said_to_stand_within_three_to_five_pictures():
 
 
 def test_a_cell_that_backs_off_and_turns_is_followed():
-    away = []
+    away_um = []
+    turned_rad = []
 
     def compare(k, estimator, plant):
         state = likely(estimator.filter)
         poses = plant.poses
-        far = np.hypot(state[:, X] - poses.x, state[:, Y] - poses.y)
-        away.append((far.max(), np.abs(state[:, HEADING] - poses.heading).max()))
+        away_um.append(np.hypot(state[:, X] - poses.x, state[:, Y] - poses.y))
+        turned_rad.append(np.abs(state[:, HEADING] - poses.heading))
 
     drive([], 6, watch=compare, spec=CELLS, disturbance=Backing())
-    far, turned = np.array(away[20:]).T
-    assert far.max() < 50  # um; a filter that has only cells at rest is off by more than 100
-    assert turned.max() < 0.5
+    since_backing = slice(4 * 5, None)  # it begins after 4 s, at 5 steps a second
+    assert np.max(away_um[since_backing]) < 50  # with cells at rest alone it is more than 100
+    assert np.max(turned_rad[since_backing]) < 0.5
 
 
 def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
@@ -401,27 +417,30 @@ def let_all_be_stuck(filters):
     filters.bank.ln_weight[..., -1] = 0.0
 
 
-def frozen(frames):
-    """Show the frame before in place of those from `frames` on, for 0.4 s."""
-    heading_errors = []
+def frozen_from(first):
+    """Show the poses before the frame of this number in its place and that of the next ones, for
+    0.4 s at 120 frames a second."""
+    poses_before = None
 
     def altered(frame):
-        if frames <= frame.frame < frames + 48:
-            return replace(frame, poses=heading_errors[-1])
-        heading_errors.append(frame.poses)
+        nonlocal poses_before
+        if first <= frame.frame < first + 48:
+            return replace(frame, poses=poses_before)
+        poses_before = frame.poses
         return frame
 
     return altered
 
 
 def test_a_picture_that_is_shown_again_is_no_measurement():
-    off = []
+    off_mm = []
 
     def compare(k, estimator, plant):
-        off.append(np.abs(likely(estimator.filter)[:, X] - plant.poses.x).max())
+        estimated_x = likely(estimator.filter)[:, X]
+        off_mm.append(np.abs(estimated_x - plant.poses.x))
 
-    estimate, plant, _ = drive(NOISY, rate=20, altered=frozen(400), watch=compare)
-    assert max(off) < 10
+    estimate, plant, _ = drive(NOISY, rate=20, altered=frozen_from(400), watch=compare)
+    assert np.max(off_mm) < 10
     assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.01)
     assert estimate.a == pytest.approx(plant.setup.a, rel=0.06)
 
@@ -430,8 +449,8 @@ def test_equal_poses_of_robots_that_were_commanded_to_stand_are_measurements():
     """A camera without noise sees them 30 mm from where the stop should have left them."""
 
     def slid(frame):
-        off = 30.0 * (frame.frame >= 250)
-        return replace(frame, poses=replace(frame.poses, x=frame.poses.x + off))
+        off_mm = 30.0 if frame.frame >= 250 else 0.0  # 120 frames a second, the stop is at 240
+        return replace(frame, poses=replace(frame.poses, x=frame.poses.x + off_mm))
 
     driven = drive(seconds=3, rate=20, altered=slid, stop_s=2.0)
     plant = driven.plant
@@ -440,9 +459,11 @@ def test_equal_poses_of_robots_that_were_commanded_to_stand_are_measurements():
 
 def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
     def jump(frame):
-        far = frame.frame in (300, 301) or frame.frame >= 500
-        p = frame.poses
-        return replace(frame, poses=Poses(p.x + 150.0 * far, p.y, p.heading)) if far else frame
+        is_wrong = frame.frame in (300, 301)
+        has_jumped = frame.frame >= 500
+        if is_wrong or has_jumped:
+            return replace(frame, poses=replace(frame.poses, x=frame.poses.x + 150.0))
+        return frame
 
     estimate, plant, estimator = drive(NOISY, altered=jump)
     assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.01)
@@ -502,6 +523,18 @@ def advance_all(readable, seconds):
         readable.advance(hypothesis, seconds)
 
 
+def follow_readably(readable, let_act, commands, before_s, now_s):
+    """Let the readable filter go on from one frame to the next, and the commands act that act in
+    between by `let_act`, one of its methods."""
+    reached_s = before_s
+    for acts_s, direction in zip(commands.sent_s + DEAD_TIME_S, commands.directions, strict=True):
+        if before_s < acts_s <= now_s:
+            advance_all(readable, acts_s - reached_s)
+            let_act(float(direction), UNCERTAIN_S)
+            reached_s = acts_s
+    advance_all(readable, now_s - reached_s)
+
+
 def assert_hypotheses_agree(bank, readable):
     """The bank's only filter has the hypotheses of the readable one."""
     states = bank.cov.shape[-1]  # the readable filter has those of cells for wheels, too
@@ -542,8 +575,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
 
     directions = rng.uniform(-2, 2, 8)
     directions[5] = math.nan  # a stop
-    commands = SentCommands(0.2 * np.arange(8) + 0.013, directions)
-    coming = 0  # of these
+    commands = SentCommands(sent_s=0.2 * np.arange(8) + 0.013, directions=directions)
     before_s = 0.0
     for frame in range(1, 50):
         now_s = frame / 30
@@ -559,14 +591,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, h
         )
         kernel.follow(bank, model, commands, frames, False, UNCERTAIN_S)
 
-        reached_s = before_s
-        while coming < 8 and commands.sent_s[coming] + DEAD_TIME_S <= now_s:
-            acts_s = commands.sent_s[coming] + DEAD_TIME_S
-            advance_all(readable, acts_s - reached_s)
-            let_act(float(directions[coming]), UNCERTAIN_S)
-            reached_s = acts_s
-            coming += 1
-        advance_all(readable, now_s - reached_s)
+        follow_readably(readable, let_act, commands, before_s, now_s)
         if is_seen:
             assert math.isfinite(readable.weigh(pose))
         readable.stick(now_s - before_s)
@@ -586,13 +611,11 @@ def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
         sizes.add(filters.bank.dead_time_s.shape)
         score, *dead_times = oracle.share(filters)
         assert filters.shared.score == pytest.approx(score, rel=1e-9)
-        assert np.array([filters.shared.mean_s, filters.shared.std_s]) == pytest.approx(
-            np.array(dead_times), rel=1e-9
-        )
-        for name, value in asdict(oracle.estimate(filters)).items():
-            assert getattr(estimator.estimate, name) == pytest.approx(value, rel=1e-9, abs=1e-12), (
-                name
-            )
+        mean_and_std_s = np.array([filters.shared.mean_s, filters.shared.std_s])
+        assert mean_and_std_s == pytest.approx(np.array(dead_times), rel=1e-9)
+        for name, expected in asdict(oracle.estimate(filters)).items():
+            value = getattr(estimator.estimate, name)
+            assert value == pytest.approx(expected, rel=1e-9, abs=1e-12), name
 
     drive([*NOISY, *dead_time] if spec is EXPERIMENT else dead_time, 4, watch=compare, spec=spec)
     assert len(sizes) > 2
@@ -621,10 +644,11 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
         used = filters.bank.ln_weight > -np.inf
         cov = filters.bank.cov[used]
         assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
-        heading = HEADING
-        marker = MARKER_BIAS
-        variance = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
-        assert variance.min() >= 0
+        heading_var = cov[:, HEADING, HEADING]
+        marker_var = cov[:, MARKER_BIAS, MARKER_BIAS]
+        of_both = cov[:, HEADING, MARKER_BIAS]
+        of_what_is_seen = heading_var + marker_var + 2 * of_both
+        assert of_what_is_seen.min() >= 0
         assert np.isfinite(filters.bank.score).all()
 
 
@@ -637,9 +661,8 @@ def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
         filters.restart([0])
         if k > 10:
             directions.append(filters.bank.direction[:, 0, 0])
-            assert np.isnan(
-                filters.bank.direction[:, 0, -1]
-            ).all()  # one that is stuck follows none
+            of_one_that_is_stuck = filters.bank.direction[:, 0, -1]
+            assert np.isnan(of_one_that_is_stuck).all()
 
     drive(["plant.dead_time=0.1"], seconds=4, rate=20, watch=replaced)
     assert not np.isnan(np.concatenate(directions)).any()
@@ -652,13 +675,15 @@ def test_poses_are_followed_at_their_own_times():
         own_times = (frame.sampled_ns,) * len(frame.valid)
         return replace(frame, sampled_ns=frame.sampled_ns + late_ns, exposed_ns=own_times)
 
+    def unstated(frame):
+        return replace(frame, sampled_ns=frame.sampled_ns + late_ns)
+
     ways = {"settings": (*NOISY, "plant.dead_time=0.1"), "seconds": 3, "rate": 20}
     usual = drive(**ways).estimate
-    own = drive(**ways, altered=stated).estimate
-    for name, value in asdict(usual).items():
-        assert np.array_equal(value, getattr(own, name), equal_nan=True), name
-    unstated = drive(**ways, altered=lambda frame: replace(stated(frame), exposed_ns=())).estimate
-    assert unstated.dead_time - usual.dead_time == pytest.approx(0.03, abs=0.01)
+    with_own_times = drive(**ways, altered=stated).estimate
+    assert_same_estimates(with_own_times, usual)
+    without = drive(**ways, altered=unstated).estimate
+    assert without.dead_time - usual.dead_time == pytest.approx(late_ns / SECOND, abs=0.01)
 
 
 def test_a_grid_is_noise_and_its_poses_may_repeat():
@@ -679,10 +704,24 @@ def test_a_grid_is_noise_and_its_poses_may_repeat():
     assert not usual.coarse
 
 
+def filters_of_one_robot():
+    """Filters that have not seen a frame yet, of a robot that is measured without noise."""
+    prior = Prior(
+        a=np.array([4.0]),
+        speed=np.array([300.0]),
+        dead_time=0.1,
+        a_std=0.2,
+        speed_std=0.15,
+        dead_time_std=0.05,
+        heading_bias_std=0.05,
+    )
+    return FilterBank(prior)
+
+
 def test_frames_of_one_robot_alone_may_repeat():
     """One robot may stand, and be measured without noise: its equal poses are measurements."""
-    filters = FilterBank(Prior(np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 0.05, 0.05))
-    poses = Poses(np.zeros(1), np.zeros(1), np.zeros(1))
+    filters = filters_of_one_robot()
+    poses = Poses.of(np.zeros((1, 3)))
     for k in range(20):
         now_ns = k * SECOND // 25
         filters.add_frames(Observation(k, now_ns, now_ns, poses, np.array([True])))
@@ -692,7 +731,7 @@ def test_frames_of_one_robot_alone_may_repeat():
 
 
 def test_where_robots_will_be_can_be_asked_any_number_of_times():
-    """`ahead` is a query: what it returns, and what later frames bring, does not depend on it."""
+    """A forecast changes nothing: what later frames bring does not depend on it."""
 
     def ask(k, estimator, plant):
         for later_ns in (0, SECOND):
@@ -700,13 +739,12 @@ def test_where_robots_will_be_can_be_asked_any_number_of_times():
 
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
     quiet = drive(settings, 6, 20, disturbance=Turns(most=1.5))
-    directions = drive(settings, 6, 20, disturbance=Turns(most=1.5), watch=ask)
-    for name, value in asdict(quiet.estimate).items():
-        assert np.array_equal(value, getattr(directions.estimate, name), equal_nan=True), name
-    assert directions.filters.reopened_ns == quiet.filters.reopened_ns > 0
+    questioned = drive(settings, 6, 20, disturbance=Turns(most=1.5), watch=ask)
+    assert_same_estimates(questioned.estimate, quiet.estimate)
+    assert questioned.filters.reopened_ns == quiet.filters.reopened_ns > 0
 
 
 def test_poses_are_predicted_only_after_a_frame():
-    filters = FilterBank(Prior(np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 0.05, 0.05))
+    filters = filters_of_one_robot()
     with pytest.raises(AssertionError, match="poses are predicted from those of a frame"):
         filters.forecast(0)

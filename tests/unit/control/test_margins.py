@@ -48,8 +48,10 @@ def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
 def test_a_target_inside_the_margin_can_be_reached():
     margins = margins_of([], ARENA, np.array([[20.0, 500], [2000, 2000]]))
     region = margins.grown(at((500, 500), (900, 900)), 40)
-    assert not region.contain(np.array([20.0]), np.array([500.0])).any()
-    assert region.contain(np.array([3980.0]), np.array([500.0])).all()
+    target = at((20, 500))
+    opposite = at((3980, 500))  # as far from the right wall as the target from the left one
+    assert not region.contain(target.x, target.y).any()
+    assert region.contain(opposite.x, opposite.y).all()
 
 
 def test_inside_an_obstacle_nothing_of_the_margin_is_left():
@@ -71,9 +73,15 @@ def test_the_margin_is_not_reduced_below_the_radius(away, margin_kept):
 
 
 def test_two_robots_keep_their_radii_apart_unless_they_are_nearer():
+    """Bodies of 47 mm touch at 94 mm; robots that are nearer keep the distance they have."""
     margins = margins_of([], radius=47)
-    apart = [margins.separation(at((500, 500), (500 + gap, 500)), 100) for gap in (120, 95, 90)]
-    assert apart == pytest.approx([100, 94, 90])
+
+    def separation_at(distance):
+        return margins.separation(at((500, 500), (500 + distance, 500)), 100)
+
+    assert separation_at(120) == 100
+    assert separation_at(95) == pytest.approx(94)
+    assert separation_at(90) == pytest.approx(90)
 
 
 def test_robots_keep_the_separation_they_have():
@@ -95,15 +103,28 @@ def test_the_separation_grows_by_what_both_robots_may_be_off():
 
 
 def test_what_is_uncertain_takes_more_room():
+    """By two standard deviations: of the way of the fastest robot in an uncertain dead time, and
+    of an uncertain speed over the dead time and a period."""
+    period = 0.2
+    dead_time = 0.1
     speed = np.array([180.0, 200, 150])
-    sure = Estimate(np.full(3, 4.0), np.zeros(3), speed, np.zeros(3), dead_time_std=0.0)
-    unsure = replace(sure, dead_time_std=0.1)
-    least = off_course(speed, 0.2, 0.1, sure)
-    assert least == off_course(speed, 0.2, 0.1, None) > 0
-    assert off_course(speed, 0.05, 0.1, sure) == pytest.approx(least / 4)
-    assert off_course(speed, 0.2, 0.1, unsure) == pytest.approx(least + 2 * 200 * 0.1)
-    of_speed = replace(sure, speed_std=np.full(3, 10.0))  # over the dead time and a period
-    assert off_course(speed, 0.2, 0.1, of_speed) == pytest.approx(least + 2 * 10 * (0.1 + 0.2))
+    known_well = Estimate(
+        a=np.full(3, 4.0),
+        a_std=np.zeros(3),
+        speed=speed,
+        speed_std=np.zeros(3),
+        dead_time_std=0.0,
+    )
+    of_dead_time = replace(known_well, dead_time_std=0.1)
+    of_speed = replace(known_well, speed_std=np.full(3, 10.0))
+
+    least = off_course(speed, period, dead_time, known_well)
+    assert least == off_course(speed, period, dead_time, None) > 0
+    assert off_course(speed, period / 4, dead_time, known_well) == pytest.approx(least / 4)
+    more = off_course(speed, period, dead_time, of_dead_time)
+    assert more == pytest.approx(least + 2 * 200 * 0.1)
+    more = off_course(speed, period, dead_time, of_speed)
+    assert more == pytest.approx(least + 2 * 10 * (dead_time + period))
 
 
 def test_a_robot_inside_the_margin_does_not_freeze_the_plan():

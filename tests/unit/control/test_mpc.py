@@ -86,23 +86,23 @@ class Slow(Scripted):
         return super().search(problem, length, warm, key, limits)
 
 
-def put_under_way(controller, left, steps=1):
-    """Let robots have driven for some steps, so that `left` signals of their plan are left when the
-    next step begins. It alone sets the controller's progress."""
+def put_under_way(controller, signals_left, steps=1):
+    """Let robots have driven for some steps, so that so many signals of their plan are left when
+    the next step begins. It alone sets the controller's progress."""
     first_signal = 1  # it is over when the step begins
     problem = controller.section.problem(controller.setup)
-    plan = given_plan(problem, np.linspace(0.1, 0.3, left + first_signal), 0)
+    plan = given_plan(problem, np.linspace(0.1, 0.3, signals_left + first_signal), 0)
     for _ in range(steps):
         controller.progress = controller.progress.after(plan)
 
 
-def driving_by(optimizer, left=5, steps=1, clock=None, watchdog_s=None, **fields):
-    """A controller of robots that have driven for some steps, so that `left` signals of their plan
+def driving_by(optimizer, signals_left=5, steps=1, clock=None, watchdog_s=None, **fields):
+    """A controller of robots that have driven for some steps, so that so many signals of their plan
     are left; `optimizer` is None for the one of the spec."""
     timer = Clock().read if clock is None else clock.read
     setup_changes = {} if watchdog_s is None else {"watchdog_s": watchdog_s}
     controller = mpc(spec(**fields), 99, optimizer, timer, **setup_changes)
-    put_under_way(controller, left, steps)
+    put_under_way(controller, signals_left, steps)
     return controller
 
 
@@ -200,12 +200,12 @@ def test_the_trial_ends_where_a_stop_is_worth_most():
 
 
 def test_robots_too_far_off_go_on_though_the_sequence_is_used_up():
-    controller, _ = driving({1: 0.0}, left=0)
+    controller, _ = driving({1: 0.0}, signals_left=0)
     assert isinstance(decide(controller, short_by(ACCEPT + 15)), Plan)
 
 
 def test_the_trial_ends_near_the_targets_once_the_sequence_is_used_up():
-    controller, _ = driving({1: 0.0}, left=0)
+    controller, _ = driving({1: 0.0}, signals_left=0)
     assert decide(controller, short_by(ACCEPT - 5)) is Outcome.SEQUENCE_COMPLETED
 
 
@@ -227,7 +227,7 @@ MOMENTS_NS = 5_000_000
 def arriving(**fields):
     """A controller of robots that drive along +x, have no signal left, and will all be at their
     targets in ARRIVES_S; and what it decides."""
-    controller, _ = driving({}, left=0, **fields)
+    controller, _ = driving({}, signals_left=0, **fields)
     poses = TARGETS.copy()
     poses[:, 0] -= controller.setup.speed * ARRIVES_S
     return controller, decide(controller, poses)
@@ -323,50 +323,55 @@ SILENCE_S = 0.6
 
 
 @pytest.fixture
-def asked(monkeypatch):
+def silence(monkeypatch):
     """What is asked of robots that receive nothing, whatever their margins."""
-    asked = AskedSilence()
-    monkeypatch.setattr(Silence, "during", asked.during)
-    return asked
+    silence = AskedSilence()
+    monkeypatch.setattr(Silence, "during", silence.during)
+    return silence
 
 
-def decide_with_silence(left, watchdog_s=math.inf):
-    """A step in which a plan of `left` signals is under way and robots are to keep clear for
+def decide_with_silence(signals_left, watchdog_s=math.inf):
+    """A step in which so many signals of a plan are left and robots are to keep clear for
     SILENCE_S."""
     collision = POINTS | {"silence": SILENCE_S}
-    controller, _ = driving({}, left=left, watchdog_s=watchdog_s, collision=collision)
+    controller, _ = driving(
+        {}, signals_left=signals_left, watchdog_s=watchdog_s, collision=collision
+    )
     decide(controller)
 
 
-@pytest.mark.parametrize("left", [5, 2, 1])
-def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(asked, left):
+@pytest.mark.parametrize("signals_left", [5, 2, 1])
+def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(
+    silence, signals_left
+):
     """The plan under way may become one signal longer; a longer one is new. Of none the last
     signals are tested, so that plans of so many signals have none to test."""
-    decide_with_silence(left)
+    decide_with_silence(signals_left)
+    longest_under_way = signals_left + 1
     expected = {}
-    for length in asked.tested:
+    for length in silence.tested:
         nearly_all = length - SILENT_LAST
-        is_new = length > left + 1
+        is_new = length > longest_under_way
         expected[length] = nearly_all if is_new else min(SILENT_NEXT, nearly_all)
-    assert asked.tested == expected
-    assert min(asked.tested) == max(SILENT_LAST + 1, left - 1)
-    assert max(asked.tested) > left + 1
+    assert silence.tested == expected
+    assert min(silence.tested) == max(SILENT_LAST + 1, signals_left - 1)
+    assert max(silence.tested) > longest_under_way
 
 
 @pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, SILENCE_S + PERIOD_S), (0.5, 0.5)])
 def test_robots_that_receive_nothing_drive_on_until_the_silence_or_their_watchdog_ends_it(
-    asked, watchdog_s, seconds
+    silence, watchdog_s, seconds
 ):
     """A silence that begins just after a command has lasted a period when the next one is due."""
     decide_with_silence(5, watchdog_s)
-    assert asked.seconds == {seconds}
+    assert silence.seconds == {seconds}
 
 
 def beside_a_wall(gap, stop=True, radius=0.0, optimizer=None, **fields):
     """A controller of robots of which green drives straight to the right wall, `gap` [mm] from it;
     and their poses. It has the spec's optimiser, if none is given."""
     collision = POINTS | {"walls": True, "radius": radius, "stop_before_collision": stop}
-    controller = driving_by(optimizer, left=1, collision=collision, **fields)
+    controller = driving_by(optimizer, signals_left=1, collision=collision, **fields)
     poses = STARTS.copy()
     poses[0, 0] = controller.setup.arena.right - gap
     return controller, poses
@@ -514,9 +519,8 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
     away = STARTS - np.array([50.0, 0, 0])
     first = decide(controller, away, now=0, command=None)
     assert first.leg == 0
-    plan = decide(
-        controller, command=Command(first.action, 0, HEARD)
-    )  # the way-point is reached within the first signal
+    at_the_way_point = STARTS  # reached within the first signal
+    plan = decide(controller, at_the_way_point, command=Command(first.action, 0, HEARD))
     assert plan.leg == 1
     first_way = np.hypot(*(plan.path[1, :, :2] - plan.path[0, :, :2]).T)
     assert first_way == pytest.approx(controller.setup.speed * 2 * PERIOD_S, rel=0.05)
@@ -538,7 +542,8 @@ def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     now = ControlStep(
         problem, silence=None, warm=None, horizon_max=12, signals_left=400.0, value=value
     )
-    assert now.allows(51, 0.0) and now.signals_max == 12
+    assert now.signals_max == 12
+    assert now.allows(51, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -548,12 +553,12 @@ def test_searches_for_standing_robots_end_after_a_second(search_s, searches):
     """No plan is good, and with time enough three lengths are tried up to the longest. The turn
     that follows is given."""
     clock = Clock()
-    search = Slow(clock, search_s)
+    optimizer = Slow(clock, search_s)
     longest = round(SPREAD * FIRST) + 1  # the third length
     standing = spec(collision=RESTS, horizon_max=longest, time_limit=40.2)
-    controller = mpc(standing, 99, search, timer=clock.read)
+    controller = mpc(standing, 99, optimizer, timer=clock.read)
     plan = controller.plan(seen())
-    done = [each for each in plan.searches if each.stopped is not StopReason.FIXED]
+    done = [search for search in plan.searches if search.stopped is not StopReason.FIXED]
     assert len(done) == searches
 
 
@@ -562,6 +567,6 @@ def test_robots_that_cannot_stand_drive_on_where_their_plan_is_longer_than_the_t
     signals_in_time = 2
     now_ns = 10 * PERIOD_NS
     time_limit = now_ns / 1e9 + signals_in_time * PERIOD_S
-    controller, _ = driving({}, left=9, time_limit=time_limit)
+    controller, _ = driving({}, signals_left=9, time_limit=time_limit)
     plan = decide(controller, now=now_ns)
     assert (plan.state, plan.search.length) == (State.DRIVING, signals_in_time)

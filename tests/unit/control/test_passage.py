@@ -103,23 +103,31 @@ def test_three_robots_pass_a_gap_one_after_the_other_to_their_targets(tmp_path):
 
 
 def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
-    """Random sequences leave more than half of the way; the tree is the same for every clock."""
+    """Random sequences leave more than half of the way; the tree is the same for every clock.
+
+    Robots start on two rows of four. Their targets, each next to the start of another, are 200 mm
+    above the lower row and 400 mm below the upper one."""
     rng = np.random.default_rng(3)
+    starts = np.array([(x, y) for y in (600, 2400) for x in (300, 1100, 1900, 2700)])
+    beside_starts = starts + np.repeat([(0, 200), (0, -400)], 4, axis=0)
+    targets = beside_starts[rng.permutation(8)]
+    turning_rates = np.geomspace(2, 6, 8)
     base = experiment().model_dump(mode="json")["robots"][0]
-    places = np.stack(np.meshgrid([300, 1100, 1900, 2700], [600, 2400]), axis=-1).reshape(-1, 2)
-    shapes = tuple(
+    robots = [
         base
         | {
             "name": f"r{i}",
-            "start": tuple(places[i]),
-            "target": tuple(places[j] + (0.0, 400.0 - places[j, 1] / 3)),
+            "start": tuple(starts[i]),
+            "target": tuple(targets[i]),
+            "heading": float(rng.uniform(-3, 3)),
+            "a": float(turning_rates[i]),
+            "speed": 170.0,
         }
-        | {"heading": float(rng.uniform(-3, 3)), "a": float(a), "speed": 170.0}
-        for i, (j, a) in enumerate(zip(rng.permutation(8), np.geomspace(2, 6, 8), strict=True))
-    )
+        for i in range(8)
+    ]
     arena = {"left": 0, "bottom": 0, "width": 3000, "height": 3000}
     controller = {"type": "mpc", "collision": {"radius": RADIUS, "separation": SEPARATION}}
-    spec = experiment(robots=shapes, arena=arena, obstacles=(), controller=controller)
+    spec = experiment(robots=robots, arena=arena, obstacles=(), controller=controller)
     problem, discs, arena = problem_of(spec)
     *_, signals = ways(problem, arena, 200, key=2)
     path = predict(problem, signals)

@@ -52,9 +52,10 @@ def test_numbers_are_uniform_and_independent():
         assert numbers.max() < 1
         counts = np.histogram(numbers, 64, (0, 1))[0]
         assert stats.chisquare(counts).pvalue > 1e-4
-    pairs = ((of_key_1, of_key_2), (high, low), (of_key_1[1:], of_key_1[:-1]), (low[1:], high[:-1]))
-    for left, right in pairs:
-        table = np.histogram2d(left, right, 16, ((0, 1), (0, 1)))[0]
+    successors = (of_key_1[1:], of_key_1[:-1])
+    pairs = ((of_key_1, of_key_2), (high, low), successors, (low[1:], high[:-1]))
+    for first, second in pairs:
+        table = np.histogram2d(first, second, 16, ((0, 1), (0, 1)))[0]
         assert stats.chisquare(table.ravel()).pvalue > 1e-4
 
 

@@ -10,31 +10,39 @@ from tetractl.control.silence import Silence
 from tetractl.core.poses import Poses
 from tetractl.model.obstacles import Obstacles
 
+SETUP = experiment().setup
+PROBLEM = experiment(controller={"motion": "exact"}).controller.problem(SETUP)
+
+
+def robots_at(places, speed_mm_s):
+    """The problem of three robots that head to the right at these places (3, 2) [mm]."""
+    poses = Poses.of(np.column_stack([places, np.zeros(3)]))
+    return replace(PROBLEM, poses=poses, speed=np.array(speed_mm_s))
+
+
+def keeps_clear(silence, problem, direction):
+    """Whether robots that receive nothing keep clear from their places in one direction."""
+    only_step = problem.poses.array()[None]
+    return silence.keeps_clear(only_step, np.array([direction]))
+
 
 @pytest.mark.parametrize(
     ("direction", "seconds", "clear"),
     [(0.0, 1.0, True), (0.0, 3.0, False), (3.0, 2.5, True), (np.pi / 2, 1.0, True)],
 )
 def test_a_direction_held_for_too_long_leads_into_a_wall(direction, seconds, clear):
-    """Robots at 200 mm/s, the first 400 mm from the wall that it faces."""
-    setup = experiment().setup
-    section = experiment(controller={"motion": "exact"}).controller
-    x = setup.arena.right - 400
-    poses = Poses(np.array([x, x, x]), np.array([600.0, 1200, 1800]), np.zeros(3))
-    problem = replace(section.problem(setup), poses=poses, speed=np.full(3, 200.0))
-    obstacles = Obstacles.of([], 20.0, setup.arena)
-    path = poses.array()[None]
-    signals = np.array([direction])
-    assert Silence.during(seconds, problem, obstacles, 0.0).keeps_clear(path, signals) is clear
+    """Robots at 200 mm/s, 400 mm from the wall that they face and 380 from where they may not go:
+    straight on they reach it after 1.9 s."""
+    x = SETUP.arena.right - 400
+    problem = robots_at([(x, 600), (x, 1200), (x, 1800)], speed_mm_s=[200.0, 200, 200])
+    walls = Obstacles.of([], 20.0, SETUP.arena)
+    silence = Silence.during(seconds, problem, walls, 0.0)
+    assert keeps_clear(silence, problem, direction) is clear
 
 
-def test_robots_that_meet_under_a_direction_held_are_not_clear():
-    """The first catches up by 100 of the 200 mm between it and the second."""
-    setup = experiment().setup
-    section = experiment(controller={"motion": "exact"}).controller
-    poses = Poses(np.array([900.0, 1100, 900]), np.array([900.0, 900, 1600]), np.zeros(3))
-    problem = replace(section.problem(setup), poses=poses, speed=np.array([200.0, 100, 150]))
-    path = poses.array()[None]
-    for apart, clear in ((50.0, True), (150.0, False)):
-        silence = Silence.during(1.0, problem, Obstacles.of(), apart)
-        assert silence.keeps_clear(path, np.zeros(1)) is clear
+@pytest.mark.parametrize(("separation", "clear"), [(50.0, True), (150.0, False)])
+def test_robots_that_meet_under_a_direction_held_are_not_clear(separation, clear):
+    """In the second of silence the first catches up by 100 of the 200 mm to the second."""
+    problem = robots_at([(900, 900), (1100, 900), (900, 1600)], speed_mm_s=[200.0, 100, 150])
+    silence = Silence.during(1.0, problem, Obstacles.of(), separation)
+    assert keeps_clear(silence, problem, direction=0.0) is clear

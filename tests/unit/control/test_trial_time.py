@@ -7,7 +7,7 @@ from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command, Steer
 from tetractl.core.poses import Observation, Poses
 
-POSES = Poses(np.zeros(1), np.zeros(1), np.zeros(1))
+POSES = Poses.of(np.zeros((1, 3)))
 
 
 def seen(seconds):

@@ -20,7 +20,8 @@ REGIONS = st.builds(
     st.sampled_from([0.0, 0.25, 1.0]),
     WALLS,
 )
-PATHS = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), min_size=4, max_size=12)
+POINTS = st.tuples(st.floats(-12, 12), st.floats(-12, 12))
+PATHS = st.lists(POINTS, min_size=4, max_size=12)
 
 
 @given(REGIONS, PATHS)
@@ -34,8 +35,9 @@ def test_gaps_are_those_of_the_readable_region_to_the_last_bit(region, points):
 @given(PATHS)
 def test_the_least_distance_is_that_of_the_nearest_two(points):
     x, y = np.array(points).T.copy()
-    gaps = np.hypot(x[:, None] - x, y[:, None] - y)[np.triu_indices(len(x), 1)]
-    assert clearance.least_apart(x, y) == gaps.min()
+    distances = np.hypot(x[:, None] - x, y[:, None] - y)
+    of_pairs = distances[np.triu_indices(len(x), 1)]
+    assert clearance.least_apart(x, y) == of_pairs.min()
 
 
 @pytest.mark.parametrize("name", ["INLINE_EXACT", "ENTRY", "INLINE_FAST", "ENTRY_FAST", "INLINE"])

@@ -45,7 +45,8 @@ def merit(problem, signals, weight=DEPTH_WEIGHT, slack=0.0):
     """Bound of f, (8), and how deep the path is in obstacles and within the separation."""
     path = predict(problem, signals)[1:, :, :2]
     x, y = path.transpose(2, 0, 1)
-    deep = (slack - problem.obstacles.distances(x, y)).max(axis=1).clip(0).sum()
+    depths = slack - problem.obstacles.distances(x, y)
+    deep = depths.max(axis=1).clip(0).sum()
     for i, k in itertools.combinations(range(len(problem.a)) if problem.separation else [], 2):
         nearest = np.hypot(*(path[:, i] - path[:, k]).T).min()
         deep += max(0.0, problem.separation - nearest + slack)
@@ -75,9 +76,8 @@ def test_the_jacobian_and_the_residuals_slope_as_what_they_are_made_of(seed, sep
     step = 1e-5
     toward = np.random.default_rng(seed).normal(size=12)
     slope = slopes(lay_out_polish(problem, 12), signals) @ toward
-    ahead, behind = (
-        merit(problem, signals + way * step * toward, DEPTH_WEIGHT**2, SLACK) for way in (1, -1)
-    )
+    ahead = merit(problem, signals + step * toward, DEPTH_WEIGHT**2, SLACK)
+    behind = merit(problem, signals - step * toward, DEPTH_WEIGHT**2, SLACK)
     assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-4, abs=1e-2)
 
 

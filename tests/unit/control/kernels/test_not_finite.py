@@ -107,5 +107,6 @@ def test_the_polish_ends(odd, place):
     rounds = multistart.workspace.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
     rounds.begin(start[None])
     laid = lay_out_polish(problem, len(start)), lay_out(problem, 1)
+    no_draws = np.uint64(0), np.empty(0), 0
     limits = 1e-3, 0.5, 6, 10_000, 0
-    assert ends(lambda: multistart.search(*laid, np.uint64(0), np.empty(0), 0, *limits, rounds))
+    assert ends(lambda: multistart.search(*laid, *no_draws, *limits, rounds))

@@ -24,6 +24,7 @@ from tetractl.experiment.load import load_spec
 pytestmark = pytest.mark.slow
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi_paper.yaml"
+SEEDS = st.integers(0, 2**32)
 SMALL = [CrossEntropy(particles=12, iterations=8), Mppi(particles=12, iterations=8)]
 SAMPLING = pytest.mark.parametrize("optimizer", SMALL, ids=["cem", "mppi"])
 EVERY = [
@@ -49,7 +50,7 @@ def test_the_reference_problem_is_solved_to_a_stated_cost_from_any_seed(optimize
 @OPTIMIZERS
 @settings(max_examples=30, deadline=None)
 @given(
-    seed=st.integers(0, 2**32),
+    seed=SEEDS,
     robots=st.integers(1, 3),
     length=st.integers(2, 40),
     model=st.sampled_from(["euler", "arc", "exact"]),
@@ -127,12 +128,13 @@ def test_costs_that_are_not_finite_are_refused(optimizer, bad):
     assert caught.value.hint
 
 
-@given(st.integers(1, 9), st.integers(0, 60), st.integers(0, 2**32))
+@given(count=st.integers(1, 9), extra=st.integers(0, 60), seed=SEEDS)
 def test_curves_pass_through_their_knots(count, extra, seed):
     knots = np.random.default_rng(seed).normal(size=(count, 3))
     length = count + extra
     curve = interpolate(knots, length)
-    expected = [np.interp(np.linspace(0, count - 1, length), range(count), k) for k in knots.T]
+    places = np.linspace(0, count - 1, length)
+    expected = [np.interp(places, range(count), row) for row in knots.T]
     assert pytest.approx(np.array(expected), abs=1e-12) == curve.T
 
 

@@ -97,7 +97,9 @@ def test_the_paper_stop_ends_a_search_at_a_standstill():
     world = problems.world(2, robots=1, obstacles=0)
     x, y, theta, *_, a, v = world.robots[0]
     world.robots[0] = (x, y, theta, x + 0.2 * v * math.cos(theta) + 1, y, a, v)
-    result = search(problems.problem(world), 1, np.zeros(1), swarm(1, 100, {"type": "paper"}), 1)
+    problem = problems.problem(world)
+    one_particle = swarm(1, 100, {"type": "paper"})
+    result = search(problem, 1, np.zeros(1), one_particle, 1)
     assert (len(result.history) - 1, result.stopped) == (11, "criterion")
 
 
@@ -113,7 +115,8 @@ def test_a_target_ends_a_search_as_soon_as_it_is_met():
 
 
 def test_the_swarm_is_scattered_over_its_whole_search_space():
-    scattered = swarm(2000).swarm(problems.problem(problems.world(6)), 3, None, 1)
+    problem = problems.problem(problems.world(6))
+    scattered = swarm(particles=2000).swarm(problem, 3, None, 1)
     spread = ((scattered.u, math.pi), (scattered.v, 2 * math.pi), (scattered.u_lb, math.pi))
     for part, bound in spread:
         assert part.shape == (3, 2000)
@@ -121,7 +124,8 @@ def test_the_swarm_is_scattered_over_its_whole_search_space():
         assert part.min() < -0.99 * bound
         assert part.max() > 0.99 * bound
         assert abs(part.mean()) < 0.05 * bound
-    assert abs(np.corrcoef(scattered.u.ravel(), scattered.u_lb.ravel())[0, 1]) < 0.05
+    correlation = np.corrcoef(scattered.u.ravel(), scattered.u_lb.ravel())[0, 1]
+    assert abs(correlation) < 0.05
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e308])

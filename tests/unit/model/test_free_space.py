@@ -16,8 +16,9 @@ from tetractl.model.obstacles import Obstacles
 pytestmark = pytest.mark.slow
 
 
-def wall(left, bottom, width, height):
-    return {"type": "rectangle", "left": left, "bottom": bottom, "width": width, "height": height}
+def wall(x, y, width, height):
+    """A rectangle, by its lower left corner."""
+    return {"type": "rectangle", "left": x, "bottom": y, "width": width, "height": height}
 
 
 def setup(*obstacles, start=(100, 500), target=(900, 500)):
@@ -77,20 +78,25 @@ def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
     """Obstacles anywhere but on a random path: however narrow what is left, it is a way."""
     rng = np.random.default_rng(seed)
     path = rng.uniform(50, 950, (6, 2))
+    places = rng.uniform(0, 1000, (2, 150))
+    sizes = rng.uniform(5, 250, 150)
     things = []
-    for x, y, size in zip(*rng.uniform(0, 1000, (2, 150)), rng.uniform(5, 250, 150), strict=True):
+    for x, y, size in zip(*places, sizes, strict=True):
         things.append(wall(x, y, size, rng.uniform(5, 250)))
         things.append({"type": "circle", "center": [x, y], "radius": size / 2})
-    apart = [
-        shape
-        for shape in shapes(things)
-        if not Obstacles.of([shape], margin).cross(*path[:-1].T, *path[1:].T).any()
-    ]
-    assert len(apart) > 20
-    assert shut_out(placed(apart, path[0], path[-1]), margin, walls=True) == [0]
+
+    def is_off_the_path(shape):
+        return not Obstacles.of([shape], margin).cross(*path[:-1].T, *path[1:].T).any()
+
+    obstacles = list(filter(is_off_the_path, shapes(things)))
+    assert len(obstacles) > 20
+    assert shut_out(placed(obstacles, path[0], path[-1]), margin, walls=True) == [0]
 
 
-@given(st.integers(0, 2**32), st.integers(1, 30), st.integers(1, 30), st.floats(0.3, 0.8))
+SIZES = st.integers(1, 30)
+
+
+@given(seed=st.integers(0, 2**32), rows=SIZES, columns=SIZES, share=st.floats(0.3, 0.8))
 def test_cells_are_connected_as_scipy_labels_them(seed, rows, columns, share):
     rng = np.random.default_rng(seed)
     free = rng.random((rows, columns)) < share

@@ -1,3 +1,8 @@
+"""Steps of the three motion models, against integrations and by hand.
+
+Headings and signals u [rad], a [rad/s], v [mm/s]; phi is the angle from the heading to u.
+"""
+
 import itertools
 import math
 
@@ -21,9 +26,11 @@ SPEEDS = st.floats(0, 500)
 TIMES = st.floats(0, 3)
 
 
-def one(motion, x, y, heading, u, a, v, t):
-    state = motion(*(np.array([float(n)]) for n in (x, y, heading, u, a, v)), t)
-    return tuple(float(s[0]) for s in state)
+def stepped(motion, x, y, heading, u, a, v, t):
+    """The pose (x, y, heading) of a single robot after a step of t seconds."""
+    of_one_robot = [np.array([float(number)]) for number in (x, y, heading, u, a, v)]
+    pose = motion(*of_one_robot, t)
+    return tuple(float(part[0]) for part in pose)
 
 
 def integrated(x, y, heading, u, a, v, t, turning=None):
@@ -38,13 +45,17 @@ def integrated(x, y, heading, u, a, v, t, turning=None):
 
 
 def displaced(phi, a, v, t):
-    """Displacement along and to the right of u, and phi': tan(phi/2) decays, the rest is quad."""
+    """Displacement along and to the right of u, and phi': tan(phi/2) decays, the rest is quad.
+
+    Pieces of the integral end where the angle changes quickly: about where phi is a right angle."""
+    tangent = math.tan(phi / 2)
 
     def angle(s):
-        return 2 * math.atan(math.tan(phi / 2) * math.exp(-a * s))
+        return 2 * math.atan(tangent * math.exp(-a * s))
 
-    half = math.log(abs(math.tan(phi / 2))) / a if abs(math.tan(phi / 2)) > 1 else 0.0
-    ends = [0.0, *sorted({n for k in (-8, -1, 0, 1, 8) if 0 < (n := half + k / a) < t}), t]
+    at_right_angle = math.log(abs(tangent)) / a if abs(tangent) > 1 else 0.0
+    quick = [at_right_angle + k / a for k in (-8, -1, 0, 1, 8)]
+    ends = [0.0, *(s for s in quick if 0 < s < t), t]
     along = right = 0.0
     for begin, end in itertools.pairwise(ends):
         along += quad(lambda s: math.cos(angle(s)), begin, end, epsabs=1e-13, epsrel=1e-13)[0]
@@ -54,7 +65,7 @@ def displaced(phi, a, v, t):
 
 @given(x=SPEEDS, y=SPEEDS, heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
 def test_euler_is_4_to_6(x, y, heading, u, a, v, t):
-    assert one(euler, x, y, heading, u, a, v, t) == pytest.approx(
+    assert stepped(euler, x, y, heading, u, a, v, t) == pytest.approx(
         (
             x + t * v * math.cos(heading),
             y + t * v * math.sin(heading),
@@ -76,7 +87,7 @@ def test_held_wheels_drive_an_arc(heading, u, a, v, t):
     else:
         middle = heading + turning * t / 2
         expected = (50 + v * t * math.cos(middle), 60 + v * t * math.sin(middle))
-    x, y, turned = one(arc, 50, 60, heading, u, a, v, t)
+    x, y, turned = stepped(arc, 50, 60, heading, u, a, v, t)
     assert (x, y) == pytest.approx(expected, abs=1e-6)
     assert turned == pytest.approx(heading + turning * t, abs=1e-12)
 
@@ -88,10 +99,10 @@ def test_the_arc_and_the_exact_step_solve_their_differential_equations(seed):
     a = rng.uniform(0.1, 7)
     v = rng.uniform(1, 300)
     t = rng.uniform(0.01, 1.2)
-    assert one(exact, 0, 0, heading, u, a, v, t) == pytest.approx(
+    assert stepped(exact, 0, 0, heading, u, a, v, t) == pytest.approx(
         integrated(0, 0, heading, u, a, v, t), abs=1e-9
     )
-    assert one(arc, 0, 0, heading, u, a, v, t) == pytest.approx(
+    assert stepped(arc, 0, 0, heading, u, a, v, t) == pytest.approx(
         integrated(0, 0, heading, u, a, v, t, turning=a * math.sin(u - heading)), abs=1e-9
     )
 
@@ -113,18 +124,19 @@ def test_the_exact_step_holds_at_every_angle_and_time(phi, turn):
     """Regression: within 1e-8 of phi = pi and with a t > 18 the robot was sent to infinity."""
     a = 4.0
     v = 200.0
-    along, right, left = displaced(phi, a, v, turn / a)
-    x, y, heading = one(exact, 0, 0, 0, phi, a, v, turn / a)
+    t = turn / a
+    along, right, phi_after = displaced(phi, a, v, t)
+    x, y, heading = stepped(exact, 0, 0, 0, phi, a, v, t)
     c = math.cos(phi)
     s = math.sin(phi)
-    scale = max(1.0, v * turn / a)
+    scale = max(1.0, v * t)
     assert (x, y) == pytest.approx((along * c + right * s, along * s - right * c), abs=1e-9 * scale)
-    assert phi - heading == pytest.approx(left, abs=1e-9)
+    assert phi - heading == pytest.approx(phi_after, abs=1e-9)
 
 
 @pytest.mark.parametrize("a", [1e-9, 1e-6, 1e-3])
 def test_a_robot_that_hardly_turns_goes_straight(a):
-    x, y, heading = one(exact, 0, 0, 0.3, 1.5, a, 100, 2)
+    x, y, heading = stepped(exact, 0, 0, 0.3, 1.5, a, 100, 2)
     turn = 2 * a * math.sin(1.2)
     assert heading == pytest.approx(0.3 + turn, abs=2 * a * a)
     middle = 0.3 + turn / 2
@@ -134,7 +146,7 @@ def test_a_robot_that_hardly_turns_goes_straight(a):
 @given(heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
 def test_every_motion_keeps_to_its_speed_and_turns_towards_u(heading, u, a, v, t):
     for name, motion in MOTIONS.items():
-        x, y, turned = one(motion.step, 0, 0, heading, u, a, v, t)
+        x, y, turned = stepped(motion.step, 0, 0, heading, u, a, v, t)
         assert math.hypot(x, y) <= v * t * (1 + 1e-12) + 1e-12, name
         phi = math.remainder(u - heading, 2 * math.pi)
         assert (turned - heading) * phi >= 0, name

@@ -24,13 +24,14 @@ def log():
 
 
 def milliseconds(path):
+    """How long each picture of a video stands."""
     with Image.open(path) as video:
-        found = []
+        durations_ms = []
         for frame in range(video.n_frames):
             video.seek(frame)
             video.load()
-            found.append(video.info["duration"])
-        return found
+            durations_ms.append(video.info["duration"])
+        return durations_ms
 
 
 @pytest.mark.long

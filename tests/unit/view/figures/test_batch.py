@@ -1,3 +1,5 @@
+"""The figure of batches: a dot for each trial, and the distribution of their errors."""
+
 import re
 
 import numpy as np
@@ -18,47 +20,51 @@ STARTS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 @pytest.mark.long
 @pytest.mark.parametrize("suffix", STARTS)
 def test_the_suffix_chooses_the_format_and_a_batch_always_gives_the_same_bytes(tmp_path, suffix):
-    paths = [tmp_path / f"{name}.{suffix}" for name in ("one", "two")]
-    for path in paths:
-        save(batch_figure([group(batch(ERRORS.tolist()))]), path)
-    one, two = (path.read_bytes() for path in paths)
-    assert one.startswith(STARTS[suffix])
-    assert one == two
-
-
-def dots(axes):
-    return [found for found in axes.collections if found.get_gid() == "trials"]
+    first = tmp_path / f"one.{suffix}"
+    second = tmp_path / f"two.{suffix}"
+    for path in (first, second):
+        statistics = group(batch(ERRORS.tolist()))
+        save(batch_figure([statistics]), path)
+    assert first.read_bytes().startswith(STARTS[suffix])
+    assert first.read_bytes() == second.read_bytes()
 
 
 def heights(axes):
-    return [sorted(found.get_offsets()[:, 1]) for found in dots(axes)]
+    """The heights of each batch's dots, one a trial."""
+    batches = [dots for dots in axes.collections if dots.get_gid() == "trials"]
+    return [sorted(dots.get_offsets()[:, 1]) for dots in batches]
+
+
+def heading(figure):
+    return figure.texts[0].get_text()
 
 
 def test_every_counted_trial_is_a_dot_at_its_error():
     spec = experiment(reference=REFERENCE)
     ours = group(batch(ERRORS.tolist(), spec), name="ours")
     theirs = group(batch(ERRORS[:7].tolist()), name="theirs")
-    left, right = batch_figure([ours, theirs]).axes
-    assert heights(left) == [sorted(ours.totals), sorted(theirs.totals)]
-    curve = right.lines[0].get_xdata()
+    of_dots, of_curves = batch_figure([ours, theirs]).axes
+    assert heights(of_dots) == [sorted(ours.totals), sorted(theirs.totals)]
+    curve = of_curves.lines[0].get_xdata()
     assert list(curve[1:-1]) == sorted(ours.totals)
-    labels = [tick.get_text() for tick in left.get_xticklabels()]
+    labels = [tick.get_text() for tick in of_dots.get_xticklabels()]
     assert labels == ["ours\nn = 20", "theirs\nn = 7", "published\nn = 20"]
 
 
 def test_a_batch_without_a_controller_is_called_given_directions():
-    given = experiment(controller={"type": "sequence", "directions": [0.1]})
-    left = batch_figure([group(batch(ERRORS[:7].tolist(), given), name="a")]).axes[0]
-    labels = [tick.get_text() for tick in left.get_xticklabels()]
+    without_controller = experiment(controller={"type": "sequence", "directions": [0.1]})
+    statistics = group(batch(ERRORS[:7].tolist(), without_controller), name="a")
+    of_dots = batch_figure([statistics]).axes[0]
+    labels = [tick.get_text() for tick in of_dots.get_xticklabels()]
     assert labels == ["this batch\nn = 7\ngiven directions"]
 
 
 def test_a_dot_links_to_its_trial(tmp_path):
-    found = group(batch(ERRORS[:3].tolist()))
-    links = {trial.log: f"#trial-{i}" for i, trial in enumerate(found.batch.trials, 1)}
-    drawing = svg(batch_figure([found], links)).decode()
+    statistics = group(batch(ERRORS[:3].tolist()))
+    links = {trial.log: f"#trial-{i}" for i, trial in enumerate(statistics.batch.trials, 1)}
+    drawing = svg(batch_figure([statistics], links)).decode()
     assert re.findall(r'xlink:href="#(trial-\d+)"', drawing) == ["trial-1", "trial-2", "trial-3"]
-    assert "#trial-" not in svg(batch_figure([found])).decode()
+    assert "#trial-" not in svg(batch_figure([statistics])).decode()
 
 
 def test_nothing_to_plot_is_an_error():
@@ -68,8 +74,11 @@ def test_nothing_to_plot_is_an_error():
 
 
 def test_a_headline_names_the_plants():
-    ours = group(batch(ERRORS.tolist(), experiment(plant=DISTURBED)), name="a")
-    theirs = group(batch(ERRORS.tolist()), name="b")
-    assert batch_figure([ours]).texts[0].get_text() == "disturbed simulation"
-    both = batch_figure([ours, theirs]).texts[0].get_text()
-    assert both == "a: disturbed simulation; b: undisturbed simulation"
+    errors = ERRORS.tolist()
+    disturbed = group(batch(errors, experiment(plant=DISTURBED)), name="a")
+    undisturbed = group(batch(errors), name="b")
+    assert heading(batch_figure([disturbed])) == "disturbed simulation"
+    assert (
+        heading(batch_figure([disturbed, undisturbed]))
+        == "a: disturbed simulation; b: undisturbed simulation"
+    )

@@ -1,4 +1,7 @@
+"""The figures of trials: what they show of a log, and that no text hides another."""
+
 from dataclasses import replace
+from itertools import combinations
 
 import matplotlib
 import numpy as np
@@ -28,6 +31,7 @@ pytestmark = pytest.mark.slow
 SEVERAL = ("trajectory", "errors", "batch")  # kinds that show several trials
 ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
 COURSES = tuple(kind for kind in FIGURES.names() if kind != "batch")
+TARGETS = np.array([robot["target"] for robot in THREE_M3PI["robots"]])
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +48,8 @@ def estimated(log, **more):
 
     def estimate(k):
         share = 0.05 * (1 - 0.5**k)
-        a, speed = setup.a * (1 + share), setup.speed * (1 + share)
+        a = setup.a * (1 + share)
+        speed = setup.speed * (1 + share)
         return Estimate(a, 0.1 * a / (k + 1), speed, 0.1 * speed / (k + 1), **more)
 
     steps = tuple(
@@ -64,23 +69,28 @@ def test_a_robot_that_was_never_seen_puts_no_label_at_the_place_of_others(log):
     assert len(aside) > 1
 
 
+def many_robots(count):
+    """The reference experiment with `count` robots, whose names differ in length."""
+    robots = [
+        {
+            **THREE_M3PI["robots"][i % 3],
+            "name": f"{i} {'long' * (i % 4)} name",
+            "start": [900, 400 + 1700 * i / count],
+        }
+        for i in range(count)
+    ]
+    return experiment(robots=robots)
+
+
 def many(log, count):
-    """The trial with its robots copied, a little apart, until there are `count`."""
-    spec = experiment(
-        robots=[
-            {
-                **THREE_M3PI["robots"][i % 3],
-                "name": f"{i} {'long' * (i % 4)} name",
-                "start": [900, 400 + 1700 * i / count],
-            }
-            for i in range(count)
-        ]
-    )
-    pick = np.arange(count) % 3
+    """The trial with its robots copied until there are `count`; they end 5 mm apart."""
+    spec = many_robots(count)
+    copied = np.arange(count) % 3
     assert log.result
+    final = log.result.verdict.final.array()[copied] + 5.0 * np.arange(count)[:, None]
     verdict = replace(
         log.result.verdict,
-        final=Poses.of(log.result.verdict.final.array()[pick] + 5.0 * np.arange(count)[:, None]),
+        final=Poses.of(final),
         entered=(False,) * count,
         clearance=(1.0,) * count,
     )
@@ -89,49 +99,71 @@ def many(log, count):
         log.result, verdict=verdict, robot_errors=tuple(errors), total_error=float(errors.sum())
     )
     plant = replace(log.start.plant, facts={})
-    start = replace(log.start, setup=spec.setup, plant=plant)
-    mocap, valid = log.mocap[:, pick], log.valid[:, pick]
-    made = replace(log, experiment=spec, start=start, mocap=mocap, valid=valid, result=result)
-    return estimated(replace(made, truth=None))
+    copies = replace(
+        log,
+        experiment=spec,
+        start=replace(log.start, setup=spec.setup, plant=plant),
+        mocap=log.mocap[:, copied],
+        valid=log.valid[:, copied],
+        truth=None,
+        result=result,
+    )
+    return estimated(copies)
 
 
-def unseen(figure):
-    """The numbers of marks outside what their axis shows, and the numbers of marks on a trail."""
-    found = set()
+def ids_of_unseen_ticks(axes):
+    """The texts of marks outside what their axis shows."""
+    ids = set()
+    for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+            if not axes.axison or not min(limits) <= tick.get_loc() <= max(limits):
+                ids |= {id(tick.label1), id(tick.label2)}
+    return ids
+
+
+def shown_texts(figure):
+    """The texts of a figure that lie neither outside an axis nor on a trail: words and box."""
+    hidden = set()
     for axes in figure.axes:
-        for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
-                if not axes.axison or not min(limits) <= tick.get_loc() <= max(limits):
-                    found |= {id(tick.label1), id(tick.label2)}
-        if axes.get_aspect() == 1:
-            found |= {id(text) for text in axes.texts}
-    return found
+        hidden |= ids_of_unseen_ticks(axes)
+        if axes.get_aspect() == 1:  # an arena, whose texts stand on trails
+            hidden |= {id(text) for text in axes.texts}
+    texts = figure.findobj(matplotlib.text.Text)
+    visible = [text for text in texts if text.get_visible() and id(text) not in hidden]
+    return [
+        (text.get_text(), matplotlib.text.Text.get_window_extent(text))  # without its arrow
+        for text in visible
+        if text.get_text().strip()
+    ]
+
+
+def is_beyond(box, page):
+    """Whether a box lies more than a pixel beyond the edge of the page."""
+    inside = (box.x0 - page.x0, page.x1 - box.x1, box.y0 - page.y0, page.y1 - box.y1)
+    return min(inside) < -1
 
 
 def overlapping(figure):
     """The pairs of texts of a figure that lie over one another, or beyond its edge."""
     figure.draw_without_rendering()
-    hidden, page = unseen(figure), figure.bbox
-    shown = [
-        (text.get_text(), matplotlib.text.Text.get_window_extent(text))  # without its arrow
-        for text in figure.findobj(matplotlib.text.Text)
-        if text.get_text().strip() and text.get_visible() and id(text) not in hidden
-    ]
-    found = [
-        (text, "edge")
-        for text, box in shown
-        if min(box.x0 - page.x0, page.x1 - box.x1, box.y0 - page.y0, page.y1 - box.y1) < -1
-    ]
-    for i, (text, box) in enumerate(shown):
-        found += [(text, other) for other, at in shown[:i] if box.shrunk(0.9, 0.7).overlaps(at)]
-    return found
+    texts = shown_texts(figure)
+    pairs = [(text, "edge") for text, box in texts if is_beyond(box, figure.bbox)]
+    for (text, box), (another, another_box) in combinations(texts, 2):
+        if another_box.shrunk(0.9, 0.7).overlaps(box):
+            pairs.append((another, text))
+    return pairs
 
 
 def words(figure):
     """All text of a figure, after drawing it once."""
     figure.draw_without_rendering()
-    found = figure.findobj(matplotlib.text.Text)
-    return "\n".join(text.get_text() for text in found if text.get_visible())
+    texts = figure.findobj(matplotlib.text.Text)
+    return "\n".join(text.get_text() for text in texts if text.get_visible())
+
+
+def end_of(line):
+    """The height of a line at its end."""
+    return float(np.asarray(line.get_ydata())[-1])
 
 
 def test_the_trajectory_shows_arena_trails_and_errors(log):
@@ -142,9 +174,9 @@ def test_the_trajectory_shows_arena_trails_and_errors(log):
     assert axes.get_ylim() == (350, 2150)
     for robot in range(3):
         (trail,) = [line for line in axes.lines if line.get_gid() == f"trail-{robot}"]
-        seen = log.valid[:, robot]
-        assert np.array_equal(trail.get_xydata()[seen], log.mocap[seen, robot, :2])
-        assert np.isnan(trail.get_xydata()[~seen]).all()
+        tracked = log.valid[:, robot]
+        assert np.array_equal(trail.get_xydata()[tracked], log.mocap[tracked, robot, :2])
+        assert np.isnan(trail.get_xydata()[~tracked]).all()
         assert trail.get_color() == [GREEN, BLUE, RED][robot]
     text = words(figure)
     assert log.result
@@ -197,17 +229,17 @@ def test_a_limit_that_searches_exceed_is_not_drawn(log):
 def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     late = replace(log.steps[7], deadline_missed=True)
     figure = draw("errors", [replace(log, steps=(*log.steps[:7], late, *log.steps[8:]))])
-    whole, each = figure.axes
-    assert [line.get_gid() for line in each.lines[:3]] == [f"robot-{i}" for i in range(3)]
-    labels = [line.get_label() for line in each.lines[3:]]
+    of_total, of_robots = figure.axes
+    assert [line.get_gid() for line in of_robots.lines[:3]] == [f"robot-{i}" for i in range(3)]
+    labels = [line.get_label() for line in of_robots.lines[3:]]
     assert labels == ["arrival within 20 mm", "deadline missed"]
-    assert (whole.get_ylim()[0], each.get_ylim()[0]) == (0, 0)
-    misses = each.lines[-1].get_xdata()
+    assert (of_total.get_ylim()[0], of_robots.get_ylim()[0]) == (0, 0)
+    misses = of_robots.lines[-1].get_xdata()
     assert late.command.sent_ns / 1e9 in np.asarray(misses)
-    total = np.asarray(whole.lines[0].get_ydata())
-    seen = log.valid.all(axis=1)
-    gap = np.hypot(*(log.mocap[..., :2] - [(1700, 500), (1700, 1500), (1700, 2000)]).T).T
-    assert total[seen] == pytest.approx(gap.sum(axis=1)[seen])
+    total = np.asarray(of_total.lines[0].get_ydata())
+    tracked = log.valid.all(axis=1)
+    gap = np.linalg.norm(log.mocap[..., :2] - TARGETS, axis=-1)
+    assert total[tracked] == pytest.approx(gap.sum(axis=1)[tracked])
 
 
 def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log):
@@ -230,11 +262,12 @@ def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log)
 @pytest.mark.parametrize("kind", ["errors", "over-time"])
 def test_the_time_axis_starts_with_the_first_direction(log, kind):
     placed = 20 * SECOND
-    steps = tuple(
-        replace(one, command=replace(one.command, sent_ns=one.command.sent_ns + placed))
-        for one in log.steps
-    )
-    stop = replace(log.stop, sent_ns=log.stop.sent_ns + placed)
+
+    def sent_later(command):
+        return replace(command, sent_ns=command.sent_ns + placed)
+
+    steps = tuple(replace(step, command=sent_later(step.command)) for step in log.steps)
+    stop = sent_later(log.stop)
     later = replace(log, commands=(), steps=steps, stop=stop, mocap_ns=log.mocap_ns + placed)
     early = np.arange(0, placed, SECOND)
     waiting = replace(
@@ -243,10 +276,12 @@ def test_the_time_axis_starts_with_the_first_direction(log, kind):
         mocap=np.concatenate([np.repeat(log.mocap[:1], len(early), axis=0), log.mocap]),
         valid=np.concatenate([np.ones((len(early), 3), dtype=bool), log.valid]),
     )
-    for axes, other in zip(draw(kind, [log]).axes, draw(kind, [waiting]).axes, strict=True):
-        assert axes.get_xlim() == other.get_xlim()
+    at_once = draw(kind, [log]).axes
+    after_waiting = draw(kind, [waiting]).axes
+    for expected, axes in zip(at_once, after_waiting, strict=True):
+        assert axes.get_xlim() == expected.get_xlim()
         assert axes.get_xlim()[0] == 0
-        assert axes.get_xlabel() == other.get_xlabel()
+        assert axes.get_xlabel() == expected.get_xlabel()
 
 
 def test_the_direction_turns_through_pi_without_a_line_across(log):
@@ -273,6 +308,9 @@ def test_over_time_shows_what_was_estimated(log):
     assert "green 6.3 (true " in text
     assert "true value" in text
     assert "one standard deviation" in text
+
+
+def test_over_time_shows_the_dead_time_if_it_was_estimated(log):
     more = {
         "heading_bias": np.array([0.1, 0, -0.1]),
         "heading_bias_std": np.full(3, 0.01),
@@ -309,7 +347,8 @@ def test_no_text_hides_another_of_many_robots(log, kind):
 
 @pytest.mark.parametrize("kind", SEVERAL)
 def test_no_text_hides_another_in_a_batch_of_many_robots(log, kind):
-    assert overlapping(draw(kind, [many(three_robots(seed), 14) for seed in (1, 2, 3)])) == []
+    logs = [many(three_robots(seed), 14) for seed in (1, 2, 3)]
+    assert overlapping(draw(kind, logs)) == []
 
 
 @pytest.mark.parametrize("kind", ["trajectory", "over-time"])
@@ -318,9 +357,8 @@ def test_an_aborted_trial_says_so(log, kind):
     aborted = replace(log.result, outcome=Outcome.ABORTED, reason="red is not tracked (0.30 s)")
     text = words(draw(kind, [replace(log, result=aborted)]))
     assert "aborted: red is not tracked (0.30 s)" in text
-    assert "the log breaks off before the end of the trial" in words(
-        draw(kind, [cut_short(log, 3)])
-    )
+    text = words(draw(kind, [cut_short(log, 3)]))
+    assert "the log breaks off before the end of the trial" in text
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.floats(0.001, 0.05))
@@ -376,20 +414,19 @@ def chose(log, order):
     robots = [
         {**robot, "target": goals[i]} for robot, i in zip(THREE_M3PI["robots"], order, strict=True)
     ]
-    made = experiment(robots=robots, chosen=rule)
-    return replace(log, experiment=made, start=replace(log.start, setup=made.setup))
+    spec = experiment(robots=robots, chosen=rule)
+    return replace(log, experiment=spec, start=replace(log.start, setup=spec.setup))
 
 
 def test_trials_that_chose_their_robots_by_one_rule_are_drawn_together(log):
     logs = [chose(log, (0, 1, 2)), chose(log, (1, 0, 2))]
     for kind in SEVERAL:
         draw(kind, logs)
-    ends = [one.result.verdict.final.xy for one in logs]
-    totals = [one.start.setup.distances(end).sum() for one, end in zip(logs, ends, strict=True)]
-    assert f"total {np.mean(totals):.0f} ± {np.std(totals, ddof=1):.0f}" in words(
-        draw("trajectory", logs)
-    )
-    (axes,) = draw("trajectory", logs).axes
+    figure = draw("trajectory", logs)
+    totals = [log.start.setup.distances(log.result.verdict.final.xy).sum() for log in logs]
+    mean_and_spread = f"total {np.mean(totals):.0f} ± {np.std(totals, ddof=1):.0f}"
+    assert mean_and_spread in words(figure)
+    (axes,) = figure.axes
     targets = [line for line in axes.lines if line.get_marker() == "s"]
     assert [len(line.get_xydata()) for line in targets] == [2, 2, 2]
     assert {line.get_markeredgecolor() for line in targets} == {style.GREY}
@@ -437,14 +474,14 @@ def test_the_swarm_is_that_of_the_logged_search(log):
 
 def test_the_errors_of_a_batch_end_as_the_results_say(log):
     logs = [three_robots(seed) for seed in (1, 2, 3)]
-    total, each = draw("errors", logs).axes
-    trials = [line for line in total.lines if line.get_gid() == "trial"]
-    ends = [float(np.asarray(line.get_ydata())[-1]) for line in trials]
+    of_total, of_robots = draw("errors", logs).axes
+    trials = [line for line in of_total.lines if line.get_gid() == "trial"]
+    ends = [end_of(line) for line in trials]
     assert ends == pytest.approx([trial.result.total_error for trial in logs if trial.result])
-    (median,) = [line for line in total.lines if line.get_gid() == "median"]
-    assert np.asarray(median.get_ydata())[-1] == pytest.approx(np.median(ends))
-    assert len(total.collections) == 1
-    assert len(each.collections) == 3  # a band a robot
+    (median,) = [line for line in of_total.lines if line.get_gid() == "median"]
+    assert end_of(median) == pytest.approx(np.median(ends))
+    assert len(of_total.collections) == 1
+    assert len(of_robots.collections) == 3  # a band a robot
     starts = [float(np.asarray(line.get_ydata())[0]) for line in trials]
     assert starts == pytest.approx([sum(np.hypot([800] * 3, [300, 300, 400]))] * 3, rel=0.01)
 
@@ -457,36 +494,38 @@ def test_aborted_trials_are_not_in_the_band_nor_in_the_means(log):
     assert "1 of 3 did not run to their end" in words(figure)
     (median,) = [line for line in figure.axes[0].lines if line.get_gid() == "median"]
     totals = [trial.result.total_error for trial in logs[:2] if trial.result]
-    assert np.asarray(median.get_ydata())[-1] == pytest.approx(np.mean(totals))
+    assert end_of(median) == pytest.approx(np.mean(totals))  # the median of two is their mean
     text = words(draw("trajectory", logs))
     assert f"3 trials, error at the end [mm], total {np.mean(totals):.0f}" in text
     assert "1 of 3 trials did not run to their end, not in the means" in text
 
 
+def ended_at(log, name, error, aside):
+    """The trial in another file, with robots that end to the right of their targets, and `aside`
+    above them; green's error is all of the total.
+    """
+    away = log.start.setup.targets + np.array([error, aside])
+    final = Poses.of(np.column_stack([away, np.zeros(3)]))
+    result = replace(
+        log.result,
+        robot_errors=(error, 0.0, 0.0),
+        total_error=error,
+        verdict=replace(log.result.verdict, final=final),
+    )
+    return replace(log, log=name, result=result)
+
+
 def two_arms(log):
     """A batch that ended near the targets and one that did not, in two folders."""
-    assert log.result
-    return [
-        replace(
-            log,
-            log=f"{folder}/trial-{i}.mcap",
-            result=replace(
-                log.result,
-                robot_errors=(end + i, 0.0, 0.0),
-                total_error=end + i,
-                verdict=replace(
-                    log.result.verdict,
-                    final=Poses.of(
-                        np.column_stack(
-                            [log.start.setup.targets + np.array([end + i, i % 2]), [0.0] * 3]
-                        )
-                    ),
-                ),
-            ),
-        )
-        for folder, end in (("ours", 5.0), ("paper", 140.0))
-        for i in range(3)
-    ]
+    ours = [ended_at(log, f"ours/trial-{i}.mcap", 5.0 + i, i % 2) for i in range(3)]
+    paper = [ended_at(log, f"paper/trial-{i}.mcap", 140.0 + i, i % 2) for i in range(3)]
+    return [*ours, *paper]
+
+
+def with_total(log, folder, error):
+    """The trial in a folder, with another total error."""
+    result = replace(log.result, total_error=error)
+    return replace(log, log=f"{folder}/trial-{error:.0f}.mcap", result=result)
 
 
 def test_each_folder_has_panels_of_its_own_errors(log):
@@ -508,12 +547,9 @@ def test_each_folder_has_panels_of_its_own_errors(log):
 
 
 def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
-    logs = [
-        replace(log, log=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=error))
-        for folder, errors in (("exact", (10.0, 20.0, 40.0)), ("arc", (5.0, 80.0)))
-        for i, error in enumerate(errors)
-    ]
-    axes = draw("batch", logs).axes[1]
+    exact = [with_total(log, "exact", error) for error in (10.0, 20.0, 40.0)]
+    arc = [with_total(log, "arc", error) for error in (5.0, 80.0)]
+    axes = draw("batch", [*exact, *arc]).axes[1]
     labels = [line.get_label() for line in axes.lines]
     assert labels == ["exact", "arc"]
     x, share = axes.lines[0].get_data()
@@ -523,17 +559,12 @@ def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
 
 
 def test_arms_have_a_dot_for_each_trial_and_level_names(log):
-    ends = {"exact": [10.0, 20.0, 60.0], "few-a=3": [5.0]}
-    logs = [
-        replace(log, log=f"{folder}/trial-{i}.mcap", result=replace(log.result, total_error=end))
-        for folder, errors in ends.items()
-        for i, end in enumerate(errors)
-    ]
-    axes = draw("batch", logs).axes[0]
-    assert [sorted(dots.get_offsets()[:, 1]) for dots in axes.collections if dots.get_gid()] == [
-        [10.0, 20.0, 60.0],
-        [5.0],
-    ]
+    exact = [with_total(log, "exact", error) for error in (10.0, 20.0, 60.0)]
+    few = with_total(log, "few-a=3", 5.0)
+    axes = draw("batch", [*exact, few]).axes[0]
+    dots = [collection for collection in axes.collections if collection.get_gid()]
+    heights = [sorted(of_arm.get_offsets()[:, 1]) for of_arm in dots]
+    assert heights == [[10.0, 20.0, 60.0], [5.0]]
     means = [float(line.get_ydata()[0]) for line in axes.lines]
     assert means == [30.0, 5.0]
     labels = [(label.get_text(), label.get_rotation()) for label in axes.get_xticklabels()]
@@ -541,9 +572,9 @@ def test_arms_have_a_dot_for_each_trial_and_level_names(log):
 
 
 def test_many_batches_differ_in_shade_or_line_and_none_has_the_hue_of_a_robot():
-    looks = [tuple(style.batch_look(number).values()) for number in range(9)]
-    assert len(set(looks)) == 9
-    assert not {color for color, _ in looks} & set(PALETTE)
+    looks = [style.batch_look(number) for number in range(9)]
+    assert len({tuple(look.values()) for look in looks}) == 9
+    assert not {look["color"] for look in looks} & set(PALETTE)
 
 
 def test_a_start_is_drawn_where_the_path_begins(log):
@@ -554,11 +585,16 @@ def test_a_start_is_drawn_where_the_path_begins(log):
     circles = [line for line in axes.lines if line.get_markerfacecolor() == "white"]
     drawn = np.array([line.get_xydata()[0] for line in circles if line.get_marker() == "o"])
     assert drawn == pytest.approx(first)
-    assert np.array([one["start"] for one in trial_data(moved, "x")["robots"]]) == pytest.approx(
-        first
-    )
-    unseen = replace(moved, valid=np.zeros_like(moved.valid))
-    starts = log.start.setup.starts.xy
-    assert [one["start"] for one in trial_data(unseen, "x")["robots"]] == starts.tolist()
+    assert starts_of_page(moved) == pytest.approx(first)
     trail = Recording(moved).at(moved.began_ns).trail  # what a terminal draws
-    assert first_seen(trail, starts) == pytest.approx(first)
+    assert first_seen(trail, log.start.setup.starts.xy) == pytest.approx(first)
+
+
+def starts_of_page(log):
+    """Where a page's replay draws the starts."""
+    return np.array([robot["start"] for robot in trial_data(log, "x")["robots"]])
+
+
+def test_a_robot_that_is_never_seen_starts_where_the_spec_says(log):
+    never_seen = replace(log, valid=np.zeros_like(log.valid))
+    assert np.array_equal(starts_of_page(never_seen), log.start.setup.starts.xy)

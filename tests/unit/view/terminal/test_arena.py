@@ -1,3 +1,5 @@
+"""The arena drawn in characters: where robots lie, and signs for angles and numbers."""
+
 import math
 
 import numpy as np
@@ -16,8 +18,15 @@ pytestmark = pytest.mark.slow
 
 COLORS = ["#009E73", "#0072B2", "#D55E00"]
 lengths = st.floats(1e-3, 1e5)
+
+
+def arena_of(x, y, width, height):
+    """An arena by its lower left corner and its size."""
+    return Bounds(x, y, x + width, y + height)
+
+
 arenas = st.builds(
-    lambda left, bottom, width, height: Bounds(left, bottom, left + width, bottom + height),
+    arena_of,
     st.floats(-1e4, 1e4),
     st.floats(-1e4, 1e4),
     lengths,
@@ -32,7 +41,8 @@ def test_any_position_in_the_arena_lands_on_the_canvas(arena, width, height, fx,
     view = Projection.fit(arena, width, height)
     assert 1 <= view.width <= width
     assert 1 <= view.height <= height
-    x, y = arena.left + fx * arena.width, arena.bottom + fy * arena.height
+    x = arena.left + fx * arena.width
+    y = arena.bottom + fy * arena.height
     (column,), (row,) = view.dots(np.array([[x, y]]))
     assert 0 <= column < ACROSS * view.width
     assert 0 <= row < DOWN * view.height
@@ -96,7 +106,8 @@ def test_the_robots_stand_where_they_are_and_look_where_they_head():
 
 def test_a_canvas_keeps_the_last_style_of_a_cell_and_cuts_where_it_changes():
     canvas = Canvas(3, 1, UNICODE)
-    red, blue = Style(color="red"), Style(color="blue")
+    red = Style(color="red")
+    blue = Style(color="blue")
     canvas.dots(np.array([0, 2, 4]), np.array([0, 0, 0]), red, ".")
     canvas.put(1, 0, "x", blue)
     canvas.put(9, 9, "y", blue)

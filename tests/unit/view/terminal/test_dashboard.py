@@ -1,3 +1,5 @@
+"""The screen of a replay: what it shows at any size of terminal."""
+
 import re
 from dataclasses import replace
 
@@ -17,6 +19,8 @@ pytestmark = pytest.mark.slow
 
 
 class StillWall:
+    """A wall clock that stands: one picture is drawn, and nothing is waited for."""
+
     def now(self):
         return 0
 
@@ -27,9 +31,9 @@ class StillWall:
 def screen(recording, width, height, seconds, **options):
     console = terminal(width, height, **options)
     player = Player(recording, StillWall(), span(recording, seconds, None), paused=True)
-    shown = dashboard(player, glyphs_for(console))
+    picture = dashboard(player, glyphs_for(console))
     with console.capture() as captured:
-        console.print(shown, height=height, end="")
+        console.print(picture, height=height, end="")
     return re.sub(r"\x1b\[[0-9;]*m", "", captured.get()).split("\n")
 
 
@@ -80,22 +84,23 @@ def test_a_narrow_terminal_leaves_words_and_units_out_and_cuts_none(recording, w
     "measure"."""
 
     def words(columns):
-        shown = screen(recording, columns, 40, 3.05)
-        beside = [line.rpartition("│")[2] for line in shown[:30] if "│" in line]
-        return {word.strip(",") for line in beside for word in line.split() if word.isascii()}
+        lines = screen(recording, columns, 40, 3.05)
+        numbers = [line.rpartition("│")[2] for line in lines[:30] if "│" in line]
+        return {word.strip(",") for word in " ".join(numbers).split() if word.isascii()}
 
     assert words(width) <= words(160) | LABELS
 
 
 def test_robots_that_stand_are_named(recording):
-    log, names = recording.log, recording.log.start.setup.names
-    each, first = np.ones(len(names)), np.arange(len(names)) == 0
-    known = Estimate(each, each, each, each, stands=0.95 * first)
-    steps = [replace(s, plan=replace(s.plan, estimate=known)) for s in log.steps]
-    told = Recording(replace(log, steps=steps))
-    (line,) = (text for text in screen(told, 80, 24, 3) if f" {names[0]} " in text)
-    assert "stands" in line
-    assert step_line(told, 3).endswith(f"{names[0]}: standing")
+    log = recording.log
+    ones = np.ones(3)
+    estimate = Estimate(ones, ones, ones, ones, stands=np.array([0.95, 0, 0]))
+    steps = [replace(step, plan=replace(step.plan, estimate=estimate)) for step in log.steps]
+    with_green_standing = Recording(replace(log, steps=steps))
+    lines = screen(with_green_standing, 80, 24, 3)
+    (of_green,) = (line for line in lines if " green " in line)
+    assert "stands" in of_green
+    assert step_line(with_green_standing, 3).endswith("green: standing")
     assert "stand" not in "".join([*screen(recording, 80, 24, 3), step_line(recording, 3)])
 
 
@@ -106,10 +111,12 @@ def test_without_colour_or_utf8_it_is_ascii(recording):
         assert any("[3]" in text for text in lines)
 
 
-def test_the_end_says_how_it_ended_and_damage_is_told(recording):
-    assert "ended: sequence completed" in "\n".join(
-        screen(recording, 80, 24, recording.end_ns / 1e9)
-    )
+def test_the_end_says_how_it_ended(recording):
+    lines = screen(recording, 80, 24, recording.end_ns / 1e9)
+    assert "ended: sequence completed" in "\n".join(lines)
+
+
+def test_damage_is_told():
     cut = Recording(cut_short(three_robots(), 20))
     text = "\n".join(screen(cut, 80, 24, 1))
     assert "damaged log" in text
@@ -134,14 +141,14 @@ def with_events(recording):
 
 
 def test_events_show_as_they_pass(recording):
-    told = with_events(recording)
-    assert "did not get" not in "\n".join(screen(told, 80, 24, 0.9))
-    assert screen(told, 80, 24, 2)[-2].startswith(
+    eventful = with_events(recording)
+    assert "did not get" not in "\n".join(screen(eventful, 80, 24, 0.9))
+    assert screen(eventful, 80, 24, 2)[-2].startswith(
         "    1.0 s  warning: green did not get the command of step 5"
     )
-    lines = screen(told, 80, 24, 3.05)
+    lines = screen(eventful, 80, 24, 3.05)
     assert lines[-3].startswith("    3.0 s  red is tracked again")
     assert lines[-2].startswith("    3.0 s  error: a cable came off")
     assert lines[-2].endswith("…")
-    assert "did not get" in "\n".join(screen(told, 80, 40, 3.05))
+    assert "did not get" in "\n".join(screen(eventful, 80, 40, 3.05))
     assert "evaluations" in "\n".join(lines)  # and the numbers are all there still

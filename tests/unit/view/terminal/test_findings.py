@@ -28,5 +28,5 @@ def test_everything_found_is_printed_and_is_in_the_json(capsys):
     for line in ("camera: 119.9 Hz", "server: Motive", "warning: dusty", "problem: no radio"):
         assert line in lines
     assert lines[-1] == "not ready"
-    found = as_json(FOUND)
-    assert (found["ready"], found["robots"][0]["off_mm"]) == (False, 3.4)
+    document = as_json(FOUND)
+    assert (document["ready"], document["robots"][0]["off_mm"]) == (False, 3.4)

@@ -1,3 +1,5 @@
+"""Keys from bytes, and those that stop the robots."""
+
 import os
 import sys
 import threading
@@ -40,13 +42,16 @@ def test_anything_decodes_and_only_a_beginning_is_kept(data):
     assert all(key.isprintable() for key in keys)
 
 
-@given(st.lists(st.sampled_from([b"\x1b[C", b"\x1bOD", b" ", b".", b"\x1b[5~"])), st.data())
+KEYS = st.sampled_from([b"\x1b[C", b"\x1bOD", b" ", b".", b"\x1b[5~"])
+
+
+@given(st.lists(KEYS), st.data())
 def test_a_sequence_torn_between_two_reads_is_put_together(parts, data):
-    whole = b"".join(parts)
-    cut = data.draw(st.integers(0, len(whole)))
-    first, rest = decode(whole[:cut])
-    second, left = decode(rest + whole[cut:])
-    assert (first + second, left) == decode(whole)
+    sequence = b"".join(parts)
+    cut = data.draw(st.integers(0, len(sequence)))
+    first, torn = decode(sequence[:cut])
+    second, rest = decode(torn + sequence[cut:])
+    assert (first + second, rest) == decode(sequence)
 
 
 @pytest.fixture
@@ -61,7 +66,8 @@ def terminal(monkeypatch):
 
 def pressed(terminal, *pieces):
     """Return how often the robots were stopped once all keys, and then Enter, were read."""
-    stops, entered = [], threading.Event()
+    stops = []
+    entered = threading.Event()
     with StopKey(lambda: stops.append(1), entered.set):
         for piece in (*pieces, b"\n"):
             os.write(terminal, piece)

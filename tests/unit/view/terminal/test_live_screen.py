@@ -1,3 +1,5 @@
+"""What an operator sees while trials run: the live view, bars, and lines of progress."""
+
 import io
 import re
 from dataclasses import replace
@@ -10,6 +12,7 @@ from support.trials import run_three_robots, three_robots
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note, Sample
 from tetractl.core.plan import Outcome
+from tetractl.core.protocols import Observer
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.live_screen import LabWatch, LiveView
@@ -18,78 +21,92 @@ from tetractl.view.terminal.progress import BatchProgress, ScriptProgress, Study
 pytestmark = pytest.mark.slow
 
 
-class Wall:
-    """A wall clock that moves on by `tick` seconds at every look."""
+class Wall(Observer):
+    """A wall clock that the test moves on; as an observer of a trial, by 0.2 s a control step."""
 
-    def __init__(self, tick):
-        self.time, self.tick = 0.0, tick
+    def __init__(self):
+        self.time_s = 0.0
 
     def __call__(self):
-        self.time += self.tick
-        return self.time
+        return self.time_s
+
+    def on_step(self, step):
+        self.time_s += 0.2
 
 
 def written(console):
+    """The text that a console wrote to its file, of text or of bytes."""
     file = console.file
-    return file.getvalue() if isinstance(file, io.StringIO) else file.buffer.getvalue().decode()
+    if isinstance(file, io.StringIO):
+        return file.getvalue()
+    return file.buffer.getvalue().decode()
 
 
 def pictures(console):
     """What each picture showed: they begin at the home position."""
-    shown = written(console).split("\x1b[H")[1:]
-    return [re.sub(r"\x1b\[[0-9;?]*[a-z]", "", picture, flags=re.I) for picture in shown]
+    texts = written(console).split("\x1b[H")[1:]
+    return [without_codes(text) for text in texts]
+
+
+def without_codes(text):
+    """The text without what sets colours and moves the cursor."""
+    return re.sub(r"\x1b\[[0-9;?]*[a-z]", "", text, flags=re.I)
 
 
 def ended(trial, count, result, left_s=None):
+    """How a trial ended: with a result, or without one as its camera was missing."""
     failure = None
     if result is None or result.outcome is Outcome.ABORTED:
         failure = "no camera" if result is None else f"aborted: {result.reason}"
     return Ending(Task(trial, count, b"", "arm"), result, failure, left_s)
 
 
-def run(folder, tick):
-    console = terminal()
-    with LiveView(console, wall=Wall(tick)) as view:
-        watcher = view
-        watcher.trial_started(Task(2, 20, b""))
-        run_three_robots(folder, observers=[view])
-        result = three_robots().result
-        assert result
-        watcher.trial_ended(ended(2, 20, result))
-        watcher.trial_started(Task(3, 20, b""))
-        view.on_start(three_robots().start)
-    return console
-
-
 def test_the_live_view_shows_trial_numbers_and_how_it_ended(tmp_path):
-    shown = pictures(run(tmp_path, tick=0.02))
-    assert "trial 3 of 20" in shown[1]
-    assert any("ended: sequence completed" in picture for picture in shown)
-    assert "trial 4 of 20" in shown[-1]
-    assert "left" in shown[-1]
-    assert f"mean total error {three_robots().result.total_error:.1f} mm" in shown[-1]
-    assert "step k      none yet" in shown[-1]
+    console = terminal()
+    wall = Wall()
+    result = three_robots().result
+    assert result
+    with LiveView(console, wall=wall) as view:
+        view.trial_started(Task(2, 20, b""))
+        run_three_robots(tmp_path, observers=[wall, view])
+        view.trial_ended(ended(2, 20, result))
+        view.trial_started(Task(3, 20, b""))
+        view.on_start(three_robots().start)
+    seen_pictures = pictures(console)
+    assert "trial 3 of 20" in seen_pictures[1]
+    assert any("ended: sequence completed" in picture for picture in seen_pictures)
+    last = seen_pictures[-1]
+    assert "trial 4 of 20" in last
+    assert "left" in last
+    assert f"mean total error {result.total_error:.1f} mm" in last
+    assert "step k      none yet" in last
 
 
 def test_the_live_view_counts_from_the_first_direction_and_shows_notes():
-    log, console = three_robots(), terminal()
-    placed = [
-        replace(log.steps[0], command=replace(log.steps[0].command, sent_ns=20 * SECOND)),
-        replace(log.steps[1], command=replace(log.steps[1].command, sent_ns=21 * SECOND)),
-    ]
-    seen = replace(log.steps[0].observation, sampled_ns=19 * SECOND)
-    with LiveView(console, wall=Wall(1.0)) as view:
+    log = three_robots()
+    console = terminal()
+    wall = Wall()
+    first, second = (
+        replace(step, command=replace(step.command, sent_ns=sent_s * SECOND))
+        for step, sent_s in zip(log.steps, (20, 21), strict=False)
+    )
+    while_placed = replace(first.observation, sampled_ns=19 * SECOND)
+    with LiveView(console, wall=wall) as view:
         view.on_start(log.start)
-        view.on_samples([Sample(seen, None)])
-        for step in placed:
-            view.on_step(step)
+        wall.time_s = 1.0  # each later call comes when the next picture is due
+        view.on_samples([Sample(while_placed, None)])
+        wall.time_s = 2.0
+        view.on_step(first)
+        wall.time_s = 3.0
+        view.on_step(second)
+        wall.time_s = 4.0
         view.on_note(Note(20_500_000_000, "warning", "red turns the wrong way"))
-    shown = pictures(console)
-    times = [found[1] for text in shown if (found := re.search(r"time +([0-9.]+) s", text))]
+    seen_pictures = pictures(console)
+    times = re.findall(r"time +([0-9.]+) s", "\n".join(seen_pictures))
     assert times[0] == "0.0"
     assert times[-1] == "1.0"
     assert set(times) == {"0.0", "1.0"}
-    assert "    0.5 s  warning: red turns the wrong way" in shown[-1]
+    assert "    0.5 s  warning: red turns the wrong way" in seen_pictures[-1]
 
 
 def test_the_live_view_gives_the_terminal_back_whatever_happens():
@@ -136,7 +153,7 @@ def test_on_a_terminal_progress_is_a_bar_with_the_errors_so_far():
         progress.trial_ended(ended(0, 3, result, 100.0))
         second = replace(result, total_error=600.0, verdict=entered)
         progress.trial_ended(ended(1, 3, second, 65.0))
-    text = re.sub(r"\x1b\[[0-9;?]*[a-z]", "", written(console), flags=re.I)
+    text = without_codes(written(console))
     assert "2/3" in text
     mean = (result.total_error + 600) / 2
     assert f"1 min 5 s left, mean total error {mean:.1f} mm, 1 entered an obstacle" in text
@@ -172,8 +189,10 @@ def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
 
 def test_a_script_prints_a_line_every_ten_seconds(capsys):
     result = three_robots().result
-    progress = ScriptProgress(20, Wall(4.0))  # made at 4 s; trials end at 8, 12, 16 s ...
+    wall = Wall()
+    progress = ScriptProgress(20, wall)
     for i in range(6):
+        wall.time_s += 4.0
         progress.trial_ended(ended(i, 20, result, 4.0 * (19 - i)))
     assert capsys.readouterr().err.splitlines() == [
         "3 of 20 trials; 1 min 8 s left",

@@ -22,6 +22,9 @@ pytestmark = pytest.mark.slow
 PLACES = st.floats(-12, 12)
 ENDS = GRID | PLACES
 MARGINS = st.sampled_from([0.0, 0.25, 1.0])
+PLAIN = rectangles() | circles() | combs() | st.just(L_SHAPE)
+SAMPLES = 2000
+L = L_SHAPE.shape()
 
 
 def at(*numbers):
@@ -32,10 +35,35 @@ def polygon(*vertices):
     return Polygon(type="polygon", vertices=vertices)
 
 
+def contains(shape, x, y):
+    """Whether the shape contains a single point."""
+    return bool(shape.contain(*at(x, y))[0])
+
+
+def crosses(shape, x0, y0, x1, y1):
+    """Whether a single segment touches the shape."""
+    return bool(shape.cross(*at(x0, y0, x1, y1))[0])
+
+
+def distance(shape, x, y):
+    """The distance of a single point, negative inside."""
+    return float(shape.distance(*at(x, y))[0])
+
+
+def least_distance(shape, x0, y0, x1, y1):
+    """The least distance of SAMPLES + 1 points of a segment."""
+    t = np.linspace(0, 1, SAMPLES + 1)
+    return shape.distance(x0 + t * (x1 - x0), y0 + t * (y1 - y0)).min()
+
+
 @njit
-def compiled(row, x0, y0, x1, y1):
-    """Whether a segment touches, and the distance and direction of its start, by the kernels."""
-    return kernel.touches(row, x0, y0, x1, y1), kernel.nearest(row, x0, y0)
+def compiled_touches(row, x0, y0, x1, y1):
+    return kernel.touches(row, x0, y0, x1, y1)
+
+
+@njit
+def compiled_nearest(row, x, y):
+    return kernel.nearest(row, x, y)
 
 
 def row(shape):
@@ -50,30 +78,29 @@ def test_the_strategies_know_every_kind_that_is_built_in():
 def test_the_distance_is_that_of_geometry(section, x, y):
     expected = gap(section, x, y)
     shape = section.shape()
-    assert shape.distance(*at(x, y))[0] == pytest.approx(expected, abs=1e-9)
+    assert distance(shape, x, y) == pytest.approx(expected, abs=1e-9)
     if abs(expected) > 1e-9:
-        assert shape.contain(*at(x, y))[0] == (expected < 0)
+        assert contains(shape, x, y) == (expected < 0)
 
 
 @given(SHAPES, ENDS, ENDS, ENDS, ENDS)
 def test_a_segment_crosses_as_geometry_says_but_for_rounding(section, x0, y0, x1, y1):
     shape = section.shape()
-    crossed = shape.cross(*at(x0, y0, x1, y1))[0]
-    if meets(section, x0, y0, x1, y1):
-        assert shape.grown(1e-9).cross(*at(x0, y0, x1, y1))[0]
-    t = np.linspace(0, 1, 2001)
-    nearest = shape.distance(x0 + t * (x1 - x0), y0 + t * (y1 - y0)).min()
-    step = math.dist((x0, y0), (x1, y1)) / 2000
+    segment = (x0, y0, x1, y1)
+    if meets(section, *segment):
+        assert crosses(shape.grown(1e-9), *segment)
+    nearest = least_distance(shape, *segment)
+    step = math.dist((x0, y0), (x1, y1)) / SAMPLES
     if nearest < -1e-9:
-        assert crossed
+        assert crosses(shape, *segment)
     if nearest > step + 1e-9:  # a sample is within half a step of every point of the segment
-        assert not crossed
+        assert not crosses(shape, *segment)
 
 
-@given(rectangles() | circles() | combs() | st.just(L_SHAPE), GRID, GRID)
+@given(PLAIN, GRID, GRID)
 def test_a_segment_without_length_is_a_point(section, x, y):
     shape = section.shape()
-    assert shape.cross(*at(x, y, x, y))[0] == shape.contain(*at(x, y))[0]
+    assert crosses(shape, x, y, x, y) == contains(shape, x, y)
 
 
 @given(SHAPES, PLACES, PLACES, PLACES, PLACES, MARGINS)
@@ -81,14 +108,13 @@ def test_shapes_grow_by_the_margin_and_no_more(section, x0, y0, x1, y1, margin):
     shape = section.shape()
     grown = shape.grown(margin)
     expected = gap(section, x0, y0) - margin
-    assert grown.distance(*at(x0, y0))[0] == pytest.approx(expected, abs=1e-9)
-    t = np.linspace(0, 1, 2001)
-    nearest = shape.distance(x0 + t * (x1 - x0), y0 + t * (y1 - y0)).min()
-    crossed = grown.cross(*at(x0, y0, x1, y1))[0]
+    assert distance(grown, x0, y0) == pytest.approx(expected, abs=1e-9)
+    nearest = least_distance(shape, x0, y0, x1, y1)
+    step = math.dist((x0, y0), (x1, y1)) / SAMPLES
     if nearest <= margin - 1e-9:
-        assert crossed
-    if nearest > margin + math.dist((x0, y0), (x1, y1)) / 2000 + 1e-9:
-        assert not crossed
+        assert crosses(grown, x0, y0, x1, y1)
+    if nearest > margin + step + 1e-9:
+        assert not crosses(grown, x0, y0, x1, y1)
 
 
 @given(SHAPES, PLACES, PLACES, PLACES, PLACES, MARGINS)
@@ -96,27 +122,26 @@ def test_shapes_grow_by_the_margin_and_no_more(section, x0, y0, x1, y1, margin):
 @example(L_SHAPE, 4.0, 0.5, 0.0, 0.0, 0.0)  # on an edge
 def test_the_kernels_agree(section, x0, y0, x1, y1, margin):
     shape = section.shape().grown(margin)
-    numbers = row(shape)
-    touches, (distance, east, north) = compiled(numbers, x0, y0, x1, y1)
-    assert distance == pytest.approx(shape.distance(*at(x0, y0))[0], abs=1e-9)
-    wider = shape.grown(1e-7)
-    tighter = None if margin == 0 else shape.grown(-1e-7)
-    if touches != shape.cross(*at(x0, y0, x1, y1))[0]:  # only where the segment just touches
-        assert wider.cross(*at(x0, y0, x1, y1))[0]
-        assert tighter is None or not tighter.cross(*at(x0, y0, x1, y1))[0]
+    touches = compiled_touches(row(shape), x0, y0, x1, y1)
+    if touches != crosses(shape, x0, y0, x1, y1):  # only where the segment just touches
+        assert crosses(shape.grown(1e-7), x0, y0, x1, y1)
+        assert margin == 0 or not crosses(shape.grown(-1e-7), x0, y0, x1, y1)
+    gap_size, east, north = compiled_nearest(row(shape), x0, y0)
+    assert gap_size == pytest.approx(distance(shape, x0, y0), abs=1e-9)
     assert math.hypot(east, north) == pytest.approx(1, abs=1e-6)
-    if distance < -1e-6 and margin == 0:
+    if gap_size < -1e-6 and margin == 0:
         # out by the depth is the edge; out of a grown notch, no one direction leads
-        out = shape.distance(*at(x0 - distance * east, y0 - distance * north))[0]
-        assert out == pytest.approx(0, abs=1e-6)
+        edge = (x0 - gap_size * east, y0 - gap_size * north)
+        assert distance(shape, *edge) == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "out"), [(2, 0, (0, -1)), (4, 0.5, (1, 0)), (1, 2, (1, 0)), (3, 1, (0, 1))]
+    ("x", "y", "out"),
+    [(2.0, 0.0, (0, -1)), (4.0, 0.5, (1, 0)), (1.0, 2.0, (1, 0)), (3.0, 1.0, (0, 1))],
 )
 def test_outward_of_a_point_on_an_edge_is_its_normal(x, y, out):
-    distance = compiled(row(L_SHAPE.shape()), float(x), float(y), float(x), float(y))[1]
-    assert distance[1:] == out
+    _, east, north = compiled_nearest(row(L), x, y)
+    assert (east, north) == out
 
 
 def test_two_corners_with_a_radius_are_a_capsule():
@@ -124,9 +149,9 @@ def test_two_corners_with_a_radius_are_a_capsule():
     x = np.array([2.0, 6, -1, 2])
     y = np.array([0.0, 0, 0, 3])
     assert capsule.distance(x, y).tolist() == [-1, 1, 0, 2]
-    assert capsule.cross(*at(2, 3, 2, -3))[0]
-    assert not capsule.cross(*at(4.8, 1, 6, -1))[0]
-    assert compiled(row(capsule), 2.0, 3.0, 2.0, -3.0)[0]
+    assert crosses(capsule, 2, 3, 2, -3)
+    assert not crosses(capsule, 4.8, 1, 6, -1)
+    assert compiled_touches(row(capsule), 2.0, 3.0, 2.0, -3.0)
     assert capsule.distance(*capsule.outline().T) == pytest.approx(0, abs=1e-12)
 
 
@@ -138,7 +163,7 @@ def test_the_outline_draws_the_shape(section):
     x, y = outline.T
     area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) / 2
     assert area > 0
-    drawn = Polygon(type="polygon", vertices=tuple(map(tuple, outline.tolist()))).shape()
+    drawn = polygon(*outline.tolist()).shape()
     spots = np.random.default_rng(1).uniform(-12, 12, (2, 300))
     clear = np.abs(shape.distance(*spots)) > 0.02  # an outline of a disc cuts its edge by as much
     assert np.array_equal(drawn.contain(*spots)[clear], shape.contain(*spots)[clear])
@@ -150,12 +175,12 @@ def test_the_outline_draws_the_shape(section):
      (0.5, 2.9, True), (2.5, 2, False), (0, 3, True), (-0.01, 1, False)],
 )  # fmt: skip
 def test_edges_and_the_inner_corner_belong_to_a_concave_polygon(x, y, inside):
-    assert L_SHAPE.shape().contain(*at(x, y))[0] == inside
-    assert L_SHAPE.shape().cross(*at(x, y, x, y))[0] == inside
+    assert contains(L, x, y) == inside
+    assert crosses(L, x, y, x, y) == inside
 
 
 @pytest.mark.parametrize(
-    ("segment", "crosses"),
+    ("segment", "touches"),
     [
         ((1.5, 3, 1.5, 1.5), False),  # into the notch of the L, short of it
         ((1.5, 3, 4, 1.5), False),  # past both arms
@@ -167,19 +192,17 @@ def test_edges_and_the_inner_corner_belong_to_a_concave_polygon(x, y, inside):
         ((-1, 1, 5, 4), True),  # right across
     ],
 )
-def test_segments_against_a_concave_polygon(segment, crosses):
-    assert L_SHAPE.shape().cross(*at(*segment))[0] == crosses
-    assert L_SHAPE.shape().cross(*at(*segment[2:], *segment[:2]))[0] == crosses
+def test_segments_against_a_concave_polygon(segment, touches):
+    backwards = (*segment[2:], *segment[:2])
+    assert crosses(L, *segment) == touches
+    assert crosses(L, *backwards) == touches
 
 
 def test_the_way_round_a_polygon_does_not_matter():
-    back = polygon(*L_SHAPE.vertices[::-1])
-    assert back.shape().outline().tolist() == L_SHAPE.shape().outline().tolist()
-    assert (
-        back.shape().distance(*at(0.5, 0.5))[0]
-        == L_SHAPE.shape().distance(*at(0.5, 0.5))[0]
-        == -0.5
-    )
+    back = polygon(*L_SHAPE.vertices[::-1]).shape()
+    assert np.array_equal(back.outline(), L.outline())
+    assert distance(L, 0.5, 0.5) == -0.5
+    assert distance(back, 0.5, 0.5) == -0.5
 
 
 @pytest.mark.parametrize(

@@ -18,18 +18,28 @@ T = 0.2
 
 
 def step(heading, u, a, side, saturation, t=T):
-    angles = math.cos(heading), math.sin(heading), math.cos(u), math.sin(u)
-    rate, slopes = turning(*angles, (a, V, side, saturation), t)
-    return by_turning(differentiate(*angles, (rate, V), t), slopes)
+    """The displacement and the turn, and their derivatives by the heading, by u and by the
+    parameters: ln a, ln speed, side and ln saturation."""
+    c = math.cos(heading)
+    s = math.sin(heading)
+    cu = math.cos(u)
+    su = math.sin(u)
+    rate, slopes = turning(c, s, cu, su, (a, V, side, saturation), t)
+    return by_turning(differentiate(c, s, cu, su, (rate, V), t), slopes)
 
 
 def integrated(heading, u, a, side, saturation, t=T):
+    """The displacement and the turn of a robot whose a is e^side times as much to the left, and as
+    much less to the right, and whose motors turn it by no more than `saturation` of the greater."""
     most = a * math.exp(abs(side)) * saturation
 
     def change(_, state):
-        sine = math.sin(u - state[2])
-        rate = a * math.exp(math.copysign(side, side * sine)) * sine
-        return [V * math.cos(state[2]), V * math.sin(state[2]), max(min(rate, most), -most)]
+        heading_now = state[2]
+        sine = math.sin(u - heading_now)
+        to_this_side = side if sine >= 0 else -side
+        rate = a * math.exp(to_this_side) * sine
+        turning = max(min(rate, most), -most)
+        return [V * math.cos(heading_now), V * math.sin(heading_now), turning]
 
     solution = solve_ivp(change, (0, t), [0, 0, heading], rtol=1e-9, atol=1e-9, max_step=1e-2)
     return solution.y[:, -1] - [0, 0, heading]
@@ -63,30 +73,29 @@ def test_derivatives_are_those_of_the_step(heading, phi, side, saturation):
     """Where the robot saturates in the middle, or not, in both of the steps compared."""
     a = 4.0
     t = 0.02
-    by = 1e-6
-    given_ = np.array([0.0, 0.0, side, math.log(saturation)])
     u = heading + phi
-
-    def moved(change_heading=0.0, change_u=0.0, p=None):
-        parameters = given_ + by * (np.arange(4) == p)
-        rate = a * math.exp(parameters[0])
-        step_a = step(
-            heading + change_heading, u + change_u, rate, parameters[2], math.exp(parameters[3]), t
-        )[0]
-        return np.array(step_a) * [math.exp(parameters[1]), math.exp(parameters[1]), 1]
-
-    if saturation < 1 and abs(math.sin(phi)) < 1.5 * saturation * math.exp(abs(side)):
+    size = abs(math.sin(phi))
+    if saturation < 1 and size < 1.5 * saturation * math.exp(abs(side)):
         return  # may saturate in one step, and not in the other
-    there = moved()
+    unit = np.array([V * t, V * t, 1.0])  # the way and the turn compared as numbers about 1
+    small = 1e-6
+
+    def moved(heading=heading, u=u, a=a, side=side, saturation=saturation):
+        pose, *_ = step(heading, u, a, side, saturation, t)
+        return np.array(pose)
+
+    def slope(changed):
+        return pytest.approx((changed - moved()) / small / unit, abs=2e-3)
+
     _, by_heading, by_u, by_parameters = step(heading, u, a, side, saturation, t)
-    scale = np.array([V * t, V * t, 1.0])
-    assert by_heading / scale == pytest.approx(
-        ((moved(by) - there) / by + [0, 0, 1]) / scale, abs=2e-3
-    )
-    assert by_u / scale == pytest.approx((moved(0, by) - there) / by / scale, abs=2e-3)
-    for p in (0, 2) if saturation == 1 else (0, 2, 3):
-        slope = (moved(p=p) - there) / by
-        assert by_parameters[p] / scale == pytest.approx(slope / scale, abs=2e-3), p
+    by_ln_a, _, by_side, by_ln_saturation = np.array(by_parameters) / unit
+    with_turn = moved(heading=heading + small) + np.array([0, 0, small])  # the heading after it
+    assert by_heading / unit == slope(with_turn)
+    assert by_u / unit == slope(moved(u=u + small))
+    assert by_ln_a == slope(moved(a=a * math.exp(small)))
+    assert by_side == slope(moved(side=side + small))
+    if saturation < 1:
+        assert by_ln_saturation == slope(moved(saturation=saturation * math.exp(small)))
 
 
 @pytest.mark.parametrize("a", [3.0, 6.0])
@@ -96,9 +105,9 @@ def test_wheels_that_keep_a_rate_turn_as_its_modified_equation_says(a, kept_s, p
     """Regression: to the second order, with one mean time, an a of 6 came out 0.3 % high."""
     hold = tuple(np.average(np.power(kept_s, k), weights=kept_s) for k in (1, 2, 3))
     steps_s = np.tile(kept_s, 12 // len(kept_s))
-    phi_left = phi
-    for step_s in steps_s:  # of the angle from the heading to the direction
-        phi_left -= step_s * a * math.sin(phi_left)
+    phi_by_steps = phi  # the angle from the heading to the direction
+    for step_s in steps_s:
+        phi_by_steps -= step_s * a * math.sin(phi_by_steps)
 
     def change(_, phi_now):
         c = math.cos(phi_now[0])
@@ -107,19 +116,20 @@ def test_wheels_that_keep_a_rate_turn_as_its_modified_equation_says(a, kept_s, p
         return [-rate * s]
 
     span = (0.0, float(steps_s.sum()))
-    integrated = solve_ivp(change, span, [phi], rtol=1e-9, atol=1e-12).y[0, -1]
-    assert math.log(integrated / phi_left) == pytest.approx(0.0, abs=0.001 * a * span[1])
+    phi_by_equation = solve_ivp(change, span, [phi], rtol=1e-9, atol=1e-12).y[0, -1]
+    assert math.log(phi_by_equation / phi_by_steps) == pytest.approx(0.0, abs=0.001 * a * span[1])
 
 
 @pytest.mark.parametrize("phi", [-2.0, -0.3, 0.8, 2.5])
 def test_the_slope_of_a_kept_rate_is_its_derivative(phi):
     hold = (0.04, 0.0018, 8e-5)
-    by = 1e-6
+    no_slopes = (0.0, 0.0, 0.0)
+    small = 1e-6
 
     def ln_rate(phi_there):
-        return math.log(
-            held(6.0, (0.0, 0.0, 0.0), math.cos(phi_there), math.sin(phi_there), hold)[0]
-        )
+        rate, _ = held(6.0, no_slopes, math.cos(phi_there), math.sin(phi_there), hold)
+        return math.log(rate)
 
-    _, slopes = held(6.0, (0.0, 0.0, 0.0), math.cos(phi), math.sin(phi), hold)
-    assert slopes[0] == pytest.approx((ln_rate(phi + by) - ln_rate(phi - by)) / (2 * by), abs=1e-6)
+    _, slopes = held(6.0, no_slopes, math.cos(phi), math.sin(phi), hold)
+    expected = (ln_rate(phi + small) - ln_rate(phi - small)) / (2 * small)
+    assert slopes[0] == pytest.approx(expected, abs=1e-6)

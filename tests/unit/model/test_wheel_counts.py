@@ -1,4 +1,7 @@
+"""Counts that one robot's wheels are sent for wished speeds [mm/s], left and right."""
+
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -8,86 +11,117 @@ from support.wheels import train
 
 pytestmark = pytest.mark.slow
 
-gains = st.builds(lambda gain, back: -gain if back else gain, st.floats(4.0, 12.0), st.booleans())
-zones = st.tuples(st.integers(0, 20), st.integers(0, 20))
-trains = st.builds(train, st.tuples(gains, gains), zones, st.integers(21, 127), st.booleans())
-halves = st.floats(-0.5, 0.5)
-owing = st.tuples(halves, halves)
-speeds = st.floats(-2000.0, 2000.0)
-finite = st.floats(allow_nan=False, allow_infinity=False)
+GAINS = st.floats(4.0, 12.0) | st.floats(-12.0, -4.0)  # negative: a wheel that is turned round
+ZONES = st.tuples(st.integers(0, 20), st.integers(0, 20))
+LIMITS = st.integers(21, 127)
+TRAINS = st.builds(train, st.tuples(GAINS, GAINS), ZONES, LIMITS, swap=st.booleans())
+OWED = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+"""Counts that rounding has left to send, of both wheels."""
+SPEEDS = st.floats(-2000.0, 2000.0)
+BOTH_SPEEDS = st.tuples(SPEEDS, SPEEDS)
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
-def sent(pair, drive_train, owed=(0.0, 0.0)):
-    """Return the counts (2, 1) for a pair of speeds, what is owed, and the speeds of the counts."""
-    counts, owed = drive_train.counts(np.array(pair)[:, None], np.array(owed)[:, None])
-    return counts, owed, drive_train.speeds(counts)
+class Sent(NamedTuple):
+    """What is sent to the two motor channels, and what it does to the left and right wheel."""
+
+    counts: np.ndarray  # (2,) in the order of the channels
+    owed: np.ndarray  # (2,) counts that are owed after it
+    speeds: np.ndarray  # (2,) speeds of the wheels at these counts [mm/s]
 
 
-@given(speeds, speeds, trains)
-def test_the_mean_of_what_is_sent_is_what_was_wished(left, right, drive_train):
-    tops = np.abs(drive_train.gain) * (drive_train.limit - drive_train.dead_zone)
-    wished = np.array([[left], [right]])
-    scale = 1 / max(1.0, float((np.abs(wished) / tops).max()))
-    owed = np.zeros((2, 1))
-    total = np.zeros((2, 1))
+def send(wished, drive_train, owed=(0.0, 0.0)):
+    counts, owed_after = drive_train.counts(np.array([wished]).T, np.array([owed]).T)
+    speeds = drive_train.speeds(counts)
+    return Sent(counts[:, 0], owed_after[:, 0], speeds[:, 0])
+
+
+def counts_by_wheel(sent, drive_train):
+    """The counts in the order of the wheels."""
+    return sent.counts[::-1] if drive_train.swap[0] else sent.counts
+
+
+@given(BOTH_SPEEDS, TRAINS)
+def test_the_mean_of_what_is_sent_is_what_was_wished(wished, drive_train):
+    """Speeds above the greatest one are scaled together. After so many steps less than a count of
+    rounding is owed, shared by all of them."""
     steps = 64
+    gain = np.abs(drive_train.gain[:, 0])
+    greatest = gain * (drive_train.limit - drive_train.dead_zone[:, 0])
+    too_fast = (np.abs(wished) / greatest).max()
+    expected = np.array(wished) / max(1.0, too_fast)
+
+    owed = (0.0, 0.0)
+    speeds = []
     for _ in range(steps):
-        _, owed, speeds = sent((left, right), drive_train, owed[:, 0])
-        total += speeds
-    assert (
-        np.abs(total / steps - wished * scale) <= np.abs(drive_train.gain) * 0.51 / steps + 1e-9
-    ).all()
+        sent = send(wished, drive_train, owed)
+        owed = sent.owed
+        speeds.append(sent.speeds)
+
+    off = np.abs(np.mean(speeds, axis=0) - expected)
+    assert (off <= gain * 0.51 / steps + 1e-9).all()
 
 
-@given(finite, finite, trains, owing)
-def test_counts_never_leave_the_limits(left, right, drive_train, owed):
-    counts, after, speeds = sent((left, right), drive_train, owed)
-    assert np.abs(counts).max() <= drive_train.limit[0]
-    assert counts.dtype == np.int64
-    assert np.abs(after).max() <= 0.5
-    for speed, wish in zip(speeds, (left, right), strict=True):
+@given(st.tuples(FINITE, FINITE), TRAINS, OWED)
+def test_counts_never_leave_the_limits(wished, drive_train, owed):
+    sent = send(wished, drive_train, owed)
+    assert np.abs(sent.counts).max() <= drive_train.limit[0]
+    assert sent.counts.dtype == np.int64
+    assert np.abs(sent.owed).max() <= 0.5
+
+
+@given(st.tuples(FINITE, FINITE), TRAINS, OWED)
+def test_no_wheel_turns_against_what_was_wished(wished, drive_train, owed):
+    sent = send(wished, drive_train, owed)
+    for speed, wish in zip(sent.speeds, wished, strict=True):
         assert speed == 0 or (speed > 0) == (wish > 0)
 
 
-@given(trains, owing, st.sampled_from([0.0, -0.0]))
+@given(TRAINS, OWED, st.sampled_from([0.0, -0.0]))
 def test_stop_is_exactly_zero_whatever_is_owed(drive_train, owed, zero):
-    counts, after, speeds = sent((zero, 0.0), drive_train, owed)
-    assert not counts.any()
-    assert not after.any()
-    assert not speeds.any()
+    sent = send((zero, 0.0), drive_train, owed)
+    assert not sent.counts.any()
+    assert not sent.owed.any()
+    assert not sent.speeds.any()
 
 
-@given(speeds, trains, owing)
-def test_a_wheel_wished_to_stand_stands(speed, drive_train, owed):
-    counts, after, speeds = sent((speed, 0.0), drive_train, owed)
-    assert speeds[1] == 0.0
-    assert counts[0 if drive_train.swap[0] else 1] == 0
-    assert speed == 0 or after[1] == owed[1]
+@given(SPEEDS, TRAINS, OWED)
+def test_a_wheel_wished_to_stand_stands(left_speed, drive_train, owed):
+    sent = send((left_speed, 0.0), drive_train, owed)
+    assert sent.speeds[1] == 0.0
+    assert counts_by_wheel(sent, drive_train)[1] == 0
+    assert left_speed == 0 or sent.owed[1] == owed[1]
 
 
-@given(speeds, speeds, trains, owing)
-def test_nothing_is_sent_inside_the_dead_zone(left, right, drive_train, owed):
-    counts, _, _ = sent((left, right), drive_train, owed)
-    in_own_order = counts[::-1] if drive_train.swap[0] else counts
-    assert ((in_own_order == 0) | (np.abs(in_own_order) > drive_train.dead_zone)).all()
+@given(BOTH_SPEEDS, TRAINS, OWED)
+def test_nothing_is_sent_inside_the_dead_zone(wished, drive_train, owed):
+    counts = counts_by_wheel(send(wished, drive_train, owed), drive_train)
+    beyond = np.abs(counts) > drive_train.dead_zone[:, 0]
+    assert ((counts == 0) | beyond).all()
 
 
-def test_swap_and_invert():
-    for drive_train, counts in (
-        (train(), (10, 20)),
+@pytest.mark.parametrize(
+    ("drive_train", "counts"),
+    [
+        (train(), (10, 20)),  # 100 and 200 mm/s at 10 mm/s a count
         (train(swap=True), (20, 10)),
         (train((-10.0, 10.0)), (-10, 20)),
         (train((-10.0, 10.0), swap=True), (20, -10)),
-        (train(dead_zone=(8, 0)), (18, 20)),
-        (train(limit=10), (5, 10)),
-    ):
-        outputs, _, _ = sent((100.0, 200.0), drive_train)
-        assert tuple(outputs[:, 0]) == counts
-    assert train(dead_zone=(8, 0)).speeds(np.array([[18], [20]])).tolist() == [[100.0], [200.0]]
+        (train(dead_zone=(8, 0)), (8 + 10, 20)),
+        (train(limit=10), (5, 10)),  # both scaled by a half
+    ],
+)
+def test_counts_are_those_of_how_the_wheels_are_built_in(drive_train, counts):
+    assert tuple(send((100.0, 200.0), drive_train).counts) == counts
+
+
+def test_the_speeds_of_counts_leave_the_dead_zone_out():
+    counts = np.array([[8 + 10], [20]])
+    assert train(dead_zone=(8, 0)).speeds(counts).tolist() == [[100.0], [200.0]]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_speeds_that_are_not_finite_are_refused(bad):
     for pair in ((bad, 1.0), (1.0, bad), (bad, bad), (bad, 0.0)):
         with pytest.raises(ValueError, match="finite"):
-            sent(pair, train())
+            send(pair, train())

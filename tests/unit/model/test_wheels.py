@@ -1,4 +1,7 @@
+"""Robots on wheels: the paper's (21)-(25), headings that a lag leaves, and the compiled host."""
+
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,9 +25,11 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_papers_robot_by_hand():
-    left, right = wheel_speeds(math.sin(math.pi / 2), np.array([6.0]), np.array([180.0]), 40)
-    assert (left[0], right[0]) == (180 - 240, 180 + 240)  # (24), (25)
-    assert body_velocity(left, right, 40) == (180, 6)  # (21)-(23)
+    """At right angles to the direction, with a = 6 rad/s, 180 mm/s and wheels at 40 mm: it turns at
+    6 rad/s, for which each wheel drives 6 * 40 mm/s more or less."""
+    left_mm_s, right_mm_s = wheel_speeds(1.0, np.array([6.0]), np.array([180.0]), 40)
+    assert (left_mm_s[0], right_mm_s[0]) == (180 - 240, 180 + 240)  # (24), (25)
+    assert body_velocity(left_mm_s, right_mm_s, 40) == (180, 6)  # (21)-(23)
 
 
 @given(
@@ -35,26 +40,33 @@ def test_the_papers_robot_by_hand():
     r=st.floats(1, 100),
 )
 def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
-    left, right = wheel_speeds(math.sin(u - heading), np.array([a]), np.array([v]), r)
-    speed, turning = body_velocity(left, right, r)
+    sine = math.sin(u - heading)
+    left_mm_s, right_mm_s = wheel_speeds(sine, np.array([a]), np.array([v]), r)
+    speed, turning = body_velocity(left_mm_s, right_mm_s, r)
     assert speed[0] == pytest.approx(v, abs=1e-9)
-    assert turning[0] == pytest.approx(a * math.sin(u - heading), abs=1e-9)  # (3)
+    assert turning[0] == pytest.approx(a * sine, abs=1e-9)  # (3)
 
 
-def headings_at_rest(lag_s, sent, frames, until):
-    """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings."""
+def headings_at_rest(lag_s, sent, frames, acts_ns):
+    """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings.
+
+    With an a and a radius of 1, half the difference of the wheels' speeds is sin(u - heading)."""
     sent_rates = SentRates.none(2)
     parameters = np.ones((3, 2))
-    for when, rates in sent:
+    for sent_ns, rates in sent:
         sent_rates = sent_rates.with_room()
-        note(when, np.array([-rates, rates]), parameters, *sent_rates)
+        note(sent_ns, np.array([-rates, rates]), parameters, *sent_rates)
+
+    def sine_to(u, heading, seen_ns):
+        timing = (True, seen_ns, acts_ns, parameters, lag_s)
+        left_and_right = wish(heading, np.full(2, u), *timing, *sent_rates)
+        return np.diff(left_and_right, axis=0)[0] / 2
+
     headings = []
-    for since, heading in frames:
-        args = (True, since, until, parameters, lag_s, *sent_rates)
-        sine, cosine = (
-            np.diff(wish(heading, np.full(2, u), *args), axis=0)[0] / 2 for u in (0.0, np.pi / 2)
-        )
-        headings.append(np.arctan2(-sine, cosine))
+    for seen_ns, heading in frames:
+        sine = -sine_to(0.0, heading, seen_ns)
+        cosine = sine_to(np.pi / 2, heading, seen_ns)
+        headings.append(np.arctan2(sine, cosine))
     return headings
 
 
@@ -62,132 +74,140 @@ def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
     """Turning rates sent at uneven times, followed with a lag, against an integration at 10 kHz."""
     rng = np.random.default_rng(4)
     lag_s = 0.04
-    step = 1e-4
+    step_s = 1e-4
+    stop_s = 0.2
     sent = {0.05: rng.normal(size=2), 0.08: rng.normal(size=2), 0.15: rng.normal(size=2)}
+    wanted_by_time = sent | {stop_s: np.zeros(2)}
     heading = np.zeros(2)
     turning = np.zeros(2)
     wanted = np.zeros(2)
-    headings = []
+    headings = []  # for 0.6 s, ten lags after the stop
     for k in range(6000):
-        wanted = sent.get(round(k * step, 4), wanted if k < 2000 else np.zeros(2))
+        wanted = wanted_by_time.get(round(k * step_s, 4), wanted)
         headings.append(heading)
-        heading = heading + step * turning
-        turning = turning + step / lag_s * (wanted - turning)
-    moments = (0.02, 0.07, 0.12, 0.16)
-    times = [round(value * SECOND) for value in sent]
-    commands = list(zip(times, sent.values(), strict=True))
-    frames = [(round(when * SECOND), headings[round(when / step)]) for when in moments]
-    rest_headings = headings_at_rest(lag_s, commands, frames, SECOND // 5)
-    for value in rest_headings:
-        assert value == pytest.approx(headings[-1], abs=2e-3)
+        heading = heading + step_s * turning
+        turning = turning + step_s / lag_s * (wanted - turning)
+
+    commands = [(round(sent_s * SECOND), rates) for sent_s, rates in sent.items()]
+    frames = [
+        (round(seen_s * SECOND), headings[round(seen_s / step_s)])
+        for seen_s in (0.02, 0.07, 0.12, 0.16)
+    ]
+    for heading_at_rest in headings_at_rest(lag_s, commands, frames, round(stop_s * SECOND)):
+        assert heading_at_rest == pytest.approx(headings[-1], abs=2e-3)
 
 
 def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
+    """A frame of the moment 0, and a command that acts 0.02 s later."""
+    u = 1.2
     parameters = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]])
     heading = np.array([0.3, -2.0])
-    wished = wish(
-        heading,
-        np.full(2, 1.2),
-        True,
-        0,
-        SECOND // 50,
-        parameters,
-        0.0,
-        *SentRates.none(2),
-    )
-    _, _, ahead = exact(0.0, 0.0, heading, 1.2, parameters[0], parameters[1], 0.02)
-    assert wished == pytest.approx(
-        np.array(wheel_speeds(np.sin(1.2 - ahead), *parameters)), abs=1e-9
-    )
+    timing = (True, 0, SECOND // 50, parameters, 0.0)
+    wished = wish(heading, np.full(2, u), *timing, *SentRates.none(2))
+    _, _, ahead = exact(0.0, 0.0, heading, u, parameters[0], parameters[1], 0.02)
+    expected = np.array(wheel_speeds(np.sin(u - ahead), *parameters))
+    assert wished == pytest.approx(expected, abs=1e-9)
 
 
-def robots(rng, count):
-    """A host's robots with uneven wheels, as calibrated and as they are, and poses."""
-    gain = rng.uniform(5, 9, (2, count))
-    zone = rng.integers(0, 8, (2, count))
-    limit = rng.integers(60, 128, count)
-    swap = np.zeros(count, np.bool_)
-    return Drivetrains(gain, zone, limit, swap), rng.uniform(-3, 3, (3, count))
+def uneven_wheels(rng, count):
+    """Wheels of so many robots, no two of them alike."""
+    return Drivetrains(
+        gain=rng.uniform(5, 9, (2, count)),
+        dead_zone=rng.integers(0, 8, (2, count)),
+        limit=rng.integers(60, 128, count),
+        swap=np.zeros(count, np.bool_),
+    )
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.04])
 def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
+    """What both compute for 40 frames a second: the speeds that the wheels get by the calibration,
+    and those that they get by how they truly are."""
     rng = np.random.default_rng(5)
     count = 3
-    parameters = np.array(
-        [rng.uniform(2, 6, count), rng.uniform(100, 300, count), np.full(count, 40.0)]
-    )
-    trains, _ = robots(rng, count)
-    wrong = Drivetrains(2 * trains.gain, trains.dead_zone + 1, trains.limit, trains.swap)
-    host = WheelHost(*parameters, lag_s, trains)
+    a = rng.uniform(2, 6, count)
+    speed = rng.uniform(100, 300, count)
+    parameters = np.array([a, speed, np.full(count, 40.0)])
+    calibrated = uneven_wheels(rng, count)
+    true = replace(calibrated, gain=2 * calibrated.gain, dead_zone=calibrated.dead_zone + 1)
+    host = WheelHost(*parameters, lag_s, calibrated)
+    nothing_owed = np.zeros((2, count))
+    limit_of_both = np.tile(calibrated.limit, (2, 1))
     rows = np.array(
         [
-            0 * trains.gain,
-            trains.gain,
-            trains.dead_zone,
-            wrong.gain,
-            wrong.dead_zone,
-            trains.limit + 0 * trains.gain,
+            nothing_owed,
+            calibrated.gain,
+            calibrated.dead_zone,
+            true.gain,
+            true.dead_zone,
+            limit_of_both,
         ]
     )
     rates = SentRates.none(count)
     for k in range(40):
-        now = (k + 1) * SECOND // 40
-        since = k * SECOND // 40 + 3_000_000
+        seen_ns = k * SECOND // 40 + 3_000_000
+        acts_ns = (k + 1) * SECOND // 40
         heading = rng.uniform(-3, 3, count)
         u = rng.uniform(-3, 3)
         drives = k % 5 > 0
+        timing = (drives, seen_ns, acts_ns, parameters, lag_s)
         rates = rates.with_room()
         speeds = np.empty((2, 2, count))
-        towards = np.full(count, u)
-        kernels.answer(
-            heading, towards, drives, since, now, parameters, lag_s, *rates, rows, speeds
-        )
-        wished = host.wished(heading, u, since, now, drives)
-        host.sent(now, wished)
-        sent = host.counts(wished)
-        assert speeds[0].tolist() == trains.speeds(sent).tolist()
-        assert speeds[1].tolist() == wrong.speeds(sent).tolist()
+        kernels.answer(heading, np.full(count, u), *timing, *rates, rows, speeds)
+        wished = host.wished(heading, u, seen_ns, acts_ns, drives)
+        host.sent(acts_ns, wished)
+        counts = host.counts(wished)
+        assert speeds[0].tolist() == calibrated.speeds(counts).tolist()
+        assert speeds[1].tolist() == true.speeds(counts).tolist()
+
+
+LAG_S = 0.04
+RADIUS = np.full(3, 40.0)
+DRIVE_S = 0.2
+
+
+def integrated_path(pose, wheels, targets):
+    """Poses (L, 3, N) at every millisecond of DRIVE_S, by the midpoints of steps of 0.1 ms, while
+    the speeds of wheels (2, N) approach their targets."""
+    step_s = 1e-4
+    poses = []
+    for k in range(round(DRIVE_S / step_s)):
+        decay = math.exp(-(k + 0.5) * step_s / LAG_S)
+        speed, turning = body_velocity(*(targets + (wheels - targets) * decay), RADIUS)
+        course = pose[2] + turning * step_s / 2
+        rates = np.array([speed * np.cos(course), speed * np.sin(course), turning])
+        pose = pose + step_s * rates
+        poses.append(pose)
+    return np.array(poses[9::10])
+
+
+def drive_in_calls(robots, count):
+    """The path of robots that are driven for DRIVE_S in so many calls."""
+    times_ns = np.arange(1, 201) * SECOND // 1000
+    since_ns = 0
+    parts = []
+    for times_of_call_ns in np.array_split(times_ns, count):
+        parts.append(robots.drive(since_ns, times_of_call_ns))
+        since_ns = times_of_call_ns[-1]
+    return np.concatenate(parts)
 
 
 def test_the_path_is_that_of_an_integration_in_any_division_into_calls():
-    """By the midpoints of steps of 0.1 ms."""
     rng = np.random.default_rng(6)
-    lag_s = 0.04
-    radius = np.full(3, 40.0)
-    pose, wheels, targets = (
-        rng.normal(size=(3, 3)),
-        rng.normal(size=(2, 3)),
-        rng.normal(size=(2, 3)),
-    )
-    wheels = 100 * wheels
-    targets = 100 * targets
-    times = np.arange(1, 201) * SECOND // 1000
-    pose_now = pose
-    step = 1e-4
-    expected = []
-    for k in range(2000):
-        decay = math.exp(-(k + 0.5) * step / lag_s)
-        speed, turning = body_velocity(*(targets + (wheels - targets) * decay), radius)
-        course = pose_now[2] + turning * step / 2
-        pose_now = pose_now + step * np.array(
-            [speed * np.cos(course), speed * np.sin(course), turning]
-        )
-        expected.append(pose_now)
-    end = targets + (wheels - targets) * math.exp(-0.2 / lag_s)
+    pose = rng.normal(size=(3, 3))
+    wheels = 100 * rng.normal(size=(2, 3))
+    targets = 100 * rng.normal(size=(2, 3))
+    expected = integrated_path(pose, wheels, targets)
+    wheels_at_end = targets + (wheels - targets) * math.exp(-DRIVE_S / LAG_S)
     paths = []
-    for parts in (1, 7):
-        for roll in (WheeledRobots.roll, kernels.roll):
-            fleet = WheeledRobots(Poses(*pose), radius, lag_s, 1e-9)
-            fleet.roll = roll
-            fleet.wheels[:] = wheels
-            fleet.targets[:] = targets
-            since = 0
-            counts = []
-            for part in np.array_split(times, parts):
-                counts.append(fleet.drive(since, part))
-                since = part[-1]
-            paths.append(np.concatenate(counts))
-            assert paths[-1] == pytest.approx(np.array(expected[9::10]), abs=1e-4)
-            assert fleet.wheels == pytest.approx(end, abs=1e-9)
+    for calls in (1, 7):
+        for roll in (WheeledRobots.roll, kernels.roll):  # readable and compiled
+            robots = WheeledRobots(Poses(*pose), RADIUS, LAG_S, 1e-9)
+            robots.roll = roll
+            robots.wheels[:] = wheels
+            robots.targets[:] = targets
+            path = drive_in_calls(robots, calls)
+            assert path == pytest.approx(expected, abs=1e-4)
+            assert robots.wheels == pytest.approx(wheels_at_end, abs=1e-9)
+            paths.append(path)
     assert all(path.tobytes() == paths[0].tobytes() for path in paths)

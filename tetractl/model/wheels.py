@@ -47,14 +47,18 @@ STOP: Counts = (0, 0)
 CountArray = NDArray[np.int64]
 
 
-def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Floats, Floats]:
+def body_velocity(
+    left_speed: Floats, right_speed: Floats, r: Floats | float
+) -> tuple[Floats, Floats]:
     """Return (speed v [length unit/s], turning rate [rad/s]) of given wheel speeds.
 
     dx/dt = (right + left) cos(heading) / 2                                             (21)
     dy/dt = (right + left) sin(heading) / 2                                             (22)
     dheading/dt = (right - left) / (2 r)                                                (23)
     """
-    return (right + left) / 2, (right - left) / (2 * r)
+    speed = (right_speed + left_speed) / 2
+    turning = (right_speed - left_speed) / (2 * r)
+    return speed, turning
 
 
 @dataclass(frozen=True, slots=True)

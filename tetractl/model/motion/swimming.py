@@ -81,10 +81,10 @@ def step(body: Any, seconds: float, noise: Any) -> None:
     heading = body[HEADING]
     phase = body[PHASE]
     depth = body[DEPTH]
-    left = body[WALLS]
-    right = body[WALLS + 1]
-    bottom = body[WALLS + 2]
-    top = body[WALLS + 3]
+    wall_left = body[WALLS]
+    wall_right = body[WALLS + 1]
+    wall_bottom = body[WALLS + 2]
+    wall_top = body[WALLS + 3]
     parts = steps_in(seconds)
     dt = seconds / max(parts, 1)
     root = math.sqrt(dt)
@@ -114,14 +114,14 @@ def step(body: Any, seconds: float, noise: Any) -> None:
             depth[i] += jolt * jolts[i] - pull * depth[i]
             # A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall,
             # and leaves the wall once its heading points away from it.
-            if x[i] < left[i] or x[i] > right[i]:
-                outwards = 1.0 if x[i] > right[i] else -1.0
-                x[i] = right[i] if x[i] > right[i] else left[i]
+            if x[i] < wall_left[i] or x[i] > wall_right[i]:
+                outwards = 1.0 if x[i] > wall_right[i] else -1.0
+                x[i] = wall_right[i] if x[i] > wall_right[i] else wall_left[i]
                 if math.cos(theta) * outwards > 0:
                     theta = math.pi / 2 if math.sin(theta) >= 0 else -math.pi / 2
-            if y[i] < bottom[i] or y[i] > top[i]:
-                outwards = 1.0 if y[i] > top[i] else -1.0
-                y[i] = top[i] if y[i] > top[i] else bottom[i]
+            if y[i] < wall_bottom[i] or y[i] > wall_top[i]:
+                outwards = 1.0 if y[i] > wall_top[i] else -1.0
+                y[i] = wall_top[i] if y[i] > wall_top[i] else wall_bottom[i]
                 if math.sin(theta) * outwards > 0:
                     theta = 0.0 if math.cos(theta) >= 0 else math.pi
             heading[i] = theta

@@ -81,7 +81,8 @@ def processor(host: Mapping[str, str]) -> str:
     It is LLVM's name and six digits that identify the instruction sets in use: results of code
     compiled for two types differ in the last bits, from which other trials may follow.
     """
-    if not (name := host.get("cpu_target")):
+    name = host.get("cpu_target")
+    if not name:
         return ""
     sets = f"{host.get('cpu_features')} {host.get('numpy_dispatch')}"
     return f"{printable(name, 40)}-{_short_digest(sets)}"
@@ -101,13 +102,13 @@ def versions() -> dict[str, str]:
     installed.
     """
     sources = [file for part in ("control", "model") for file in (HERE / part).rglob("*.py")]
-    found = {
+    return {
         "python": platform.python_version(),
         "tetractl": __version__,
         "code": cache_name(sources),
+        **{name: metadata.version(name) for name in PACKAGES},
+        **_git_state(),
     }
-    found |= {name: metadata.version(name) for name in PACKAGES}
-    return found | _git_state()
 
 
 @cache
@@ -128,9 +129,9 @@ def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
 
     `packages` are name and version of each package that provides a kind used by the spec.
     """
-    code = trial_code(tuple(sorted(packages.items())))
-    found = {"started": now(), "pid": str(os.getpid()), CODE: code}
-    return found | host() | versions() | plugins(packages)
+    by_name = tuple(sorted(packages.items()))
+    process = {"started": now(), "pid": str(os.getpid())}
+    return process | {CODE: trial_code(by_name)} | host() | versions() | plugins(packages)
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
@@ -146,29 +147,42 @@ def is_version(key: str) -> bool:
 @cache
 def environment() -> str:
     """Return machine, versions, installed packages and local changes, as JSON."""
-    # read once: each access to `metadata` reads a file
-    installed = [item.metadata for item in metadata.distributions()]
-    packages = {item["Name"]: item["Version"] for item in installed if item["Name"]}
-    found: dict[str, object] = {
+    facts: dict[str, object] = {
         "host": host(),
         "versions": versions(),
         "python": sys.version,
-        "packages": dict(sorted(packages.items(), key=lambda item: item[0].lower())),
+        "packages": _installed(),
     }
     if versions().get("git_dirty") == "true":
-        diff = _git("diff", "HEAD") or ""
-        untracked = _git("ls-files", "--others", "--exclude-standard", ":/") or ""
-        changed = _git("diff", "HEAD", "--name-only") or ""
-        found["git_diff_sha256"] = hashlib.sha256(diff.encode()).hexdigest()
-        found["git_changed"] = changed.splitlines()[:FILES_MAX]
-        found["git_untracked"] = untracked.splitlines()[:FILES_MAX]
-    return json.dumps(found, indent=1) + "\n"
+        facts |= _local_changes()
+    return json.dumps(facts, indent=1) + "\n"
+
+
+def _installed() -> dict[str, str]:
+    """Return name and version of each installed package, sorted by name."""
+    # read once: each access to `metadata` reads a file
+    installed = [distribution.metadata for distribution in metadata.distributions()]
+    packages = {about["Name"]: about["Version"] for about in installed if about["Name"]}
+    return {name: packages[name] for name in sorted(packages, key=str.lower)}
+
+
+def _local_changes() -> dict[str, object]:
+    """Return the hash of the checkout's local changes, and the files with changes."""
+    diff = _git("diff", "HEAD") or ""
+    changed = _git("diff", "HEAD", "--name-only") or ""
+    untracked = _git("ls-files", "--others", "--exclude-standard", ":/") or ""
+    return {
+        "git_diff_sha256": hashlib.sha256(diff.encode()).hexdigest(),
+        "git_changed": changed.splitlines()[:FILES_MAX],
+        "git_untracked": untracked.splitlines()[:FILES_MAX],
+    }
 
 
 def _git_state() -> dict[str, str]:
     if _git("ls-files", "--error-unmatch", "__init__.py") is None:
         return {}  # not a checkout, or the checkout of another project around an installed package
-    commit, changes = _git("rev-parse", "HEAD"), _git("status", "--porcelain", ":/")
+    commit = _git("rev-parse", "HEAD")
+    changes = _git("status", "--porcelain", ":/")
     if commit is None or changes is None:
         return {}
     return {"git_commit": commit.strip(), "git_dirty": "true" if changes.strip() else "false"}

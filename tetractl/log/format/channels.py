@@ -39,8 +39,12 @@ CAMERA = "/camera/"
 """With what the channels begin on which a camera adds messages to its frames, in this version or an
 earlier one: they are logged as they are, and nothing follows from them.
 """
-PICTURE, BACKGROUND = f"{CAMERA}picture", f"{CAMERA}background"
-HOST_END, RESULT, DIGESTS, RECOVERED = "/host/end", "/result", "/digests", "/recovered"
+PICTURE = f"{CAMERA}picture"
+BACKGROUND = f"{CAMERA}background"
+HOST_END = "/host/end"
+RESULT = "/result"
+DIGESTS = "/digests"
+RECOVERED = "/recovered"
 SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
 """The channels of the run and its result; of two messages of one of them, the first counts."""
 

@@ -197,11 +197,12 @@ def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
     counts = {len(column) for column in (message.x, message.y, message.heading, message.valid)}
     if counts != {robots} or len(message.exposed_ns) not in (0, robots):
         raise ValueError(f"a frame has {sorted(counts)} robots instead of {robots}")
+    columns = map(_floats, (message.x, message.y, message.heading))
     return Observation(
         frame=message.frame,
         sampled_ns=message.sampled_ns,
         received_ns=message.received_ns,
-        poses=Poses(_floats(message.x), _floats(message.y), _floats(message.heading)),
+        poses=Poses(*columns),
         valid=np.array(message.valid, dtype=np.bool_),
         exposed_ns=tuple(message.exposed_ns),
     )

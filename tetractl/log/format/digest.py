@@ -23,7 +23,8 @@ class LogDigests:
     """
 
     def __init__(self) -> None:
-        self._content, self._host = hashlib.sha256(), hashlib.sha256()
+        self._content = hashlib.sha256()
+        self._host = hashlib.sha256()
         self._heads: dict[str, bytes] = {}  # first bytes of a message, by topic
 
     def messages(self, entries: Iterable[Entry]) -> None:
@@ -39,14 +40,14 @@ class LogDigests:
             head = self._heads[topic] = b"4;7:message%d:%b" % (len(name), name)
         times = b"%d %d" % (log_ns, publish_ns)
         # one call of the hash per message, since a log has thousands
-        found = self._host if topic in HOST_RECORDS else self._content
-        found.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
+        digest = self._host if topic in HOST_RECORDS else self._content
+        digest.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
 
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
         """Add an attachment, without its time."""
         fields = (b"attachment", name.encode(), media_type.encode(), data)
-        found = self._host if name in HOST_RECORDS else self._content
-        found.update(b"4;" + b"".join(b"%d:%b" % (len(field), field) for field in fields))
+        digest = self._host if name in HOST_RECORDS else self._content
+        digest.update(b"4;" + b"".join(b"%d:%b" % (len(field), field) for field in fields))
 
     def flush(self) -> None:
         """Do nothing: how messages are divided into chunks does not count."""

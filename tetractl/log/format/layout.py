@@ -6,6 +6,8 @@ same for every experiment are in `layout.json` and `layout_error.ts`.
 """
 
 import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -23,57 +25,87 @@ WHOLE, LIGHT = SLATES[1:]
 """Colours of what belongs to no robot. The darkest slate, that of figures, is lost on the dark
 background of viewers."""
 
+CURVES_MAX = 20
+"""Largest number of robots with curves."""
+
 _FILES = files("tetractl.log.format")
+
+
+@dataclass(frozen=True, slots=True)
+class PlotCurve:
+    """A curve of a plot: the path of its values in a message, its label and its colour."""
+
+    value: str
+    label: str
+    color: str
 
 
 def layout(setup: Setup) -> str:
     """Return the layout for an experiment: the arena from above, and plots of four quantities."""
-    robots = range(min(len(setup.names), 20))  # largest number of robots with curves
-    curves = list(zip(robots, setup.names, robot_colors(setup.names, setup.colors), strict=False))
-    step, timing = channels.STEP, channels.HOST_TIMING
     parts = json.loads((_FILES / "layout.json").read_text())
-
-    def plot(title: str, *curves: tuple[str, str, str]) -> dict[str, Any]:
-        """Return a panel of curves; each is given by the path of its values, its label and its
-        colour.
-        """
-        keys = ("value", "label", "color")
-        paths = [parts["curve"] | dict(zip(keys, curve, strict=True)) for curve in curves]
-        titles = dict.fromkeys(("foxglovePanelTitle", "lichtblickPanelTitle"), title)
-        return parts["plot"] | titles | {"paths": paths}
-
-    panels = {
-        "3D!arena": _view(setup, parts["view"]),
-        "Plot!error": plot(
-            f"error [{setup.unit}]",
-            (f"{ERROR}.total", "total", WHOLE),
-            *((f"{ERROR}.robots[{i}]", name, color) for i, name, color in curves),
-        ),
-        "Plot!cost": plot(
-            f"cost of the plan [{setup.unit}]",
-            (f"{step}.cost", "J", WHOLE),
-            (f"{step}.target_cost", "without obstacles", LIGHT),
-        ),
-        "Plot!time": plot(
-            "solve time [ns]",
-            (f"{timing}.solve_ns", "solve time", WHOLE),
-            (str(round(setup.period_s * 1e9)), "control period", GREY),
-        ),
-        "Plot!estimate": plot(
-            "estimated a [rad/s]",
-            *((f"{step}.estimate.a[{i}]", name, color) for i, name, color in curves),
-        ),
+    plots = {
+        f"Plot!{name}": _plot(parts, title, curves)
+        for name, title, curves in (
+            ("error", f"error [{setup.unit}]", _error_curves(setup)),
+            ("cost", f"cost of the plan [{setup.unit}]", _cost_curves()),
+            ("time", "solve time [ns]", _time_curves(setup)),
+            ("estimate", "estimated a [rad/s]", _estimate_curves(setup)),
+        )
     }
-    plots = [name for name in panels if name.startswith("Plot")]
+    window = parts["whole"]
+    window["configById"] = {"3D!arena": _view(setup, parts["view"]), **plots}
+    window["userNodes"]["tetractl-error"]["sourceCode"] = _error_script(setup)
+    window["layout"]["second"] = _column(list(plots))
+    return json.dumps(window, ensure_ascii=False) + "\n"
+
+
+def _error_curves(setup: Setup) -> list[PlotCurve]:
+    """Return the curves of the error, as the script publishes it: in total, and of each robot."""
+    total = PlotCurve(f"{ERROR}.total", "total", WHOLE)
+    return [total, *_robot_curves(setup, f"{ERROR}.robots")]
+
+
+def _cost_curves() -> list[PlotCurve]:
+    return [
+        PlotCurve(f"{channels.STEP}.cost", "J", WHOLE),
+        PlotCurve(f"{channels.STEP}.target_cost", "without obstacles", LIGHT),
+    ]
+
+
+def _time_curves(setup: Setup) -> list[PlotCurve]:
+    period_ns = str(round(setup.period_s * 1e9))
+    return [
+        PlotCurve(f"{channels.HOST_TIMING}.solve_ns", "solve time", WHOLE),
+        PlotCurve(period_ns, "control period", GREY),
+    ]
+
+
+def _estimate_curves(setup: Setup) -> list[PlotCurve]:
+    return _robot_curves(setup, f"{channels.STEP}.estimate.a")
+
+
+def _robot_curves(setup: Setup, values: str) -> list[PlotCurve]:
+    """Return the curve of each robot, at most CURVES_MAX, from a list with a value per robot."""
+    colors = robot_colors(setup.names, setup.colors)
+    curves = [
+        PlotCurve(f"{values}[{i}]", name, color)
+        for i, (name, color) in enumerate(zip(setup.names, colors, strict=True))
+    ]
+    return curves[:CURVES_MAX]
+
+
+def _plot(parts: dict[str, Any], title: str, curves: Iterable[PlotCurve]) -> dict[str, Any]:
+    """Return a panel of curves."""
+    paths = [parts["curve"] | asdict(curve) for curve in curves]
+    titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
+    return parts["plot"] | titles | {"paths": paths}
+
+
+def _error_script(setup: Setup) -> str:
+    """Return the script that publishes the error of the camera's poses."""
     script = (_FILES / "layout_error.ts").read_text()
-    targets = json.dumps(setup.targets.tolist())
-    for mark, text in (("%TARGETS%", targets), ("%STEP%", step), ("%ERROR%", ERROR)):
-        script = script.replace(mark, text)
-    whole = parts["whole"]
-    whole["configById"] = panels
-    whole["userNodes"]["tetractl-error"]["sourceCode"] = script
-    whole["layout"]["second"] = _column(plots)
-    return json.dumps(whole, ensure_ascii=False) + "\n"
+    script = script.replace("%TARGETS%", json.dumps(setup.targets.tolist()))
+    return script.replace("%STEP%", channels.STEP).replace("%ERROR%", ERROR)
 
 
 def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
@@ -83,9 +115,11 @@ def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
     height [m], so that an arena of 5 mm fills the panel too. `near` and `far` are scaled by the
     same factor, since a depth buffer has 24 bits.
     """
-    arena, metres = setup.arena, setup.metres
-    height = MARGIN * max(arena.height, arena.width / ASPECT) * metres
-    centre = [(arena.left + arena.right) / 2 * metres, (arena.bottom + arena.top) / 2 * metres, 0]
+    arena = setup.arena
+    height = MARGIN * max(arena.height, arena.width / ASPECT) * setup.metres
+    middle_x = (arena.left + arena.right) / 2 * setup.metres
+    middle_y = (arena.bottom + arena.top) / 2 * setup.metres
+    centre = [middle_x, middle_y, 0]
     frames = [WORLD, *map(frame_of, setup.names)]
     near_far = {"near": height / 100, "far": height * 100}
     view["cameraState"] |= {"distance": height, "targetOffset": centre, **near_far}

@@ -112,7 +112,8 @@ class Scene:
         for name, color in zip(setup.names, self._colors, strict=True):
             ids = FrameTransform(parent_frame_id=WORLD, child_frame_id=frame_of(name))
             self._frame_ids.append(ids.SerializeToString())
-            entity = self._entity(f"plan/{name}", 0).SerializeToString().removeprefix(_time(0))
+            timed_entity = self._entity(f"plan/{name}", 0).SerializeToString()
+            entity = timed_entity.removeprefix(_time(0))
             line = self._line(np.ones((1, 2)), color).SerializeToString()
             before, _, after = line.partition(point)
             self._plans.append(_PlanParts(entity, before, after))
@@ -124,9 +125,9 @@ class Scene:
         Transforms are ordered by robot; a robot has none for a frame in which it is not tracked.
         """
         frames = Frames.joined(parts)
-        known = frames.valid & np.isfinite(frames.poses).all(axis=2)
+        has_pose = frames.valid & np.isfinite(frames.poses).all(axis=2)
         times = [_time(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
-        robots, rows = np.nonzero(known.T)
+        robots, rows = np.nonzero(has_pose.T)
         x, y, heading = frames.poses[rows, robots].T
         half_turn = heading / 2
         numbers = (x * self._metres, y * self._metres, np.sin(half_turn), np.cos(half_turn))
@@ -144,12 +145,13 @@ class Scene:
         next plan, as SceneUpdate.
         """
         time = _time(unix_ns)
-        known = (np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])).T
-        xy = path[..., :2].swapaxes(0, 1)[known]
+        has_point = (np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])).T
+        xy = path[..., :2].swapaxes(0, 1)[has_point]
         points = _filled(_point, self._rounded(xy * self._metres))
         entities: list[bytes] = []
         begin = 0
-        for parts, count in zip(self._plans, known.sum(axis=1).tolist(), strict=True):
+        counts = has_point.sum(axis=1).tolist()
+        for parts, count in zip(self._plans, counts, strict=True):
             of_robot = points[begin : begin + count]
             line = b"".join((parts.before, *of_robot, parts.after))
             entity = time + parts.entity + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
@@ -228,8 +230,8 @@ class Scene:
         self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType = _STRIP
     ) -> LinePrimitive:
         """Return a line, 2 pixels wide, through xy (M, 2)."""
-        known = xy[np.isfinite(xy).all(axis=1)] * self._metres
-        points = [Point3(x=x, y=y) for x, y in known.tolist()]
+        finite_m = xy[np.isfinite(xy).all(axis=1)] * self._metres
+        points = [Point3(x=x, y=y) for x, y in finite_m.tolist()]
         return LinePrimitive(
             type=kind,
             pose=Pose(orientation=_UPRIGHT),
@@ -267,7 +269,8 @@ def _filled(make: Callable[..., Message], rows: Floats) -> list[bytes]:
 
 @lru_cache
 def _template(make: Callable[..., Message], count: int) -> NDArray[np.void]:
-    return np.frombuffer(make(*np.ones(count)).SerializeToString(), _PAIR)[np.newaxis]
+    message = make(*np.ones(count))
+    return np.frombuffer(message.SerializeToString(), _PAIR)[np.newaxis]
 
 
 def _time(unix_ns: int) -> bytes:

@@ -55,7 +55,8 @@ def losses(raw: RawLog, trial: TrialLog) -> tuple[str, ...]:
     lost = trial.damage.lost if trial.damage else ()
     if trial.digest and not raw.altered and not raw.host_altered:
         return lost if raw.recovered else ()
-    lost += tuple(str(gap) for gap in (*frame_gaps(trial), *step_gaps(trial)))
+    gaps = [*frame_gaps(trial), *step_gaps(trial)]
+    lost += tuple(map(str, gaps))
     if trial.stop is None:
         lost += ("the stop at the end",)
     return lost or ("a record covered by the log's digest or its host digest",)

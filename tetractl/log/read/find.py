@@ -1,4 +1,4 @@
-"""Finds the logs and the rows of studies in given files, folders and patterns."""
+"""Finds the logs in given files, folders and patterns."""
 
 import re
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from tetractl.core.errors import UsageError
 
 SUFFIX = ".mcap"
 LOG_PART = ".mcap.part"
-"""Name of a study's file of rows, in the folder of each arm."""
+"""End of the name of a log whose trial has not ended."""
 RECOVERED_SUFFIX = ".recovered.mcap"
 _NO_LOGS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")
@@ -37,11 +37,11 @@ def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]
     patterns also give the logs that `--resume` set aside. Raises UsageError for a path that does
     not exist, and for a folder or a pattern without logs.
     """
-    found: dict[Path, Path] = {}
+    logs: dict[Path, Path] = {}  # by the real path
     for path in without_others(paths):
         for log in _expand(path, attempts):
-            found.setdefault(log.resolve(), log)
-    return [log for real, log in found.items() if not _sources(real) & found.keys()]
+            logs.setdefault(log.resolve(), log)
+    return [log for real, log in logs.items() if not _sources(real) & logs.keys()]
 
 
 def without_others(paths: Iterable[Path | str]) -> list[Path]:
@@ -50,19 +50,22 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
     A shell expands `logs/slip/*` to such files: the tables and figures of a study, besides the
     folders of its arms. Raises UsageError if no path is left.
     """
-    places = [Path(path) for path in paths]
-    kept = [path for path in places if not _NO_LOGS.search(path.name) or not path.is_file()]
-    if places and not kept:
-        first = places[0]
-        spec = first.suffix.lower() in (".yaml", ".yml")
-        if spec:
-            hint = f"run it with: tetractl run {first}"
-        elif near := sorted(first.parent.glob(f"*{SUFFIX}"), key=_natural):
-            hint = f"name a log, such as {near[0]}"
-        else:
-            hint = f"name the folder: {first.parent}" if first.parent.name else None
-        raise UsageError(f"{first}: is not a log (*{SUFFIX})", hint)
-    return kept
+    listed = [Path(path) for path in paths]
+    remaining = [path for path in listed if not (_NO_LOGS.search(path.name) and path.is_file())]
+    if listed and not remaining:
+        first = listed[0]
+        raise UsageError(f"{first}: is not a log (*{SUFFIX})", _hint_without_logs(first))
+    return remaining
+
+
+def _hint_without_logs(path: Path) -> str | None:
+    """Return what may have been meant by the path of a file that is not a log."""
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return f"run it with: tetractl run {path}"
+    logs = sorted(path.parent.glob(f"*{SUFFIX}"), key=_natural)
+    if logs:
+        return f"name a log, such as {logs[0]}"
+    return f"name the folder: {path.parent}" if path.parent.name else None
 
 
 def find_log(path: Path | str) -> Path:
@@ -83,9 +86,10 @@ def _sources(log: Path) -> set[Path]:
 
 def _expand(path: Path, attempts: bool) -> list[Path]:
     if path.is_dir():
-        if logs := _in_folder(path, attempts):
-            return logs
-        raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
+        logs = _in_folder(path, attempts)
+        if not logs:
+            raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
+        return logs
     if path.is_file():
         return [path]
     if path.exists():  # reading a FIFO or a device may never end
@@ -105,7 +109,8 @@ def _expand(path: Path, attempts: bool) -> list[Path]:
 def _matches(pattern: Path) -> list[Path]:
     root = Path(pattern.anchor)  # Path.glob refuses absolute patterns
     try:
-        return sorted(root.glob(str(pattern.relative_to(root))), key=_natural)
+        matches = root.glob(str(pattern.relative_to(root)))
+        return sorted(matches, key=_natural)
     except ValueError as error:
         raise UsageError(f"{pattern}: {error}") from None
 
@@ -125,10 +130,10 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
 
 def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
     """Return a sorting key by which trial-2 precedes trial-10, and x=0/t precedes x=0.1/t."""
-    return [
-        [
-            (int(piece), 1, "") if piece.isdecimal() else (0, 0, piece)
-            for piece in re.split(r"(\d+)", part)
-        ]
-        for part in path.parts
-    ]
+    return [_natural_part(part) for part in path.parts]
+
+
+def _natural_part(part: str) -> list[tuple[int, int, str]]:
+    """Return the sorting key of a part of a path: its numbers by their value."""
+    pieces = re.split(r"(\d+)", part)
+    return [(int(piece), 1, "") if piece.isdecimal() else (0, 0, piece) for piece in pieces]

@@ -40,7 +40,7 @@ def too_much(path: Path, what: str) -> LogError:
 
 def _factor() -> float:
     with suppress(ValueError):
-        given = float(os.environ.get(FACTOR, "1"))
-        if math.isfinite(given):
-            return max(1.0, given)
+        factor = float(os.environ.get(FACTOR, "1"))
+        if math.isfinite(factor):
+            return max(1.0, factor)
     return 1.0

@@ -71,8 +71,8 @@ def overview(path: Path) -> Overview:
     """
     contents = scan(path)
     with decode_errors(contents):
-        shown = contents.records if contents.problems else _shown(contents)
-    trial = trial_of(replace(contents, records=shown))
+        needed = contents.records if contents.problems else _shown(contents)
+    trial = trial_of(replace(contents, records=needed))
     last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)
     return Overview(
         log=str(path),
@@ -130,5 +130,6 @@ def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
         span_ns = max(times_ns) - min(times_ns)
         hz = (len(entries) - 1) * SECOND / span_ns if span_ns else None
         size = sum(len(entry.data) for entry in entries)
-        counts.append(ChannelCount(topic, schemas.get(topic, ""), len(entries), hz, size))
+        schema = schemas.get(topic, "")
+        counts.append(ChannelCount(topic, schema, len(entries), hz, size))
     return tuple(counts)

@@ -27,7 +27,7 @@ from tetractl.log.read.validate import stated_result
 ALTERED = "the content does not match the digest that the log states"
 
 
-@dataclass
+@dataclass(frozen=True)
 class RawLog:
     """The intact records of a log file; `problems` and `lost` are empty for an undamaged file."""
 
@@ -40,7 +40,7 @@ class RawLog:
     channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
     library: str = ""  # the program that wrote the file
     metadata: list[Metadata] = field(default_factory=list)
-    strange: set[int] = field(default_factory=set)  # opcodes that no log has outside chunks
+    strange: frozenset[int] = frozenset()  # opcodes that no log has outside chunks
 
     @cached_property
     def entries(self) -> list[Entry]:
@@ -50,24 +50,24 @@ class RawLog:
     @cached_property
     def by_topic(self) -> dict[str, list[Entry]]:
         """The messages of each topic, in file order."""
-        found: dict[str, list[Entry]] = defaultdict(list)
+        by_topic: dict[str, list[Entry]] = defaultdict(list)
         for entry in self.entries:
-            found[entry.topic].append(entry)
-        return found
+            by_topic[entry.topic].append(entry)
+        return by_topic
 
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
         """The attachments by name; of two with the same name, the first."""
-        found: dict[str, Attachment] = {}
+        by_name: dict[str, Attachment] = {}
         for record in self.records:
             if isinstance(record, Attachment):
-                found.setdefault(record.name, record)
-        return found
+                by_name.setdefault(record.name, record)
+        return by_name
 
     def text(self, name: str) -> str | None:
         """Return the attachment `name` as text, None if it is lost."""
-        found = self.attachments.get(name)
-        return None if found is None else found.data.decode(errors="replace")
+        attachment = self.attachments.get(name)
+        return None if attachment is None else attachment.data.decode(errors="replace")
 
     def messages(self, topic: str) -> Iterator[Any]:
         """Decode the messages of a topic; raises DecodeError."""
@@ -85,21 +85,11 @@ class RawLog:
         """What identifies the trial; LogError if it is lost, unreadable or of another format,
         UsageError for a log that holds no trial."""
         if channels.TRACK in self.attachments:
-            said = f"{self.path}: was written by `tetractl track`, and holds no trial"
-            raise UsageError(said, "tetractl track shows such a log")
-        stated = {item.name: item.metadata for item in self.metadata}
-        if "format_version" in (before := stated.get("tetractl.run", {})):  # formats 1 and 2
-            raise self._of_format(before["format_version"], stated.get("tetractl.host", {}))
-        if not self.by_topic[channels.RUN] and Opcode.MESSAGE in self.strange:
-            raise LogError(
-                f"{self.path}: was written again without chunks by another program: its messages "
-                "are not read",
-                "use the log that tetractl wrote, or a copy with chunks",
-            )
+            message = f"{self.path}: was written by `tetractl track`, and holds no trial"
+            raise UsageError(message, "tetractl track shows such a log")
+        self._refuse_formats_1_and_2()
         if not self.by_topic[channels.RUN]:
-            lost = "damaged: the record of the run is lost"
-            other = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
-            raise LogError(f"{self.path}: {lost if self.problems else other}")
+            raise self._without_run()
         try:
             run = next(self.messages(channels.RUN))
         except (DecodeError, ValueError) as error:
@@ -108,6 +98,26 @@ class RawLog:
         if run.format_version != channels.FORMAT_VERSION:
             raise self._of_format(str(run.format_version), self.facts)
         return run
+
+    def _refuse_formats_1_and_2(self) -> None:
+        """Raise LogError for the first two formats, which stated the run as metadata."""
+        stated = {item.name: item.metadata for item in self.metadata}
+        run = stated.get("tetractl.run", {})
+        if "format_version" in run:
+            raise self._of_format(run["format_version"], stated.get("tetractl.host", {}))
+
+    def _without_run(self) -> LogError:
+        """Return the error for a file without the record of a run."""
+        if Opcode.MESSAGE in self.strange:
+            return LogError(
+                f"{self.path}: was written again without chunks by another program: its messages "
+                "are not read",
+                "use the log that tetractl wrote, or a copy with chunks",
+            )
+        if self.problems:
+            return LogError(f"{self.path}: damaged: the record of the run is lost")
+        text = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
+        return LogError(f"{self.path}: {text}")
 
     def _of_format(self, version: str, facts: Mapping[str, str]) -> LogError:
         """Return the error for a log of another format, which names the version that reads it."""
@@ -147,15 +157,15 @@ class RawLog:
         tetractl's place, after the messages of run and host."""
         records = self.records
         if self.rewritten:
-            attached = [one for one in records if isinstance(one, Attachment)]
-            records = [*self.entries[:2], *attached, *self.entries[2:]]
-        found = LogDigests()
+            attachments = [record for record in records if isinstance(record, Attachment)]
+            records = [*self.entries[:2], *attachments, *self.entries[2:]]
+        digests = LogDigests()
         for record in records:
             if isinstance(record, Entry):
-                found.messages([record])
+                digests.messages([record])
             else:
-                found.attachment(record.name, record.media_type, record.log_time, record.data)
-        return found.stated()
+                digests.attachment(record.name, record.media_type, record.log_time, record.data)
+        return digests.stated()
 
     @property
     def rewritten(self) -> bool:
@@ -166,8 +176,9 @@ class RawLog:
     def reordered(self) -> bool:
         """Whether another program wrote the messages in the order of their times, to which the
         digests do not apply."""
-        ordered = all(one.log_ns <= two.log_ns for one, two in pairwise(self.entries))
-        return self.rewritten and ordered
+        if not self.rewritten:
+            return False
+        return all(entry.log_ns <= later.log_ns for entry, later in pairwise(self.entries))
 
     @property
     def stated_digest(self) -> str | None:
@@ -188,8 +199,8 @@ class RawLog:
     def altered(self) -> bool:
         """Whether the content differs from the digest that the log states of it."""
         stated = self._stated(channels.DIGESTS)
-        own = stated.brief or stated.content
-        return own not in ("", self.digests.content) and not self.reordered
+        of_these_records = stated.brief or stated.content
+        return of_these_records not in ("", self.digests.content) and not self.reordered
 
     @property
     def host_altered(self) -> bool:
@@ -207,9 +218,11 @@ class RawLog:
         record = self._stated(channels.RECOVERED)
         if record.source and not record.lost:
             return None
-        whence = f"recovered from {record.source or 'a log'}, which was damaged"
-        problems = (whence, *record.problems)
-        return Damage(tuple(map(printable, problems)), tuple(map(printable, record.lost)))
+        source = f"recovered from {record.source or 'a log'}, which was damaged"
+        return Damage(
+            problems=tuple(map(printable, (source, *record.problems))),
+            lost=tuple(map(printable, record.lost)),
+        )
 
     @cached_property
     def facts(self) -> dict[str, str]:

@@ -164,14 +164,14 @@ def _result_of_poses(trial: TrialLog) -> Result:
     The true path is used for a simulation, otherwise the measured one. Raises LogError if a robot
     was never tracked.
     """
-    path, known = trial_path(trial)
-    if not known.any(axis=0).all():
+    path, has_pose = trial_path(trial)
+    if not has_pose.any(axis=0).all():
         raise LogError(f"{trial.log}: contains no result, and no poses to compute it from")
-    last = len(path) - 1 - known[::-1].argmax(axis=0)
+    last = len(path) - 1 - has_pose[::-1].argmax(axis=0)
     final = Poses.of(path[last, np.arange(path.shape[1])])
     return Result.of(
         trial.start.setup,
-        check_path(trial.start.setup, path, known, final),
+        check_path(trial.start.setup, path, has_pose, final),
         outcome=Outcome.ABORTED,
         reason="the log ends before its result",
         duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),

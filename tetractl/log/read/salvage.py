@@ -11,6 +11,7 @@ import time
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 
@@ -80,18 +81,30 @@ def scan(path: Path) -> RawLog:
     return _Scan(path).whole()
 
 
+@dataclass
+class _Records:
+    """The intact records found in a file so far; chunks and attachments by their offset."""
+
+    by_offset: dict[int, list[RawMessage] | Attachment] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    metadata: list[Metadata] = field(default_factory=list)
+    strange: set[int] = field(default_factory=set)  # opcodes that no log has outside chunks
+    library: str = ""
+    foreign: bool = False  # another program wrote it, and may have left out index and checksums
+    size: int = 0  # bytes
+
+
 class _Scan:
+    """One reading of a file: verifies its records, keeps the intact ones, and lists problems."""
+
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._data = read_file(path)
         self._file = BytesIO(self._data)
-        self._result = RawLog(path, size=len(self._data))
-        self._problems = self._result.problems
-        self._found: dict[int, list[RawMessage] | Attachment] = {}  # by offset in the file
-        self._channels: dict[int, Channel] = {}
-        self._schemas: dict[int, Schema] = {}
-        self._size = 0  # bytes of the records found
+        self._records = _Records()
+        self._problems: list[str] = []
         self._sealed = False  # the data section has a checksum
-        self._foreign = False  # another program wrote it, and may have left out index and checksums
 
     def whole(self) -> RawLog:
         """Read the file record by record, search it if it is damaged, and sort the records."""
@@ -101,23 +114,20 @@ class _Scan:
         for opcode, begin in self._walk():
             why = self._verify(opcode, begin)
             if why and len(self._problems) < PROBLEMS_MAX:
-                at = begin - _HEAD.size
-                self._problems.append(f"the record at byte {at} is damaged: {why}")
+                offset = begin - _HEAD.size
+                self._problems.append(f"the record at byte {offset} is damaged: {why}")
         expected = self._read_index()
         if self._problems:
             self._search()
-        if not (begins or self._found):
-            raise LogError(f"{self._result.path}: not an MCAP file")
+        if not (begins or self._records.by_offset):
+            raise LogError(f"{self._path}: not an MCAP file")
         result = self._collected()
-        if expected is None and self._problems:
-            result.lost.append("the messages of every missing or damaged chunk")
-        elif expected is not None and (missing := expected - len(result.entries)):
-            result.lost.append(f"{missing} of {expected} messages")
-        return result
+        return replace(result, lost=self._lost(result, expected))
 
     def summary(self) -> RawLog | None:
         """Read what `peek` returns; None for a damaged file, or one that others wrote."""
-        wanted, chunk = dict[int, int](), 0
+        wanted: dict[int, int] = {}  # opcodes by offset
+        chunk = 0  # offset of the last chunk
         for opcode, begin in self._walk():
             if opcode == Opcode.CHUNK:
                 chunk = begin
@@ -133,6 +143,13 @@ class _Scan:
         if any(self._verify(opcode, begin) for begin, opcode in wanted.items()):
             return None
         return self._collected()
+
+    def _lost(self, result: RawLog, expected: int | None) -> list[str]:
+        """Return what the file has lost, if its index states an `expected` number of messages."""
+        if expected is None:
+            return ["the messages of every missing or damaged chunk"] if self._problems else []
+        missing = expected - len(result.entries)
+        return [f"{missing} of {expected} messages"] if missing else []
 
     def _walk(self) -> Iterator[tuple[int, int]]:
         """Yield the opcode of each record of the data section, and where its contents begin."""
@@ -160,12 +177,13 @@ class _Scan:
         if head != _FOOTER or not self._data.endswith(MAGIC):
             self._problems.append("the file breaks off: the index at its end is missing")
             return None
-        index, expected = self._number(footer, 8), None
-        if index == 0 and self._foreign:
+        index = self._number(footer, 8)
+        if index == 0 and self._records.foreign:
             return None
         if index > footer or not self._matches(index, footer + 16):
             self._problems.append("the index at the end of the file is damaged")
             return None
+        expected = None
         for opcode, begin, _ in records(self._data, index) if index else ():
             if opcode == Opcode.STATISTICS:
                 expected = self._number(begin, 8)
@@ -180,12 +198,12 @@ class _Scan:
         """
         until = time.thread_time() + seconds_limit()
         for opcode, mark, away in _MARKS:
-            for found in mark.finditer(self._data):
-                begin = found.start() + away
-                if begin > 0 and begin not in self._found:
+            for match in mark.finditer(self._data):
+                begin = match.start() + away
+                if begin > 0 and begin not in self._records.by_offset:
                     self._verify(opcode, begin)  # mostly bytes that only look like a record
                 if time.thread_time() > until:
-                    raise too_much(self._result.path, "very many damaged records")
+                    raise too_much(self._path, "very many damaged records")
 
     def _verify(self, opcode: int, begin: int) -> str:
         """Decode and keep a record; return the reason if that fails, else ""."""
@@ -194,34 +212,37 @@ class _Scan:
         except LogError:
             raise
         except Exception as error:  # errors of zstd, UTF-8, struct and MCAP
-            return str(error).splitlines()[0] if str(error) else type(error).__name__
+            message = str(error)
+            return message.splitlines()[0] if message else type(error).__name__
         return ""
 
     def _keep(self, opcode: int, begin: int) -> None:
         stream = self._stream(begin)
         if opcode == Opcode.CHUNK:
-            self._found[begin] = self._inside(unpack(Chunk.read(stream), self._foreign))
+            data = unpack(Chunk.read(stream), self._records.foreign)
+            self._records.by_offset[begin] = self._inside(data)
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
             crc = begin + stream.count - 4
             if not self._matches(begin, crc):
                 raise ValueError("the attachment's checksum does not match")
             self._spend(stream.count)
-            self._found[begin] = attachment
+            self._records.by_offset[begin] = attachment
         elif opcode == Opcode.METADATA:
-            self._result.metadata.append(Metadata.read(stream))
+            self._records.metadata.append(Metadata.read(stream))
         elif opcode == Opcode.HEADER:
-            self._result.library = printable(Header.read(stream).library, 200)
-            self._foreign = not self._result.library.startswith(WRITER)
+            self._records.library = printable(Header.read(stream).library, 200)
+            self._records.foreign = not self._records.library.startswith(WRITER)
         elif opcode in _IN_CHUNKS or opcode > max(Opcode):
-            self._result.strange.add(opcode)
+            self._records.strange.add(opcode)
 
     def _inside(self, data: bytes) -> list[RawMessage]:
         """Return the messages of an unpacked chunk; its schemas and channels are kept.
 
         MCAP's `breakup_chunk` takes more than twice the time for each message.
         """
-        messages, end = list[RawMessage](), 0
+        messages: list[RawMessage] = []
+        end = 0
         for opcode, begin, end in records(data):
             if opcode == Opcode.MESSAGE:
                 channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
@@ -237,41 +258,51 @@ class _Scan:
     def _know(self, opcode: int, stream: ReadDataStream) -> None:
         if opcode == Opcode.CHANNEL:
             channel = Channel.read(stream)
-            self._channels[channel.id] = channel
+            self._records.channels[channel.id] = channel
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
-            self._schemas[schema.id] = schema
+            self._records.schemas[schema.id] = schema
 
     def _spend(self, size: int) -> None:
-        self._size += size
-        if self._size > file_limit():
-            raise too_much(self._result.path, "very many bytes or messages in its chunks")
+        self._records.size += size
+        if self._records.size > file_limit():
+            raise too_much(self._path, "very many bytes or messages in its chunks")
 
     def _collected(self) -> RawLog:
         """Return the records found, in file order."""
-        result = self._result
         topics = self._topics()
-        for _, record in sorted(self._found.items(), key=lambda item: item[0]):
+        in_order: list[Entry | Attachment] = []
+        chunks = 0
+        for _, record in sorted(self._records.by_offset.items(), key=lambda item: item[0]):
             if isinstance(record, Attachment):
-                result.records.append(record)
+                in_order.append(record)
                 continue
-            result.chunks += 1
-            result.records += [
+            chunks += 1
+            in_order += [
                 Entry(topics[channel], log_ns, publish_ns, data)
                 for channel, log_ns, publish_ns, data in record
                 if channel in topics
             ]
-        result.channels = {
-            channel.topic: (channel, self._schemas.get(channel.schema_id))
-            for channel in self._channels.values()
-        }
-        return result
+        return RawLog(
+            self._path,
+            size=len(self._data),
+            records=in_order,
+            chunks=chunks,
+            problems=self._problems,
+            channels={
+                channel.topic: (channel, self._records.schemas.get(channel.schema_id))
+                for channel in self._records.channels.values()
+            },
+            library=self._records.library,
+            metadata=self._records.metadata,
+            strange=frozenset(self._records.strange),
+        )
 
     def _topics(self) -> dict[int, str]:
         """Return the topic of each channel by its number: as its record states and, for records
         that are lost, as in the format, unless a record that is left contradicts it.
         """
-        stated = {number: channel.topic for number, channel in self._channels.items()}
+        stated = {number: channel.topic for number, channel in self._records.channels.items()}
         numbered_so = all(_TOPICS.get(number, topic) == topic for number, topic in stated.items())
         return _TOPICS | stated if numbered_so else stated
 
@@ -285,7 +316,7 @@ class _Scan:
     def _matches(self, begin: int, end: int) -> bool:
         """Return whether the checksum at `end` is that of the bytes before it."""
         stated = self._number(end)
-        return stated == self._crc(begin, end) or (self._foreign and stated == UNSTATED)
+        return stated == self._crc(begin, end) or (self._records.foreign and stated == UNSTATED)
 
     def _crc(self, begin: int, end: int) -> int:
         with memoryview(self._data) as view:
@@ -296,17 +327,18 @@ def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:
     """Return the contents of a chunk; an error of ValueError, zstd or lz4 for one that is damaged,
     too large or, unless it may be `unsealed`, without a checksum.
     """
-    data, size, name = chunk.data, chunk.uncompressed_size, chunk.compression
-    if name == "zstd":  # zstd ignores a limit if the frame states its size
+    data = chunk.data
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":  # zstd ignores a limit if the frame states its size
         size = max(size, zstandard.frame_content_size(data))
     if size > CHUNK_MAX:
         raise ValueError(f"the chunk claims to unpack to {size} bytes")
-    if name == "zstd":
+    if chunk.compression == "zstd":
         data = zstandard.decompress(data, max_output_size=max(size, 1))
-    elif name == "lz4":  # by other writers
+    elif chunk.compression == "lz4":  # by other writers
         data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-    elif name:
-        raise ValueError(f"the chunk's compression {name[:20]!r} is not known")
+    elif chunk.compression:
+        raise ValueError(f"the chunk's compression {chunk.compression[:20]!r} is not known")
     stated = chunk.uncompressed_crc
     sealed = zlib.crc32(data) == stated or (unsealed and stated == UNSTATED)
     if len(data) != chunk.uncompressed_size or not sealed:

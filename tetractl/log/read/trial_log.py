@@ -86,7 +86,7 @@ class TrialLog(TrialRecords):
         In the lab the trial's clock starts earlier, while the robots are placed. If the first steps
         are lost, the time is computed from the control period; without directions it is 0.
         """
-        directed = (one.sent_ns for one in self.commands if not one.stops)
+        directed = (command.sent_ns for command in self.commands if not command.stops)
         sent = [*islice(directed, 1)]  # commands are in the order of sending
         if self.steps:
             first = self.steps[0]
@@ -101,15 +101,15 @@ class TrialLog(TrialRecords):
     @property
     def events(self) -> tuple[Event, ...]:
         """The operator messages, with the times shown to users, in order of time."""
-        found = [
+        events = [
             Event(
-                self.elapsed_s(one.t_ns),
-                one.level,
-                Outcome.shown(one.text) + _next_step(one.text),
+                self.elapsed_s(note.t_ns),
+                note.level,
+                Outcome.shown(note.text) + _next_step(note.text),
             )
-            for one in self.notes
+            for note in self.notes
         ]
-        return tuple(sorted(found, key=lambda event: event.time_s))
+        return tuple(sorted(events, key=lambda event: event.time_s))
 
     @property
     def origin(self) -> Origin:

@@ -42,9 +42,8 @@ def check_commands(commands: Sequence[Command], robots: int) -> None:
     check_actions([command.action for command in commands])
     for count in {len(command.delivered) for command in commands} - {robots}:
         raise ValueError(f"a command is for {count} robots instead of {robots}")
-    left = [command.left for command in commands if command.left is not None]
-    right = [command.right for command in commands if command.right is not None]
-    speeds = [*left, *right]
+    sides = [side for command in commands for side in (command.left, command.right)]
+    speeds = [side for side in sides if side is not None]
     for count in {len(side) for side in speeds} - {robots}:
         raise ValueError(f"a command has {count} wheel speeds per side for {robots} robots")
     _finite("a wheel's speed", np.concatenate([[], *speeds]))
@@ -83,7 +82,8 @@ def check_plan(plan: Plan, robots: int) -> None:
     values = _numbers(plan)
     if plan.estimate is not None:
         values |= _numbers_of_estimate(plan.estimate, robots)
-    if np.isfinite(np.concatenate([*values.values()])).all():
+    all_numbers = np.concatenate([*values.values()])
+    if np.isfinite(all_numbers).all():
         return  # at once, as this is done in every control step
     for what, numbers in values.items():
         _finite(what, numbers)
@@ -155,7 +155,8 @@ def check_result(result: Result) -> None:
     _finite("a heading", headings)
     # distances are inf without obstacles or other robots, errors of a turn without a drive
     distances = np.array([*verdict.clearance, *verdict.edge, *verdict.apart, *verdict.turn_std])
-    _finite("a clearance or an error of a turn", distances[distances != np.inf])
+    meant = ~np.isposinf(distances)
+    _finite("a clearance or an error of a turn", distances[meant])
     _finite("a turn", verdict.turn)
     _finite("duration_s", [result.duration_s])
 

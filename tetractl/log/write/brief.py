@@ -56,19 +56,24 @@ class _KeptRecords:
 
     def file(self, end_ns: int) -> bytes:
         """Return the brief log's file, with the digests at the end of the trial [Unix ns]."""
-        stream, brief = BytesIO(), LogDigests()
+        stream = BytesIO()
         writer = FileWriter(stream)
+        digests = LogDigests()
         for record in self._records:
             if isinstance(record, Entry):
-                brief.messages([record])
+                digests.messages([record])
                 writer.add_entry(record)
             else:
-                attached = (record.log_time, record.name, record.media_type, record.data)
-                brief.attachment(record.name, record.media_type, record.log_time, record.data)
+                digests.attachment(record.name, record.media_type, record.log_time, record.data)
                 writer.flush()
-                writer.add_attachment(0, *attached)
-        own, whole = brief.stated(), self._whole.stated()
-        stated = Digests(content=whole.content, host=own.host, brief=own.content)
+                writer.add_attachment(
+                    0, record.log_time, record.name, record.media_type, record.data
+                )
+        of_whole_log = self._whole.stated()
+        of_brief_log = digests.stated()
+        stated = Digests(
+            content=of_whole_log.content, host=of_brief_log.host, brief=of_brief_log.content
+        )
         writer.add_entry(Entry(DIGESTS, end_ns, end_ns, stated.SerializeToString()))
         writer.finish()
         return stream.getvalue()
@@ -85,7 +90,7 @@ class BriefLog(Encoder):
     def on_stop(self, stop: Command, result: Result) -> None:
         """Keep the end of the trial."""
         super().on_stop(stop, result)
-        self._end_ns = self._start_ns + stop.sent_ns
+        self._end_ns = self._trial.start_ns + stop.sent_ns
 
     def save(self, path: Path) -> None:
         """Write the brief log of a trial that has ended; LogError if that fails. Nothing waits for

@@ -1,6 +1,7 @@
 """An observer that encodes the records of one trial as messages with topics and times."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from google.protobuf.message import Message
@@ -22,7 +23,8 @@ CHUNK_NS = 2 * SECOND
 """Length of a simulation's chunks [ns of trial time], so that a repeated simulation has the same
 chunks. If a simulation is slower than real time, `sink.CHUNK_S` also ends chunks.
 """
-LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
+LAB_CHUNK_NS = SECOND // 4
+"""Length of a lab's chunks [ns of trial time], which a crash may lose."""
 MESSAGE_POSES_MAX = 20_000
 """Largest number of poses in a message, which bounds its size."""
 SHOWN_HZ = 15
@@ -47,6 +49,57 @@ class RecordSink(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class _Grouping:
+    """How camera frames are divided into messages: frames of a message, and frames for each that is
+    shown by transforms. In the lab each frame is a message and is shown.
+    """
+
+    per_message: int = 1
+    per_shown: int = 1
+
+    @classmethod
+    def of(cls, start: Start) -> "_Grouping":
+        """Return the grouping for a trial's plant."""
+        if not start.plant.simulated:
+            return cls()
+        return cls(
+            per_message=max(1, MESSAGE_POSES_MAX // len(start.setup.names)),
+            per_shown=max(1, round(start.plant.camera_rate_hz / SHOWN_HZ)),
+        )
+
+    def messages(self, frames: Frames) -> list[Frames]:
+        """Return the frames of each message."""
+        begins = range(0, len(frames.numbers), self.per_message)
+        return [frames.part(slice(begin, begin + self.per_message)) for begin in begins]
+
+    def shown(self, message: Frames) -> Frames:
+        """Return the frames of a message that are shown, of which the last is its last frame."""
+        if self.per_shown == 1:
+            return message
+        first = (len(message.numbers) - 1) % self.per_shown
+        return message.part(slice(first, None, self.per_shown))
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """What the start of a trial determines for all its messages."""
+
+    start: Start
+    scene: Scene
+    grouping: _Grouping
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The robots' names."""
+        return self.start.setup.names
+
+    @property
+    def start_ns(self) -> int:
+        """When the trial began [Unix ns]."""
+        return self.start.start_unix_ns
+
+
 class Encoder:
     """An observer that adds the records of one trial to a sink; without the host records, which
     differ from run to run, if not `hosted`.
@@ -57,52 +110,52 @@ class Encoder:
     """
 
     def __init__(self, sink: RecordSink, real_time: bool = False, hosted: bool = False) -> None:
-        self._sink, self._real_time, self._hosted = sink, real_time, hosted
+        self._sink = sink
+        self._real_time = real_time
+        self._hosted = hosted
         self._waiting: list[Sample] = []  # frames of a simulation's open chunk
-        self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
-        self._flushed_ns = 0
+        self._flushed_ns = 0  # trial time at which the open chunk began
+        self._next_plan_ns = 0  # trial time from which the next plan is shown
         self.warnings = 0
+
+    @property
+    def _chunk_ns(self) -> int:
+        return LAB_CHUNK_NS if self._real_time else CHUNK_NS
 
     def on_start(self, start: Start) -> None:
         """Add what identifies the trial, specs, static scene and the message on the start."""
-        setup, plant = start.setup, start.plant
-        self._start, self._start_ns = start, start.start_unix_ns
-        self._names, self._scene = setup.names, Scene(setup, exact=not plant.simulated)
-        self._tracked = b"\1" * len(self._names)  # which robots were tracked in the last frame
-        self._every, self._most = 1, 1  # frames per transform shown, and per message
-        self._plan_ns = 0  # time of the next plan shown
-        if plant.simulated:
-            self._every = max(1, round(plant.camera_rate_hz / SHOWN_HZ))
-            self._most = max(1, MESSAGE_POSES_MAX // len(self._names))
+        setup = start.setup
+        scene = Scene(setup, exact=not start.plant.simulated)
+        self._trial = _Trial(start, scene, _Grouping.of(start))
+        self._tracked = b"\1" * len(setup.names)  # which robots were tracked in the last frame
         self._add(channels.RUN, encode_run(start), 0)
         if self._hosted:
             facts = provenance.host_facts(start.packages)
             self._add(channels.HOST, Host(facts=encode_facts(facts)), 0)
-        for name, text in (
-            (channels.SPEC, start.spec_text),
-            (channels.RESOLVED_SPEC, start.resolved),
-            *start.attached,
-        ):
+        self._attach(channels.SPEC, "application/yaml", start.spec_text)
+        self._attach(channels.RESOLVED_SPEC, "application/yaml", start.resolved)
+        for name, text in start.attached:
             self._attach(name, "application/yaml", text)
         self._attach(channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(setup))
         if self._hosted:  # last, for it may be long, and a log cut off here can still be read
             self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
-        self._add(channels.SCENE, self._scene.static(self._start_ns), 0)
+        self._add(channels.SCENE, scene.static(self._trial.start_ns), 0)
         self._say(0, "info", f"trial {start.trial} of {setup.name} starts")
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
         """Add camera frames; those of a simulation are collected until their chunk ends."""
-        if samples:
-            for sample in samples:
-                self._tell_tracking(sample.observation)
-            self._waiting += samples
-            if self._real_time:
-                self.flush_frames()
-            for sample in samples:
-                seen = sample.observation
-                for topic, data in sample.messages:
-                    self._add_bytes(topic, data, seen.received_ns, seen.sampled_ns)
-            self._end_chunk(samples[-1].observation.received_ns)
+        if not samples:
+            return
+        for sample in samples:
+            self._tell_tracking(sample.observation)
+        self._waiting += samples
+        if self._real_time:
+            self.flush_frames()
+        for sample in samples:
+            observation = sample.observation
+            for topic, data in sample.messages:
+                self._add_bytes(topic, data, observation.received_ns, observation.sampled_ns)
+        self._end_chunk(samples[-1].observation.received_ns)
 
     def flush_frames(self) -> None:
         """Add the collected camera frames to the sink: few messages for a simulation, two per frame
@@ -111,32 +164,32 @@ class Encoder:
         A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
         transforms with the same times, so that a change of one copy can be detected.
         """
-        frames, self._waiting = Frames.of(self._waiting, len(self._names)), []
-        begins = range(0, len(frames.numbers), self._most)
-        parts = [frames.part(slice(begin, begin + self._most)) for begin in begins]
-        shown = [
-            part.part(slice((len(part.numbers) - 1) % self._every, None, self._every))
-            if self._every > 1
-            else part
-            for part in parts
-        ]
-        # of all parts at once, which takes little longer than of one frame
-        drawn = self._scene.transforms(shown, self._start_ns) if parts else ()
-        for part, some, transforms in zip(parts, shown, drawn, strict=True):
-            self._add_frames(part, some, transforms)
+        if not self._waiting:
+            return
+        trial = self._trial
+        waiting = Frames.of(self._waiting, len(trial.names))
+        self._waiting = []
+        messages = trial.grouping.messages(waiting)
+        to_show = [trial.grouping.shown(message) for message in messages]
+        # of all messages at once, which takes little longer than of one frame
+        transforms = trial.scene.transforms(to_show, trial.start_ns)
+        for message, frames, encoded in zip(messages, to_show, transforms, strict=True):
+            self._add_frames(message)
+            self._add_transforms(frames, encoded)
 
-    def _add_frames(self, frames: Frames, shown: Frames, transforms: bytes) -> None:
-        """Add the message of one or more camera frames, and the transforms of those `shown`.
+    def _add_frames(self, frames: Frames) -> None:
+        """Add the message of one or more camera frames, with the times of the last."""
+        received_ns = int(frames.received_ns[-1])
+        sampled_ns = int(frames.sampled_ns[-1])
+        self._add(channels.FRAMES, codec.encode_frames(frames), received_ns, sampled_ns)
 
-        The transforms have the time of their first frame, so that a viewer that jumps to a time has
-        the transforms before and after it.
+    def _add_transforms(self, frames: Frames, transforms: bytes) -> None:
+        """Add the transforms of camera frames, with the times of the first, so that a viewer that
+        jumps to a time has the transforms before and after it.
         """
-        last, first = (
-            (int(one.received_ns[i]), int(one.sampled_ns[i]))
-            for one, i in ((frames, -1), (shown, 0))
-        )
-        self._add(channels.FRAMES, codec.encode_frames(frames), *last)
-        self._add_bytes(channels.TRANSFORMS, transforms, *first)
+        received_ns = int(frames.received_ns[0])
+        sampled_ns = int(frames.sampled_ns[0])
+        self._add_bytes(channels.TRANSFORMS, transforms, received_ns, sampled_ns)
 
     def on_command(self, command: Command) -> None:
         """Add a command sent outside the control steps."""
@@ -148,16 +201,18 @@ class Encoder:
 
     def on_step(self, step: Step) -> None:
         """Add a control step: decision, command, planned path, solve time and estimate."""
-        sampled_ns, sent_ns = step.observation.sampled_ns, step.command.sent_ns
+        sampled_ns = step.observation.sampled_ns
+        sent_ns = step.command.sent_ns
         command = codec.encode_command(step.command)
         self._add(channels.STEP, codec.encode_step(step, command), sent_ns, sampled_ns)
         self._add(channels.COMMANDS, command, sent_ns)
-        if sent_ns >= self._plan_ns:
-            self._plan_ns = sent_ns + PLAN_SHOWN_NS
-            plan = self._scene.plan(codec.drawn(step.plan.path), self._start_ns + sent_ns)
+        if sent_ns >= self._next_plan_ns:
+            self._next_plan_ns = sent_ns + PLAN_SHOWN_NS
+            path = codec.drawn(step.plan.path)
+            plan = self._trial.scene.plan(path, self._trial.start_ns + sent_ns)
             self._add_bytes(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
         self._add(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
-        for name, delivered in zip(self._names, step.command.delivered, strict=True):
+        for name, delivered in zip(self._trial.names, step.command.delivered, strict=True):
             if not delivered:
                 self._say(sent_ns, "warning", f"{name} did not get the command of step {step.k}")
         self._end_chunk(sent_ns)
@@ -167,7 +222,8 @@ class Encoder:
         whose first chunk is lost could not be read, and the result.
         """
         self.flush_frames()
-        t_ns, warnings = stop.sent_ns, self.warnings
+        t_ns = stop.sent_ns
+        warnings = self.warnings
         self._add(channels.COMMANDS, codec.encode_command(stop), t_ns)
         level = "error" if result.outcome is Outcome.ABORTED else "info"
         self._say(t_ns, level, result.summary.replace(result.outcome, result.outcome.logged, 1))
@@ -179,20 +235,21 @@ class Encoder:
                 ended=provenance.now(),
             )
             self._add(channels.HOST_END, end, t_ns)
-        self._add(channels.RUN, encode_run(self._start), t_ns)
-        stated = encode_result(result, self._start.setup.unit, warnings)
+        self._add(channels.RUN, encode_run(self._trial.start), t_ns)
+        stated = encode_result(result, self._trial.start.setup.unit, warnings)
         self._add(channels.RESULT, stated, t_ns)
 
-    def _tell_tracking(self, seen: Observation) -> None:
+    def _tell_tracking(self, observation: Observation) -> None:
         """Add a message for each robot that was lost or found again in a camera frame."""
-        valid = seen.valid.tobytes()
-        if valid == self._tracked:
+        tracked = observation.valid.tobytes()
+        if tracked == self._tracked:
             return
-        for name, was, now in zip(self._names, self._tracked, valid, strict=True):
-            if was != now:
-                level, word = ("info", "tracked again") if now else ("warning", "lost")
-                self._say(seen.received_ns, level, f"{name} is {word}")
-        self._tracked = valid
+        for name, before, now in zip(self._trial.names, self._tracked, tracked, strict=True):
+            if now and not before:
+                self._say(observation.received_ns, "info", f"{name} is tracked again")
+            elif before and not now:
+                self._say(observation.received_ns, "warning", f"{name} is lost")
+        self._tracked = tracked
 
     def _end_chunk(self, trial_ns: int) -> None:
         """End the chunk if it has its full length at `trial_ns`, the time of the trial."""
@@ -202,11 +259,13 @@ class Encoder:
             self._flushed_ns = trial_ns
 
     def _say(self, t_ns: int, level: str, text: str) -> None:
-        self.warnings += level in ("warning", "error")
-        self._add(channels.LOG, encode_note(Note(t_ns, level, text), self._start_ns), t_ns)
+        if level in ("warning", "error"):
+            self.warnings += 1
+        message = encode_note(Note(t_ns, level, text), self._trial.start_ns)
+        self._add(channels.LOG, message, t_ns)
 
     def _attach(self, name: str, media_type: str, text: str) -> None:
-        self._sink.attachment(name, media_type, self._start_ns, text.encode())
+        self._sink.attachment(name, media_type, self._trial.start_ns, text.encode())
 
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
@@ -215,5 +274,6 @@ class Encoder:
         self._add_bytes(topic, message.SerializeToString(), log_ns, sampled_ns)
 
     def _add_bytes(self, topic: str, data: bytes, log_ns: int, publish_ns: int) -> None:
-        begin = self._start_ns
-        self._sink.messages([Entry(topic, begin + log_ns, begin + publish_ns, data)])
+        """Add a message with times of the trial [ns]."""
+        begin_ns = self._trial.start_ns
+        self._sink.messages([Entry(topic, begin_ns + log_ns, begin_ns + publish_ns, data)])

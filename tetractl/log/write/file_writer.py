@@ -85,16 +85,20 @@ class FileWriter(Writer):
 def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
     """Return name, encoding and data of the schema of a message."""
     descriptor = message.DESCRIPTOR
-    found, used = build_file_descriptor_set(message), _used(descriptor)
-    for file in found.file:
+    files = build_file_descriptor_set(message)
+    used = _used(descriptor)
+    for file in files.file:
         if file.name == descriptor.file.name:  # tetractl's own has the messages of all channels
-            kept = [one for one in file.message_type if one.name in used]
+            used_types = [kind for kind in file.message_type if kind.name in used]
             del file.message_type[:]
-            file.message_type.extend(kept)
-    return descriptor.full_name, SchemaEncoding.Protobuf, found.SerializeToString()
+            file.message_type.extend(used_types)
+    return descriptor.full_name, SchemaEncoding.Protobuf, files.SerializeToString()
 
 
 def _used(descriptor: Any) -> set[str]:
     """Return the names of a message and of all messages inside it."""
-    parts = (field.message_type for field in descriptor.fields if field.message_type)
-    return {descriptor.name}.union(*map(_used, parts))
+    names = {descriptor.name}
+    for field in descriptor.fields:
+        if field.message_type:
+            names |= _used(field.message_type)
+    return names

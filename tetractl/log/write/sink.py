@@ -66,15 +66,15 @@ class Sink:
         self._part = path.with_name(path.name + part)
         self.digests = LogDigests()
         self._file: BinaryIO | None = None
-        # when the oldest message of the open chunk was added
-        self._chunk_since: float | None = None
-        self._dirty_since: float | None = None  # time of the oldest write that is not synced
-        copied = part != TRIAL_PART
-        for name in (path,) if copied else (path, self._part):  # never overwrite a log
+        self._chunk_since: float | None = None  # when the open chunk's oldest message was added
+        self._dirty_since: float | None = None  # when the oldest write that is not synced was made
+        is_copy = part != TRIAL_PART
+        must_be_new = (path,) if is_copy else (path, self._part)
+        for name in must_be_new:  # never overwrite a log
             if os.path.lexists(name):
                 raise LogError(f"{name}: this log exists already", "write to another folder")
         try:
-            self._file = _owned(self._part) if copied else self._part.open("x+b")
+            self._file = _owned(self._part) if is_copy else self._part.open("x+b")
             _sync_folder(path.parent)
             self._mcap = FileWriter(self._file)
         except OSError as error:
@@ -88,9 +88,9 @@ class Sink:
     def messages(self, entries: Iterable[Entry]) -> None:
         """Add messages."""
         self._chunk_since = self._chunk_since or time.monotonic()
-        made = list(entries)
-        self.digests.messages(made)
-        for entry in made:
+        added = list(entries)
+        self.digests.messages(added)
+        for entry in added:
             self._mcap.add_entry(entry)
 
     @_while_open
@@ -102,7 +102,8 @@ class Sink:
 
     def seal(self, unix_ns: int) -> None:
         """Add the digests of all records so far."""
-        self.messages([Entry(DIGESTS, unix_ns, unix_ns, self.digests.stated().SerializeToString())])
+        stated = self.digests.stated().SerializeToString()
+        self.messages([Entry(DIGESTS, unix_ns, unix_ns, stated)])
 
     @_while_open
     def flush(self) -> None:
@@ -121,15 +122,16 @@ class Sink:
         """Flush messages older than CHUNK_S, sync writes older than SYNC_S; return the time until
         either is due again [s], None if nothing waits.
         """
-        now, times = time.monotonic(), []
+        due = []
         if self._chunk_since is not None:
-            times.append(self._chunk_since + CHUNK_S)
+            due.append(self._chunk_since + CHUNK_S)
         if self._dirty_since is not None:
-            times.append(self._dirty_since + SYNC_S)
-        if self._file is None or not times:
+            due.append(self._dirty_since + SYNC_S)
+        if self._file is None or not due:
             return None
-        if min(times) > now:
-            return min(times) - now
+        now = time.monotonic()
+        if min(due) > now:
+            return min(due) - now
         if self._chunk_since is not None and self._chunk_since + CHUNK_S > now:
             # a simulation's chunks end by the trial's clock, so that they are the same in every run
             self._sync_written()
@@ -180,15 +182,15 @@ class Sink:
         """Close the file, as after a write that failed; raise LogError."""
         with suppress(OSError):  # closing writes the buffer, which fails again
             self._release()
+        hint = None
+        if os.path.lexists(self._part) and self._part.stat().st_size > 0:
+            hint = f"the log so far is in {self._part}"
         why = error.strerror or str(error)
-        kept = os.path.lexists(self._part) and self._part.stat().st_size > 0
-        raise LogError(
-            f"{self._path}: cannot write the log: {why}",
-            f"the log so far is in {self._part}" if kept else None,
-        ) from error
+        raise LogError(f"{self._path}: cannot write the log: {why}", hint) from error
 
     def _release(self) -> None:
-        file, self._file = self._file, None
+        file = self._file
+        self._file = None  # also if closing fails, as it does again on a full disk
         if file:
             file.close()
 

@@ -10,8 +10,12 @@ from tetractl.core.worker import Relay, Worker
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.sink import Sink
 
-QUEUE_MAX = 1000  # length of the queue for the disk: over a minute of a trial in the lab
-DISK_PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s]
+QUEUE_MAX = 1000
+"""Calls in the queue for the disk: over a minute of a trial in the lab."""
+DISK_PATIENCE_S = 30.0
+"""Time after which a disk that accepts no data is given up [s]."""
+BATCH_S = 0.5
+"""Time for which the calls of a simulation are collected [s]."""
 
 
 class LogWriter(Relay):
@@ -24,8 +28,9 @@ class LogWriter(Relay):
     """
 
     def __init__(self, path: Path, real_time: bool = False) -> None:
-        self._path, self._real_time = path, real_time
-        self._full: OSError | None = None  # how the disk has failed before the log began
+        self._path = path
+        self._real_time = real_time
+        self._early_failure: OSError | None = None  # of the disk, before the log began
 
     @property
     def digest(self) -> str:
@@ -44,8 +49,10 @@ class LogWriter(Relay):
 
     def on_start(self, start: Start) -> None:
         """Create the file; store metadata, specs and scene, and wait until the disk has them."""
-        self._sink, self._start_ns = Sink(self._path), start.start_unix_ns
-        self.observer = self._encoder = Encoder(self._sink, self._real_time, hosted=True)
+        self._start_ns = start.start_unix_ns
+        self._sink = Sink(self._path)
+        self._encoder = Encoder(self._sink, self._real_time, hosted=True)
+        self.observer = self._encoder
         self.worker = Worker(
             f"log {self._path.name}",
             size=QUEUE_MAX,
@@ -56,12 +63,11 @@ class LogWriter(Relay):
                 f"the log so far is in {self._path}.part",
             ),
             idle=self._sink.flush_if_due,
-            # time for which calls are collected in a simulation [s]
-            batch_s=0.0 if self._real_time else 0.5,
+            batch_s=0.0 if self._real_time else BATCH_S,
         )
         self.put(lambda: self.observer.on_start(start))
-        if self._full is not None:
-            self.worker.put(self._sink.fail, self._full)
+        if self._early_failure is not None:
+            self.worker.put(self._sink.fail, self._early_failure)
         self.worker.put(self._sink.sync)
         self.worker.drain()  # no robot moves before the start of the log is on the disk
 
@@ -76,7 +82,7 @@ class LogWriter(Relay):
     def fail(self, error: OSError) -> None:
         """Let the disk fail from now on, as an emulated lab does: the next call raises LogError."""
         if self.worker is None:
-            self._full = error
+            self._early_failure = error
         elif self.worker.failure is None:
             self.worker.put(self._sink.fail, error)
             self.worker.wait()

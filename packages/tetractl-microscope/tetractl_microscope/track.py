@@ -88,6 +88,7 @@ def track(
     """
     import numpy as np
 
+    from tetractl.replay.identification.sent_directions import check_times, courses
     from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
     from tetractl_microscope.film.film_tables import as_items
     from tetractl_microscope.film.fit_cell import fit_cells
@@ -121,6 +122,7 @@ def track(
         ends = pictures.seconds(0), pictures.seconds(followed.pictures - 1)
         ui.tell(*clock_remarks(directions, str(field), str(film), *ends))
         paths = [np.column_stack([path.times, path.places]) for path in followed.paths]
+        check_times(str(field), courses(paths), directions.sent, 1 / pictures.rate_hz)
         followed = replace(followed, remarks=(*followed.remarks, *side_remarks(directions, paths)))
     with ui.progress("Fitting"):
         followed, cells = fit_cells(followed, directions)

@@ -252,6 +252,57 @@ def test_spans_that_hardly_meet_are_said(tmp_path, times, says):
     assert re.search(says, remark)
 
 
+@pytest.mark.parametrize("table", ["poses", "directions", "speeds"])
+def test_times_that_fall_are_refused(tmp_path, table):
+    """Regression: rows were sorted, and a countdown gave the prior's a without a word."""
+    paths = files(tmp_path, *PLAIN)
+    if table == "speeds":
+        paths[1].write_text("time_s,v_mm_s,w_rad_s\n0,180,1\n2,180,2\n")
+    falling = paths[table != "poses"]
+    header, first, second, *rest = falling.read_text().splitlines()
+    falling.write_text("\n".join([header, second, first, *rest, ""]))
+    with pytest.raises(UsageError, match=rf"{falling.name}, line 3: the time is earlier"):
+        csv_tracks(paths)
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [
+        (RATE_HZ, "robots turn at its times if these are numbers of pictures"),
+        (1e3, "robots turn at its times if these are milliseconds"),
+        (1 / 60, "robots turn at its times if these are minutes"),
+    ],
+)
+def test_times_of_another_unit_are_refused_by_how_robots_turn(tmp_path, factor, says):
+    """Regression: a was .4 to .9 of the true one."""
+    paths = files(tmp_path, *PLAIN)
+    sent = driven()[1]
+    rows = "".join(f"{factor * time!r},{direction!r}\n" for time, direction in sent.tolist())
+    paths[1].write_text(f"{PLAIN[1]}\n{rows}")
+    with pytest.raises(UsageError, match=rf"commands\.csv: {says}"):
+        csv_tracks(paths)
+
+
+def mirrored(folder: Path) -> list[Path]:
+    """Poses whose y and headings are reversed, and the directions that robots turned by."""
+    paths = files(folder, *PLAIN)
+    rows = "".join(f"{t!r},green,{x!r},{-y!r},{-h!r}\n" for t, x, y, h in driven()[0].tolist())
+    paths[0].write_text(f"{PLAIN[0]}\n{rows}")
+    return paths
+
+
+def test_a_mirrored_picture_is_refused_by_how_robots_turn(tmp_path):
+    """Regression: poses agree with their headings, and a was wrong without a word."""
+    with pytest.raises(UsageError, match=r"robots turn right where .*commands\.csv turns left"):
+        csv_tracks(mirrored(tmp_path))
+
+
+def test_a_direction_that_never_changes_shows_no_side(tmp_path):
+    paths = mirrored(tmp_path)
+    paths[1].write_text(f"{PLAIN[1]}\n0,0.5\n5,0.5\n11,0.5\n")
+    assert not csv_tracks(paths)[0].remarks
+
+
 def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path):
     """Regression: `identify` refused the steps.csv of `export`, whose last row has none."""
     paths = files(tmp_path, *PLAIN)

@@ -155,6 +155,13 @@ def direction(path: Path, row: CsvRow, column: NumberColumn, before: float) -> f
     return value
 
 
+def earlier(path: Path, row: CsvRow) -> UsageError:
+    """Return the error that the time of a row is earlier than those before it."""
+    return UsageError(
+        f"{path}, line {row.line}: the time is earlier than before", "sort the rows by time"
+    )
+
+
 def truth(path: Path, row: CsvRow, key: str) -> bool:
     """Return the truth value in a column, True without one."""
     text = row.cells.get(key, "")

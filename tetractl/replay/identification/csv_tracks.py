@@ -21,12 +21,20 @@ from tetractl.core.table.quantities import (
     SECONDS,
     NumberColumn,
     direction,
+    earlier,
     find_column,
     find_time,
     name_and_unit,
     truth,
 )
 from tetractl.replay.identification.clocks import Span, clock_remark
+from tetractl.replay.identification.sent_directions import (
+    SentDirections,
+    TurnedCourse,
+    check_side,
+    check_times,
+    courses_of_headings,
+)
 from tetractl.replay.identification.tracks import Track
 
 POSES_MAX = 2_000_000  # largest number of poses of a trial
@@ -41,6 +49,8 @@ COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
 
 Trial = tuple[str, str]
+Series = tuple[str, str]
+"""Rows in the order of their times: what they state, and of which robot."""
 
 
 @dataclass(slots=True)
@@ -48,7 +58,8 @@ class _Numbers:
     """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
     direction and time of observation of each command; the time constant of the wheels [s], 0 if
     none is stated; time, speed and turning rate of each of the `twists` of a robot, "" for all. NaN
-    is an unknown number. The paths are of the files.
+    is an unknown number. `newest` are the newest times [s] of what is in the files, by its column
+    and robot. The paths are of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
@@ -58,6 +69,16 @@ class _Numbers:
     lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
     commands_path: Path | None = None
+    newest: dict[Series, float] = field(default_factory=dict)
+
+    def take_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
+        """Return the time of a row, which is not earlier than the row before it of its series;
+        UsageError if it is."""
+        time = column.number(path, row)
+        if time < self.newest.get(series, -math.inf):
+            raise earlier(path, row)
+        self.newest[series] = time
+        return time
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +93,12 @@ class _PoseColumns:
     def add(self, numbers: _Numbers, row: CsvRow) -> None:
         """Add the pose in a row; it is unknown if it is not valid, or a number is missing."""
         numbers.poses_path = self.path
-        robot = numbers.robots.setdefault(row.cells["robot"], len(numbers.robots))
+        name = row.cells["robot"]
+        robot = numbers.robots.setdefault(name, len(numbers.robots))
         valid = truth(self.path, row, "valid")
+        time = numbers.take_time(self.path, row, self.time, ("poses", name))
         pose = [c.optional(self.path, row) for c in (self.x, self.y, self.heading)]
-        numbers.poses.extend((self.time.number(self.path, row), robot))
+        numbers.poses.extend((time, robot))
         numbers.poses.extend(pose if valid else [math.nan] * len(pose))
 
 
@@ -94,7 +117,8 @@ class _DirectionColumns:
             return
         observed = self.observed.optional(self.path, row) if self.observed else math.nan
         before = numbers.commands[-2] if numbers.commands else 0.0
-        numbers.commands.append(self.time.number(self.path, row))
+        time = numbers.take_time(self.path, row, self.time, ("directions", ""))
+        numbers.commands.append(time)
         numbers.commands.append(direction(self.path, row, self.direction, before))
         numbers.commands.append(observed)
         if self.lag is not None:
@@ -115,8 +139,11 @@ class _TwistColumns:
     def add(self, numbers: _Numbers, row: CsvRow) -> None:
         """Add the speed and turning rate in a row."""
         numbers.commands_path = self.path
-        twists = numbers.twists.setdefault(row.cells.get("robot", ""), array("d"))
-        twists.extend(c.number(self.path, row) for c in (self.time, self.speed, self.rate))
+        robot = row.cells.get("robot", "")
+        time = numbers.take_time(self.path, row, self.time, ("twists", robot))
+        speed = self.speed.number(self.path, row)
+        rate = self.rate.number(self.path, row)
+        numbers.twists.setdefault(robot, array("d")).extend((time, speed, rate))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +162,10 @@ class _WheelColumns:
         radius = self.radius.number(self.path, row)
         if radius <= 0:
             raise UsageError(f"{self.path}, line {row.line}: {self.radius.key} must be above 0")
-        twists = numbers.twists.setdefault(row.cells.get("robot", ""), array("d"))
-        time = self.time.number(self.path, row)
-        twists.extend((time, (left + right) / 2, (right - left) / (2 * radius)))
+        robot = row.cells.get("robot", "")
+        time = numbers.take_time(self.path, row, self.time, ("twists", robot))
+        twist = (time, (left + right) / 2, (right - left) / (2 * radius))
+        numbers.twists.setdefault(robot, array("d")).extend(twist)
 
 
 _Columns = _PoseColumns | _DirectionColumns | _TwistColumns | _WheelColumns
@@ -269,6 +297,9 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     seen = Span(str(poses_path), begin, begin + float(time[-1]))
     acts = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
     remark = clock_remark(seen, begin + sent.when, acts)
+    if not numbers.twists:
+        directions = SentDirections(begin + sent.when, np.exp(1j * sent.u))
+        _check_turning(poses_path, commands_path, begin + time, poses, directions)
     return Track(
         source=name[0] or str(poses_path),
         origin=ORIGIN,
@@ -329,6 +360,19 @@ def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
 def _ahead(moved: Floats, heading: Floats) -> float:
     """Return how far robots moved ahead, of their ways (M, N, 2) and headings (M, N) [rad]."""
     return float(np.sum(moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)))
+
+
+def _check_turning(
+    poses_path: Path, commands_path: Path, time: Floats, poses: Floats, directions: SentDirections
+) -> None:
+    """Raise UsageError if robots turn by other directions than those they were sent."""
+    turned = list[TurnedCourse]()
+    for headings in poses[..., 2].T:
+        known = np.isfinite(headings)
+        turned += courses_of_headings(time[known], headings[known])
+    picture_s = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    check_side(str(poses_path), str(commands_path), turned, directions)
+    check_times(str(commands_path), turned, directions, picture_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,10 +15,12 @@ from tetractl.core.table.quantities import (
     RADIANS,
     NumberColumn,
     direction,
+    earlier,
     find_column,
     find_time,
 )
 from tetractl.replay.identification.clocks import Span, clock_remark
+from tetractl.replay.identification.sent_directions import SentDirections
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import handedness, wrong_sides
 from tetractl_microscope.number_columns import no_column
@@ -38,10 +40,14 @@ class FieldRecord:
     x: Floats
     y: Floats
 
+    @property
+    def sent(self) -> SentDirections:
+        """The field as directions that are sent, with its strength."""
+        return SentDirections(self.times, self.x + 1j * self.y)
+
     def at(self, times: Floats) -> NDArray[np.complex128]:
         """Return the field at times (K,) [s] as x + iy."""
-        now = np.searchsorted(self.times, times, side="right") - 1
-        return np.where(now < 0, 0.0, self.x[now] + 1j * self.y[now])
+        return self.sent.at(times)
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, each with its duration [s], x
@@ -101,8 +107,7 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     for row in read_csv(path):
         times.append(time.number(path, row))
         if len(times) > 1 and times[-1] < times[-2]:
-            said = f"{path}, line {row.line}: the time is earlier than in the line before"
-            raise UsageError(said)
+            raise earlier(path, row)
         strength = 1.0 if strong is None else strong.optional(path, row)
         strength = 1.0 if math.isnan(strength) else strength
         if abs(strength) > STRONGEST:

@@ -3,6 +3,10 @@
 import numpy as np
 import pytest
 from tetractl_microscope.film.field_file import read_field, side_remarks
+from tetractl_microscope.handedness import handedness
+
+from tetractl.core.errors import UsageError
+from tetractl.replay.identification.sent_directions import check_times, courses
 
 pytestmark = pytest.mark.slow
 
@@ -39,6 +43,31 @@ def test_the_side_of_a_field_file_is_tested_by_the_cells(tmp_path, clockwise, of
     said = side_remarks(read_field(tmp_path / "field.csv", clockwise), paths)
     assert len(said) == (says is not None)
     assert all(says in line for line in said)
+
+
+def test_a_field_that_never_changes_shows_no_side(tmp_path):
+    """Regression: rounding decided between two sides that explain the same."""
+    (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,1\n")
+    field = read_field(tmp_path / "field.csv")
+    for rates in ((1.0, 2.0, 2.5), (3.0, 4.0, 5.0), (3.3, 0.7, 5.1, 4.4)):
+        turning = handedness(turned_by(field, rates), field.at)
+        assert turning is not None and not turning.mirrored
+
+
+@pytest.mark.parametrize(
+    ("unit", "says"), [(1 / 30, "numbers of pictures"), (1e-3, "milliseconds"), (60.0, "minutes")]
+)
+def test_a_field_whose_times_are_of_another_unit_is_refused(tmp_path, unit, says):
+    steps = [(0.8 * k, 1.4 * k + 0.3 * (k % 3)) for k in range(12)]
+    for name, of in (("true", 1.0), ("field", unit)):
+        rows = "".join(f"{t / of},{direction}\n" for t, direction in steps)
+        (tmp_path / f"{name}.csv").write_text(f"time_s,direction_rad\n{rows}")
+    turned = courses(turned_by(read_field(tmp_path / "true.csv")))
+    check_times("field.csv", turned, read_field(tmp_path / "true.csv").sent, 1 / 30)
+    with pytest.raises(
+        UsageError, match=f"field.csv: robots turn at its times if these are {says}"
+    ):
+        check_times("field.csv", turned, read_field(tmp_path / "field.csv").sent, 1 / 30)
 
 
 def test_cells_that_the_field_does_not_turn_say_nothing(tmp_path):

@@ -1,0 +1,195 @@
+"""Which directions robots turn by: those they were sent, their mirror image, or those of another
+unit of time.
+
+A robot turns towards the direction u that acts: its heading h obeys dh/dt = a sin(u - h), or, if
+the directions are rotated by f, dh/dt = a sin(u + f - h), which is linear in a cos f and a sin f,
+
+    dh/dt = a cos f sin(u - h) + a sin f cos(u - h),
+
+and is fitted to each robot by least squares. The share of the turning that this explains is near 1
+for the directions that acted, and near 0 for others, unless these hardly change.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+
+GRID_S = 0.05  # time step of the analysis
+SMOOTH = 8  # steps over which a course is measured: a turn of a cell's helix takes about as long
+LONGEST_GAP_S = 0.25  # a longer gap between two positions separates a path
+SHORTEST_S = 2.0  # least duration of a piece of a path
+STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
+EXPLAINED = 0.4  # least share of the turning that a response to directions explains
+FAR_LESS = 0.5
+"""Share of what another reading of the directions explains, below which theirs is wrong. In 40
+trials of the emulated bench the mirror image explained at most .43 of what the right one did."""
+DELAYS_S = np.arange(21) / 10
+"""Dead times that are tried [s]: up to the longest that `identify` finds."""
+COURSES_MAX = 20
+"""Number of courses, the longest, that are enough to see which directions act."""
+COURSE_S = 120.0
+"""Length of a course that is enough [s]."""
+
+FieldAt = Callable[[Floats], NDArray[np.complex128]]
+"""Function that returns the direction that acts at times [s] as x + iy, 0 for none."""
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedCourse:
+    """The heading or direction of motion `angle` (K,) [rad] of a robot, over SMOOTH steps, at
+    `times` (K,) [s], GRID_S apart.
+    """
+
+    times: Floats
+    angle: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class TurningFit:
+    """How directions explain turning: the share, and a exp(if) of each course (N,) [rad/s]."""
+
+    explained: float
+    vectors: NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class SentDirections:
+    """The directions `acts` (C,), as x + iy, that are sent at `times` (C,) [s], in order; each acts
+    until the next one."""
+
+    times: Floats
+    acts: NDArray[np.complex128]
+
+    def at(self, times: Floats) -> NDArray[np.complex128]:
+        """Return the direction that acts at times [s], 0 before the first one."""
+        now = np.searchsorted(self.times, times, side="right") - 1
+        return np.where(now < 0, 0.0, self.acts[now])
+
+
+def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
+    """Return the courses along paths (K, 3) of times [s] and positions x, y."""
+    return [_of_places(piece) for path in paths for piece in _pieces(path)]
+
+
+def courses_of_headings(times: Floats, headings: Floats) -> list[TurnedCourse]:
+    """Return the courses of a robot from its headings (K,) [rad] at times (K,) [s]."""
+    path = np.column_stack([times, np.unwrap(headings)])
+    return [_of_headings(piece) for piece in _pieces(path)]
+
+
+def turning_fit(turned: Sequence[TurnedCourse], field: FieldAt) -> TurningFit:
+    """Return how a field explains the turning of courses."""
+    total = 0.0
+    unexplained = 0.0
+    vectors = []
+    for course in turned:
+        rate = np.gradient(course.angle, GRID_S)[SMOOTH:-SMOOTH]
+        basis = _rates(course, field)
+        fitted = np.linalg.lstsq(basis, rate, rcond=None)[0]
+        residual = rate - basis @ fitted
+        still = STILL**2 * len(rate)
+        total += float(rate @ rate) + still
+        unexplained += float(residual @ residual) + still
+        vectors.append(complex(*fitted))
+    return TurningFit(1 - unexplained / total, np.array(vectors))
+
+
+def check_side(
+    seen: str, source: str, turned: Sequence[TurnedCourse], sent: SentDirections
+) -> None:
+    """Raise UsageError if the robots of the file `seen` turn by the mirror image of the directions
+    of the file `source`."""
+    if _explains_far_more(turned, SentDirections(sent.times, sent.acts.conj()), sent):
+        raise UsageError(
+            f"{seen}: robots turn right where {source} turns left",
+            "is the picture mirrored, or y downwards? reverse y and headings, or the directions",
+        )
+
+
+def check_times(
+    source: str, turned: Sequence[TurnedCourse], sent: SentDirections, picture_s: float
+) -> None:
+    """Raise UsageError if robots turn as if the times of directions in the file `source` counted
+    pictures, of `picture_s` [s] each, or milliseconds or minutes."""
+    for unit, (seconds, hint) in _units(picture_s).items():
+        counted = SentDirections(seconds * sent.times, sent.acts)
+        if _explains_far_more(turned, counted, sent):
+            raise UsageError(f"{source}: robots turn at its times if these are {unit}", hint)
+
+
+def _explains_far_more(
+    turned: Sequence[TurnedCourse], other: SentDirections, stated: SentDirections
+) -> bool:
+    """Return whether other directions explain enough of the turning, and those stated far less."""
+    longest = _longest(turned)
+    if not longest:
+        return False
+    share = _best_share(longest, stated, EXPLAINED)
+    enough = max(EXPLAINED, share / FAR_LESS)
+    return share < EXPLAINED and _best_share(longest, other, enough) >= enough
+
+
+def _units(picture_s: float) -> Mapping[str, tuple[float, str]]:
+    """Return what times may count: the length [s] of 1, and a hint."""
+    return {
+        "numbers of pictures": (picture_s, f"multiply them by {picture_s:.4g} s a picture"),
+        "milliseconds": (1e-3, "name the column time_ms"),
+        "minutes": (60.0, "name the column time_min"),
+    }
+
+
+def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
+    """Return the COURSES_MAX longest courses, COURSE_S of each."""
+    by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
+    steps = round(COURSE_S / GRID_S)
+    return [TurnedCourse(one.times[:steps], one.angle[:steps]) for one in by_length[:COURSES_MAX]]
+
+
+def _best_share(turned: Sequence[TurnedCourse], sent: SentDirections, enough: float) -> float:
+    """Return the largest share of the turning that directions explain after any of the dead times,
+    or the first one that is enough."""
+    best = 0.0
+    for delay_s in DELAYS_S:
+        delayed = SentDirections(sent.times + delay_s, sent.acts)
+        best = max(best, turning_fit(turned, delayed.at).explained)
+        if best >= enough:
+            break
+    return best
+
+
+def _pieces(path: Floats) -> list[Floats]:
+    """Return the pieces (K, ...) of a path without a longer gap that last SHORTEST_S or more."""
+    if len(path) < 2:
+        return []
+    cuts = np.flatnonzero(np.diff(path[:, 0]) > LONGEST_GAP_S) + 1
+    return [piece for piece in np.split(path, cuts) if np.ptp(piece[:, 0]) > SHORTEST_S]
+
+
+def _of_places(piece: Floats) -> TurnedCourse:
+    """Return the course along a piece (K, 3) of a path."""
+    times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
+    x, y = (np.interp(times, piece[:, 0], piece[:, k]) for k in (1, 2))
+    places = x + 1j * y
+    angle = np.unwrap(np.angle(places[SMOOTH:] - places[:-SMOOTH]))
+    return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(angle)], angle)
+
+
+def _of_headings(piece: Floats) -> TurnedCourse:
+    """Return the mean headings over SMOOTH steps along a piece (K, 2) of times and headings."""
+    times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
+    angle = np.interp(times, piece[:, 0], piece[:, 1])
+    mean = np.convolve(angle, np.ones(SMOOTH) / SMOOTH, "valid")
+    return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(mean)], mean)
+
+
+def _rates(course: TurnedCourse, field: FieldAt) -> Floats:
+    """Return the turning rates (M, 2) that a = 1 gives with f = 0 and with f = pi / 2."""
+    box = np.ones(SMOOTH) / SMOOTH  # a course is a mean, and so is what turns it
+    pull = field(course.times) * np.exp(-1j * course.angle)
+    mean = np.convolve(pull, box, "same")[SMOOTH:-SMOOTH]
+    return np.stack([mean.imag, mean.real], axis=1)

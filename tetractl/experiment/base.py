@@ -38,7 +38,8 @@ def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
         for name, value in values.items():
             field = section.model_fields[name] = copy(section.model_fields[name])
             if callable(value):
-                field.default, field.default_factory = PydanticUndefined, value
+                field.default = PydanticUndefined
+                field.default_factory = value
             else:
                 field.default = value
         section.model_rebuild(force=True)

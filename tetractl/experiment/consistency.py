@@ -127,10 +127,14 @@ def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
     bounds = arena.bounds
     x = np.array([bounds.left, bounds.right, bounds.right, bounds.left])
     y = np.array([bounds.bottom, bounds.bottom, bounds.top, bounds.top])
+    next_x = np.roll(x, -1)
+    next_y = np.roll(y, -1)
+    shape = obstacle.shape()
     with np.errstate(over="ignore", invalid="ignore"):
-        if obstacle.shape().cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
+        if shape.cross(x, y, next_x, next_y).any():
             return True
-    return any(bounds.contains(*corner) for corner in obstacle.shape().outline().tolist())
+    corners = shape.outline().tolist()
+    return any(bounds.contains(*corner) for corner in corners)
 
 
 # rules of sections
@@ -250,4 +254,5 @@ def nearest_targets(setup: Setup) -> Iterator[tuple[int, Neighbour]]:
 def _nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, Neighbour]]:
     for i in range(1, len(points)):
         gaps = np.hypot(*(points[:i] - points[i]).T)
-        yield i, Neighbour(setup.names[int(gaps.argmin())], float(gaps.min()))
+        nearest = int(gaps.argmin())
+        yield i, Neighbour(setup.names[nearest], float(gaps[nearest]))

@@ -72,13 +72,13 @@ class OptimizerSection(Model):
     ) -> Search:
         """Search sequences of `length` signals; see `tetractl.core.protocols.Optimizer`."""
 
-    def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
+    def contradictions(self, search: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield the fields of a logged search that this optimiser cannot have produced.
 
         `warmed` is whether the search had a warm start. Properties of all optimisers, such as a
         history that never rises, are checked elsewhere.
         """
-        if found.evaluations < 1:
+        if search.evaluations < 1:
             yield "evaluations"
 
 
@@ -163,7 +163,9 @@ class ControllerSection(Model):
         """Compile the functions that the controller needs, or load them from the cache."""
 
 
-_PERIOD_S = {"mpc": 0.05}  # the control period of a spec that gives none [s]; 0.2 s for others
+_PERIOD_S = {"mpc": 0.05}
+_OTHER_PERIOD_S = 0.2
+"""The control period of a spec that gives none [s]."""
 
 
 def earlier_limit(controller: Any) -> float | None:
@@ -171,10 +173,12 @@ def earlier_limit(controller: Any) -> float | None:
     controller; None if they do not give it. The controller `pso-mpc` counts steps, as published."""
     if not isinstance(controller, dict) or controller.get("type") == "pso-mpc":
         return None
-    steps, period = controller.get("steps_max"), controller.get("period")
-    seconds = _PERIOD_S.get(str(controller.get("type")), 0.2) if period is None else period
-    if isinstance(steps, int) and isinstance(seconds, int | float):
-        return float(f"{(steps + 1) * seconds:.9g}")
+    steps = controller.get("steps_max")
+    period_s = controller.get("period")
+    if period_s is None:
+        period_s = _PERIOD_S.get(str(controller.get("type")), _OTHER_PERIOD_S)
+    if isinstance(steps, int) and isinstance(period_s, int | float):
+        return float(f"{(steps + 1) * period_s:.9g}")
     return None
 
 
@@ -188,8 +192,9 @@ def retired_hint(key: str, section: Any) -> str | None:
 
 def without_retired(data: dict[str, Any]) -> None:
     """Replace the retired keys in the spec of an earlier log, whose limit was `steps_max`."""
-    control = data.get("controller")
-    if isinstance(control, dict) and (limit := earlier_limit(control)) is not None:
+    control = data.get("controller", {})
+    limit = earlier_limit(control)
+    if limit is not None:
         del control["steps_max"]
         control["time_limit"] = limit
 
@@ -202,6 +207,7 @@ def with_logged_keys(fields: Any, logged: Any) -> Any:
             key: with_logged_keys(fields[key], value) if key in fields else value
             for key, value in logged.items()
         }
-    if isinstance(fields, list) and isinstance(logged, list) and len(fields) == len(logged):
+    both_lists = isinstance(fields, list) and isinstance(logged, list)
+    if both_lists and len(fields) == len(logged):
         return [with_logged_keys(*pair) for pair in zip(fields, logged, strict=True)]
     return fields

@@ -103,10 +103,14 @@ class Disturbance:
 def overriding(disturbances: Sequence[Disturbance], method: str) -> list[Disturbance]:
     """Return the disturbances whose class overrides a method, in order."""
 
-    def defining(one: Disturbance) -> type:
-        return next(kind for kind in type(one).__mro__ if method in vars(kind))
+    def defining_class(disturbance: Disturbance) -> type:
+        return next(kind for kind in type(disturbance).__mro__ if method in vars(kind))
 
-    return [one for one in disturbances if defining(one) is not Disturbance]
+    return [
+        disturbance
+        for disturbance in disturbances
+        if defining_class(disturbance) is not Disturbance
+    ]
 
 
 class DisturbanceSection(Model):

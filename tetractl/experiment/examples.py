@@ -11,8 +11,8 @@ FOLDER = "experiments"
 
 def shipped_folder() -> Path:
     """Return the folder of the examples: in the source tree, or shipped inside the package."""
-    here = Path(__file__).resolve()
-    for folder in (here.parents[1] / FOLDER, here.parents[2] / FOLDER):
+    package, source_tree = Path(__file__).resolve().parents[1:3]
+    for folder in (package / FOLDER, source_tree / FOLDER):
         if (folder / "three_m3pi.yaml").is_file():
             return folder
     raise UsageError("the examples are missing from this installation")
@@ -21,8 +21,9 @@ def shipped_folder() -> Path:
 def examples() -> dict[str, Path]:
     """Return the files of all examples, those of other packages too, by name: a path in their
     folder, without `.yaml`."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for folder in (shipped_folder(), *EXAMPLES.usable().values()):
         for file in sorted(folder.rglob("*.yaml")):
-            found.setdefault(file.relative_to(folder).with_suffix("").as_posix(), file)
-    return found
+            name = file.relative_to(folder).with_suffix("")
+            files.setdefault(name.as_posix(), file)
+    return files

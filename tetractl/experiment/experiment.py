@@ -277,8 +277,8 @@ class Experiment(Model):
     @model_serializer(mode="wrap")
     def _without_what_is_not_stated(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out a strength that is not stated: specs without one are dumped as ever."""
-        found = inner(self)
-        return {k: v for k, v in found.items() if k != "strength" or v is not None}
+        fields = inner(self)
+        return {k: v for k, v in fields.items() if k != "strength" or v is not None}
 
     @property
     def open(self) -> bool:
@@ -294,9 +294,9 @@ class Experiment(Model):
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy; its `setup` is made again, as it depends on the plant."""
-        found = super().model_copy(update=update, deep=deep)
-        vars(found).pop("setup", None)
-        return found
+        copied = super().model_copy(update=update, deep=deep)
+        vars(copied).pop("setup", None)
+        return copied
 
     @cached_property
     def setup(self) -> Setup:
@@ -341,17 +341,29 @@ class Experiment(Model):
 
     @property
     def _loss(self) -> LossRule | None:
-        ends, wheels = self.on_lost == "stop", self.wheels is not None
-        if ends and not wheels:
+        """What happens if a robot is lost, None if the plant alone decides it."""
+        on_wheels = self.wheels is not None
+        if self.on_lost == "stop" and not on_wheels:
             return None
         limits = self.plant.limits if isinstance(self.plant, LabSection) else LabLimits()
-        return LossRule(limits.untracked_abort, self.on_lost == "replace", wheels, ends)
+        return LossRule(
+            limits.untracked_abort,
+            replaced=self.on_lost == "replace",
+            dead=on_wheels,
+            ends=self.on_lost == "stop",
+        )
 
 
 def _stand_ins(rule: TrialRobots, arena: Arena) -> tuple[Robot, ...]:
     """Return placeholder robots in the arena's middle, used until a trial's robots are known."""
     middle = arena.left + arena.width / 2, arena.bottom + arena.height / 2
     return tuple(
-        Robot(name=one.name, start=middle, target=one.target, a=one.a, speed=one.speed)
-        for one in rule.stand_ins
+        Robot(
+            name=stand_in.name,
+            start=middle,
+            target=stand_in.target,
+            a=stand_in.a,
+            speed=stand_in.speed,
+        )
+        for stand_in in rule.stand_ins
     )

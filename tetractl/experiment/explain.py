@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -10,7 +11,15 @@ from pydantic_core import ErrorDetails
 from tetractl.experiment.base import with_tuples
 from tetractl.experiment.controller import retired_hint
 from tetractl.experiment.registry_fields import STRICT
-from tetractl.experiment.schema import alternatives, child, describe, homes, schema_of, tag
+from tetractl.experiment.schema import (
+    alternatives,
+    child,
+    describe,
+    experiment_schema,
+    homes,
+    schema_of,
+    tag,
+)
 from tetractl.experiment.yaml.core_yaml import with_space
 from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, did_you_mean
@@ -44,19 +53,45 @@ MESSAGES = {
 }
 
 
+ERRORS_MAX = 1000
+"""Largest number of pydantic's errors that are explained."""
+
 Section = TypeVar("Section", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """An error of pydantic, with the location and the value in the file's data, and the part of
+    the schema that is `about` the value.
+    """
+
+    details: ErrorDetails
+    loc: Loc
+    value: Any
+    about: Schema
+
+    @property
+    def kind(self) -> str:
+        """The name that pydantic gives to the error."""
+        return self.details["type"]
+
+    @property
+    def context(self) -> dict[str, Any]:
+        """Limits and names that a message needs."""
+        return self.details.get("ctx", {})
 
 
 def validated(model: type[Section], document: Document) -> Section:
     """Validate a document as a given type; InvalidSpecError lists its problems."""
+    data = with_tuples(document.data)
     try:
-        found = model.model_validate(with_tuples(document.data), strict=True, context=STRICT)
+        section = model.model_validate(data, strict=True, context=STRICT)
     except ValidationError as error:
         problems = explain(error, document, schema_of(model))
         raise InvalidSpecError([*document.all_problems, *problems]) from None
     if document.all_problems:
         raise InvalidSpecError(document.all_problems)
-    return found
+    return section
 
 
 def explain(
@@ -66,18 +101,27 @@ def explain(
 
     `schema` is the JSON schema of the file, by default the schema of a spec.
     """
-    every = error.errors(include_url=False, include_input=False)
-    for details in every[:1000]:
+    schema = schema or experiment_schema()
+    for details in error.errors(include_url=False, include_input=False)[:ERRORS_MAX]:
         loc = data_loc(details, document.data)
-        value = _at(document.data, loc)
-        context = details.get("ctx", {})
-        if details["type"] == "default_factory_not_called":
-            continue  # the field from which this default is computed is reported already
-        if details["type"] == "too_short" and len(value or ()) >= context["min_length"]:
-            continue  # pydantic counts only valid entries; the invalid ones are reported already
-        if any(loc[:depth] in document.refused for depth in range(len(loc) + 1)):
-            continue
-        yield _problem(details, loc, value, document, schema)
+        mistake = Mistake(
+            details,
+            loc,
+            value=value_at(document.data, loc),
+            about=describe(loc, document.data, schema),
+        )
+        if not _is_reported_already(mistake, document):
+            yield _problem(mistake, document, schema)
+
+
+def _is_reported_already(mistake: "Mistake", document: Document) -> bool:
+    """Return whether an error follows from another that is a problem already."""
+    if mistake.kind == "default_factory_not_called":
+        return True  # by the field from which this default is computed
+    if mistake.kind == "too_short" and len(mistake.value or ()) >= mistake.context["min_length"]:
+        return True  # pydantic counts only valid entries; the invalid ones are reported
+    enclosing = [mistake.loc[:depth] for depth in range(len(mistake.loc) + 1)]
+    return any(loc in document.refused for loc in enclosing)
 
 
 def data_loc(details: ErrorDetails, data: Any) -> Loc:
@@ -99,88 +143,126 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
     return (*steps, field) if isinstance(field, str) else tuple(steps)
 
 
-def _problem(
-    details: ErrorDetails, loc: Loc, value: Any, document: Document, schema: Schema | None
-) -> SpecProblem:
-    kind, context = details["type"], details.get("ctx", {})
+def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    """Return the problem of a mistake: the location that is to be changed, and a message."""
+    kind = mistake.kind
     if kind == "extra_forbidden":
-        place = document.key(loc)
-        return place.problem(loc, _unknown_key(str(loc[-1]), loc[:-1], document.data, schema))
+        return _unknown_key(mistake, document, schema)
     if kind == "missing":
-        place = document.place(loc)
-        if isinstance(loc[-1], int):
-            length = len(describe(loc[:-1], document.data, schema).get("prefixItems", ()))
-            return place.problem(loc[:-1], f"must have {length} entries", place.text)
-        about = describe(loc, document.data, schema).get("description")
-        return place.problem(loc, f"is missing; add it{f': {_sentence(about)}' if about else ''}")
+        return _missing(mistake, document, schema)
+    if kind == "union_tag_not_found":
+        return _without_type(mistake, document, schema)
     if kind.startswith("union_tag"):
-        options: dict[str, str] = context.get("known") or {
-            option: option
-            for option in map(tag, alternatives(describe(loc, document.data, schema), schema))
-            if option is not None
-        }
-        known = f"must be one of {', '.join(options.values())}"
-        if kind == "union_tag_not_found":
-            return document.place(loc).problem((*loc, "type"), f"is missing; {known}")
-        wrong = child(value, "type")
-        place = document.place((*loc, "type"))
-        return place.problem(
-            (*loc, "type"), known + did_you_mean(str(wrong), list(options)), place.text
-        )
+        return _unknown_type(mistake, document, schema)
     if kind == "not_installed":
-        key = context.get("key", "type")
-        place = document.place((*loc, key))
-        return place.problem((*loc, key), context["why"], place.text)
+        loc = (*mistake.loc, mistake.context.get("key", "type"))
+        place = document.place(loc)
+        return place.problem(loc, mistake.context["why"], place.text)
+    return _wrong_value(mistake, document)
+
+
+def _unknown_key(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    key = str(mistake.loc[-1])
+    meant = _meant_key(key, mistake.loc[:-1], document.data, schema)
+    return document.key(mistake.loc).problem(mistake.loc, f"unknown key{meant}")
+
+
+def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    """Return the problem of a missing key, or of a list with too few entries."""
+    place = document.place(mistake.loc)
+    if isinstance(mistake.loc[-1], int):
+        entries = mistake.loc[:-1]
+        length = len(describe(entries, document.data, schema).get("prefixItems", ()))
+        return place.problem(entries, f"must have {length} entries", place.text)
+    message = "is missing; add it"
+    description = mistake.about.get("description")
+    if description:
+        message += f": {_sentence(description)}"
+    return place.problem(mistake.loc, message)
+
+
+def _without_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    types = ", ".join(_types(mistake, schema).values())
+    message = f"is missing; must be one of {types}"
+    return document.place(mistake.loc).problem((*mistake.loc, "type"), message)
+
+
+def _unknown_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    types = _types(mistake, schema)
+    wrong = child(mistake.value, "type")
+    guess = did_you_mean(str(wrong), list(types))
+    loc = (*mistake.loc, "type")
     place = document.place(loc)
-    message = _words(details, loc, value, document.data, schema)
-    if value is None and loc in document.values and kind != "inconsistent":
-        return place.problem(loc, f"has no value; {message}")
-    text = place.text if loc in document.values else None
-    return place.problem(loc, message, context.get("value", text))
+    return place.problem(loc, f"must be one of {', '.join(types.values())}{guess}", place.text)
 
 
-def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
+def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
+    """Return the texts of the types that may be chosen, by name."""
+    if mistake.context.get("known"):
+        return mistake.context["known"]
+    tags = map(tag, alternatives(mistake.about, schema))
+    return {name: name for name in tags if name is not None}
+
+
+def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
+    message = _words(mistake)
+    place = document.place(mistake.loc)
+    is_written = mistake.loc in document.values
+    if mistake.value is None and is_written and mistake.kind != "inconsistent":
+        return place.problem(mistake.loc, f"has no value; {message}")
+    text = place.text if is_written else None
+    return place.problem(mistake.loc, message, mistake.context.get("value", text))
+
+
+def _words(mistake: Mistake) -> str:
     """Return a message, made from the schema for a wrong choice or pattern, else by `words`."""
-    kind, context = details["type"], details.get("ctx", {})
-    about = describe(loc, data, schema)
-    if kind == "literal_error":
+    about = mistake.about
+    if mistake.kind == "literal_error":
         options = [str(option) for option in about.get("enum") or [about.get("const")]]
-        return f"must be one of {', '.join(options)}{did_you_mean(str(value), options)}"
-    if kind == "string_pattern_mismatch":
-        text = about.get("description", context["pattern"])
+        guess = did_you_mean(str(mistake.value), options)
+        return f"must be one of {', '.join(options)}{guess}"
+    if mistake.kind == "string_pattern_mismatch":
+        text = about.get("description", mistake.context["pattern"])
         return f"must be {_sentence(text.partition(': ')[2] or text)}"
-    return words(details, value)
+    return words(mistake.details, mistake.value)
 
 
 def words(details: ErrorDetails, value: Any) -> str:
     """Return a plain message for pydantic's error."""
-    kind, context = details["type"], details.get("ctx", {})
+    kind = details["type"]
+    context = details.get("ctx", {})
     if kind in MESSAGES:
         numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
         message = MESSAGES[kind].format(**numbers) + _quotes(kind, value)
         hint = _hint(kind, value)
         return f"{message}; {hint}" if hint else message
     if kind == "unknown_color":
-        known = context["known"]
-        guess = did_you_mean(str(value), known)
-        return f"is an unknown colour{guess}; known are #rrggbb and {', '.join(known)}"
+        colors = context["known"]
+        guess = did_you_mean(str(value), colors)
+        return f"is an unknown colour{guess}; known are #rrggbb and {', '.join(colors)}"
     message = details["msg"].removeprefix("Value error, ")
     return message[:1].lower() + message[1:]
 
 
-def _unknown_key(key: str, parent: Loc, data: Any, schema: Schema | None) -> str:
-    if spaced := with_space(key):
-        return f"unknown key; {spaced}"
-    if told := retired_hint(key, _at(data, parent)):
-        return f"unknown key; {told}"
-    known = list(describe(parent, data, schema).get("properties", ()))
-    if guess := did_you_mean(key, known):
-        return f"unknown key{guess}"
+def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
+    """Return what was probably meant by an unknown key in the section `parent`, to follow "unknown
+    key".
+    """
+    spaced = with_space(key)
+    if spaced:
+        return f"; {spaced}"
+    retired = retired_hint(key, value_at(data, parent))
+    if retired:
+        return f"; {retired}"
+    fields = list(describe(parent, data, schema).get("properties", ()))
+    guess = did_you_mean(key, fields)
+    if guess:
+        return guess
     inside = "".join(f"{step}." for step in parent)
     for home in homes(key, schema):
         if home.startswith(inside):
-            return f"unknown key here; did you mean '{home}'?"
-    return f"unknown key; known here: {', '.join(known)}"
+            return f" here; did you mean '{home}'?"
+    return f"; known here: {', '.join(fields)}"
 
 
 def _hint(kind: str, value: Any) -> str:
@@ -215,7 +297,8 @@ def _sentence(text: str) -> str:
     return first[:1].lower() + first[1:] if not first[:2].isupper() else first
 
 
-def _at(data: Any, loc: Loc) -> Any:
+def value_at(data: Any, loc: Loc) -> Any:
+    """Return the value at a location in a file's data, None if there is none."""
     for step in loc:
         data = child(data, step)
     return data

@@ -289,5 +289,8 @@ def mismatches(
             yield ("robots", i, "name"), f"is not a robot of the spec; those are {', '.join(names)}"
         for key in ("name", *unique):
             value = dict(robot)[key]
-            if value is not None and (first := taken.setdefault((key, value), i)) != i:
+            if value is None:
+                continue
+            first = taken.setdefault((key, value), i)
+            if first != i:
                 yield ("robots", i, key), f"is also that of {robots[first].name}; they must differ"

@@ -6,6 +6,7 @@ that measure their own poses have no such line. In a camera's part a line with `
 for each robot, which has the number `@I@`, and `@WIDTH@` and `@HEIGHT@` are the arena's.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from tetractl.core.errors import UsageError
@@ -27,34 +28,47 @@ def lab_template(robots: str, camera: str | None) -> str:
         if camera not in (None, robots):
             raise UsageError(f"--robots {robots} measure their own poses", "leave --camera out")
         return text
-    whole = text.replace(PLACE, "").replace("@NAME@", "name: robots")
-    data = parse_document(whole, robots).data
-    names = [robot["name"] for robot in data["robots"]]
-    lines = list[str]()
-    for line in _part("cameras", camera or "optitrack").splitlines(keepends=True):
-        each = enumerate(names) if "@ROBOT@" in line else [(0, "")]
-        lines += [line.replace("@ROBOT@", name).replace("@I@", str(i)) for i, name in each]
-    part = "".join(lines)
+    spec = parse_document(text.replace(PLACE, "").replace("@NAME@", "name: robots"), robots).data
+    names = [robot["name"] for robot in spec["robots"]]
+    part = _for_each_robot(_part("cameras", camera or "optitrack"), names)
     for side in ("width", "height"):
-        part = part.replace(f"@{side.upper()}@", str(data["arena"][side]))
+        part = part.replace(f"@{side.upper()}@", str(spec["arena"][side]))
     return text.replace(PLACE, part)
+
+
+def _for_each_robot(text: str, names: Sequence[str]) -> str:
+    """Return the text of a part, whose lines with `@ROBOT@` are repeated for each robot."""
+    lines: list[str] = []
+    for line in text.splitlines(keepends=True):
+        if "@ROBOT@" not in line:
+            lines.append(line.replace("@I@", "0"))
+            continue
+        for i, name in enumerate(names):
+            own_line = line.replace("@ROBOT@", name)
+            lines.append(own_line.replace("@I@", str(i)))
+    return "".join(lines)
 
 
 def _part(what: str, kind: str) -> str:
     """Return the text of a part, `robots` or `cameras`."""
-    known: dict[str, Path] = {}
+    parts: dict[str, Path] = {}
     for folder in (OURS, *TEMPLATES.usable().values()):
         for file in sorted((folder / what).glob("*.yaml")):
-            known.setdefault(file.stem, file)
-    if kind not in known:
-        if needs := not_installed(f"tetractl.{what}", kind):
-            raise UsageError(f"{kind} {needs[0]}", needs[1])
-        option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
-        why = f"unknown{did_you_mean(kind, list(known))}"
-        if kind in types:
-            why = f"its package brings no template {what}/{kind}.yaml; write the section yourself"
-        raise UsageError(
-            f"{option} {kind}: {why}",
-            f"known are {', '.join(known)}; other packages bring more",
-        )
-    return known[kind].read_text("utf-8")
+            parts.setdefault(file.stem, file)
+    if kind not in parts:
+        raise _no_part(what, kind, list(parts))
+    return parts[kind].read_text("utf-8")
+
+
+def _no_part(what: str, kind: str, parts: list[str]) -> UsageError:
+    """Return the error for a kind of robots or cameras that has no part."""
+    needs = not_installed(f"tetractl.{what}", kind)
+    if needs is not None:
+        problem, hint = needs
+        return UsageError(f"{kind} {problem}", hint)
+    option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
+    why = f"unknown{did_you_mean(kind, parts)}"
+    if kind in types:
+        why = f"its package brings no template {what}/{kind}.yaml; write the section yourself"
+    hint = f"known are {', '.join(parts)}; other packages bring more"
+    return UsageError(f"{option} {kind}: {why}", hint)

@@ -14,7 +14,8 @@ class OrMapping:
     `model`: a of a robot may be a `PerStrength`, and `plain` is what the value is otherwise."""
 
     def __init__(self, model: type[Model], plain: Any) -> None:
-        self.model, self.plain = model, plain
+        self.model = model
+        self.plain = plain
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler

@@ -4,7 +4,8 @@ installed is answered by the command that installs it.
 
 from collections.abc import Sequence
 
-MICROSCOPE, EMULATOR = "tetractl-microscope", "tetractl-emulator"
+MICROSCOPE = "tetractl-microscope"
+EMULATOR = "tetractl-emulator"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
     ("tetractl.lab_commands", "emulate"): EMULATOR,
@@ -27,8 +28,11 @@ name or that of its folder."""
 
 def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:
     """Return the names of a group that are not present, each with the package that brings it."""
-    brought = ((name, package) for (of, name), package in BRINGS.items() if of == group)
-    return [(name, package) for name, package in brought if name not in present]
+    return [
+        (name, package)
+        for (its_group, name), package in BRINGS.items()
+        if its_group == group and name not in present
+    ]
 
 
 def not_installed(group: str, name: str) -> tuple[str, str] | None:

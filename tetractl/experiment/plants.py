@@ -1,8 +1,8 @@
 """Selects the plant of an experiment, and applies a calibration file to its lab."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,8 @@ def _with_defaults(kind: str) -> PlantSection:
     try:
         return PLANTS.load(kind).model_validate({"type": kind})
     except ValidationError as error:
-        fields = ", ".join(str(one["loc"][0]) for one in error.errors() if one["loc"])
+        locations = [details["loc"] for details in error.errors()]
+        fields = ", ".join(str(loc[0]) for loc in locations if loc)
         raise UsageError(f"--plant {kind}: write it in the spec, as it needs: {fields}") from None
 
 
@@ -129,11 +130,11 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     document = _calibration(text, origin)
     validated(Calibration, document)
     merged = Document(document.origin, experiment.model_dump(mode="json"))
-    for device in ("camera", "actuator"):
-        for steps, at, value in _values(document.data.get(device, {}), (device,), (device,)):
-            loc = make_way(merged, ("plant", *steps), document.place(at))
-            if value != {} or loc[-1] not in holder_of(merged, loc):
-                put(merged, loc, value, document.place(at))
+    for measured in _measured_values(document):
+        place = document.place(measured.loc)
+        loc = make_way(merged, ("plant", *measured.path), place)
+        if measured.value != {} or loc[-1] not in holder_of(merged, loc):
+            put(merged, loc, measured.value, place)
     updated = validated(Experiment, merged)
     for error in section_errors(updated):
         where = dotted(error.where)
@@ -155,17 +156,39 @@ def _calibration(text: str, origin: str) -> Document:
     return document
 
 
-def _values(
-    value: Any, steps: tuple[str, ...], at: Loc
-) -> Iterator[tuple[tuple[str, ...], Loc, Any]]:
-    """Yield the path, by names of entries, and the location of each value in a `value` at `at`."""
-    inner: Iterable[tuple[str, str | int, Any]] = ()
+@dataclass(frozen=True, slots=True)
+class MeasuredValue:
+    """A value of a calibration file: its path in the lab's section, by the names of entries, and
+    its location in the file.
+    """
+
+    path: tuple[str, ...]
+    loc: Loc
+    value: Any
+
+
+def _measured_values(document: Document) -> Iterator[MeasuredValue]:
+    """Yield all values of a calibration file, those of the camera first."""
+    for device in ("camera", "actuator"):
+        section = document.data.get(device, {})
+        yield from _single_values(MeasuredValue((device,), (device,), section))
+
+
+def _single_values(measured: MeasuredValue) -> Iterator[MeasuredValue]:
+    """Yield the values inside a mapping, or a list of entries with names; else the value itself."""
+    value = measured.value
+    inside: list[MeasuredValue] = []
     if isinstance(value, dict):
-        inner = ((key, key, one) for key, one in value.items())
+        inside = [
+            MeasuredValue((*measured.path, key), (*measured.loc, key), item)
+            for key, item in value.items()
+        ]
     elif isinstance(value, list) and all(isinstance(e, dict) and "name" in e for e in value):
-        inner = ((str(one["name"]), i, one) for i, one in enumerate(value))
-    if inner and value:
-        for step, key, one in inner:
-            yield from _values(one, (*steps, step), (*at, key))
-    else:
-        yield steps, at, value
+        inside = [
+            MeasuredValue((*measured.path, str(entry["name"])), (*measured.loc, i), entry)
+            for i, entry in enumerate(value)
+        ]
+    if not inside:
+        yield measured
+    for part in inside:
+        yield from _single_values(part)

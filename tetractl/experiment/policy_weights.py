@@ -71,7 +71,8 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
     text = read_text(path, FILE_MAX_BYTES)
 
     def refusal(message: str) -> InvalidSpecError:
-        return InvalidSpecError([SpecProblem(printable(str(path)), message)])
+        problem = SpecProblem(printable(str(path)), message)
+        return InvalidSpecError([problem])
 
     try:
         contents = json.loads(text)
@@ -120,8 +121,8 @@ def _packed(layer: Any) -> dict[str, Any]:
     outputs, inputs = weights.shape
     if bias.shape != (outputs,):
         raise ValueError
-    numbers = base64.b64encode(weights.tobytes() + bias.tobytes()).decode()
-    return {"inputs": inputs, "outputs": outputs, "numbers": numbers}
+    numbers = base64.b64encode(weights.tobytes() + bias.tobytes())
+    return {"inputs": inputs, "outputs": outputs, "numbers": numbers.decode()}
 
 
 def put_layers(document: Document, layers: list[dict[str, Any]], origin: str) -> None:

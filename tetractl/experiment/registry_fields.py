@@ -1,7 +1,7 @@
 """Fields of a spec whose values are names in a registry, and the packages that provide them."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, LiteralString
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
@@ -29,7 +29,8 @@ class KindSection:
     """
 
     def __init__(self, registry: Registry, default: str | None = None) -> None:
-        self.registry, self.default = registry, default
+        self.registry = registry
+        self.default = default
         self._base: type[Any] = object
 
     def __get_pydantic_core_schema__(
@@ -69,22 +70,27 @@ class KindSection:
             raise PydanticCustomError("model_type", "must be a mapping of keys to values")
         name = value.get("type", self.default)
         if name is None:
-            known = {"known": self._known()}
-            raise PydanticCustomError("union_tag_not_found", "has no type", known)
+            raise self._wrong_type("union_tag_not_found", "has no type")
         if not isinstance(name, str) or name not in self.registry:
-            if missing := not_installed(self.registry.group, str(name)):
+            missing = not_installed(self.registry.group, str(name))
+            if missing:
                 raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(missing)})
-            known = {"known": self._known()}
-            raise PydanticCustomError("union_tag_invalid", "has an unknown type", known)
+            raise self._wrong_type("union_tag_invalid", "has an unknown type")
         section = self.registry.load(name)
         if not issubclass(section, self._base):
-            fitting = {"known": {k: v for k, v in self._known().items() if k != name}}
-            raise PydanticCustomError("union_tag_invalid", "cannot be used here", fitting)
+            raise self._wrong_type("union_tag_invalid", "cannot be used here", without=name)
         return section
 
-    def _known(self) -> dict[str, str]:
-        """Return the text of each kind by its name; reads what other packages say of themselves."""
-        return {kind.name: str(kind) for kind in self.registry.kinds()}
+    def _wrong_type(
+        self, kind: LiteralString, text: LiteralString, without: str = ""
+    ) -> PydanticCustomError:
+        """Return the error of a mapping whose type cannot be used, with the types that can, which
+        are all `without` one; reads what other packages say of theirs.
+        """
+        texts = {
+            usable.name: str(usable) for usable in self.registry.kinds() if usable.name != without
+        }
+        return PydanticCustomError(kind, text, {"known": texts})
 
 
 class KindName:
@@ -131,9 +137,9 @@ def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
         for field, about in type(value).model_fields.items():
             inner = fields[field]
             yield from _kinds(inner)
-            for mark in about.metadata:  # finds text fields with the name of a kind
-                if isinstance(inner, str) and isinstance(mark, KindName):
+            for mark in about.metadata:
+                if isinstance(mark, KindName) and isinstance(inner, str):
                     yield mark.registry, inner
-                own = isinstance(mark, KindSection) and mark.registry not in SPEC_REGISTRIES
-                if own and isinstance(inner, Model):  # a registry that a package brings
+                brought = isinstance(mark, KindSection) and mark.registry not in SPEC_REGISTRIES
+                if brought and isinstance(inner, Model):  # a registry that a package brings
                     yield mark.registry, dict(inner)["type"]

@@ -84,7 +84,7 @@ class OrTrialRobots:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        rules = [handler(one.__pydantic_core_schema__) for one in TRIAL_ROBOTS.usable().values()]
+        rules = [handler(rule.__pydantic_core_schema__) for rule in TRIAL_ROBOTS.usable().values()]
         otherwise = {"type": "null"} if self.listed is None else handler(schema)
         return {"anyOf": [otherwise, *rules]}
 
@@ -94,6 +94,7 @@ def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
     names = list(TRIAL_ROBOTS.names())
     names += [name for name, _ in missing(TRIAL_ROBOTS.group, names)]
     name = next((name for name in names if name in mapping), names[0])
-    if name not in TRIAL_ROBOTS and (why := not_installed(TRIAL_ROBOTS.group, name)):
+    why = not_installed(TRIAL_ROBOTS.group, name)
+    if name not in TRIAL_ROBOTS and why:
         raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(why), "key": name})
     return TRIAL_ROBOTS.load(name)

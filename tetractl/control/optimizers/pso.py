@@ -109,11 +109,11 @@ class Pso(OptimizerSection):
         cost = float(cost_of_one(warm[:, None])[0])
         return replace(scattered, best=Best(warm.copy(), cost))
 
-    def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
+    def contradictions(self, search: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield the fields of a logged search that contradict its history."""
         from tetractl.control.optimizers.pso_audit import contradictions
 
-        return contradictions(self, found, warmed, limits)
+        return contradictions(self, search, warmed, limits)
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,9 @@ class _Composer(yaml.SafeLoader):
 
     def __init__(self, text: str, origin: str) -> None:
         super().__init__(text)
-        self.origin, self.depth, self.nodes = origin, 0, 0
+        self.origin = origin
+        self.depth = 0
+        self.nodes = 0
 
     def compose_node(self, parent: Node | None, index: Any) -> Node | None:
         self.depth += 1
@@ -95,7 +97,8 @@ def compose(text: str, origin: str) -> Node | None:
             raise not_yaml(origin, "a second document starts here; a spec is one document", mark)
     except ReaderError as error:
         before = text[: error.position]
-        mark = Mark("", 0, before.count("\n"), len(before) - before.rfind("\n") - 1, None, 0)
+        column = len(before) - before.rfind("\n") - 1
+        mark = _mark(before.count("\n"), column)
         message = f"not valid YAML: the character U+{error.character:04X} is not allowed"
         raise not_yaml(origin, message, mark) from None
     except MarkedYAMLError as error:
@@ -109,6 +112,11 @@ def compose(text: str, origin: str) -> Node | None:
     return None if unwritten else root
 
 
+def _mark(line: int, column: int) -> Mark:
+    """Return a place in a text, counted from 0."""
+    return Mark("", 0, line, column, None, 0)
+
+
 def _refuse_missing_space(text: str, origin: str, line: int) -> None:
     """Raise InvalidSpecError if the line above `line`, from 0, has no space after its colon: YAML
     reads it as the begin of a text, and refuses the line below."""
@@ -116,7 +124,8 @@ def _refuse_missing_space(text: str, origin: str, line: int) -> None:
     entry = above[0].partition(" #")[0] if above else ""
     hint = with_space(entry.strip())
     if hint:
-        mark = Mark("", 0, line - 1, len(entry) - len(entry.lstrip()), None, 0)
+        indent = len(entry) - len(entry.lstrip())
+        mark = _mark(line - 1, indent)
         raise not_yaml(origin, f"not valid YAML: {hint}", mark) from None
 
 
@@ -143,7 +152,8 @@ def scalar(tag: str, text: str) -> str | bool | int | float | None:
         case "int":
             base = {"0o": 8, "0x": 16}.get(text[:2])
             return int(text[2:], base) if base else int(text)
-    number = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    as_python_writes = text.lower().replace(".inf", "inf").replace(".nan", "nan")
+    number = float(as_python_writes)
     # 1e3 and 100.0 are whole numbers in JSON, in the schema and for readers
     return int(number) if number.is_integer() and abs(number) < 2**53 else number
 

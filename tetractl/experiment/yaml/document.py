@@ -73,7 +73,8 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     `max_bytes` or cannot be read."""
 
     def refusal(message: str, line: int | None = None, column: int | None = None) -> Exception:
-        return InvalidSpecError([SpecProblem(printable(str(path)), message, line, column)])
+        problem = SpecProblem(printable(str(path)), message, line, column)
+        return InvalidSpecError([problem])
 
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):  # reading a FIFO may never end
@@ -97,13 +98,15 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
         before = raw[: error.start]
-        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
+        line = before.count(b"\n") + 1
+        column = error.start - before.rfind(b"\n")
         raise refusal("is not UTF-8 text; save the file as UTF-8", line, column) from None
 
 
 def read_document(path: Path) -> Document:
     """Read and parse a spec file, or one that a spec names, as `read_text` and `parse_document`."""
-    return replace(parse_document(read_text(path), str(path)), path=path)
+    document = parse_document(read_text(path), str(path))
+    return replace(document, path=path)
 
 
 def parse_document(text: str, origin: str) -> Document:
@@ -192,8 +195,8 @@ class _Builder:
 
     def place(self, node: Node) -> Place:
         """Return the location of a node, with its text if that is on a single line."""
-        start, end = node.start_mark, node.end_mark
-        text = self.text[start.index : end.index].strip()
+        start = node.start_mark
+        text = self.text[start.index : node.end_mark.index].strip()
         one_line = "\n" not in text and not isinstance(node, MappingNode)
-        shown = printable(text, SHOWN_LENGTH) if one_line and text else None
-        return Place(self.document.origin, start.line + 1, start.column + 1, shown)
+        excerpt = printable(text, SHOWN_LENGTH) if one_line and text else None
+        return Place(self.document.origin, start.line + 1, start.column + 1, excerpt)

@@ -46,7 +46,8 @@ class InvalidSpecError(SpecError):
 
     def __init__(self, problems: Iterable[SpecProblem], hint: str | None = None) -> None:
         self.problems = tuple(sorted(problems, key=lambda p: (p.line is None, p.line, p.column)))
-        super().__init__("\n".join(self.lines()), hint)
+        lines = self.lines()
+        super().__init__("\n".join(lines), hint)
 
     def lines(self) -> list[str]:
         """Return one line per problem; a very long list is cut."""
@@ -61,9 +62,9 @@ def dotted(loc: Loc) -> str:
     return printable(".".join(map(str, loc)), 200)
 
 
-def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """Return a suggestion, such as `; did you mean 'heading'?`, or "" if no known word is close."""
-    lower = {k.lower(): k for k in known}
+def did_you_mean(word: str, choices: Sequence[str]) -> str:
+    """Return a suggestion, such as `; did you mean 'heading'?`, or "" if no choice is close."""
+    lower = {choice.lower(): choice for choice in choices}
     plain = word[:SHOWN_LENGTH].lower().translate(MICRO)
     close = difflib.get_close_matches(plain, lower, n=1)
     return f"; did you mean '{lower[close[0]]}'?" if close else ""
@@ -73,7 +74,7 @@ def near_files(path: Path) -> str:
     """Return a suggestion of the specs in the folder of a missing one whose names are nearest to
     its own, such as `; did you mean 'mine.yaml'?`, or "" if none is near."""
     try:
-        names = sorted(one.name for one in path.parent.iterdir() if one.suffix in SUFFIXES)
+        names = sorted(file.name for file in path.parent.iterdir() if file.suffix in SUFFIXES)
     except OSError:
         return ""
     close = difflib.get_close_matches(path.name[:SHOWN_LENGTH], names, n=NEAR_FILES)

@@ -1,5 +1,20 @@
 """Predicts how the total error of an experiment depends on the robots' turning rates a and on their
-number, and proposes changes."""
+number, and proposes changes.
+
+The error of a setup is the median that `tetractl.analysis.steering` predicts [length unit]. It is
+predicted for
+
+    the robots as they are
+    the first n of them              for each lower n
+    robots of other turning rates    each exceeds the next lower one by a fraction of GAPS, the
+                                     *gap*; their geometric mean is unchanged
+    one robot changed                if the two most alike differ in a by less than TOO_ALIKE: one
+                                     of these two gets another a, so that they differ by a fraction
+                                     of STEPS
+
+Of the changes that lower the error enough, the smallest of those about as good as the best is
+advised (`best_change`).
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -10,7 +25,6 @@ import numpy as np
 from tetractl.analysis.closed_loop import Noise, left_out
 from tetractl.analysis.reach import Reach, reach
 from tetractl.analysis.steering import Steering, planner, steering, tolerance
-from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 
@@ -20,6 +34,9 @@ TOO_ALIKE = 0.2
 """If two robots' turning rates differ by less than this fraction, other rates are tried."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Relative differences of turning rate that are tried for the two robots most alike in it."""
+GAP_OF_STEP = 0.5
+"""A change is tried only if no two robots differ in a by less than this fraction of its step: it
+would make one of the two like a third robot."""
 WORTH = 0.8
 """An advised change must reduce the predicted error to at most this fraction of its value."""
 AS_GOOD = 1.1
@@ -34,6 +51,24 @@ class Change:
     old: float
     new: float
     error: float
+
+
+@dataclass(frozen=True, slots=True)
+class MostAlike:
+    """The indices of the two robots whose turning rates a differ least, and `gap`, their difference
+    relative to the smaller rate."""
+
+    low: int
+    high: int
+    gap: float
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedRate:
+    """The setup in which the robot of an index has another turning rate a."""
+
+    robot: int
+    setup: Setup
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,61 +107,79 @@ def analyze(
 ) -> Analysis:
     """Analyse an experiment's robots, and variants of them, each along a number of plans; `on_done`
     is called with the number of analyses done and the number of all."""
-    setup, noise = experiment.setup, Noise.of(experiment.plant)
-    section, seed = planner(experiment), experiment.trials.seed
-    gap, alike = smallest_gap(setup)
-    candidates = list(_candidates(setup, alike)) if alike and gap < TOO_ALIKE else []
+    setup = experiment.setup
     several = len(setup.names) > 1
-    count = 1 + (len(GAPS) + len(setup.names) - 1 if several else 0) + len(candidates)
-    done = 0
+    fewer = range(1, len(setup.names))
+    gaps = GAPS if several else ()
+    alike = most_alike(setup)
+    changed: list[ChangedRate] = []
+    if alike is not None and alike.gap < TOO_ALIKE:
+        changed = list(_changed(setup, alike))
 
-    def found(of: Setup) -> Steering | None:
-        nonlocal done
-        result = steering(section, of, noise, seed, plans)
-        done += 1
-        on_done(done, count)
-        return result
+    count = 1 + len(fewer) + len(gaps) + len(changed)
+    predictor = _Predictor(experiment, plans, lambda done: on_done(done, count))
+    as_they_are = predictor.steering(setup)
+    error = _error(as_they_are)
+    by_count = [(n, predictor.error(setup.only(range(n)))) for n in fewer]
+    by_gap = [(gap, predictor.error(respaced(setup, gap))) for gap in gaps]
+    changes = [_change(setup, rate, predictor.error(rate.setup)) for rate in changed]
 
-    def error(of: Setup) -> float:
-        result = found(of)
-        return math.nan if result is None else result.error
-
-    here = found(setup)
-    now = math.nan if here is None else here.error
-    numbers = range(1, len(setup.names)) if several else ()
-    by_count = [(n, error(setup.only(range(n)))) for n in numbers]
-    by_gap = [(one, error(respaced(setup, one))) for one in GAPS] if several else []
-    changes = [
-        Change(setup.names[i], float(setup.a[i]), a, error(replace(setup, a=_with(setup.a, i, a))))
-        for i, a in candidates
-    ]
+    section = planner(experiment)
     return Analysis(
         setup=setup,
         reach=reach(experiment),
-        noise=noise,
+        noise=Noise.of(experiment.plant),
         left_out=left_out(experiment.plant),
         tolerance=tolerance(section),
         plans=plans,
-        steering=here,
-        alike=None if alike is None else (setup.names[alike[0]], setup.names[alike[1]]),
-        gap=gap,
+        steering=as_they_are,
+        alike=None if alike is None else (setup.names[alike.low], setup.names[alike.high]),
+        gap=math.inf if alike is None else alike.gap,
         by_gap=tuple(by_gap),
-        by_count=(*by_count, (len(setup.names), now)),
-        looked=bool(candidates),
-        change=best_change(changes, now),
+        by_count=(*by_count, (len(setup.names), error)),
+        looked=bool(changed),
+        change=best_change(changes, error),
     )
 
 
-def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
-    """Return the least relative difference between the turning rates a of two robots, and the
-    indices of the two, the one with the smaller rate first.
-    """
+class _Predictor:
+    """Predicts the errors of setups as steered in one experiment, along a number of plans each;
+    `on_done` is called with the number of predictions so far."""
+
+    def __init__(
+        self, experiment: Experiment, plans: int, on_done: Callable[[int], object]
+    ) -> None:
+        self._section = planner(experiment)
+        self._noise = Noise.of(experiment.plant)
+        self._seed = experiment.trials.seed
+        self._plans = plans
+        self._on_done = on_done
+        self._done = 0
+
+    def steering(self, setup: Setup) -> Steering | None:
+        """Analyse the plans of a setup; None if none reaches the targets."""
+        analysed = steering(self._section, setup, self._noise, self._seed, self._plans)
+        self._done += 1
+        self._on_done(self._done)
+        return analysed
+
+    def error(self, setup: Setup) -> float:
+        """Return the predicted mean total error of a setup, NaN if no plan was found."""
+        return _error(self.steering(setup))
+
+
+def _error(analysed: Steering | None) -> float:
+    return math.nan if analysed is None else analysed.error
+
+
+def most_alike(setup: Setup) -> MostAlike | None:
+    """Return the two robots whose turning rates a differ least; None for one robot."""
     order = np.argsort(setup.a, kind="stable")
     if len(order) < 2:
-        return float("inf"), None
+        return None
     gaps = setup.a[order[1:]] / setup.a[order[:-1]] - 1
-    at = int(np.argmin(gaps))
-    return float(gaps[at]), (int(order[at]), int(order[at + 1]))
+    least = int(np.argmin(gaps))
+    return MostAlike(int(order[least]), int(order[least + 1]), float(gaps[least]))
 
 
 def respaced(setup: Setup, gap: float) -> Setup:
@@ -137,6 +190,34 @@ def respaced(setup: Setup, gap: float) -> Setup:
     return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))
 
 
+def _changed(setup: Setup, alike: MostAlike) -> Iterator[ChangedRate]:
+    """Yield the setups in which one of the two robots most alike has another a, which raises the
+    least gap: the faster one turns faster, or the slower one more slowly."""
+    for step in STEPS:
+        higher = _with_rate(setup, alike.high, setup.a[alike.low] * (1 + step))
+        lower = _with_rate(setup, alike.low, setup.a[alike.high] / (1 + step))
+        for changed in (higher, lower):
+            closest = most_alike(changed.setup)
+            assert closest is not None
+            if closest.gap > max(alike.gap, GAP_OF_STEP * step):
+                yield changed
+
+
+def _with_rate(setup: Setup, robot: int, a: float) -> ChangedRate:
+    """Return the setup with another turning rate of a robot, of three digits, as is advised."""
+    rates = setup.a.copy()
+    rates[robot] = float(f"{a:.3g}")
+    return ChangedRate(robot, replace(setup, a=rates))
+
+
+def _change(setup: Setup, changed: ChangedRate, error: float) -> Change:
+    """Return what is changed of a setup, with the error predicted for it."""
+    robot = changed.robot
+    old_a = float(setup.a[robot])
+    new_a = float(changed.setup.a[robot])
+    return Change(setup.names[robot], old_a, new_a, error)
+
+
 def best_change(changes: list[Change], error: float) -> Change | None:
     """Return the smallest change whose error is at most `AS_GOOD` times the least, None if no
     change helps.
@@ -144,26 +225,9 @@ def best_change(changes: list[Change], error: float) -> Change | None:
     `error` is the error without a change; an error is NaN if no plan was found.
     """
     most = math.inf if math.isnan(error) else WORTH * error
-    least = min((one.error for one in changes if one.error <= most), default=None)
-    if least is None:
+    helpful = [change for change in changes if change.error <= most]
+    if not helpful:
         return None
-    good = [one for one in changes if one.error <= min(AS_GOOD * least, most)]
-    return min(good, key=lambda one: abs(np.log(one.new / one.old)))
-
-
-def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
-    """Yield (index, new turning rate) of one of the robots `alike`: rates that raise the least
-    gap."""
-    low, high = alike
-    old, _ = smallest_gap(setup)
-    for step in STEPS:
-        for i, a in ((high, setup.a[low] * (1 + step)), (low, setup.a[high] / (1 + step))):
-            new = float(f"{a:.3g}")
-            if smallest_gap(replace(setup, a=_with(setup.a, i, new)))[0] > max(old, 0.5 * step):
-                yield i, new
-
-
-def _with(values: Floats, i: int, value: float) -> Floats:
-    changed = values.copy()
-    changed[i] = value
-    return changed
+    least = min(change.error for change in helpful)
+    as_good = [change for change in helpful if change.error <= AS_GOOD * least]
+    return min(as_good, key=lambda change: abs(np.log(change.new / change.old)))

@@ -1,16 +1,26 @@
 """Predicts the final positions of robots under an assumed noise: the linearised closed loop.
 
-The deviation e (2N,) of the final positions from the plan, and the relative errors of turning rate
-a and speed, are normal variables with a joint covariance. For each signal, from first to last,
+The deviation e (2N,) of the final positions from the plan, and the relative errors q (2N,) of
+turning rate a and speed, are normal variables with a joint covariance: P of e, X of e with q, and
+the variances of q (`Uncertainty`). For each signal, from first to last,
 
 1. the controller measures the deviation, with noise propagated to the end, and corrects it by the
-   remaining signals: for a deviation of covariance P, measured with noise M, the correction is the
-   fraction C = R (R + P + M)^-1. R is the covariance of the final positions if every remaining
-   signal varies with the standard deviation TURN, and the stop comes a signal earlier or later;
-2. the robots move: errors of turning rate and speed act, and the heading makes its random walk.
+   remaining signals (`_corrected`): for a deviation of covariance P, measured with noise M, the
+   correction is the fraction C = R (R + P + M)^-1, which leaves
 
-A controller that identifies turning rate and speed plans with its estimates, which improve with
-every measurement. Without `corrects` there is no feedback.
+       P <- (1 - C) P (1 - C)' + C M C',     X <- (1 - C) X
+
+   R is the covariance of the final positions if every remaining signal varies with the standard
+   deviation TURN, and the stop comes a signal earlier or later;
+2. the robots move (`_moved`): with the derivatives D (2N, 2N) of the ends with respect to q during
+   this signal alone, and W that of the heading's random walk, of variance w,
+
+       P <- P + D Q D' + D X' + X D' + w W W',     X <- X + D Q,     Q = diag(variances of q)
+
+3. a controller that identifies turning rate and speed plans with its estimates (`_identified`),
+   which improve with every measurement.
+
+Without `corrects` there is no feedback.
 
 The derivatives of the final positions: a step moves robot i by d(heading, u) and turns it by
 w(heading, u). Let g_j be the derivative of the robot's final position with respect to its heading
@@ -60,52 +70,87 @@ class Linear:
 
 def linearise(problem: Problem, signals: Floats) -> Linear:
     """Linearise the robots' paths under a sequence of signals (L,) [rad]."""
-    count, length = len(problem.a), len(signals)
+    robots = len(problem.a)
+    length = len(signals)
     path = predict(problem, signals)
-    heading = path[:-1, :, 2]
     seconds = np.full(length, problem.period)
     seconds[0] = problem.first_period
-    by_heading, by_u, of_a, of_speed = _derivatives(problem, heading, signals, seconds)
-    g = np.zeros((length + 1, count, 2))
+    step = _step_derivatives(problem, path[:-1, :, 2], signals, seconds)
+
+    # g_j, backwards in time
+    by_heading = np.zeros((length + 1, robots, 2))
     for j in reversed(range(length)):
-        g[j] = by_heading[j, :, :2] + g[j + 1] * by_heading[j, :, 2:]
-    later = g[1:]
-    by_signal = by_u[..., :2] + later * by_u[..., 2:]  # (L, N, 2)
-    end = path[-1]
-    onward = (
-        problem.period
-        * problem.speed[:, None]
-        * np.stack([np.cos(end[:, 2]), np.sin(end[:, 2])], axis=-1)
-    )
+        turned = by_heading[j + 1] * step.by_heading[j, :, 2:]
+        by_heading[j] = step.by_heading[j, :, :2] + turned
+    later = by_heading[1:]
+
+    def of_ends(of_step: Floats) -> Floats:
+        """Return the derivatives (L, N, 2) of the ends from those of one step (L, N, 3)."""
+        return of_step[..., :2] + later * of_step[..., 2:]
+
+    ends = path[-1]
+    facing = np.stack([np.cos(ends[:, 2]), np.sin(ends[:, 2])], axis=-1)
+    onward = problem.period * problem.speed[:, None] * facing
+    to_targets = ends[:, :2] - problem.targets
+    by_signal = of_ends(step.by_signal).transpose(1, 2, 0)  # (N, 2, L)
     return Linear(
-        miss=np.hypot(*(end[:, :2] - problem.targets).T),
-        by_signal=by_signal.transpose(1, 2, 0).reshape(2 * count, length),
-        by_heading=g,
-        by_a=of_a[..., :2] + later * of_a[..., 2:],
-        by_speed=of_speed[..., :2] + later * of_speed[..., 2:],
-        turn_by_a=of_a[..., 2],
-        onward=onward.reshape(2 * count, 1),
+        miss=np.hypot(to_targets[:, 0], to_targets[:, 1]),
+        by_signal=by_signal.reshape(2 * robots, length),
+        by_heading=by_heading,
+        by_a=of_ends(step.by_a),
+        by_speed=of_ends(step.by_speed),
+        turn_by_a=step.by_a[..., 2],
+        onward=onward.reshape(2 * robots, 1),
         seconds=seconds,
     )
 
 
-def _derivatives(
-    problem: Problem, heading: Floats, signals: Floats, seconds: Floats
-) -> tuple[Floats, ...]:
-    """Return the derivatives of each step's x, y and next heading, (L, N, 3) each, with respect to
-    the heading, the signal, ln a and ln speed."""
-    lanes, robots = MOTIONS.load(problem.motion).lanes, in_rows(problem)
-    steps = [
-        lanes.differentiate(np.cos(at), np.sin(at), np.cos(u), np.sin(u), own, t)
-        for u, t, row in zip(signals, seconds, heading, strict=True)
-        for at, own in zip(row, robots, strict=True)
-    ]
-    found = np.array([(by_heading, by_u, *more) for _, by_heading, by_u, more in steps])
-    return tuple(found.reshape(*heading.shape, -1, 3).transpose(2, 0, 1, 3))
+@dataclass(frozen=True, slots=True)
+class StepDerivatives:
+    """Derivatives (L, N, 3) of each step's displacement x, y and of the next heading, with respect
+    to the heading before the step, its signal, ln a and ln speed."""
+
+    by_heading: Floats
+    by_signal: Floats
+    by_a: Floats
+    by_speed: Floats
 
 
-TURN = float(np.pi / np.sqrt(3))  # rad; standard deviation of a signal uniform in [-pi, pi]
-SURE = 1e-8  # least variance of a measured turn [rad^2] and of a relative path length
+def _step_derivatives(
+    problem: Problem, headings: Floats, signals: Floats, seconds: Floats
+) -> StepDerivatives:
+    """Differentiate each step of each robot at its `headings` (L, N) before it [rad]."""
+    lanes = MOTIONS.load(problem.motion).lanes
+    robots = in_rows(problem)
+    shape = (*headings.shape, 3)
+    by_heading = np.empty(shape)
+    by_signal = np.empty(shape)
+    by_a = np.empty(shape)
+    by_speed = np.empty(shape)
+    for j, signal in enumerate(signals):
+        cos_u = np.cos(signal)
+        sin_u = np.sin(signal)
+        for i, heading in enumerate(headings[j]):
+            cos_heading = np.cos(heading)
+            sin_heading = np.sin(heading)
+            derivatives = lanes.differentiate(
+                cos_heading, sin_heading, cos_u, sin_u, robots[i], seconds[j]
+            )
+            _, by_heading[j, i], by_signal[j, i], by_parameters = derivatives
+            by_a[j, i], by_speed[j, i] = by_parameters
+    return StepDerivatives(by_heading, by_signal, by_a, by_speed)
+
+
+TURN = float(np.pi / np.sqrt(3))
+"""Standard deviation of a signal uniform in [-pi, pi] [rad]."""
+SURE = 1e-8
+"""Least variance of a measured turn [rad^2] and of a relative path length: an exact measurement
+would give infinite information."""
+REGULAR = 1e-12
+"""What is added to R + P + M, relative to the sum of their diagonals: they are singular for robots
+that stand."""
+REGULAR_MIN = 1e-30
+"""Least value that is added [length unit^2]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +175,14 @@ class Noise:
         """
         if not isinstance(plant, Noisy):
             return cls(a=0.0, speed=0.0, walk=0.0, position=0.0, heading=0.0)
-        a, speed = plant.a_error / np.sqrt(3), plant.speed_error / np.sqrt(3)
         measured = plant.measurement_noise
-        return cls(a, speed, plant.heading_noise, measured.position, measured.heading)
+        return cls(
+            a=plant.a_error / np.sqrt(3),
+            speed=plant.speed_error / np.sqrt(3),
+            walk=plant.heading_noise,
+            position=measured.position,
+            heading=measured.heading,
+        )
 
     @property
     def any(self) -> bool:
@@ -146,6 +196,20 @@ def left_out(plant: PlantSection) -> tuple[str, ...]:
     return tuple(name for name, value in plant if name in names and value)
 
 
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """The joint covariance of the ends' deviations e and the relative errors q.
+
+    `ends` (2N, 2N) is the covariance of x_1, y_1, x_2, ... [length unit^2], `cross` (2N, 2N) that
+    of these (rows) with q [length unit], and `parameters` (2N,) are the variances of q: those of ln
+    a of each robot, then those of ln speed.
+    """
+
+    ends: Floats
+    cross: Floats
+    parameters: Floats
+
+
 def end_covariance(
     plan: Linear, noise: Noise, corrects: bool = True, identifies: bool = False
 ) -> Floats:
@@ -154,42 +218,64 @@ def end_covariance(
     `corrects` is whether the controller corrects deviations during the plan, and `identifies`
     whether the controller identifies turning rate a and speed.
     """
-    count, length = len(plan.miss), len(plan.seconds)
-    size = 2 * count
-    p, cross = np.zeros((size, size)), np.zeros((size, size))
-    known = np.repeat([noise.a**2, noise.speed**2], count)  # variances of ln a, then ln speed
-    for k in range(length):
+    robots = len(plan.miss)
+    none = np.zeros((2 * robots, 2 * robots))
+    of_parameters = np.repeat([noise.a**2, noise.speed**2], robots)
+    now = Uncertainty(ends=none, cross=none, parameters=of_parameters)
+    for k in range(len(plan.seconds)):
         if corrects:
-            rows = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
-            reach = rows @ rows.T
-            eye = np.eye(size)
-            m = noise.position**2 * eye + noise.heading**2 * _blocks(plan.by_heading[k])
-            most = np.trace(reach) + np.trace(p) + np.trace(m)
-            regular = max(1e-12 * most, 1e-30) * eye  # for robots that stand
-            left = eye - np.linalg.solve(reach + p + m + regular, reach).T
-            p = left @ p @ left.T + (eye - left) @ m @ (eye - left).T
-            cross = left @ cross
-        moved = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])
-        p = p + moved @ (known[:, None] * moved.T) + moved @ cross.T + cross @ moved.T
-        cross = cross + moved * known
-        middle = (plan.by_heading[k] + plan.by_heading[k + 1]) / 2
-        p = p + noise.walk**2 * plan.seconds[k] * _blocks(middle)
+            now = _corrected(now, plan, noise, k)
+        now = _moved(now, plan, noise, k)
         if identifies:
-            left_over = 1 / (1 + known * _information(plan, noise, k))
-            cross = cross * np.sqrt(left_over)
-            known = known * left_over
-    return p
+            now = _identified(now, plan, noise, k)
+    return now.ends
 
 
-def _information(plan: Linear, noise: Noise, k: int) -> Floats:
+def _corrected(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
+    """Return what is left after the controller measured, and corrects by signals k, k + 1, ..."""
+    p = before.ends
+    eye = np.eye(len(p))
+    ways_to_correct = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
+    r = ways_to_correct @ ways_to_correct.T
+    m = noise.position**2 * eye + noise.heading**2 * _blocks(plan.by_heading[k])
+    size = np.trace(r) + np.trace(p) + np.trace(m)
+    regular = max(REGULAR * size, REGULAR_MIN) * eye
+    remains = eye - np.linalg.solve(r + p + m + regular, r).T  # 1 - C
+    corrected = eye - remains
+    return Uncertainty(
+        ends=remains @ p @ remains.T + corrected @ m @ corrected.T,
+        cross=remains @ before.cross,
+        parameters=before.parameters,
+    )
+
+
+def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
+    """Return what the deviations are after the robots moved by signal k."""
+    d = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])
+    variances = before.parameters
+    ends = before.ends + d @ (variances[:, None] * d.T) + d @ before.cross.T + before.cross @ d.T
+    middle = (plan.by_heading[k] + plan.by_heading[k + 1]) / 2
+    walk = noise.walk**2 * plan.seconds[k] * _blocks(middle)
+    return Uncertainty(ends + walk, before.cross + d * variances, variances)
+
+
+def _identified(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
+    """Return what is left after the controller identified a and speed by signal k."""
+    remains = 1 / (1 + before.parameters * information(plan, noise, k))
+    return Uncertainty(before.ends, before.cross * np.sqrt(remains), before.parameters * remains)
+
+
+def information(plan: Linear, noise: Noise, k: int) -> Floats:
     """Return 1/variance of ln a, then of ln speed, (2N,), as estimated from the headings and
     positions measured before and after signal k.
     """
-    turned = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
-    ways = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
-    went = np.maximum(2 * noise.position**2, SURE * ways)
-    told = np.divide(ways, went, out=np.zeros_like(ways), where=went > 0)
-    return np.concatenate([plan.turn_by_a[k] ** 2 / turned, told])
+    turn_variance = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
+    of_a = plan.turn_by_a[k] ** 2 / turn_variance
+    path_squared = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
+    path_variance = np.maximum(2 * noise.position**2, SURE * path_squared)
+    of_speed = np.zeros_like(path_squared)
+    np.divide(path_squared, path_variance, out=of_speed, where=path_variance > 0)
+    return np.concatenate([of_a, of_speed])
 
 
 def mean_errors(covariance: Floats, miss: Floats) -> Floats:
@@ -200,9 +286,11 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
     sqrt(2/pi) s1 E(1 - s2^2/s1^2), with the complete elliptic integral E; the result is
     sqrt(m^2 + miss^2).
     """
-    small, large = np.maximum(np.linalg.eigvalsh(of_each(covariance)), 0.0).T
-    share = np.divide(small, large, out=np.ones_like(miss), where=large > 0)
-    length = np.sqrt(2 / np.pi * large) * ellipe(1 - share)
+    variances = np.linalg.eigvalsh(of_each(covariance))  # (N, 2), ascending
+    smaller, larger = np.maximum(variances, 0.0).T
+    roundness = np.ones_like(miss)
+    np.divide(smaller, larger, out=roundness, where=larger > 0)
+    length = np.sqrt(2 / np.pi * larger) * ellipe(1 - roundness)
     return np.hypot(length, miss)
 
 
@@ -213,15 +301,16 @@ def of_each(covariance: Floats) -> Floats:
     return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]
 
 
-def _columns(each: Floats) -> Floats:
+def _columns(vectors: Floats) -> Floats:
     """Return (2N, N): column i holds the vector (2,) of robot i in rows 2i and 2i + 1."""
-    count = len(each)
-    placed = np.zeros((count, 2, count))
-    placed[np.arange(count), :, np.arange(count)] = each
-    return placed.reshape(2 * count, count)
+    count = len(vectors)
+    robots = np.arange(count)
+    columns = np.zeros((count, 2, count))
+    columns[robots, :, robots] = vectors
+    return columns.reshape(2 * count, count)
 
 
-def _blocks(each: Floats) -> Floats:
+def _blocks(vectors: Floats) -> Floats:
     """Return the block-diagonal matrix (2N, 2N) of each robot's vector (2,) times its transpose."""
-    columns = _columns(each)
+    columns = _columns(vectors)
     return columns @ columns.T

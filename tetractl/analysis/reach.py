@@ -26,17 +26,23 @@ from tetractl.experiment.section_abilities import Modelled
 from tetractl.run.plausibility import OVERSHOOTING
 
 SEQUENCES = 1000
+"""Number of random sequences."""
 LENGTH = 96
+"""Number of directions in a sequence."""
+SEED = 0
+"""Seed of the sequences, which are the same in each call: a verdict must not depend on chance."""
 TOLERANCE = 0.01
 """Least spread of a combination that can be reached, over that of the one that moves furthest."""
 CHANCE = 4.0
 """Multiple of the usual spread of a combination beyond which a sequence has moved it by chance."""
 ROUNDS = 4
 """Rounds in which sequences that moved a combination by chance are found."""
-QUARTILE = 0.6745
+NORMAL_MEDIAN = 0.6745
 """Median of the magnitudes of normal numbers, over their standard deviation."""
 NEAR = 3.0
 """Combinations within this factor of TOLERANCE are reached barely, if at all."""
+STILL = 1e-300
+"""Least spread that others are divided by [s]: that of robots that all stand is 0."""
 ROBOTS_MAX = 40
 """Largest number of robots; more would take longer than a second."""
 STEPS = (0.01, 0.02, 0.05, 0.1, 0.2)
@@ -95,19 +101,19 @@ class Reach:
         }
 
     def __str__(self) -> str:
-        near = f", {self.barely} of them barely" if self.barely else ""
-        text = f"{self.rank} of {len(self.spread)}{near}"
+        barely = f", {self.barely} of them barely" if self.barely else ""
+        texts = [f"{self.rank} of {len(self.spread)}{barely}"]
         parted = {robot.name for robot in self.parted}
         for group in self.alike:
-            text += f"; {', '.join(group[:-1])} and {group[-1]} move alike"
+            text = f"{', '.join(group[:-1])} and {group[-1]} move alike"
             if parted.isdisjoint(group):
                 text += f" and would at an a that differs by {100 * STEPS[-1]:g} %"
+            texts.append(text)
         for robot in self.parted:
             change = f"from {robot.a:.4g} to {robot.a_advised:.4g}"
-            text += f"; a of {robot.name} changed {change} would part them"
-        for name in self.still:
-            text += f"; {name} has speed 0"
-        return text
+            texts.append(f"a of {robot.name} changed {change} would part them")
+        texts += [f"{name} has speed 0" for name in self.still]
+        return "; ".join(texts)
 
 
 def reach(experiment: Experiment) -> Reach | None:
@@ -129,14 +135,16 @@ def reach_of(setup: Setup, motion: str) -> Reach:
     moves = setup.speed > 0
     ends = _ends(setup, motion)
     spread = _spreads(ends)
-    most = max(float(spread[0]), 1e-300)
+    most = max(float(spread[0]), STILL)
     groups = list(_alike(ends, moves, TOLERANCE * most))
+    alike: list[tuple[str, ...]] = []
     parted: list[PartedRobot] = []
     for group in groups:
+        alike.append(tuple(setup.names[robot] for robot in group))
         parted += _parted(setup, motion, group, most)
     return Reach(
         spread=spread / most,
-        alike=tuple(tuple(setup.names[robot] for robot in group) for group in groups),
+        alike=tuple(alike),
         still=tuple(setup.names[robot] for robot in np.flatnonzero(~moves)),
         parted=tuple(parted),
     )
@@ -152,7 +160,7 @@ def _ends(setup: Setup, motion: str) -> Floats:
     x = np.zeros(shape)
     y = np.zeros(shape)
     heading = np.broadcast_to(setup.starts.heading, shape)
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(SEED)
     for _ in range(LENGTH):
         u = random.uniform(-np.pi, np.pi, (SEQUENCES, 1))
         x, y, heading = step(x, y, heading, u, setup.a, speed, held_s)
@@ -167,7 +175,7 @@ def _spreads(ends: Floats) -> Floats:
     for _ in range(ROUNDS):
         values, axes = np.linalg.eigh(counted.T @ counted / len(ends))
         moved = ends @ axes
-        most = CHANCE * np.median(np.abs(moved), axis=0) / QUARTILE
+        most = CHANCE * np.median(np.abs(moved), axis=0) / NORMAL_MEDIAN
         counted = np.clip(moved, -most, most) @ axes.T
     return np.sqrt(np.maximum(values[::-1], 0.0))
 
@@ -179,28 +187,29 @@ def _alike(ends: Floats, moves: Bools, least: float) -> Iterator[list[int]]:
         group = [min(ungrouped)]
         ungrouped.remove(group[0])
         for robot in group:  # grows while it is gone through
-            like_it = [other for other in sorted(ungrouped) if _apart(ends, robot, other) < least]
-            ungrouped -= set(like_it)
-            group += like_it
+            for candidate in sorted(ungrouped):
+                if _apart(ends, robot, candidate) < least:
+                    ungrouped.remove(candidate)
+                    group.append(candidate)
         if len(group) > 1:
             yield sorted(group)
 
 
-def _apart(ends: Floats, robot: int, other: int) -> float:
+def _apart(ends: Floats, first: int, second: int) -> float:
     """Return the least spread of a combination of two robots' ends [s]."""
-    columns = [2 * robot, 2 * robot + 1, 2 * other, 2 * other + 1]
+    columns = [2 * first, 2 * first + 1, 2 * second, 2 * second + 1]
     return float(_spreads(ends[:, columns])[-1])
 
 
 def _parted(setup: Setup, motion: str, group: list[int], most: float) -> Iterator[PartedRobot]:
     """Yield the robots of a group but the first with the least other a that parts them from it."""
-    first = group[0]
     a = setup.a.copy()
+    least = NEAR * TOLERANCE * most
     for step in STEPS:
-        a[group[1:]] = setup.a[first] * (1 + step) ** np.arange(1, len(group))
+        a[group[1:]] = setup.a[group[0]] * (1 + step) ** np.arange(1, len(group))
         ends = _ends(replace(setup.only(group), a=a[group]), motion)
         pairs = combinations(range(len(group)), 2)
-        if all(_apart(ends, one, two) > NEAR * TOLERANCE * most for one, two in pairs):
+        if all(_apart(ends, first, second) > least for first, second in pairs):
             for robot in group[1:]:
                 yield PartedRobot(setup.names[robot], float(setup.a[robot]), float(a[robot]))
             return

@@ -9,7 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors, of_each
+from tetractl.analysis.closed_loop import (
+    Linear,
+    Noise,
+    end_covariance,
+    linearise,
+    mean_errors,
+    of_each,
+)
 from tetractl.control.collision import Collision
 from tetractl.control.mpc_section import RecommendedMpc, SearchFields
 from tetractl.control.optimizers.multistart import Multistart
@@ -52,11 +59,9 @@ def planner(experiment: Experiment) -> RecommendedMpc:
     control = experiment.controller
     if isinstance(control, RecommendedMpc):
         optimizer = control.optimizer
-        found = {
-            "optimizer": optimizer if isinstance(optimizer, Multistart) else Multistart(),
-            "arrival_tolerance": 0.0,
-        }
-        return control.model_copy(update=found)
+        if not isinstance(optimizer, Multistart):
+            optimizer = Multistart()
+        return control.model_copy(update={"optimizer": optimizer, "arrival_tolerance": 0.0})
     shared = {"period": control.period, "time_limit": control.time_limit, "signal_periods": 1}
     if isinstance(control, SearchFields):
         shared |= control.model_dump(include={"motion", "horizon_max", "obstacle_weight"})
@@ -74,20 +79,26 @@ def tolerance(section: RecommendedMpc) -> float:
 
 def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Iterator[Planned]:
     """Yield the plans with which the first `count` trials of a batch with this seed would begin."""
-    every = np.ones(len(setup.names), dtype=np.bool_)
-    observation = Observation(0, 0, 0, setup.starts, every)
+    all_seen = np.ones(len(setup.names), dtype=np.bool_)
+    observation = Observation(0, 0, 0, setup.starts, all_seen)
     problem = section.problem(setup)
-    enough = tolerance(section)
+    # robots that start within a margin are steered out of it; no plan avoids that cost
     within = bool(problem.obstacles.contain(setup.starts.x, setup.starts.y).any())
     for trial in range(count):
         key, _ = trial_seeds(seed, trial)
         plan = section.build(setup, key, UNHURRIED).plan(observation)
         if isinstance(plan, Plan):
-            # robots that start within a margin are steered out of it; no plan avoids that cost
-            reaches = (plan.target_cost if within else plan.cost) <= enough
-            good = [one.length for one in plan.searches if one.cost <= enough]
-            good += [len(plan.signals)] if reaches else []
-            yield Planned(plan, problem, reaches, min(good, default=None))
+            yield _planned(plan, problem, tolerance(section), within)
+
+
+def _planned(plan: Plan, problem: Problem, enough: float, within: bool) -> Planned:
+    """Return a plan with what it reaches: costs up to `enough` do, and `within` is whether a robot
+    starts within a margin."""
+    cost = plan.target_cost if within else plan.cost
+    lengths = [search.length for search in plan.searches if search.cost <= enough]
+    if cost <= enough:
+        lengths.append(len(plan.signals))
+    return Planned(plan, problem, cost <= enough, min(lengths, default=None))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,32 +143,59 @@ def steering(
     """Search `count` plans for the robots of a setup, and analyse the plans that reach the targets;
     None if no plan reaches them.
     """
-    found = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
-    if not found:
+    reaching = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
+    if not reaching:
         return None
-    linear = [linearise(planned.problem, planned.plan.signals) for planned in found]
-    closed = [end_covariance(one, noise, True, section.estimate) for one in linear]
-    free = [end_covariance(one, noise, corrects=False) for one in linear]
-    each = [mean_errors(p, one.miss) for p, one in zip(closed, linear, strict=True)]
-    errors = np.array([one.sum() for one in each])
-    middle = int(np.argsort(errors)[(len(errors) - 1) // 2])
-    left, singular, _ = np.linalg.svd(linear[middle].by_signal, full_matrices=False)
-    size = 2 * len(setup.names)
-    values = np.zeros(size)  # with fewer signals than coordinates, some values stay 0
-    values[: len(singular)] = singular
-    shares = (left[:, -1] ** 2).reshape(-1, 2).sum(axis=1)
+    predictions = [_predict(planned, noise, section.estimate) for planned in reaching]
+    errors = np.array([prediction.errors.sum() for prediction in predictions])
+    median = int(np.argsort(errors)[(len(errors) - 1) // 2])
+    at_median = predictions[median]
+    directions, spread, _ = np.linalg.svd(at_median.linear.by_signal, full_matrices=False)
+    singular = np.zeros(2 * len(setup.names))
+    singular[: len(spread)] = spread  # with fewer signals than coordinates, some values stay 0
+    weakest = directions[:, -1].reshape(-1, 2)
     return Steering(
-        shortest=min((one.shortest for one in found if one.shortest is not None), default=None),
+        shortest=_shortest(reaching),
         signal_s=section.signal_periods * section.period,
         errors=errors,
-        open_loop=np.array(
-            [mean_errors(p, one.miss).sum() for p, one in zip(free, linear, strict=True)]
-        ),
-        planned=np.array([one.miss.sum() for one in linear]),
-        signals=len(found[middle].plan.signals),
-        singular=values,
-        weakest=shares,
-        robot_errors=each[middle],
-        covariance=of_each(closed[middle]),
-        free_covariance=of_each(free[middle]),
+        open_loop=np.array([prediction.open_loop.sum() for prediction in predictions]),
+        planned=np.array([prediction.linear.miss.sum() for prediction in predictions]),
+        signals=len(reaching[median].plan.signals),
+        singular=singular,
+        weakest=(weakest**2).sum(axis=1),
+        robot_errors=at_median.errors,
+        covariance=of_each(at_median.covariance),
+        free_covariance=of_each(at_median.free_covariance),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Prediction:
+    """What is predicted along a plan for N robots: the joint covariance (2N, 2N) of the ends and
+    the mean errors (N,), with feedback and in `open_loop`."""
+
+    linear: Linear
+    covariance: Floats
+    free_covariance: Floats
+    errors: Floats
+    open_loop: Floats
+
+
+def _predict(planned: Planned, noise: Noise, identifies: bool) -> _Prediction:
+    """Predict where the robots end along a plan."""
+    linear = linearise(planned.problem, planned.plan.signals)
+    covariance = end_covariance(linear, noise, corrects=True, identifies=identifies)
+    free_covariance = end_covariance(linear, noise, corrects=False)
+    return _Prediction(
+        linear=linear,
+        covariance=covariance,
+        free_covariance=free_covariance,
+        errors=mean_errors(covariance, linear.miss),
+        open_loop=mean_errors(free_covariance, linear.miss),
+    )
+
+
+def _shortest(reaching: list[Planned]) -> int | None:
+    """Return the least number of signals of all sequences that reach, None if none does."""
+    lengths = [planned.shortest for planned in reaching if planned.shortest is not None]
+    return min(lengths, default=None)

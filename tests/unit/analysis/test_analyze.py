@@ -5,7 +5,7 @@ import pytest
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
-from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
+from tetractl.analysis.analyze import Change, analyze, best_change, most_alike, respaced
 from tetractl.analysis.steering import planner, plans
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.optimizers.multistart import Multistart
@@ -34,9 +34,9 @@ def of(a=(6, 4, 3), **changes):
 
 
 def test_the_smallest_gap_and_robots_spaced_anew():
-    gap, (low, high) = smallest_gap(SETUP)
-    assert gap == pytest.approx(1 / 3)
-    assert (SETUP.names[low], SETUP.names[high]) == ("red", "blue")
+    alike = most_alike(SETUP)
+    assert alike.gap == pytest.approx(1 / 3)
+    assert (SETUP.names[alike.low], SETUP.names[alike.high]) == ("red", "blue")
     spaced = respaced(SETUP, 0.1)
     assert np.argsort(spaced.a).tolist() == np.argsort(SETUP.a).tolist()
     assert np.diff(np.sort(np.log(spaced.a))) == pytest.approx(np.log(1.1))

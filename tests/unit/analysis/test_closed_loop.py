@@ -8,8 +8,14 @@ from support.plants import sim
 from support.problems import problem, world
 from support.trials import experiment
 
-from tetractl.analysis import closed_loop
-from tetractl.analysis.closed_loop import Noise, end_covariance, left_out, linearise, mean_errors
+from tetractl.analysis.closed_loop import (
+    Noise,
+    end_covariance,
+    information,
+    left_out,
+    linearise,
+    mean_errors,
+)
 from tetractl.model.motion.exact import step
 
 FINE = 10  # steps of the simulation in a control period
@@ -64,8 +70,8 @@ def test_feedback_and_identification_lower_the_error():
 def test_a_turn_is_known_as_well_as_the_two_headings_measured_about_it():
     _, _, linear = plan()
     errors = np.diff(np.random.default_rng(2).normal(0, 0.1, (2, 100_000)), axis=0)
-    told = closed_loop._information(linear, replace(QUIET, heading=0.1), 5)[:3]
-    assert told == pytest.approx(linear.turn_by_a[5] ** 2 / errors.var(), rel=0.02)
+    of_a = information(linear, replace(QUIET, heading=0.1), 5)[:3]
+    assert of_a == pytest.approx(linear.turn_by_a[5] ** 2 / errors.var(), rel=0.02)
 
 
 def test_the_mean_length_of_a_normal_vector():

@@ -15,19 +15,25 @@ def test_virtual_time_passes_only_by_sleeping():
     assert clock.now() == 5
 
 
+class SleepyHost:
+    """Stands for the host's clock. It goes on only while the host sleeps, and the host is woken
+    from its first sleep after half of it."""
+
+    def __init__(self):
+        self.now_ns = 10**15
+        self.sleeps_s = []
+
+    def sleep(self, seconds):
+        is_woken_early = not self.sleeps_s
+        self.sleeps_s.append(seconds)
+        slept_s = seconds / 2 if is_woken_early else seconds
+        self.now_ns += round(slept_s * SECOND)
+
+
 @pytest.fixture
 def host(monkeypatch):
-    """The host's clock, which moves only by what is slept, and half of it at first."""
-
-    class Host:
-        now, slept = 10**15, []
-
-        def sleep(self, seconds):
-            self.slept.append(seconds)
-            self.now += round(seconds * 1e9 / (2 if len(self.slept) == 1 else 1))
-
-    host = Host()
-    monkeypatch.setattr(clock_module, "host_ns", lambda: host.now)
+    host = SleepyHost()
+    monkeypatch.setattr(clock_module, "host_ns", lambda: host.now_ns)
     monkeypatch.setattr(time, "sleep", host.sleep)
     return host
 
@@ -37,18 +43,28 @@ def test_monotonic_time_starts_at_0_and_sleeps_to_the_end(host):
     assert clock.now() == 0
     clock.sleep_until(8_000_000)
     assert clock.now() == 8_000_000
-    assert host.slept == [0.008, 0.004]  # woken early, it sleeps on
+    assert host.sleeps_s == [0.008, 0.004]  # woken early, it sleeps on
+
+
+def test_monotonic_time_does_not_sleep_until_what_is_past(host):
+    clock = MonotonicClock()
+    clock.sleep_until(8_000_000)
+    host.sleeps_s.clear()
     clock.sleep_until(8_000_000)
     clock.sleep_until(1)
-    assert len(host.slept) == 2
+    assert host.sleeps_s == []
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the name of Linux's clock")
 def test_the_hosts_clock_goes_on_while_the_computer_sleeps(monkeypatch):
     """The kernel's CLOCK_MONOTONIC stands meanwhile, and pictures that waited seemed new."""
     clock = MonotonicClock()
-    slept = 5 * SECOND
-    true = time.clock_gettime_ns
-    boot = time.CLOCK_BOOTTIME
-    monkeypatch.setattr(time, "clock_gettime_ns", lambda c: true(c) + slept * (c == boot))
-    assert clock.now() >= slept
+    asleep_ns = 5 * SECOND
+    true_time_ns = time.clock_gettime_ns
+
+    def time_after_a_sleep_ns(which):
+        goes_on = which == time.CLOCK_BOOTTIME
+        return true_time_ns(which) + (asleep_ns if goes_on else 0)
+
+    monkeypatch.setattr(time, "clock_gettime_ns", time_after_a_sleep_ns)
+    assert clock.now() >= asleep_ns

@@ -87,14 +87,14 @@ def test_an_edit_of_what_a_kernel_calls_changes_the_digest(stranger, file, old, 
 
 
 def test_a_constant_that_is_computed_counts_by_its_value():
-    def made(gain):
+    def digest_with(gain):
         def kernel(x):
             return gain * x
 
-        return kernel
+        return digest(kernel, (float64,))
 
-    assert digest(made(2.0), (float64,)) == digest(made(2.0), (float64,))
-    assert digest(made(2.0), (float64,)) != digest(made(3.0), (float64,))
+    assert digest_with(2.0) == digest_with(2.0)
+    assert digest_with(2.0) != digest_with(3.0)
 
 
 def test_the_module_of_an_arguments_class_counts(tmp_path, monkeypatch):

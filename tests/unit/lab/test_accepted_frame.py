@@ -1,5 +1,7 @@
 """The buffer of accepted frames: each reader gets each frame once, in order; the newest stay."""
 
+import itertools
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,17 +18,25 @@ def frame(number):
 @given(st.lists(st.integers(0, 5), max_size=20))
 def test_a_reader_gets_every_frame_once_and_in_order(arrivals):
     buffer = FrameBuffer()
+    numbers = itertools.count(1)
     read = 0
-    got = []
-    number = 0
+    numbers_read = []
     for count in arrivals:
         for _ in range(count):
-            buffer.append(frame(number := number + 1))
+            buffer.append(frame(next(numbers)))
         frames, read = buffer.since(read)
-        got += [frame.frame.number for frame in frames]
-    assert got == list(range(1, number + 1))
-    assert buffer.count == number
-    assert (buffer.newest.frame.number if number else buffer.newest) == (number or None)
+        numbers_read += [frame.frame.number for frame in frames]
+    total = sum(arrivals)
+    assert numbers_read == list(range(1, total + 1))
+    assert buffer.count == total
+
+
+def test_the_newest_frame_is_the_last_one_if_there_is_any():
+    buffer = FrameBuffer()
+    assert buffer.newest is None
+    for number in (1, 2):
+        buffer.append(frame(number))
+        assert buffer.newest.frame.number == number
 
 
 def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
@@ -36,8 +46,9 @@ def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
     frames, read = buffer.since(0)
     assert [frame.frame.number for frame in frames] == list(range(5, WAITING_MAX + 5))
     assert buffer.since(read) == ([], WAITING_MAX + 5), "none comes twice"
-    last = [frame.frame.number - WAITING_MAX for frame in buffer.last(20)]
-    assert last == [2, 3, 4]
+    newest = WAITING_MAX + 4
+    in_20_ns = [frame.frame.number for frame in buffer.last(20)]  # one frame every 10 ns
+    assert in_20_ns == [newest - 2, newest - 1, newest]
 
 
 def test_a_pose_that_is_not_of_the_frame_is_none():

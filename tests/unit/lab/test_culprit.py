@@ -10,86 +10,147 @@ from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
 
 NAMES = ("green", "blue", "red")
-SPEEDS = (180.0, 200.0, 150.0)
-TURNING = (6.0, 4.0, 3.0)
+PAIR = NAMES[:2]
+SPEEDS = (180.0, 200.0, 150.0)  # [mm/s]
+TURNING = (6.0, 4.0, 3.0)  # [rad/s]
 OTHERWISE = ANOTHER.format("around")
 FRAME_NS = SECOND // 120
+FRAME_S = FRAME_NS / SECOND
 SEND_NS = SECOND // 40
-NONE = np.zeros(3)
+STEP_NS = SECOND // 5
+END_NS = 3 * SECOND
+NOISE = np.array([0.3, 0.3, 0.004])  # of a pose [mm, mm, rad]
+FAULT_S = 0.3
+"""Time before the end when the fault begins; wheels are learnt until then."""
+EXCHANGE_S = 0.6
+"""The same where robots have exchanged their numbers."""
+
+
+def nowhere(i, place, t):
+    """A camera that shows a robot where it is."""
+    return np.zeros(3)
+
+
+def seconds_left(now_ns):
+    """The time until the end [s]."""
+    return (END_NS - now_ns) / SECOND
+
+
+def begins(now_ns, every_ns):
+    """Whether one of these spans of time has begun since the frame before."""
+    return now_ns // every_ns != (now_ns - FRAME_NS) // every_ns
+
+
+class Robots:
+    """Stands for robots whose wheels are up to 8 % off and which obey `delay_s` after a packet was
+    sent. In the last EXCHANGE_S robot i does what robot `obeys[i]` is commanded."""
+
+    def __init__(self, random, count, delay_s, obeys=None):
+        self.gains = 1 + random.uniform(-0.08, 0.08, (2, count))
+        self.places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(count)])
+        self.delay_s = delay_s
+        self.obeys = list(range(count)) if obeys is None else obeys
+        self.packets = []  # on their way: when each is obeyed, speeds and turning rates (2, N)
+        self.rates = np.zeros((2, count))
+
+    def send(self, now_ns, speeds, turning):
+        self.packets.append((now_ns + self.delay_s * SECOND, np.array([speeds, turning])))
+
+    def move(self, now_ns):
+        """Obey the packets that have come, for the time of a frame."""
+        everyone = list(range(len(self.places)))
+        while self.packets and self.packets[0][0] <= now_ns:
+            _, rates = self.packets.pop(0)
+            whose = self.obeys if seconds_left(now_ns) < EXCHANGE_S else everyone
+            self.rates = rates[:, whose] * self.gains
+        speeds, turning = self.rates
+        heading = self.places[:, 2]
+        heading += turning * FRAME_S
+        self.places[:, 0] += speeds * np.cos(heading) * FRAME_S
+        self.places[:, 1] += speeds * np.sin(heading) * FRAME_S
+
+
+class Camera:
+    """Stands for a camera that adds noise and `false_by(i, place, t)` (3,) to the true place (3,)
+    of robot i, t s before the end. Robot i is seen as it was `ages[i]` frames before the newest."""
+
+    def __init__(self, random, false_by, ages):
+        self.random = random
+        self.false_by = false_by
+        self.ages = ages
+        self.pictures = []  # places as they were seen in each frame
+
+    def poses(self, places, now_ns):
+        off = [self.false_by(i, place, seconds_left(now_ns)) for i, place in enumerate(places)]
+        noise = self.random.normal(size=places.shape) * NOISE
+        self.pictures.append((places + noise + off).tolist())
+        newest = len(self.pictures) - 1
+        rows = [self.pictures[max(newest - age, 0)][i] for i, age in enumerate(self.ages)]
+        return tuple(Pose(*row) for row in rows)
 
 
 def accused(
-    shown=lambda i, place, t: NONE,
+    false_by=nowhere,
     delay_s=0.06,
     seed=1,
-    who=NAMES,
+    names=NAMES,
     suspect=0,
-    skew=(0, 0, 0),
+    ages=(0, 0, 0),
     obeys=None,
     reason=OTHERWISE,
 ):
-    """What is named after 3 s if the camera adds `shown` (3,) to a robot's true place (3,), t s
-    before the end; wheels are up to 8 % off. Robots are seen `skew` frames before the newest. In
-    the last 0.6 s robot i does what robot `obeys[i]` is commanded, by default its own.
-    """
+    """What is named at the end. Robots of these names drive under one direction, which changes
+    every STEP_NS, and the guard suspects one of them for this reason."""
     random = np.random.default_rng(seed)
-    n = len(who)
-    drift = DriftCheck(who, 40.0, 1.0, 0.12)
-    culprit = Culprit(who, drift, 1.0)
-    gains = 1 + random.uniform(-0.08, 0.08, (2, n))
-    places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(n)])
-    sent = []
-    ways = np.zeros((2, n))
-    u = 0.0
-    way = np.zeros((n, 3))
-    before = ()
-    shots = []
-    late = np.array(skew[:n])
-    for now in range(FRAME_NS, 3 * SECOND, FRAME_NS):
-        if now // SEND_NS != (now - FRAME_NS) // SEND_NS:
-            if now * 5 // SECOND != (now - FRAME_NS) * 5 // SECOND:
-                u = random.uniform(-2, 2)
-            turning = np.array(TURNING[:n]) * np.sin(u - places[:, 2])
-            drift.sent(now, SPEEDS[:n], turning)
-            sent.append((now + delay_s * SECOND, np.array([SPEEDS[:n], turning])))
-        while sent and sent[0][0] <= now:
-            swapped = obeys is not None and 3 * SECOND - now < 0.6 * SECOND
-            ways = sent.pop(0)[1][:, obeys if swapped else range(n)] * gains
-        places[:, 2] += ways[1] * FRAME_NS / SECOND
-        courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
-        places[:, :2] += (ways[0] * courses).T * FRAME_NS / SECOND
-        noise = random.normal(size=(n, 3)) * (0.3, 0.3, 0.004)
-        left_s = (3 * SECOND - now) / SECOND
-        shown_places = places + noise + [shown(i, places[i], left_s) for i in range(n)]
-        shots.append(shown_places)
-        old = [shots[max(-1 - k, -len(shots))][i] for i, k in enumerate(late)]
-        poses = tuple(Pose(*map(float, row)) for row in old)
-        times = [now - int(k) * FRAME_NS for k in late]
-        culprit.see(now, poses, times)
-        if left_s > (0.3 if obeys is None else 0.6) and before:  # wheels are learnt until the fault
+    count = len(names)
+    drift = DriftCheck(names, 40.0, 1.0, 0.12)
+    culprit = Culprit(names, drift, 1.0)
+    robots = Robots(random, count, delay_s, obeys)
+    camera = Camera(random, false_by, ages[:count])
+    learnt_until_s = FAULT_S if obeys is None else EXCHANGE_S
+    direction = 0.0
+    before = None
+    way = np.zeros((count, 3))
+    for now_ns in range(FRAME_NS, END_NS, FRAME_NS):
+        if begins(now_ns, STEP_NS):
+            direction = random.uniform(-2, 2)
+        if begins(now_ns, SEND_NS):
+            turning = np.array(TURNING[:count]) * np.sin(direction - robots.places[:, 2])
+            drift.sent(now_ns, SPEEDS[:count], turning)
+            robots.send(now_ns, SPEEDS[:count], turning)
+        robots.move(now_ns)
+        poses = camera.poses(robots.places, now_ns)
+        times_ns = [now_ns - age * FRAME_NS for age in camera.ages]
+        culprit.see(now_ns, poses, times_ns)
+        if before is not None and seconds_left(now_ns) > learnt_until_s:
             way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
-            drift.frame(now, times, poses, way)
+            drift.frame(now_ns, times_ns, poses, way)
         before = poses
     culprit.suspect = suspect
     return culprit.why(reason)
 
 
-def pushed(who, size=20.0):
-    """A displacement of some robots 0.2 s before the end."""
-    return lambda i, place, t: np.array([0.6, 0.8, 0.0]) * size * (t < 0.2 and i in who)
+def pushed(who):
+    """A displacement of some robots by 20 mm, 0.2 s before the end."""
+    off_mm = np.array([12.0, 16.0, 0.0])
+
+    def false_by(i, place, t):
+        return off_mm if t < 0.2 and i in who else np.zeros(3)
+
+    return false_by
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_one_robot_that_was_pushed_or_is_shown_elsewhere_is_named_itself(seed):
     assert [accused(pushed([i]), seed=seed, suspect=i) for i in range(3)] == [""] * 3
-    assert accused(pushed([1]), seed=seed, who=NAMES[:2], suspect=1) == ""
+    assert accused(pushed([1]), seed=seed, names=PAIR, suspect=1) == ""
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_moved_origin_is_the_cameras(seed):
     """Regression: "does the camera track another body as this robot?", 6 of 6."""
     assert accused(pushed([0, 1, 2]), seed=seed) == CAMERA
-    assert accused(pushed([0, 1]), seed=seed, who=NAMES[:2]) == CAMERA
+    assert accused(pushed([0, 1]), seed=seed, names=PAIR) == CAMERA
 
 
 def test_a_camera_that_turns_is_the_cameras():
@@ -109,7 +170,7 @@ def test_a_slow_radio_is_named_with_its_delay(seed):
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])  # in which they are commanded differently
-@pytest.mark.parametrize("first, second", [(0, 1), (0, 2), (1, 2)])
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (0, 2), (1, 2)])
 def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed, first, second):
     obeys = [0, 1, 2]
     obeys[first] = second
@@ -120,11 +181,11 @@ def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed,
 
 
 def test_the_two_of_two_robots_are_named_together_if_they_have_exchanged_numbers():
-    assert accused(obeys=[1, 0], who=NAMES[:2], seed=4) == SWAPPED.format(*NAMES[:2])
+    assert accused(obeys=[1, 0], names=PAIR, seed=4) == SWAPPED.format(*PAIR)
 
 
 def test_numbers_are_not_asked_for_if_the_reason_says_what_is_wrong_with_the_robot():
-    text = SWAPPED.format(*NAMES[:2])
+    text = SWAPPED.format(*PAIR)
     assert accused(obeys=[1, 0, 2], seed=3) == text
     assert accused(obeys=[1, 0, 2], seed=3, reason=WRONG_WAY) != text
 
@@ -134,31 +195,33 @@ def test_a_robot_that_was_pushed_sideways_is_not_taken_for_another(seed):
     """One alone that moves as another is commanded is not named: a push may look so."""
 
     def slid(i, place, t):
+        if i != 1:
+            return np.zeros(3)
         across = np.array([-np.sin(place[2]), np.cos(place[2]), 0.0])
-        return 200.0 * max(0.0, 0.1 - t) * across * (i == 1)
+        return 200.0 * max(0.0, 0.1 - t) * across
 
     assert accused(slid, seed=seed, suspect=1) == ""
 
 
 def test_nothing_is_named_but_the_robot_if_it_drives_alone():
-    assert accused(pushed([0]), who=NAMES[:1]) == ""
+    assert accused(pushed([0]), names=NAMES[:1]) == ""
 
 
 def test_robots_that_all_stand_are_named_themselves():
     """Regression: a radio that fell silent was named as slow, or as a camera that moves."""
-    held = {}
+    last_places = {}
 
-    def still(i, place, t):
+    def stand(i, place, t):
         if t > 0.2:
-            held[i] = place.copy()
-        return held[i] - place
+            last_places[i] = place.copy()
+        return last_places[i] - place
 
-    assert accused(still, reason=DOES_NOT_MOVE) == ""
+    assert accused(stand, reason=DOES_NOT_MOVE) == ""
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_robots_that_are_seen_at_times_of_their_own_are_named_as_others(seed):
-    skew = (0, 6, 12)  # up to 0.1 s
-    assert accused(pushed([0]), seed=seed, skew=skew) == ""
-    assert accused(pushed([0, 1, 2]), seed=seed, skew=skew) == CAMERA
-    assert accused(delay_s=0.5, seed=seed, skew=skew) == RADIO.format(0.5)
+    ages = (0, 6, 12)  # up to 0.1 s
+    assert accused(pushed([0]), seed=seed, ages=ages) == ""
+    assert accused(pushed([0, 1, 2]), seed=seed, ages=ages) == CAMERA
+    assert accused(delay_s=0.5, seed=seed, ages=ages) == RADIO.format(0.5)

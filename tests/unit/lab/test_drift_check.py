@@ -1,6 +1,7 @@
 """Poses that leave their robots slowly, of three robots that drive as commanded, at 120 Hz."""
 
 import re
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,74 +13,135 @@ from tetractl.lab.drift_check import TOGETHER, DriftCheck
 from tetractl.lab.motion_check import motion
 
 NAMES = ("green", "blue", "red")
-SPEED = 180.0
+SPEED = 180.0  # [mm/s]
 FRAME_NS = SECOND // 120
+FRAME_S = FRAME_NS / SECOND
+RADIO_NS = SECOND // 20  # from a transmission until wheels obey it
+NOISE = np.array([0.3, 0.3, 0.004])  # of a usual camera [mm, mm, rad]
+
+
+def nothing(places, t):
+    """A camera that shows robots where they are."""
+    return 0.0
+
+
+class Robots:
+    """Stands for three robots whose wheels are up to `share` off and follow turning rates with a
+    lag; `astray(t)` [rad/s] is how they turn in addition."""
+
+    def __init__(self, random, share=0.06, lag_s=0.0, astray=lambda t: 0.0):
+        self.gains = 1 + random.uniform(-share, share, 3)
+        self.lag_s = lag_s
+        self.astray = astray
+        self.turning = np.zeros(3)
+        self.places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(3)])
+
+    def move(self, speed, turning, t):
+        """Obey speeds and turning rates (3,) for the time of a frame, which ends t s after the
+        start."""
+        reached = -np.expm1(-FRAME_S / self.lag_s) if self.lag_s else 1.0
+        self.turning = self.turning + (turning - self.turning) * reached
+        heading = self.places[:, 2]
+        heading += (self.turning * self.gains + self.astray(t)) * FRAME_S
+        way = speed * self.gains * FRAME_S
+        self.places[:, 0] += way * np.cos(heading)
+        self.places[:, 1] += way * np.sin(heading)
+
+
+class Camera(NamedTuple):
+    """Stands for a camera that is `noisy` times as noisy as a usual one. It adds `false_by(places,
+    t)` (3, 3) [mm, mm, rad] to the places (3, 3) of robots, t s after the start."""
+
+    random: np.random.Generator
+    false_by: object = nothing
+    noisy: float = 1.0
+
+    def poses(self, places, t):
+        noise = self.noisy * self.random.normal(size=(3, 3)) * NOISE
+        rows = places + noise + self.false_by(places, t)
+        return [Pose(*row) for row in rows.tolist()]
+
+
+class Watched:
+    """A check, and how far each robot has come in the poses that it was given."""
+
+    def __init__(self):
+        self.check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
+        self.before = None
+        self.way = np.zeros((3, 3))
+
+    def see(self, now_ns, poses):
+        """Return what the check says of these poses, "" at first."""
+        before = self.before
+        self.before = poses
+        if before is None:
+            return ""
+        self.way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
+        return self.check.frame(now_ns, [now_ns] * len(poses), poses, self.way).text
+
+
+class Said(NamedTuple):
+    """What a check said first, "" if nothing, when [s], and the check."""
+
+    text: str
+    after_s: float
+    check: DriftCheck
+
+
+def is_due(now_ns, rate_hz):
+    """Whether one of `rate_hz` equal parts of a second has begun since the frame before."""
+    return now_ns * rate_hz // SECOND != (now_ns - FRAME_NS) * rate_hz // SECOND
 
 
 def drifting(
-    shown,
+    false_by=nothing,
     seconds=20.0,
     seed=1,
-    share=0.06,
-    checks=None,
     noisy=1.0,
-    lag_s=0.0,
     most=1.5,
     rate_hz=5,
-    astray=lambda t: 0.0,
+    rest_ns=None,
+    **of_robots,
 ):
-    """Return what is said first, and when [s], if the camera adds `shown` (3, 3) [mm, mm, rad] to
-    the robots' true places (3, 3) t s after the start; wheels are up to `share` off, and poses
-    `noisy` times as noisy as usual. Robots are turned by up to `most` [rad/s], `rate_hz` times a
-    second, which acts after wheels' lag, and by `astray(t)`.
-
-    The check is added to `checks`.
-    """
+    """Drive robots until the check says something. They are turned by up to `most` [rad/s],
+    `rate_hz` times a second, and rest for a moment at `rest_ns`."""
     random = np.random.default_rng(seed)
-    check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
-    gains = 1 + random.uniform(-share, share, 3)
-    (checks if checks is not None else []).append(check)
-    places = np.array([(900.0, 800.0 + 400 * i, 0.0) for i in range(3)])
-    way = 0.0
-    before = ()
-    turning = rate = np.zeros(3)
-    for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
-        if not before or now * rate_hz // SECOND != (now - FRAME_NS) * rate_hz // SECOND:
+    robots = Robots(random, **of_robots)
+    camera = Camera(random, false_by, noisy)
+    watched = Watched()
+    turning = np.zeros(3)
+    for now_ns in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
+        if now_ns == FRAME_NS or is_due(now_ns, rate_hz):
             turning = random.uniform(-most, most, 3)
-            check.sent(now - SECOND // 20, [SPEED] * 3, turning)  # the delay of the radio
-        rate = rate + (turning - rate) * (-np.expm1(-FRAME_NS / SECOND / lag_s) if lag_s else 1.0)
-        places[:, 2] += (rate * gains + astray(now / SECOND)) * FRAME_NS / SECOND
-        courses = np.array([np.cos(places[:, 2]), np.sin(places[:, 2])])
-        places[:, :2] += SPEED * (gains * courses).T * FRAME_NS / SECOND
-        noise = noisy * random.normal(size=(3, 3)) * (0.3, 0.3, 0.004)
-        rows = places + noise + shown(places, now / SECOND)
-        poses = [Pose(*map(float, row)) for row in rows]
-        if before:
-            way += np.array([motion(then, pose) for then, pose in zip(before, poses, strict=True)])
-            said = check.frame(now, [now] * len(poses), poses, way).text
-            if said:
-                return said, now / SECOND
-        before = poses
-    return "", seconds
+            watched.check.sent(now_ns - RADIO_NS, [SPEED] * 3, turning)
+        if now_ns == rest_ns:
+            watched.check.rest()
+        t = now_ns / SECOND
+        robots.move(SPEED, turning, t)
+        text = watched.see(now_ns, camera.poses(robots.places, t))
+        if text:
+            return Said(text, t, watched.check)
+    return Said("", seconds, watched.check)
 
 
 def test_robots_that_drive_as_commanded_are_let():
-    assert drifting(lambda places, t: 0.0)[0] == ""
+    assert drifting().text == ""
 
 
 def test_robots_before_a_camera_eight_times_as_noisy_as_usual_are_let():
-    assert drifting(lambda places, t: 0.0, 4.0, noisy=8.0)[0] == ""
+    assert drifting(seconds=4.0, noisy=8.0).text == ""
 
 
-def test_a_robot_that_lost_packets_turn_for_a_third_of_a_second_is_let():
+@pytest.mark.parametrize("seed", range(6))
+def test_a_robot_that_lost_packets_turn_for_a_third_of_a_second_is_let(seed):
     """Regression: two packets were lost, and slow wheels followed the next one late: in seven
     blocks, one after another, the robot turned on by more than is counted.
     """
-    on = [
-        drifting(lambda places, t: 0.0, 8.0, k, astray=lambda t: 0.9 * (6.0 <= t < 6.35))[0]
-        for k in range(6)
-    ]
-    assert on == [""] * 6
+
+    def turns_on(t):
+        return 0.9 if 6.0 <= t < 6.35 else 0.0
+
+    assert drifting(seconds=8.0, seed=seed, astray=turns_on).text == ""
 
 
 @pytest.mark.parametrize(("rate_hz", "limit"), [(5, 10.0), (20, 13.0)])
@@ -88,18 +150,23 @@ def test_robots_with_slow_wheels_that_are_turned_to_and_fro_are_let(rate_hz, lim
     trials the statistic reached 13, it reaches 9; if it lasted for 50 ms, 13.3, it reaches 12.2.
     """
     monkeypatch.setattr(drift_check, "LIMIT", limit)
-    settings = {"lag_s": 0.08, "most": 8.0, "rate_hz": rate_hz}
-    faults = [drifting(lambda places, t: 0.0, 60 / rate_hz, k, **settings)[0] for k in range(14)]
-    assert faults == [""] * 14
+    settings = {"seconds": 60 / rate_hz, "rate_hz": rate_hz, "lag_s": 0.08, "most": 8.0}
+    texts = [drifting(seed=seed, **settings).text for seed in range(14)]
+    assert texts == [""] * 14
+
+
+def pushed_by_20_mm(places, t):
+    """Green, in a single frame. What is more than an error of a block is carried to the next."""
+    off_mm = 20.0 if t > 1.95 else 0.0
+    return np.array([[off_mm, 0.0, 0.0], [0.0] * 3, [0.0] * 3])
 
 
 def test_a_rest_leaves_out_the_ways_that_were_still_to_be_counted():
-    checks = []
-    pushed = np.array([[20.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3])
-    drifting(lambda places, t: pushed * (t > 1.95), 2.0, checks=checks)
-    assert checks[0]._carried.any()
-    checks[0].rest()
-    assert not checks[0]._carried.any()
+    """0.05 s after the push, one block has counted a part of it."""
+    on_and_on = drifting(pushed_by_20_mm, seconds=3.0)
+    with_a_rest = drifting(pushed_by_20_mm, seconds=3.0, rest_ns=240 * FRAME_NS)
+    assert on_and_on.text.startswith("green moves along its heading")
+    assert with_a_rest.text == ""
 
 
 @pytest.mark.parametrize("who", [0, 2])
@@ -108,12 +175,13 @@ def test_a_drift_in_steps_is_noticed(who):
 
     def steps(places, t):
         off = np.zeros((3, 3))
-        off[who, :2] = np.array([2.4, 3.2]) * (max(0.0, t - 2.0) // 0.5)
+        count = max(0.0, t - 2.0) // 0.5
+        off[who, :2] = np.array([2.4, 3.2]) * count
         return off
 
-    said, noticed_s = drifting(steps, seed=2)
-    assert said.startswith(f"{NAMES[who]} moves ")
-    assert noticed_s < 9.0
+    said = drifting(steps, seed=2)
+    assert said.text.startswith(f"{NAMES[who]} moves ")
+    assert said.after_s < 9.0
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -123,9 +191,10 @@ def test_one_robot_that_is_pushed_and_turned_is_not_the_cameras(seed):
     push = np.array([20 * np.cos(angle), 20 * np.sin(angle), 0.2])
 
     def pushed(places, t):
-        return np.outer([1.0, 0.0, 0.0], push * min(1.0, max(0.0, (t - 3.0) / 0.2)))
+        part = min(1.0, max(0.0, (t - 3.0) / 0.2))
+        return np.outer([1.0, 0.0, 0.0], push * part)
 
-    assert drifting(pushed, 9.0, seed)[0].startswith("green moves ")
+    assert drifting(pushed, 9.0, seed).text.startswith("green moves ")
 
 
 def test_a_picture_that_turns_is_the_cameras():
@@ -134,57 +203,64 @@ def test_a_picture_that_turns_is_the_cameras():
         x, y, _ = places.T
         return angle * np.column_stack([-y, x, np.ones(3)])
 
-    assert drifting(turned)[0] == TOGETHER
+    assert drifting(turned).text == TOGETHER
+
+
+class TurningPose:
+    """Stands for a camera that shows green's pose turning at 0.2 rad/s, in heading and course: each
+    of its ways is shown turned by as much as its heading by then."""
+
+    def __init__(self):
+        self.places = None  # of the frame before
+        self.off = np.zeros(2)
+
+    def __call__(self, places, t):
+        turned = 0.2 * t
+        if self.places is not None:
+            x, y = (places - self.places)[0, :2]
+            cos = np.cos(turned)
+            sin = np.sin(turned)
+            self.off += (cos * x - sin * y - x, sin * x + cos * y - y)
+        self.places = places.copy()
+        return np.array([[*self.off, turned], [0.0] * 3, [0.0] * 3])
 
 
 def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
-    """A pose that turns from the start on at 0.2 rad/s, in heading and course."""
-    checks = []
-    state = {"t": 0.0, "places": None, "off": np.zeros(2)}
-
-    def turned(places, t):
-        if state["places"] is not None:
-            x, y = (places - state["places"])[0, :2]
-            cos = np.cos(0.2 * t)
-            sin = np.sin(0.2 * t)
-            state["off"] += cos * x - sin * y - x, sin * x + cos * y - y
-        state["places"] = places.copy()
-        return np.array([[*state["off"], 0.2 * t], [0.0] * 3, [0.0] * 3])
-
-    assert drifting(turned, 6.0, share=0.0, checks=checks)[0] == ""
-    text = checks[0].turns()
-    rate, error = map(float, re.search(r"green ([+\d.]+) ± ([\d.]+) rad/s$", text).groups())
+    said = drifting(TurningPose(), 6.0, share=0.0)
+    assert said.text == ""
+    turns = said.check.turns()
+    rate, error = map(float, re.search(r"green ([+\d.]+) ± ([\d.]+) rad/s$", turns).groups())
     assert rate == pytest.approx(0.2, abs=3 * error + 0.02)
-    assert "blue" not in text
+    assert "blue" not in turns
 
 
-def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels():
-    """Their difference is in the standard errors, and a robot that does not drive has no rate."""
-    random = np.random.default_rng(3)
+def test_of_a_trial_without_motion_no_turns_are_known():
     check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
     assert check.turning() == ((), ())
-    constants = np.array([0.3, -0.5, 0.1])
-    off = []
-    for seconds in (1.0, 20.0):
-        poses = np.zeros((3, 3))
-        way = np.zeros((3, 3))
-        last = ()
-        check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
-        for now in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
-            check.sent(now - SECOND // 20, [SPEED, SPEED, 0.0], np.zeros(3))
-            speed = np.array([SPEED, SPEED, 0.0])
-            poses[:, 2] += constants * (speed > 0) * FRAME_NS / SECOND
-            courses = np.array([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-            poses[:, :2] += (speed * courses).T * FRAME_NS / SECOND
-            poses_shown = [
-                Pose(*map(float, row)) for row in poses + random.normal(0, 0.003, (3, 3))
-            ]
-            if last:
-                pairs = zip(last, poses_shown, strict=True)
-                way = way + np.array([motion(then, pose) for then, pose in pairs])
-                check.frame(now, [now] * len(poses_shown), poses_shown, way)
-            last = poses_shown
-        rates, errors = map(np.array, check.turning())
-        off.append(np.abs(rates - constants)[:2] / errors[:2])
-        assert errors[2] == np.inf
-    assert np.max(off) < 3.0 and errors[0] < 0.02
+
+
+def turning_of_straight_robots(seconds, astray):
+    """The rates and errors that a check states of robots which are sent straight on but turn by
+    `astray` (3,) [rad/s], green and blue while they drive; red is commanded to stand."""
+    random = np.random.default_rng(3)
+    speed = np.array([SPEED, SPEED, 0.0])
+    robots = Robots(random, share=0.0, astray=lambda t: astray * (speed > 0))
+    watched = Watched()
+    for now_ns in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
+        watched.check.sent(now_ns - RADIO_NS, speed, np.zeros(3))
+        robots.move(speed, np.zeros(3), now_ns / SECOND)
+        rows = robots.places + random.normal(0, 0.003, (3, 3))
+        watched.see(now_ns, [Pose(*row) for row in rows.tolist()])
+    rates, errors = watched.check.turning()
+    return np.array(rates), np.array(errors)
+
+
+@pytest.mark.parametrize(("seconds", "error_max"), [(1.0, np.inf), (20.0, 0.02)])
+def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels(seconds, error_max):
+    """Their difference is in the standard errors, and a robot that does not drive has no rate."""
+    astray = np.array([0.3, -0.5, 0.1])
+    rates, errors = turning_of_straight_robots(seconds, astray)
+    off = np.abs(rates - astray)
+    assert (off[:2] < 3.0 * errors[:2]).all()
+    assert errors[0] < error_max
+    assert errors[2] == np.inf

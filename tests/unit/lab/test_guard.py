@@ -1,3 +1,5 @@
+"""The guard of two robots: which frames it accepts, who may move, and why it ends a run."""
+
 import math
 import random
 from dataclasses import replace
@@ -14,7 +16,7 @@ from tetractl.core.guard_findings import Abort, Lose, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
+from tetractl.experiment.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import Check, robot_checks
@@ -24,6 +26,8 @@ pytestmark = pytest.mark.slow
 
 MS = 1_000_000
 FRAME = 8 * MS
+"""Time between two frames [ns]."""
+FRAMES_A_SECOND = SECOND // FRAME
 RULES = GuardRules(
     names=("green", "blue"),
     speeds=(200.0, 100.0),
@@ -31,11 +35,17 @@ RULES = GuardRules(
     arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
     limits=LabLimits(),
 )
+GOES_ON = replace(RULES, goes_on=True)
+"""Rules of a run that goes on without a robot that is lost."""
 PLACES = (Pose(500.0, 500.0, 0.3), Pose(500.0, 1500.0, -2.0))
+GREEN_UNSEEN = (None, PLACES[1])
+UNTIL_LOST = 40
+"""Number of frames, 0.32 s, after which a robot that is not seen in them is lost."""
 
 
 class Course:
-    """A guard fed frames at 125 Hz; `at` is the time of the last one.
+    """A guard fed frames at 125 Hz; `now_ns` is the time of the last one, and `accepted` what the
+    guard made of it. `damaged` is the number of damaged frames so far.
 
     Its stages: `pass_preflight`, `start_run`, then `frame` and `frames`, which let it decide after
     each frame.
@@ -43,9 +53,10 @@ class Course:
 
     def __init__(self, rules=RULES, checks_of=robot_checks):
         self.guard = Guard(rules, checks_of)
-        self.at = 0
+        self.now_ns = 0
         self.number = 0
-        self.bad = 0
+        self.damaged = 0
+        self.accepted = None
 
     def pass_preflight(self, poses=PLACES):
         self.frames(3, poses)
@@ -53,35 +64,45 @@ class Course:
         return self
 
     def start_run(self):
-        self.guard.start_run(self.at)
+        self.guard.start_run(self.now_ns)
         return self
 
     def frame(self, poses=PLACES, fault="", step=FRAME):
-        self.at += step
+        self.now_ns += step
         self.number += 1
-        frame = CameraFrame(self.number, self.at, self.at, tuple(poses), fault=fault)
-        self.seen = self.guard.check_frame(frame)
+        frame = CameraFrame(self.number, self.now_ns, self.now_ns, tuple(poses), fault=fault)
+        self.accepted = self.guard.check_frame(frame)
         return self.tick()
 
     def tick(self, after=0, failure=None):
-        return self.guard.decide(self.at + after, self.bad, failure)
+        return self.guard.decide(self.now_ns + after, self.damaged, failure)
 
     def frames(self, count, poses=PLACES):
         for _ in range(count):
             ruling = self.frame(poses)
-            self.guard.note_direction(self.at)
+            self.guard.note_direction(self.now_ns)
         return ruling
 
 
-def stopped(rules, together):
-    return replace(robot_checks(rules), together=together)
-
-
 def running(rules=RULES, poses=PLACES, checks_of=robot_checks):
+    """A course whose robots drive."""
     course = Course(rules, checks_of)
     course.pass_preflight(poses).start_run()
     assert course.frames(2, poses).moving == (True, True)
     return course
+
+
+def checks_of_robots_that_stop(rules, together):
+    return replace(robot_checks(rules), together=together)
+
+
+def begun_with_checks(*checks, rules=GOES_ON):
+    """A course at the beginning of its run, with these checks alone."""
+
+    def checks_of(rules):
+        return replace(robot_checks(rules), checks=checks)
+
+    return Course(rules, checks_of).pass_preflight().start_run()
 
 
 def test_other_rules_hold_for_jumps_of_poses_too():
@@ -90,7 +111,7 @@ def test_other_rules_hold_for_jumps_of_poses_too():
     course.guard.change_rules(replace(RULES, speeds=(2000.0, 100.0)))
     course.frames(3)
     course.guard.pass_preflight()
-    course.guard.start_run(course.at)
+    course.guard.start_run(course.now_ns)
     course.frame((Pose(540.0, 500.0, 0.3), PLACES[1]))  # 40 mm in 8 ms: 5 m/s
     assert course.guard.refused[0] != "its pose jumped"
 
@@ -98,7 +119,7 @@ def test_other_rules_hold_for_jumps_of_poses_too():
 def test_nothing_moves_before_go():
     course = Course()
     assert not any(course.frames(5).moving)
-    course.guard.start_run(course.at)  # not passed the preflight yet
+    course.guard.start_run(course.now_ns)  # not passed the preflight yet
     assert course.frames(1).state is GuardState.PREFLIGHT
     course.guard.pass_preflight()
     assert course.frames(1).state is GuardState.READY
@@ -125,23 +146,22 @@ def test_an_actuator_that_can_send_no_more_ends_the_run():
 
 def test_old_frames_that_come_late_are_no_new_frames():
     course = running()
-    now = course.at + 200 * MS
+    now = course.now_ns + 200 * MS
     course.guard.decide(now - 80 * MS)
     for i in range(5):  # a burst from a socket's buffer, exposed long ago
-        course.guard.check_frame(CameraFrame(99 + i, course.at + (i + 1) * FRAME, now, PLACES))
+        course.guard.check_frame(CameraFrame(99 + i, course.now_ns + (i + 1) * FRAME, now, PLACES))
     assert course.guard.decide(now).moving == (False, False)
 
 
 def test_an_untracked_robot_stops_after_50_ms_alone_and_the_run_aborts_at_300():
     course = running()
-    lost = (None, PLACES[1])
-    moving = [course.frames(1, lost).moving for _ in range(10)]
+    moving = [course.frames(1, GREEN_UNSEEN).moving for _ in range(10)]
     assert moving[5] == (True, True)  # 48 ms
     assert moving[6] == (False, True)  # 56 ms
     assert course.guard.state is GuardState.HOLD
-    course.frames(26, lost)
+    course.frames(26, GREEN_UNSEEN)  # 288 ms
     assert course.guard.state is GuardState.HOLD
-    course.frames(2, lost)
+    course.frames(2, GREEN_UNSEEN)  # 304 ms
     assert course.guard.state is GuardState.ABORT
     assert course.guard.reason.startswith("green is not tracked")
 
@@ -154,30 +174,30 @@ def test_a_robot_that_is_seen_for_moments_only_ends_the_run():
     sixth round, while 156 of its first 256 ms count (5 x 164 + 156 = 976 ms), and not before.
     """
     course = running()
-    began = course.at
-    while course.guard.state is not GuardState.ABORT and course.at - began < 5 * SECOND:
-        course.frames(35, (None, PLACES[1]))
+    began = course.now_ns
+    while course.guard.state is not GuardState.ABORT and course.now_ns - began < 5 * SECOND:
+        course.frames(35, GREEN_UNSEEN)
         course.frames(3)
     assert "green is seen too rarely" in course.guard.reason
-    rounds = (course.at - began) / (38 * FRAME)
+    rounds = (course.now_ns - began) / (38 * FRAME)
     assert rounds == 6
 
 
 def test_a_pause_forgets_neither_how_seldom_a_robot_is_seen_nor_what_its_wheels_are():
     """Regression: a robot seen for moments only drove on if the robots paused now and then."""
     course = running(replace(RULES, wheel_radius=40.0))
-    began = course.at
+    began = course.now_ns
     fits = []
-    while course.guard.state is not GuardState.ABORT and course.at - began < 5 * SECOND:
-        course.frames(35, (None, PLACES[1]))
+    while course.guard.state is not GuardState.ABORT and course.now_ns - began < 5 * SECOND:
+        course.frames(35, GREEN_UNSEEN)
         course.frames(3)
         if course.guard.state is not GuardState.ABORT:
             course.guard.end_run()
             course.frames(30)
-            course.guard.start_run(course.at)
+            course.guard.start_run(course.now_ns)
             fits.append(course.guard.drift.blocks)
     assert "green is seen too rarely" in course.guard.reason
-    assert course.at - began < 4 * SECOND
+    assert course.now_ns - began < 4 * SECOND
     assert fits == sorted(set(fits))  # each stretch adds to the fit
 
 
@@ -186,34 +206,33 @@ def test_a_camera_that_is_too_slow_for_the_limits_ends_the_run(period_ms, goes_o
     """Regression: before a camera at 6 Hz robots were stopped and let go for ever."""
     course = running()
     for _ in range(60):
-        course.guard.note_direction(course.at)
+        course.guard.note_direction(course.now_ns)
         course.frame(step=period_ms * MS)
     assert (course.guard.state is not GuardState.ABORT) == goes_on, course.guard.reason
 
 
 @pytest.mark.parametrize("together", [False, True])
 def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_last(together):
-    rules = replace(RULES, goes_on=True)
-    course = running(rules, checks_of=partial(stopped, together=together))
+    checks_of = partial(checks_of_robots_that_stop, together=together)
+    course = running(GOES_ON, checks_of=checks_of)
     guard = course.guard
-    lost = (None, PLACES[1])
-    ruling = course.frames(40, lost)
+    ruling = course.frames(UNTIL_LOST, GREEN_UNSEEN)
     assert list(guard.lost) == [0]
     assert ruling.moving == (together, True)
     assert ruling.state is GuardState.RUN
     course.frames(5)  # it is there again
-    assert course.seen.fresh == (False, True)
+    assert course.accepted.fresh == (False, True)
     guard.replace_robot(0)
     assert course.frames(5).state is GuardState.RUN
-    assert course.seen.fresh == (True, True)
-    course.frames(40, lost)
-    course.frames(40, (None, None))
+    assert course.accepted.fresh == (True, True)
+    course.frames(UNTIL_LOST, GREEN_UNSEEN)
+    course.frames(UNTIL_LOST, (None, None))
     assert guard.state is GuardState.ABORT
     assert guard.reason.startswith(("green", "blue"))
 
 
 class Writes(Check):
-    """A check that writes down by which question it was asked about which robot."""
+    """Stands for a check that writes down by which question it was asked about which robot."""
 
     def __init__(self):
         self.asked = []
@@ -230,17 +249,13 @@ class Writes(Check):
 def test_the_pose_in_the_frame_whose_loss_ends_the_run_is_compared_with_its_commands():
     """Regression: the last robot's loss was recorded first, and its pose compared as in a pause."""
     writes = Writes()
-
-    def checks_of(rules):
-        return replace(robot_checks(rules), checks=(writes,))
-
-    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
-    course.frames(40, (None, PLACES[1]))  # 0.32 s: green is lost
+    course = begun_with_checks(writes)
+    course.frames(UNTIL_LOST, GREEN_UNSEEN)
     assert list(course.guard.lost) == [0]
     writes.asked.clear()
-    course.at += 300 * MS  # blue, the last robot, is not seen for as long as loses it
+    late_ns = course.now_ns + 300 * MS  # blue, the last robot, is unseen for as long as loses it
     back = replace(PLACES[1], x=PLACES[1].x + 1.0)
-    course.guard.check_frame(CameraFrame(999, course.at, course.at, (PLACES[0], back)))
+    course.guard.check_frame(CameraFrame(999, late_ns, late_ns, (PLACES[0], back)))
     assert course.guard.reason == "blue is not tracked (0.30 s)"
     assert writes.asked == [("pose", 1)]
 
@@ -252,10 +267,10 @@ def walk(step_mm, course, frames=40):
     for _ in range(frames):
         x += step_mm
         course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
-        course.guard.note_direction(course.at)
+        course.guard.note_direction(course.now_ns)
         if course.guard.state is GuardState.ABORT:
             break
-        believed = course.seen.poses[0].x - PLACES[0].x
+        believed = course.accepted.poses[0].x - PLACES[0].x
     return believed
 
 
@@ -293,16 +308,16 @@ def test_late_steps_abort_in_a_row_only():
 def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
     """Regression: every turn at 20 Hz, which lasts 0.55 s, ended the trial."""
     course = running(replace(RULES, silence_ns=500 * MS))
-    course.guard.note_direction(course.at, ahead=False)
-    began = course.at
-    while course.at - began < 990 * MS:
+    course.guard.note_direction(course.now_ns, ahead=False)
+    began = course.now_ns
+    while course.now_ns - began < 990 * MS:
         assert course.frame().moving == (True, True)
     for _ in range(250):
         ruling = course.frame()
     assert (ruling.state, ruling.moving) == (GuardState.HOLD, (False, False))
     for _ in range(5):
         course.guard.note_step(True)
-    course.guard.note_direction(course.at)
+    course.guard.note_direction(course.now_ns)
     assert course.frame().moving == (True, True)
     for _ in range(63):
         course.frame()
@@ -313,13 +328,13 @@ def test_a_controller_that_falls_silent_stops_the_robots():
     course = running()
     while course.guard.state is not GuardState.ABORT:
         course.frame()
-        assert course.at < 3000 * MS
+        assert course.now_ns < 3000 * MS
     assert course.guard.reason.startswith("5 control steps in a row were late: the controller gave")
 
 
 def test_a_program_that_slept_does_not_go_on():
     course = running()
-    course.at += 2000 * MS
+    course.now_ns += 2000 * MS
     ruling = course.frame()
     assert ruling.state is GuardState.ABORT
     assert ruling.reason == "this program stood still for 2.0 s"
@@ -334,9 +349,11 @@ def test_the_operators_stop_is_an_emergency_and_the_first_reason_stays():
 
 
 class Drive:
-    """Green is commanded to drive [mm/s, rad/s] for 0.5 s and does `done`, blue is to stand.
+    """Green is commanded to drive, at a speed `commanded` [mm/s] and a rate `turning` [rad/s], and
+    does `done`: along its heading and across it [mm/s], and around [rad/s]. Blue is to stand.
 
-    Poses are those of a noisy camera, unless `noise` is 0; `see` is what it makes of green's.
+    Poses are those of a camera of `noise` [mm, and a hundredth of it in rad]; `see` is what it
+    makes of green's. Without a `blue` it sees none.
     """
 
     def __init__(
@@ -350,32 +367,41 @@ class Drive:
     ):
         rules = replace(RULES, wheel_radius=40.0, **rules)
         self.course = running(rules, (PLACES[0], blue))
-        self.random = random.Random(1)
-        self.blue = blue
-        self.commanded = commanded
+        self.command = (commanded, turning)
         self.done = done
-        self.turning = turning
+        self.random = random.Random(1)
         self.noise = noise
-        self.x = 500.0
-        self.y = 500.0
-        self.heading = 0.3
+        self.green = PLACES[0]  # where it truly is
+        self.blue = blue
 
     def go(self, seconds, see=lambda pose: pose):
+        """Let robots drive on while the guard lets them; returns the guard."""
         guard = self.course.guard
-        for _ in range(round(seconds * 1e9 / FRAME)):
-            stopped = guard.state is not GuardState.RUN
-            speed = 0.0 if stopped else self.commanded
-            turning = self.turning if speed else 0.0
-            done = (0.0, 0.0, 0.0) if stopped else self.done
-            guard.note_transmission(self.course.at, (speed, 0.0), (turning, 0.0))
-            along, across, around = (rate * FRAME / 1e9 for rate in done)
-            self.heading += around
-            self.x += along * math.cos(self.heading) - across * math.sin(self.heading)
-            self.y += along * math.sin(self.heading) + across * math.cos(self.heading)
-            green = see(self.noisy(Pose(self.x, self.y, self.heading)))
-            self.course.frame((green, self.blue and self.noisy(self.blue)))
-            guard.note_direction(self.course.at)
+        for _ in range(round(seconds * FRAMES_A_SECOND)):
+            if guard.state is GuardState.RUN:
+                self.transmit(*self.command)
+                self.move_green()
+            else:
+                self.transmit(0.0, 0.0)
+            green = see(self.noisy(self.green))
+            blue = None if self.blue is None else self.noisy(self.blue)
+            self.course.frame((green, blue))
+            guard.note_direction(self.course.now_ns)
         return guard
+
+    def transmit(self, speed, turning):
+        """Tell the guard that green was sent these, and blue to stand."""
+        self.course.guard.note_transmission(self.course.now_ns, (speed, 0.0), (turning, 0.0))
+
+    def move_green(self):
+        """Let green do for the time of a frame what it does."""
+        along, across, around = (rate * FRAME / SECOND for rate in self.done)
+        heading = self.green.heading + around
+        cos = math.cos(heading)
+        sin = math.sin(heading)
+        x = self.green.x + along * cos - across * sin
+        y = self.green.y + along * sin + across * cos
+        self.green = Pose(x, y, heading)
 
     def noisy(self, pose):
         err = self.random.gauss
@@ -409,8 +435,11 @@ def test_a_run_that_goes_on_leaves_out_a_robot_that_does_not_move():
     assert guard.state is not GuardState.ABORT
     assert list(guard.lost) == [0]
     assert not drive.course.frame((PLACES[0], drive.blue)).moving[0]
-    backward = Drive(done=(-200.0, 0.0, 0.0), goes_on=True).go(0.7)
-    assert backward.state is GuardState.ABORT
+
+
+def test_a_run_that_goes_on_ends_where_a_robot_drives_backward():
+    guard = Drive(done=(-200.0, 0.0, 0.0), goes_on=True).go(0.7)
+    assert guard.state is GuardState.ABORT
 
 
 @pytest.mark.parametrize("after", [0.05, 0.15, 0.5])
@@ -419,17 +448,20 @@ def test_a_pose_that_is_frozen_for_a_moment_is_let_pass_at_any_time(frozen, afte
     """Regression: within 0.3 s of the start, when robots may still stand, 70 ms aborted."""
     drive = Drive(commanded=180.0, done=(180.0, 0.0, 0.0))
     drive.go(after)
-    held = drive.noisy(Pose(drive.x, drive.y, drive.heading))
+    held = drive.noisy(drive.green)
     drive.go(frozen, lambda pose: held)
     assert drive.go(1.0).state is GuardState.RUN
+
+
+AHEAD_X = REACTION_S * 200.0 * math.cos(PLACES[0].heading)
+"""How far green comes along x in the time to react [mm]."""
 
 
 def test_a_robot_is_stopped_before_it_leaves_the_arena():
     drive = Drive()
     guard = drive.go(10.0)
     assert guard.reason == "green is about to leave the arena"
-    ahead = 0.15 * 200.0 * math.cos(0.3)  # in the reaction time
-    assert drive.x == pytest.approx(2000.0 - ahead, abs=3.0)
+    assert drive.green.x == pytest.approx(2000.0 - AHEAD_X, abs=3.0)
 
 
 BOX = Shape(np.array([[700.0, 400.0], [900.0, 400.0], [900.0, 700.0], [700.0, 700.0]]), 47.0)
@@ -438,16 +470,16 @@ BOX = Shape(np.array([[700.0, 400.0], [900.0, 400.0], [900.0, 700.0], [700.0, 70
 def test_a_robot_is_stopped_before_its_body_enters_an_obstacle():
     drive = Drive(obstacles=(BOX,))
     assert drive.go(10.0).reason == "green is about to enter an obstacle"
-    ahead = 0.15 * 200.0 * math.cos(0.3)  # in the reaction time
-    assert drive.x == pytest.approx(700.0 - 47.0 - ahead, abs=3.0)
+    assert drive.green.x == pytest.approx(700.0 - 47.0 - AHEAD_X, abs=3.0)
 
 
 def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_it_but_not_go_deeper():
     touched = replace(BOX, radius=210.0)  # 17 mm deep at the start
-    assert Drive(obstacles=(touched,), done=(-50.0, 0.0, 0.0)).go(0.1).state is GuardState.RUN
+    leaving = Drive(obstacles=(touched,), done=(-50.0, 0.0, 0.0))
+    assert leaving.go(0.1).state is GuardState.RUN
     deeper = Drive(obstacles=(touched,))
     assert deeper.go(1.0).reason == "green is about to enter an obstacle"
-    assert deeper.x < 507.0
+    assert deeper.green.x < PLACES[0].x + 7.0
 
 
 def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():
@@ -460,31 +492,32 @@ def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():
 def test_limits_in_millimetres_hold_in_the_units_of_the_spec():
     places = (Pose(50.0, 50.0, 0.3), Pose(50.0, 150.0, -2.0))
     course = running(replace(RULES, mm=10.0, speeds=(20.0, 10.0)), places)
-    course.frame((Pose(54.0, 50.0, 0.3), places[1]))
+    course.frame((Pose(54.0, 50.0, 0.3), places[1]))  # 40 mm in 8 ms
     assert course.guard.refused == ("its pose jumped", "")
 
 
 def test_a_drift_is_the_same_in_every_unit():
     """Green drives an arc, and is seen to do a little more than it is commanded."""
-    worst = []
-    for mm in (1.0, 1000.0):
+
+    def worst_drift(mm):
         check = DriftCheck(("green",), 40.0 / mm, mm, 0.12)
-        for now in range(0, 20 * SECOND, FRAME):
-            check.sent(now, (200.0 / mm,), (1.0,))
-            t = now / SECOND
-            poses = (Pose(0.0, 0.0, now / SECOND),)
-            check.frame(
-                now, [now] * len(poses), poses, np.array([[210.0 / mm, 3.0 / mm, 1.02]]) * t
-            )
-        worst.append(check.worst)
-    assert worst[0] == pytest.approx(worst[1]) != 0.0
+        seen_rates = np.array([[210.0 / mm, 3.0 / mm, 1.02]])
+        for now_ns in range(0, 20 * SECOND, FRAME):
+            t = now_ns / SECOND
+            check.sent(now_ns, (200.0 / mm,), (1.0,))
+            check.frame(now_ns, [now_ns], (Pose(0.0, 0.0, t),), seen_rates * t)
+        return check.worst
+
+    assert worst_drift(mm=1.0) == pytest.approx(worst_drift(mm=1000.0))
+    assert worst_drift(mm=1.0) != 0.0
 
 
 def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():
     drive = Drive()
     drive.go(0.6)
-    assert drive.go(0.04, lambda pose: replace(pose, y=pose.y + 25.0)).refusals == 5
-    guard = drive.go(1.0)
+    guard = drive.go(5 / FRAMES_A_SECOND, lambda pose: replace(pose, y=pose.y + 25.0))
+    assert guard.refusals == 5
+    drive.go(1.0)
     assert (guard.state, guard.refusals) == (GuardState.RUN, 5)
 
 
@@ -507,13 +540,13 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
     assert guard.state is GuardState.ABORT
     refused = guard.refusals
     drive.go(3.0, see)
-    assert guard.refusals == refused + 375
+    assert guard.refusals == refused + 3 * FRAMES_A_SECOND
     drive.go(1.0)  # the robot itself: no sensor knows
-    assert guard.refusals == refused + 500
+    assert guard.refusals == refused + 4 * FRAMES_A_SECOND
 
 
 class Finds(Check):
-    """A check that finds what it was given, at the first tick."""
+    """Stands for a check that finds what it was given, at each tick."""
 
     def __init__(self, *findings):
         self._findings = findings
@@ -532,17 +565,15 @@ class Finds(Check):
     ids=["warn", "lose", "abort"],
 )
 def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost, warnings):
-    def checks_of(rules):
-        return replace(robot_checks(rules), checks=(Finds(finding),))
-
-    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
+    course = begun_with_checks(Finds(finding))
     ruling = course.frame()
     assert (ruling.state, ruling.reason, list(course.guard.lost)) == (state, reason, lost)
     assert ruling.warnings == warnings
 
 
 class AbortsWhenRead:
-    """Limits whose `stale`, which a ruling reads last, lets the controller's thread abort then."""
+    """Stands for limits and a controller's thread that aborts while a ruling is made: just when it
+    reads `stale`, the last limit that it reads."""
 
     def __init__(self):
         self.guard = None
@@ -565,21 +596,17 @@ def test_an_abort_by_another_thread_while_a_ruling_is_made_is_final():
 
 def test_a_body_in_place_of_a_ghost_is_no_ghost():
     """Regression: the poses of the new body were refused for what the old one had done."""
-
-    def checks_of(rules):
-        return replace(robot_checks(rules), checks=(Finds(Abort("green drifts", (0,))),))
-
-    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
+    course = begun_with_checks(Finds(Abort("green drifts", (0,))))
     course.frames(2)
     assert course.guard.refused == ("green drifts", "")
     course.guard.lose_robot(0, "green has divided")
     course.guard.replace_robot(0)
     course.frame()
-    assert course.seen.fresh == (True, True)
+    assert course.accepted.fresh == (True, True)
 
 
 class FindsInFrames(Finds):
-    """A check that finds what it was given, in each frame of a run."""
+    """Stands for a check that finds what it was given, in each frame of a run."""
 
     def frame(self, now_ns, times, poses):
         yield from self._findings
@@ -590,33 +617,23 @@ class FindsInFrames(Finds):
 
 def test_an_abort_for_damaged_frames_passes_on_the_warnings_before_it():
     """Regression: what was warned of since the last tick was lost."""
-
-    def checks_of(rules):
-        return replace(robot_checks(rules), checks=(FindsInFrames(Warn("green wanders")),))
-
-    course = Course(RULES, checks_of).pass_preflight().start_run()
-    course.bad = 21
+    course = begun_with_checks(FindsInFrames(Warn("green wanders")), rules=RULES)
+    course.damaged = 21
     ruling = course.frame()
     assert ruling.reason == "21 damaged camera frames within a second"
     assert ruling.warnings == ("green wanders",)
 
 
 def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
-    def checks_of(rules):
-        return replace(robot_checks(rules), checks=(Finds(Lose(1, "it is gone")),))
-
-    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
+    course = begun_with_checks(Finds(Lose(1, "it is gone")))
     assert course.frame().moving == (True, False)
 
 
 def test_after_an_abort_no_robot_is_lost_any_more():
     """Regression: checks after the one that aborted the run went on losing robots."""
-
-    def checks_of(rules):
-        checks = Finds(Abort("the first"), Lose(1, "the second")), Finds(Lose(0, "the third"))
-        return replace(robot_checks(rules), checks=checks)
-
-    course = Course(replace(RULES, goes_on=True), checks_of).pass_preflight().start_run()
+    aborts = Finds(Abort("the first"), Lose(1, "the second"))
+    loses = Finds(Lose(0, "the third"))
+    course = begun_with_checks(aborts, loses)
     ruling = course.frame()
     assert (ruling.reason, ruling.warnings) == ("the first", ())
     assert course.guard.lost == {}
@@ -627,14 +644,12 @@ def test_rest_lets_nothing_move_and_needs_a_new_go():
     course.guard.end_run()
     assert course.frames(1).state is GuardState.READY
     assert not any(course.frames(1).moving)
-    course.guard.start_run(course.at)
+    course.guard.start_run(course.now_ns)
     assert all(course.frames(1).moving)
 
 
-poses = st.one_of(
-    st.none(),
-    st.builds(Pose, st.floats(-100, 2100), st.floats(-100, 2100), st.floats(-math.pi, math.pi)),
-)
+COORDINATES = st.floats(-100, 2100)  # up to 100 mm outside
+POSES = st.none() | st.builds(Pose, COORDINATES, COORDINATES, st.floats(-math.pi, math.pi))
 
 
 class GuardMachine(RuleBasedStateMachine):
@@ -651,7 +666,7 @@ class GuardMachine(RuleBasedStateMachine):
         self.ruling = None
         self.aborted = ""
 
-    @rule(a=poses, b=poses, age=st.integers(0, 200 * MS), fault=st.sampled_from(["", "", "", "f"]))
+    @rule(a=POSES, b=POSES, age=st.integers(0, 200 * MS), fault=st.sampled_from(["", "", "", "f"]))
     def see(self, a, b, age, fault):
         self.number += 1
         sampled = max(0, self.now - age)

@@ -1,10 +1,13 @@
 """Robots, and what is not one, against their commands: frames at 120 Hz, noisy as real ones."""
 
 import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.lab.motion_check import DOES_NOT_MOVE, MotionCheck
 
@@ -14,100 +17,121 @@ A = 6.0  # greatest turning rate [rad/s]
 SPEED = 180.0  # mm/s
 RADIUS = 40.0  # distance of a wheel from the robot's centre [mm]
 FRAME = 8_333_333  # time between two frames [ns]
+FRAME_S = FRAME / SECOND
 SEND = 25_000_000  # time between two transmissions [ns]
+STEP = 200_000_000  # time between two directions [ns]
 WATCHDOG = 250_000_000  # time without a packet after which wheels stop [ns]
 WIDE = (0.4, 2.5, -2.0, 1.0, 3.0)  # directions that differ much [rad]
 CHATTER = (1.2, -1.2)
-NOISE_MM = 0.3
-NOISE_RAD = 0.004
+NOISE = np.array([0.3, 0.3, 0.004])  # of a pose [mm, mm, rad]
+FAULT_S = 1.0  # when a fault begins; times t count from it
 NEVER_S = 9.0  # after the end of every drive
+
+
+class Packet(NamedTuple):
+    """Speeds of the left and right wheel (2,) [mm/s], and when they are obeyed."""
+
+    obeyed_ns: int
+    wheels: np.ndarray
 
 
 class WheeledRobot:
     """Stands for a robot whose wheels are `gains` off: it obeys a packet `delay` s after it was
-    sent, with a lag, and stops by its watchdog. A wheel is `stuck` from some second on."""
+    sent, with a lag, and stops by its watchdog. Wheels (2,) are `stuck` from some t on."""
 
     def __init__(self, delay, lag, gains, stuck):
-        self.delay_ns = round(delay * 1e9)
+        self.delay_ns = round(delay * SECOND)
         self.lag = lag
         self.gains = np.array(gains)
         self.stuck = np.array(stuck)
-        self.x = 900.0
-        self.y = 800.0
-        self.heading = 0.0
+        self.pose = Pose(900.0, 800.0, 0.0)
         self.wheels = np.zeros(2)  # mm/s
-        self.packets = []  # on their way: when each is obeyed, and its wheels' speeds
-        self.obeyed_ns = -WATCHDOG
-        self.obeyed = np.zeros(2)
+        self.coming = []  # packets on their way
+        self.last = Packet(-WATCHDOG, np.zeros(2))  # the packet that is obeyed
 
-    def send(self, now_ns, v, w):
-        self.packets.append((now_ns + self.delay_ns, np.array([v - w * RADIUS, v + w * RADIUS])))
+    def send(self, now_ns, speed, turning):
+        difference = turning * RADIUS
+        wheels = np.array([speed - difference, speed + difference])
+        self.coming.append(Packet(now_ns + self.delay_ns, wheels))
 
-    def move(self, now_ns, t, dt):
-        while self.packets and self.packets[0][0] <= now_ns:
-            self.obeyed_ns, self.obeyed = self.packets.pop(0)
-        stopped = now_ns - self.obeyed_ns >= WATCHDOG
-        wanted = np.zeros(2) if stopped else self.obeyed * self.gains
-        self.wheels = wanted + (self.wheels - wanted) * math.exp(-dt / self.lag)
+    def move(self, now_ns, t):
+        """Drive for the time of a frame."""
+        while self.coming and self.coming[0].obeyed_ns <= now_ns:
+            self.last = self.coming.pop(0)
+        has_stopped = now_ns - self.last.obeyed_ns >= WATCHDOG
+        wanted = np.zeros(2) if has_stopped else self.last.wheels * self.gains
+        self.wheels = wanted + (self.wheels - wanted) * math.exp(-FRAME_S / self.lag)
         self.wheels[t >= self.stuck] = 0.0
-        speed = self.wheels.mean()
-        turning = (self.wheels[1] - self.wheels[0]) / (2 * RADIUS)
-        self.heading += turning * dt
-        middle = self.heading - turning * dt / 2
-        self.x += speed * math.cos(middle) * dt
-        self.y += speed * math.sin(middle) * dt
+        left_mm_s, right_mm_s = self.wheels
+        way = (left_mm_s + right_mm_s) / 2 * FRAME_S
+        turn = (right_mm_s - left_mm_s) / (2 * RADIUS) * FRAME_S
+        course = self.pose.heading + turn / 2
+        self.pose = Pose(
+            self.pose.x + way * math.cos(course),
+            self.pose.y + way * math.sin(course),
+            self.pose.heading + turn,
+        )
 
 
-def as_it_is(t, x, y, heading):
-    return x, y, heading
+def as_it_is(t, pose):
+    """A camera that shows a robot where it is."""
+    return pose
+
+
+class Fault(NamedTuple):
+    """What the check says, "" for nothing, and the t at which it does [s]."""
+
+    text: str
+    t: float
+
+
+NO_FAULT = Fault("", math.inf)
 
 
 def drive(
+    *,
     delay=0.05,
     lag=0.04,
     gains=(1.0, 1.0),
     lost=0.05,
     directions=WIDE,
     seed=1,
-    shown=as_it_is,
-    seconds=4.0,
+    seen_as=as_it_is,
     stuck=(NEVER_S, NEVER_S),
     stop=NEVER_S,
-    noise=1.0,
 ):
-    """Drive a robot under the law a sin(u - heading), with a share of the packets `lost`.
+    """The first fault of a robot that is driven for 4 s under the law a sin(u - heading), with a
+    share of the packets `lost`.
 
-    The direction changes every 0.2 s; `shown` is what the camera makes of its pose t s after the
-    first second. It is commanded to `stop` at some t.
-
-    Returns what the check says, and when, after the first second [s].
+    The direction u is the next one every 0.2 s. From FAULT_S on `seen_as` is what the camera makes
+    of the robot's pose at t. It is commanded to `stop` at some t.
     """
     check = MotionCheck([SPEED], RADIUS, 2.0)
     random = np.random.default_rng(seed)
     robot = WheeledRobot(delay, lag, gains, stuck)
     next_ns = 0
     before = None
-    for now in range(FRAME, round(seconds * 1e9), FRAME):
-        t = now / 1e9 - 1.0
-        while next_ns <= now:
-            u = directions[next_ns // 200_000_000 % len(directions)]
-            heading = before.heading if before else 0.0
-            v, w = (0.0, 0.0) if t > stop else (SPEED, A * math.sin(u - heading))
-            check.sent(next_ns, [v], [w], 0.12)
+    for now_ns in range(FRAME, 4 * SECOND, FRAME):
+        t = now_ns / SECOND - FAULT_S
+        while next_ns <= now_ns:
+            u = directions[next_ns // STEP % len(directions)]
+            heading = 0.0 if before is None else before.heading
+            speed = 0.0 if t > stop else SPEED
+            turning = 0.0 if t > stop else A * math.sin(u - heading)
+            check.sent(next_ns, [speed], [turning], 0.12)
             if random.random() >= lost:
-                robot.send(next_ns, v, w)
+                robot.send(next_ns, speed, turning)
             next_ns += SEND
-        robot.move(now, t, FRAME / 1e9)
-        show = shown if t > 0 else as_it_is
-        x, y, heading = show(t, robot.x, robot.y, robot.heading)
-        dx, dy, turned = random.normal(0, noise, 3) * (NOISE_MM, NOISE_MM, NOISE_RAD)
-        pose = Pose(x + dx, y + dy, heading + turned)
-        check.take_frame((now,))
-        fault = check.take_pose(0, before, pose) if before else ""
-        if fault:
-            return fault, t
+        robot.move(now_ns, t)
+        pose = seen_as(t, robot.pose) if t > 0 else robot.pose
+        dx, dy, turned = random.normal(0, 1.0, 3) * NOISE
+        pose = Pose(pose.x + dx, pose.y + dy, pose.heading + turned)
+        check.take_frame((now_ns,))
+        text = "" if before is None else check.take_pose(0, before, pose)
+        if text:
+            return Fault(text, t)
         before = pose
-    return "", math.inf
+    return NO_FAULT
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.05, 0.2])
@@ -115,46 +139,63 @@ def drive(
 @pytest.mark.parametrize("directions", [WIDE, CHATTER, (1.2,)])
 def test_a_robot_that_moves_as_commanded_agrees(delay, gains, directions):
     for seed in range(2):
-        assert drive(delay, gains=gains, directions=directions, seed=seed) == ("", math.inf)
+        fault = drive(delay=delay, gains=gains, directions=directions, seed=seed)
+        assert fault == NO_FAULT
 
 
-def test_one_that_is_stopped_or_loses_many_packets_agrees_too():
-    for seed in range(3):
-        assert drive(lost=0.3, seed=seed, directions=(1.2, 1.5, 1.0))[0] == ""
-        assert drive(stop=1.0, seed=seed)[0] == ""
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_loses_many_packets_agrees_too(seed):
+    assert drive(lost=0.3, directions=(1.2, 1.5, 1.0), seed=seed) == NO_FAULT
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_is_stopped_agrees_too(seed):
+    assert drive(stop=1.0, seed=seed) == NO_FAULT
 
 
 def walk(speed, course):
     """A ghost that leaves its robot [m/s] by a course against its heading [rad]."""
 
-    def shown(t, x, y, heading):
+    def seen_as(t, pose):
         way = 1000 * speed * t
-        return x + way * math.cos(heading + course), y + way * math.sin(heading + course), heading
+        towards = pose.heading + course
+        x = pose.x + way * math.cos(towards)
+        y = pose.y + way * math.sin(towards)
+        return replace(pose, x=x, y=y)
 
-    return shown
+    return seen_as
+
+
+def spin(turning):
+    """A pose that turns by itself [rad/s]."""
+
+    def seen_as(t, pose):
+        return replace(pose, heading=pose.heading + turning * t)
+
+    return seen_as
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.18, 0.4])
 @pytest.mark.parametrize("course", [0.0, math.pi, math.pi / 2, -math.pi / 2])
 def test_a_ghost_is_noticed_within_30_mm_or_0_3_s(speed, course):
     for seed in range(2):
-        fault, after_s = drive(shown=walk(speed, course), seed=seed, directions=(0.3, 0.6))
-        assert fault
-        assert after_s < 0.3 or 1000 * speed * after_s < 30.0
+        fault = drive(seen_as=walk(speed, course), seed=seed, directions=(0.3, 0.6))
+        assert fault.text
+        assert fault.t < 0.3 or 1000 * speed * fault.t < 30.0
 
 
 @pytest.mark.parametrize("turning", [1.25, -1.25, 3.0, -5.0])
 def test_a_heading_that_turns_by_itself_is_noticed_within_half_a_second(turning):
-    fault, after_s = drive(shown=lambda t, x, y, heading: (x, y, heading + turning * t))
-    assert fault.startswith(("moves", "turns"))
-    assert after_s < 0.5
+    fault = drive(seen_as=spin(turning))
+    assert fault.text.startswith(("moves", "turns"))
+    assert fault.t < 0.5
 
 
 @pytest.mark.parametrize("stuck", [(0.0, 0.0), (0.0, NEVER_S), (NEVER_S, 0.0)])
 def test_a_robot_of_stuck_wheels_is_noticed_within_0_3_s(stuck):
-    fault, after_s = drive(stuck=stuck)
-    assert after_s < 0.3
-    assert fault == DOES_NOT_MOVE or NEVER_S in stuck
+    fault = drive(stuck=stuck)
+    assert fault.t < 0.3
+    assert fault.text == DOES_NOT_MOVE or NEVER_S in stuck
 
 
 def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
@@ -171,57 +212,64 @@ def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
 
 
 @pytest.mark.parametrize(
-    ("shown", "within_s"),
+    ("camera", "within_s"),
     [
         (walk(0.05, 0.3), 0.3),  # 15 mm
-        (lambda t, x, y, heading: (x, y, heading + 1.25 * t), 0.2),
+        (spin(1.25), 0.2),
     ],
     ids=["moves", "turns"],
 )
-def test_a_standing_robot_that_is_seen_to_move_or_turn_is_noticed(shown, within_s):
-    fault, after_s = drive(shown=shown, stop=-0.5, directions=(0.0,))
-    assert fault.startswith(("moves", "turns"))
-    assert after_s < within_s
+def test_a_standing_robot_that_is_seen_to_move_or_turn_is_noticed(camera, within_s):
+    fault = drive(seen_as=camera, stop=-0.5, directions=(0.0,))
+    assert fault.text.startswith(("moves", "turns"))
+    assert fault.t < within_s
 
 
 def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
     check = MotionCheck([SPEED], RADIUS, 2.0)
-    before = None
     for k in range(20):
         check.sent(k * SEND, [SPEED], [0.0], 0.12)
-    for now in range(19 * SEND, 2_000_000_000, FRAME):
-        x = SPEED * min(now, 19 * SEND + WATCHDOG) / 1e9
-        check.take_frame((now,))
-        assert before is None or check.take_pose(0, before, Pose(x, 0, 0)) == ""
-        before = Pose(x, 0, 0)
+    last_ns = 19 * SEND  # of the packets
+    stands_ns = last_ns + WATCHDOG
+
+    def pose_at(now_ns):
+        return Pose(SPEED * min(now_ns, stands_ns) / SECOND, 0, 0)
+
+    check.take_frame((last_ns,))
+    for now_ns in range(last_ns + FRAME, 2 * SECOND, FRAME):
+        check.take_frame((now_ns,))
+        assert check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)) == ""
 
 
 def test_a_gap_in_the_frames_is_bridged():
+    """A robot on a circle of 60 mm, by 180 mm/s and 3 rad/s, is not seen for 0.29 s."""
     check = MotionCheck([SPEED], RADIUS, 2.0)
     for step in range(60):
         check.sent(step * SEND, [SPEED], [3.0], 0.12)
-    poses = [
-        Pose(60 * math.sin(3 * t), 60 * (1 - math.cos(3 * t)), 3 * t) for t in (0.5, 0.51, 0.8)
-    ]
-    faults = []
-    for before, pose, t in zip([poses[0], *poses], poses, (0.5, 0.51, 0.8), strict=False):
-        check.take_frame((round(t * 1e9),))
-        faults.append(check.take_pose(0, before, pose))
-    assert faults == ["", "", ""]
+    before = None
+    for t in (0.5, 0.51, 0.8):
+        turned = 3 * t
+        pose = Pose(60 * math.sin(turned), 60 * (1 - math.cos(turned)), turned)
+        check.take_frame((round(t * SECOND),))
+        assert check.take_pose(0, before or pose, pose) == ""
+        before = pose
 
 
 @pytest.mark.parametrize(("radius", "part"), [(RADIUS, "drive"), (0.0, "field's sign")])
 def test_a_cell_has_no_drive(radius, part):
     """It is seen to turn to the right while it is commanded to turn to the left."""
     check = MotionCheck([SPEED], radius, 2.0)
-    before = None
-    fault = ""
-    for now in range(FRAME, 2_000_000_000, FRAME):
-        check.sent(now, [SPEED], [2.0], 0.12)
-        pose = Pose(900 + SPEED * 1e-9 * now, 800.0, -2e-9 * now)
-        check.take_frame((now,))
-        fault = check.take_pose(0, before, pose) if before else ""
-        if fault:
-            break
-        before = pose
-    assert part in fault
+
+    def pose_at(now_ns):
+        t = now_ns / SECOND
+        return Pose(900 + SPEED * t, 800.0, -2.0 * t)
+
+    check.sent(FRAME, [SPEED], [2.0], 0.12)
+    check.take_frame((FRAME,))
+    faults = []
+    for now_ns in range(2 * FRAME, 2 * SECOND, FRAME):
+        check.sent(now_ns, [SPEED], [2.0], 0.12)
+        check.take_frame((now_ns,))
+        faults.append(check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)))
+    first_fault = next(filter(None, faults))
+    assert part in first_fault

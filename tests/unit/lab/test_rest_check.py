@@ -1,6 +1,7 @@
 """Whether standing robots are distinguished from poses that drift, in virtual time."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,38 +16,50 @@ from tetractl.lab.preflight import inspect
 from tetractl.lab.rest_check import moving_robots, wait_for_rest
 
 SETUP = experiment().setup
-# frames a second, noise [mm, rad]
-MOTIVE = (120.0, 0.3, 0.004)
-COARSE = (20.0, 0.5, 0.005)
+
+
+class CameraKind(NamedTuple):
+    rate_hz: float
+    noise: tuple[float, float, float]  # of a pose [mm, mm, rad]
+
+
+MOTIVE = CameraKind(120.0, (0.3, 0.3, 0.004))
+COARSE = CameraKind(20.0, (0.5, 0.5, 0.005))
+NO_NOISE = (0.0, 0.0, 0.0)
+STILL = (0.0, 0.0, 0.0)
+GREEN = (0,)
+BLUE = (1,)
 ALL = (0, 1, 2)
 
 
-def drifting(lab, rates, who=(0,), noise=(0.0, 0.0), seed=1):
+def show(lab, poses_of):
+    """Let a lab's camera show `poses_of(frame)` in place of the poses of each frame."""
+    frames = lab.camera.frames
+    lab.camera.frames = lambda: [replace(frame, poses=poses_of(frame)) for frame in frames()]
+
+
+def show_drift(lab, rates, who, noise=NO_NOISE, seed=1):
     """Let a lab's camera show robots `who` moving at `rates` [mm/s, mm/s, rad/s], with noise."""
     rng = np.random.default_rng(seed)
-    frames = lab.camera.frames
 
-    def seen(i, pose, at_ns):
-        x, y, turned = np.array(rates) * (i in who) * at_ns / SECOND
-        x, y, turned = (x, y, turned) + rng.normal(size=3) * (noise[0], *noise)
+    def drifted(i, pose, seconds):
+        way = np.array(rates) * seconds if i in who else np.zeros(3)
+        x, y, turned = way + rng.normal(size=3) * noise
         return Pose(pose.x + x, pose.y + y, pose.heading + turned)
 
-    def shown():
-        return [
-            replace(f, poses=tuple(seen(i, p, f.sampled_ns) for i, p in enumerate(f.poses)))
-            for f in frames()
-        ]
+    def poses_of(frame):
+        seconds = frame.sampled_ns / SECOND
+        return tuple(drifted(i, pose, seconds) for i, pose in enumerate(frame.poses))
 
-    lab.camera.frames = shown
+    show(lab, poses_of)
 
 
-def at_rest(camera, rates=(0.0, 0.0, 0.0), who=(), seed=1):
+def at_rest(camera, rates=STILL, who=(), seed=1):
     """What is said of robots that stand before a camera."""
-    rate_hz, *noise = camera
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("support.labs.CAMERA_HZ", rate_hz)
+        patch.setattr("support.labs.CAMERA_HZ", camera.rate_hz)
         lab = fake_lab(SETUP)
-        drifting(lab, rates, who, noise, seed)
+        show_drift(lab, rates, who, camera.noise, seed)
         with lab.plant.rig as rig:
             lab.clock.sleep_until(SECOND // 2)
             return wait_for_rest(rig)
@@ -61,21 +74,18 @@ def test_robots_that_stand_are_seen_to_stand(camera):
 @pytest.mark.parametrize("rate", [0.05, 0.1, 0.2, 0.3])
 def test_a_pose_that_turns_slowly_does_not_stand(rate, camera):
     """Regression: 0.3 rad/s and 10 mm/s were allowed, so a false pose that turned was accepted."""
-    said = at_rest(camera, (0.0, 0.0, rate), (1,))
+    said = at_rest(camera, (0.0, 0.0, rate), BLUE)
     assert said.startswith("2 s after the stop: blue still moves (")
 
 
 def test_a_robot_that_was_seen_to_stand_is_to_be_seen_still():
+
+    def without_blue_from_half_a_second_on(frame):
+        green, blue, red = frame.poses
+        return (green, blue if frame.sampled_ns <= SECOND // 2 else None, red)
+
     lab = fake_lab(SETUP)
-    frames = lab.camera.frames
-
-    def shown():  # without blue from half a second on
-        return [
-            replace(f, poses=(f.poses[0], None, f.poses[2])) if f.sampled_ns > SECOND // 2 else f
-            for f in frames()
-        ]
-
-    lab.camera.frames = shown
+    show(lab, without_blue_from_half_a_second_on)
     with lab.plant.rig as rig:
         lab.clock.sleep_until(7 * SECOND // 10)
         (line,) = moving_robots(rig)
@@ -84,7 +94,7 @@ def test_a_robot_that_was_seen_to_stand_is_to_be_seen_still():
 
 
 def test_poses_that_drift_together_name_the_camera():
-    """Regression: a moved origin read as robots that still move."""
+    """Regression: a moved origin read as robots that still move. Here it moves at 10 mm/s."""
     said = at_rest(MOTIVE, (6.0, -8.0, 0.0), ALL)
     assert said.startswith("2 s after the stop: all robots are seen to move alike (1")
     assert said.endswith("though stopped: do the camera or its origin move?")
@@ -94,7 +104,7 @@ def test_a_run_does_not_start_while_a_standing_robot_is_seen_to_turn():
     """Regression: a plate that turned at 0.25 rad/s passed the preflight."""
     limits = LabLimits(start_heading=3.0)
     lab = fake_lab(SETUP, limits)
-    drifting(lab, (0.0, 0.0, 0.25))
+    show_drift(lab, (0.0, 0.0, 0.25), GREEN)
     with pytest.raises(AbortError, match=r"green still moves \(0 mm/s, \+0\.25 rad/s\)"):
         lab.plant.open()
     with lab.plant.rig as rig:
@@ -105,18 +115,15 @@ def test_a_run_does_not_start_while_a_standing_robot_is_seen_to_turn():
 @pytest.mark.parametrize("ago_s", [0.02, 0.06, 0.12, 0.2, 0.24])
 def test_a_robot_whose_pose_has_just_jumped_is_not_at_rest(ago_s):
     """Regression: a slide that ended in a jump back passed for noise, and `verify` failed."""
+    jumps_ns = SECOND - round(ago_s * SECOND)
+
+    def green_jumps(frame):
+        green, *others = frame.poses
+        off_mm = 11 if frame.sampled_ns > jumps_ns else 0
+        return (replace(green, x=green.x + off_mm), *others)
+
     lab = fake_lab(SETUP)
-    frames = lab.camera.frames
-
-    def shown():
-        jumps_ns = SECOND - round(ago_s * SECOND)
-        return [
-            replace(f, poses=(replace(p, x=p.x + 11 * (f.sampled_ns > jumps_ns)), *f.poses[1:]))
-            for f in frames()
-            for p in f.poses[:1]
-        ]
-
-    lab.camera.frames = shown
+    show(lab, green_jumps)
     with lab.plant.rig as rig:
         lab.clock.sleep_until(SECOND)
         (line,) = moving_robots(rig)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -34,78 +35,119 @@ RULES = GuardRules(
 )
 
 
+START_NS = 200 * MS  # when robots begin to move
+RADIO_NS = 60 * MS  # from a transmission until robots do what they were sent
+FRAME_NS = 10 * MS
+
+
 def on_grid(value, step):
     return step * round(value / step) if step else value
 
 
+class Measured(NamedTuple):
+    """A pose as a robot has measured it, and when."""
+
+    time_ns: int
+    pose: Pose
+
+
+class MeasuringRobot:
+    """Stands for a robot that measures its own pose every millisecond, on the grid of `sight`, as
+    long as it `measures`. The host has each pose `late_ns` after it was measured."""
+
+    def __init__(self, pose, sight, late_ns):
+        self.pose = pose
+        self.sight = sight
+        self.late_ns = late_ns
+        self.measures = True
+        self.measured = []
+
+    def move(self, speed, turning):
+        """Drive for a millisecond."""
+        heading = self.pose.heading + turning / 1000
+        x = self.pose.x + speed * math.cos(heading) / 1000
+        y = self.pose.y + speed * math.sin(heading) / 1000
+        self.pose = Pose(x, y, heading)
+
+    def measure(self, now_ns):
+        if self.measures:
+            x = on_grid(self.pose.x, self.sight.grid_mm)
+            y = on_grid(self.pose.y, self.sight.grid_mm)
+            heading = on_grid(self.pose.heading, self.sight.grid_rad)
+            self.measured.append(Measured(now_ns, Pose(x, y, heading)))
+
+    def newest(self, now_ns):
+        """The newest pose that the host has, or the first one until it has any."""
+        arrived = [row for row in self.measured if row.time_ns <= now_ns - self.late_ns]
+        return arrived[-1] if arrived else self.measured[0]
+
+
 class Mat:
-    """Stands for two robots that do what they are sent 60 ms later and measure their own poses,
-    `late` [ns] before the frame, on the grid of `sight`. Their turning rates swing up to `swing`
-    [rad/s]. They begin to move after 200 ms.
+    """Stands for a mat on which two robots measure their poses, `late` [ns] before each frame, and
+    for a host that drives them at `speed` [mm/s] and lets their turning rates swing up to `swing`
+    [rad/s]. `held` are the poses of the last frame; while it is `frozen`, frames repeat them.
     """
 
     def __init__(self, rules=RULES, late=(0, 0), sight=MAT, swing=6.0, speed=100.0):
         self.guard = Guard(rules)
-        self.late = late
-        self.sight = sight
-        self.swing = swing
+        self.robots = [
+            MeasuringRobot(Pose(500.0, 500.0, 0.3), sight, late[0]),
+            MeasuringRobot(Pose(1500.0, 500.0, -2.0), sight, late[1]),
+        ]
         self.speed = speed
-        self.now = 0
-        self.number = 0
-        self.x = [500.0, 1500.0]
-        self.y = [500.0, 500.0]
-        self.heading = [0.3, -2.0]
-        self.seen: list[list[tuple[int, Pose]]] = [[], []]  # all that each has measured
-        self.held: list[tuple[int, Pose]] = []  # what the last frame shows
+        self.swing = swing
+        self.now_ns = 0
+        self.held = []
         self.frozen = False
-        self.repeats = 0
+        self.repeats = 0  # number of frames in which green's pose is that of the frame before
+        self.ruling = None
 
-    def rates(self, time_ns):
+    def turning(self, time_ns):
+        """The turning rates that are sent at a time [rad/s]."""
         t = time_ns / SECOND
-        return self.speed, [self.swing * math.sin(3 * t), -self.swing * math.cos(2 * t)]
+        return [self.swing * math.sin(3 * t), -self.swing * math.cos(2 * t)]
 
     def go(self, seconds):
-        """Drive for a time, with a frame every 10 ms."""
+        """Drive for a time; returns the guard."""
         for _ in range(round(seconds * 1000)):
-            self.now += MS
-            for i in range(2):
-                v, w = self.rates(self.now - 60 * MS)
-                if self.now > 200 * MS:
-                    self.heading[i] += w[i] / 1000
-                    self.x[i] += v * math.cos(self.heading[i]) / 1000
-                    self.y[i] += v * math.sin(self.heading[i]) / 1000
-                step = self.sight.grid_mm
-                turn = self.sight.grid_rad
-                place = on_grid(self.x[i], step), on_grid(self.y[i], step)
-                self.seen[i].append((self.now, Pose(*place, on_grid(self.heading[i], turn))))
-            if self.now % (10 * MS) == 0:
+            self.now_ns += MS
+            turning = self.turning(self.now_ns - RADIO_NS)
+            for robot, rate in zip(self.robots, turning, strict=True):
+                if self.now_ns > START_NS:
+                    robot.move(self.speed, rate)
+                robot.measure(self.now_ns)
+            if self.now_ns % FRAME_NS == 0:
                 self.frame()
         return self.guard
 
     def frame(self):
-        poses_at = []
-        for measured, late in zip(self.seen, self.late, strict=True):
-            arrived = [row for row in measured if row[0] <= self.now - late] or measured[:1]
-            poses_at.append(arrived[-1])
-        if self.frozen:
-            poses_at = [(at, pose) for (at, _), (_, pose) in zip(poses_at, self.held, strict=True)]
-        else:
-            if self.held and self.held[0][1] == poses_at[0][1]:
-                self.repeats += 1
-            self.held = poses_at
-        self.number += 1
-        times = tuple(at for at, _ in poses_at)
-        own = times if any(self.late) else ()
-        poses = tuple(pose for _, pose in poses_at)
-        self.guard.check_frame(CameraFrame(self.number, self.now, self.now, poses, exposed_ns=own))
-        if self.guard.state is GuardState.PREFLIGHT and self.number == 10:
+        """Show the guard a frame, begin the run at the tenth, and drive on."""
+        number = self.now_ns // FRAME_NS
+        poses, times_ns = self.shown()
+        own_times_ns = times_ns if any(robot.late_ns for robot in self.robots) else ()
+        self.guard.check_frame(
+            CameraFrame(number, self.now_ns, self.now_ns, poses, exposed_ns=own_times_ns)
+        )
+        if self.guard.state is GuardState.PREFLIGHT and number == 10:
             self.guard.pass_preflight()
-            self.guard.start_run(self.now)
-        if self.now > 140 * MS:
-            v, w = self.rates(self.now)
-            self.guard.note_transmission(self.now, [v, v], w)
-            self.guard.note_direction(self.now)
-        self.ruling = self.guard.decide(self.now)
+            self.guard.start_run(self.now_ns)
+        if self.now_ns > START_NS - RADIO_NS:
+            speeds = [self.speed, self.speed]
+            self.guard.note_transmission(self.now_ns, speeds, self.turning(self.now_ns))
+            self.guard.note_direction(self.now_ns)
+        self.ruling = self.guard.decide(self.now_ns)
+
+    def shown(self):
+        """The poses of a frame, and their times [ns]."""
+        newest = [robot.newest(self.now_ns) for robot in self.robots]
+        if not self.frozen:
+            green = newest[0].pose
+            if self.held and self.held[0].pose == green:
+                self.repeats += 1
+            self.held = newest
+        poses = tuple(row.pose for row in self.held)
+        times_ns = tuple(row.time_ns for row in newest)
+        return poses, times_ns
 
 
 def test_poses_on_a_grid_repeat_and_their_robots_are_not_lost():
@@ -114,21 +156,25 @@ def test_poses_on_a_grid_repeat_and_their_robots_are_not_lost():
     assert guard.state is GuardState.RUN, guard.reason
     assert guard.refusals == 0
     assert mat.repeats > 100
-    blind = Mat(replace(RULES, sight=Sight()), swing=0.5, speed=60.0)
-    assert blind.go(6.0).refusals > 100  # a camera that says nothing of its grid
+
+
+def test_poses_that_repeat_are_refused_where_nothing_is_said_of_a_grid():
+    mat = Mat(replace(RULES, sight=Sight()), swing=0.5, speed=60.0)
+    assert mat.go(6.0).refusals > 100
 
 
 def test_poses_that_stay_for_longer_than_a_step_takes_are_refused():
     mat = Mat(swing=0.5, speed=60.0)
     mat.go(2.0)
     mat.frozen = True
-    began = mat.now
+    frozen_ns = mat.now_ns
     while not mat.guard.refused[0]:
         mat.go(0.01)
     assert mat.guard.refused[0] == REPEATS
-    way_mm = math.sqrt(2) * 1.36 + SLACK_S * RULES.speeds[0]
+    diagonal_mm = math.sqrt(2) * MAT.grid_mm
+    way_mm = diagonal_mm + SLACK_S * RULES.speeds[0]
     step_ms = 1000 * way_mm / (60.0 * (1 - LabLimits().wheel_error))
-    assert step_ms - 20 < (mat.now - began) / MS < step_ms + 30
+    assert step_ms - 20 < (mat.now_ns - frozen_ns) / MS < step_ms + 30
     assert mat.go(0.5).state is GuardState.ABORT
 
 
@@ -145,26 +191,21 @@ def test_poses_30_ms_apart_do_not_abort_robots_that_turn_at_6_rad_s(sight):
 def test_a_pose_is_brought_to_the_time_of_its_frame():
     mat = Mat(late=(0, 30 * MS), sight=Sight(), swing=4.0)
     mat.go(3.0)
-    off = [
-        abs(math.remainder(pose.heading - true, math.tau))
-        for pose, true in zip(mat.ruling.poses, mat.heading, strict=True)
-    ]
-    assert off[0] == pytest.approx(0.0, abs=1e-9)
-    late = abs(mat.heading[1] - mat.held[1][1].heading)
-    assert off[1] < 0.02 < 0.05 < late
+    green, blue = (robot.pose for robot in mat.robots)
+    green_ruled, blue_ruled = mat.ruling.poses
+
+    def off(pose, true_pose):
+        return abs(math.remainder(pose.heading - true_pose.heading, math.tau))
+
+    assert off(green_ruled, green) == pytest.approx(0.0, abs=1e-9)
+    assert off(mat.held[1].pose, blue) > 0.05
+    assert off(blue_ruled, blue) < 0.02
 
 
 def test_a_robot_whose_own_times_stand_still_is_lost_though_its_pose_is_repeated():
     mat = Mat(late=(0, MS))
     mat.go(2.0)
-    mat.seen[1] = mat.seen[1][:-1]
-    keep = list(mat.seen[1])
-
-    class Stays(list):
-        def append(self, item):
-            pass
-
-    mat.seen[1] = Stays(keep)
+    mat.robots[1].measures = False
     guard = mat.go(0.4)
     assert guard.state is GuardState.ABORT
     assert guard.reason.startswith("blue is not tracked")
@@ -174,28 +215,38 @@ def test_a_pose_that_is_refused_leaves_the_time_of_the_pose_before():
     """Regression: the old pose was logged with the new one's time, which went back later."""
     mat = Mat(late=(0, 30 * MS))
     guard = mat.go(1.0)
-    held_ns = mat.held[0][0]
-    now = mat.now + 10 * MS
-    for i, pose in enumerate((Pose(9e3, 9e3, 0.0), None)):
-        own_times = (now + i * MS, now)
+    green, blue = mat.held
+    now_ns = mat.now_ns + FRAME_NS
+    far_outside = Pose(9e3, 9e3, 0.0)
+    for i, pose in enumerate((far_outside, None)):
+        own_times_ns = (now_ns + i * MS, now_ns)
         frame = CameraFrame(
-            10**6 + i, max(own_times), now + MS, (pose, mat.held[1][1]), exposed_ns=own_times
+            number=10**6 + i,
+            sampled_ns=max(own_times_ns),
+            received_ns=now_ns + MS,
+            poses=(pose, blue.pose),
+            exposed_ns=own_times_ns,
         )
-        assert guard.check_frame(frame).exposed_ns == (held_ns, now)
+        assert guard.check_frame(frame).exposed_ns == (green.time_ns, now_ns)
 
 
 def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_the_next():
     """Frames with another robot's poses repeat it; 60 ms later the run ends for what it did."""
     mat = Mat(late=(0, 30 * MS))
     guard = mat.go(1.0)
-    green, blue = (pose for _, pose in mat.held)
+    green, blue = (row.pose for row in mat.held)
     sideways = replace(green, y=green.y + 14.0)
-    now = mat.now + 10 * MS
+    now_ns = mat.now_ns + FRAME_NS
 
     def show(after_ns):
-        own_times = (now, now + after_ns)
+        """Green's pose of `now_ns` with one of blue that is newer."""
+        own_times_ns = (now_ns, now_ns + after_ns)
         frame = CameraFrame(
-            10**6 + after_ns, max(own_times), now + 100 * MS, (sideways, blue), exposed_ns=own_times
+            number=10**6 + after_ns,
+            sampled_ns=max(own_times_ns),
+            received_ns=now_ns + 100 * MS,
+            poses=(sideways, blue),
+            exposed_ns=own_times_ns,
         )
         return guard.check_frame(frame)
 
@@ -204,14 +255,20 @@ def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_th
     assert guard.refusals == 1
     fault = guard.refused[0]
     show(60 * MS)
-    assert guard.decide(now + 60 * MS).reason == f"green {fault}"
+    assert guard.decide(now_ns + 60 * MS).reason == f"green {fault}"
 
 
 def test_the_spread_of_a_grid_is_uniform():
     values = np.random.default_rng(1).uniform(0, 100, 100_000)
-    errors = 1.36 * np.round(values / 1.36) - values
+    errors = MAT.grid_mm * np.round(values / MAT.grid_mm) - values
     assert MAT.spread[0] == pytest.approx(errors.std(), rel=0.02)
-    assert Sight(noise_mm=3.0, grid_mm=1.36).spread[0] == pytest.approx(math.hypot(3, 0.3926), 1e-3)
+
+
+def test_the_spread_is_of_the_noise_and_of_the_grid():
+    """A uniform error of a step d has the standard deviation d / sqrt(12)."""
+    noisy = Sight(noise_mm=3.0, grid_mm=1.36)
+    assert noisy.spread[0] == pytest.approx(math.hypot(3.0, 1.36 / math.sqrt(12)))
+    assert noisy.coarse
     assert not Sight(noise_mm=3.0).coarse
 
 
@@ -220,8 +277,9 @@ def test_a_camera_that_is_slower_than_it_says_causes_a_warning(declared_hz, warn
     setup = replace(experiment().setup, sight=Sight(rate_hz=declared_hz))
     lab = fake_lab(setup)
     lab.plant.open()
-    texts = [note.text for note in lab.plant.news() if isinstance(note, Note)]
-    assert len([text for text in texts if "frames a second come instead of 200" in text]) == warned
+    notes = [note for note in lab.plant.news() if isinstance(note, Note)]
+    warnings = [note for note in notes if "frames a second come instead of 200" in note.text]
+    assert len(warnings) == warned
 
 
 def test_a_pose_that_is_later_than_its_frame_stops_the_robots():

@@ -59,6 +59,9 @@ def test_stuffing_as_in_its_paper(payload, stuffed):
     assert cobs.encode(bytes.fromhex(payload)) == bytes.fromhex(stuffed)
 
 
+CUTS = st.lists(st.integers(0, 100), max_size=10)
+
+
 @given(st.binary(max_size=cobs.FRAME_MAX))
 def test_stuffing_round_trips(payload):
     frame = cobs.encode(payload)
@@ -69,8 +72,9 @@ def test_stuffing_round_trips(payload):
 
 def test_the_documented_bytes_are_those_sent():
     page = (ROOT / "docs" / "reference" / "wires.md").read_text()
+    words = " ".join(page.split())
     frame = broadcast.encode_command(ROBOTS)
-    assert frame.hex(" ").upper() in " ".join(page.split())
+    assert frame.hex(" ").upper() in words
     assert len(frame) == 14
 
 
@@ -121,19 +125,19 @@ def test_bad_messages_with_a_good_crc_are_refused(decode, payload):
         decode(cobs.frame_with_crc(bytes.fromhex(payload))[:-1])
 
 
-@given(st.lists(robot_replies, max_size=6), st.lists(st.integers(0, 100), max_size=10), st.binary())
+@given(sent=st.lists(robot_replies, max_size=6), cuts=CUTS, garbage=st.binary())
 def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
+    """Garbage ends with a zero, as frames do, and so may give a frame before those sent."""
     head = garbage.replace(b"\0", b"") + b"\0"
     stream = head + b"".join(map(packed_reply, sent))
+    places = [cut % len(stream) for cut in cuts]
+    edges = sorted({0, len(stream), *places})
     splitter = cobs.Splitter()
-    edges = sorted({0, len(stream), *(cut % len(stream) for cut in cuts)})
-    frames = [
-        frame
-        for start, stop in itertools.pairwise(edges)
-        for frame in splitter.feed(stream[start:stop])
-    ]
-    replies = [broadcast.decode_reply(frame) for frame in frames[len(frames) - len(sent) :]]
-    assert replies == sent
+    frames = []
+    for start, stop in itertools.pairwise(edges):
+        frames += splitter.feed(stream[start:stop])
+    of_those_sent = frames[len(frames) - len(sent) :]
+    assert [broadcast.decode_reply(frame) for frame in of_those_sent] == sent
 
 
 def test_headings_are_predicted_over_a_tenth_of_a_second_at_most():

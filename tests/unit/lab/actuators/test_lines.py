@@ -17,12 +17,13 @@ from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.cobs import Flag
 
 numbers = st.integers(-5000, 5000)
+of_one_robot = st.tuples(st.integers(0, 31), numbers, numbers)
 commands = st.builds(
     LineCommand,
     st.sampled_from("TW"),
     st.integers(0, 255),
     st.sampled_from([Flag(n) for n in range(8)]),
-    st.lists(st.tuples(st.integers(0, 31), numbers, numbers), max_size=16).map(tuple),
+    st.lists(of_one_robot, max_size=16).map(tuple),
 )
 counts = st.integers(0, 65535)
 replies = st.builds(

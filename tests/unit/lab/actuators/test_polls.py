@@ -41,7 +41,8 @@ def linked(port_of, answers):
         ports[name] = RobotsPort(heard, answers[name])
         return ports[name]
 
-    link = TwistLink("T", range(len(port_of)), port_of, 57600, VirtualClock(), make)
+    numbers = range(len(port_of))
+    link = TwistLink("T", numbers, port_of, 57600, VirtualClock(), make)
     link.open()
     return link, ports
 

@@ -1,3 +1,5 @@
+"""Frames of an XBee radio in the stream of a serial port."""
+
 import itertools
 
 import pytest
@@ -25,10 +27,19 @@ VECTORS = [  # of the XBee manual
         "7E 00 16 10 01 00 7D 33 A2 00 40 0A 01 27 FF FE 00 00 54 78 44 61 74 61 30 41 7D 33",
     ),
 ]
-contents = st.binary(min_size=1, max_size=CONTENT_MAX) | st.lists(
-    st.sampled_from([0x7E, 0x7D, 0x11, 0x13, 0x5E, 0x00]), min_size=1, max_size=40
-).map(bytes)
-quiet = st.binary(max_size=30).map(lambda raw: raw.replace(b"\x7e", b""))  # starts no frame
+SPECIAL_BYTES = st.sampled_from([0x7E, 0x7D, 0x11, 0x13, 0x5E, 0x00])
+SPECIAL_CONTENTS = st.lists(SPECIAL_BYTES, min_size=1, max_size=40).map(bytes)
+CONTENTS = st.binary(min_size=1, max_size=CONTENT_MAX) | SPECIAL_CONTENTS
+GARBAGE = st.binary(max_size=60)
+QUIET = st.binary(max_size=30).map(lambda raw: raw.replace(b"\x7e", b""))
+"""Garbage in which no frame starts."""
+QUIET_PARTS = st.lists(st.tuples(QUIET, CONTENTS), max_size=5)
+CUTS = st.lists(st.integers(0, 1000), max_size=9)
+
+
+def stream_of(parts):
+    """The bytes of frames with these contents, each behind its garbage."""
+    return b"".join(garbage + encode(content) for garbage, content in parts)
 
 
 @pytest.mark.parametrize(("content", "text"), VECTORS)
@@ -47,9 +58,15 @@ def test_documented_vectors(content, text):
     ],
 )
 def test_data_is_read_from_every_frame_in_which_a_module_reports_it(head):
-    assert received(bytes.fromhex(head) + b"TxData") == b"TxData"
-    assert all(not received(bytes.fromhex(head)[:size]) for size in range(1, len(head.split()) + 1))
-    assert received(b"\x8a\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0") == b""
+    head_bytes = bytes.fromhex(head)
+    assert received(head_bytes + b"TxData") == b"TxData"
+    for size in range(1, len(head_bytes) + 1):
+        assert not received(head_bytes[:size])
+
+
+def test_a_frame_of_another_kind_reports_no_data():
+    modem_status = b"\x8a" + bytes(18)
+    assert received(modem_status) == b""
 
 
 def test_answers_to_requests():
@@ -59,26 +76,27 @@ def test_answers_to_requests():
     assert answered(b"\x81\0\1\0\0") is None
 
 
-@given(st.lists(st.tuples(quiet, contents), max_size=5), st.lists(st.integers(0, 1000), max_size=9))
+@given(QUIET_PARTS, CUTS)
 def test_garbage_between_frames_is_dropped_and_counted(parts, cuts):
     decoder = Decoder()
     decoded = []
-    stream = b"".join(garbage + encode(content) for garbage, content in parts)
-    edges = sorted({0, len(stream), *(cut % (len(stream) + 1) for cut in cuts)})
+    stream = stream_of(parts)
+    places = [cut % (len(stream) + 1) for cut in cuts]
+    edges = sorted({0, len(stream), *places})
     for start, stop in itertools.pairwise(edges):
         decoded += decoder.feed(stream[start:stop])
     assert decoded == [content for _, content in parts]
     assert decoder.dropped_bytes == sum(len(garbage) for garbage, _ in parts)
 
 
-@given(st.lists(st.tuples(st.binary(max_size=60), contents), max_size=4))
+@given(st.lists(st.tuples(GARBAGE, CONTENTS), max_size=4))
 def test_frames_are_found_behind_any_garbage(parts):
-    decoded = Decoder().feed(b"".join(garbage + encode(content) for garbage, content in parts))
+    decoded = Decoder().feed(stream_of(parts))
     rest = iter(decoded)  # garbage may happen to be a frame as well
     assert all(content in rest for _, content in parts)
 
 
-@given(content=contents, place=st.integers(1, 1000), bit=st.integers(0, 7))
+@given(content=CONTENTS, place=st.integers(1, 1000), bit=st.integers(0, 7))
 def test_a_flipped_bit_never_gives_a_wrong_frame(content, place, bit):
     raw = bytearray(encode(content))
     place = max(3, place % len(raw))  # content or checksum: a length may cut a shorter frame out
@@ -89,8 +107,9 @@ def test_a_flipped_bit_never_gives_a_wrong_frame(content, place, bit):
 @pytest.mark.parametrize("torn", ["7E", "7E 00", "7E 00 03", "7E 00 03 89 7D", "7E 00 7D", "7D"])
 def test_a_frame_behind_a_torn_one_is_found(torn):
     decoder = Decoder()
-    assert decoder.feed(bytes.fromhex(torn) + encode(b"\x89\1\0")) == [b"\x89\1\0"]
-    assert decoder.dropped_bytes == len(bytes.fromhex(torn))
+    torn_bytes = bytes.fromhex(torn)
+    assert decoder.feed(torn_bytes + encode(b"\x89\1\0")) == [b"\x89\1\0"]
+    assert decoder.dropped_bytes == len(torn_bytes)
 
 
 def test_a_frame_with_a_wrong_checksum_is_dropped_whole():

@@ -49,7 +49,8 @@ def test_no_hardware_is_of_two_families():
 def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():
     master, slave = pty.openpty()
     tty.setraw(slave)
-    link = Link(XbeeSection(port=os.ttyname(slave)), MonotonicClock())
+    section = XbeeSection(port=os.ttyname(slave))
+    link = Link(section, MonotonicClock())
     try:
         link.open(checked=False)
         with pytest.raises(AbortError, match="the radio is stuck"):

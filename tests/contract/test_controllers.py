@@ -59,18 +59,19 @@ def targets_of(fields):
 def drive(fields, steps, key=7):
     """Let the controller drive a simulation; what it saw and what it decided."""
     spec = experiment_of(fields)
-    plant, controller = sim(spec), make(fields, key)
+    plant = sim(spec)
+    controller = make(fields, key)
     plant.open()
-    found = []
+    decisions = []
     for k in range(steps):
         observation = plant.observe()
         decision = controller.plan(observation)
-        found.append((observation, decision))
+        decisions.append((observation, decision))
         if isinstance(decision, Outcome):
             break
         plant.send(decision.action)
         plant.clock.sleep_until((k + 1) * SECOND // 5)
-    return found
+    return decisions
 
 
 def test_mpc_states_the_cost_of_its_problem(mpc_fields):
@@ -100,9 +101,10 @@ def short(experiment):
 def test_what_is_logged_is_verified_without_knowing_the_controller(fields, tmp_path):
     spec = LoadedSpec(short(experiment_of(fields)), "", "s.yaml")
     run_trial(spec, tmp_path, 0, (), Interrupt())
-    found = verify(log_path(tmp_path, 0))
-    assert (found.problems, found.checked) == ((), 4)
-    assert recompute(read_trial(log_path(tmp_path, 0)), search_again=False).difference is None
+    path = log_path(tmp_path, 0)
+    verification = verify(path)
+    assert (verification.problems, verification.checked) == ((), 4)
+    assert recompute(read_trial(path), search_again=False).difference is None
 
 
 def test_poses_that_are_no_numbers_are_refused(fields):
@@ -122,13 +124,14 @@ def test_one_robot_or_five_are_steered_too(fields):
             for i in range(count)
         ]
         spec = experiment_of(fields, robots=robots, obstacles=[])
-        starts = [[*robot.start, robot.heading] for robot in spec.robots]
-        plan = build_controller(spec, 1).plan(seen(np.array(starts)))
+        starts = np.array([[*robot.start, robot.heading] for robot in spec.robots])
+        plan = build_controller(spec, 1).plan(seen(starts))
         assert isinstance(plan, Plan)
         assert plan.path.shape[1] == count
 
 
 def test_steps_bring_the_robots_nearer(fields):
     targets = targets_of(fields)[:, :2]
-    gaps = [np.hypot(*(seen.poses.xy - targets).T).sum() for seen, _ in drive(fields, 12)]
+    observations = [observation for observation, _ in drive(fields, 12)]
+    gaps = [np.hypot(*(o.poses.xy - targets).T).sum() for o in observations]
     assert gaps[-1] < gaps[0]

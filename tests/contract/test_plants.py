@@ -2,6 +2,7 @@
 
 import itertools
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from support.geometry import gap
 from support.plants import RIGS
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import FieldOff, Steer, Stop, Turn
+from tetractl.core.commands import FieldOff, Steer, Stop, Turn, Verdict
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import wrap
 
@@ -44,13 +45,25 @@ def opened(rig):
         rig.plant.close()
 
 
+@dataclass(frozen=True)
+class Driven:
+    """All that came out of a plant that was driven and stopped, in order."""
+
+    observations: list
+    commands: list
+    samples: list
+    verdict: Verdict
+
+
 def drive(rig, directions, period=PERIOD):
-    """Open, steer, stop, settle, close; everything that came out, in order."""
-    seen, commands, samples = [], [], []
+    """Open, steer, stop, settle, close; everything that came out."""
+    observations = []
+    commands = []
+    samples = []
     rig.plant.open()
     began = rig.clock.now()
     for k, direction in enumerate(directions, start=1):
-        seen.append(rig.plant.observe())
+        observations.append(rig.plant.observe())
         commands.append(rig.plant.send(Steer(direction)))
         samples += rig.plant.samples()
         rig.clock.sleep_until(began + k * period)
@@ -58,7 +71,29 @@ def drive(rig, directions, period=PERIOD):
     verdict = rig.plant.settle()
     samples += rig.plant.samples()
     rig.plant.close()
-    return seen, commands, samples, verdict
+    return Driven(observations, commands, samples, verdict)
+
+
+def wait(rig, duration_ns):
+    rig.clock.sleep_until(rig.clock.now() + duration_ns)
+
+
+def starts_of(rig):
+    return np.array([robot.start for robot in rig.spec.robots])
+
+
+def ways(before, after):
+    """How far each robot is from where it was."""
+    return np.hypot(*(after.xy - before.xy).T)
+
+
+def bits(poses):
+    return poses.array().tobytes()
+
+
+def greatest_difference(poses, others):
+    differences = poses.array() - others.array()
+    return np.abs(differences).max()
 
 
 DIRECTIONS = (0.5, -2.0, 3.1, 0.0, -1.0)
@@ -75,25 +110,25 @@ def test_open_tells_what_the_plant_is(make):
 def test_the_first_frame_is_there_when_open_returns(make):
     rig = make(1)
     with opened(rig):
-        seen = rig.plant.observe()
-        count = len(rig.spec.robots)
-        for column in (seen.poses.x, seen.poses.y, seen.poses.heading, seen.valid):
-            assert column.shape == (count,)
-        starts = np.array([robot.start for robot in rig.spec.robots])
-        assert np.abs(seen.poses.xy - starts).max() <= rig.true_to
+        observation = rig.plant.observe()
+        poses = observation.poses
+        for column in (poses.x, poses.y, poses.heading, observation.valid):
+            assert column.shape == (len(rig.spec.robots),)
+        assert np.abs(observation.poses.xy - starts_of(rig)).max() <= rig.true_to
 
 
 def test_an_observation_is_never_of_the_future_and_never_goes_back(make):
     rig = make(1)
     with opened(rig):
-        began, first = rig.clock.now(), rig.plant.observe().frame
+        began = rig.clock.now()
+        first = rig.plant.observe().frame
         frame = first
         for k in range(1, 30):
             rig.clock.sleep_until(began + k * SECOND // 37)
-            seen = rig.plant.observe()
-            assert seen.sampled_ns <= seen.received_ns <= rig.clock.now()
-            assert seen.frame >= frame
-            frame = seen.frame
+            observation = rig.plant.observe()
+            assert observation.sampled_ns <= observation.received_ns <= rig.clock.now()
+            assert observation.frame >= frame
+            frame = observation.frame
         assert frame > first
 
 
@@ -101,15 +136,16 @@ def test_observing_twice_at_one_instant_gives_the_same(make):
     rig = make(1)
     with opened(rig):
         rig.plant.send(Steer(1.0))
-        rig.clock.sleep_until(rig.clock.now() + PERIOD)
-        one, two = rig.plant.observe(), rig.plant.observe()
-        assert one.frame == two.frame
-        assert one.poses.array().tobytes() == two.poses.array().tobytes()
+        wait(rig, PERIOD)
+        observation = rig.plant.observe()
+        again = rig.plant.observe()
+        assert again.frame == observation.frame
+        assert bits(again.poses) == bits(observation.poses)
 
 
 def test_samples_come_once_each_in_order_at_camera_rate(make):
     rig = make(1)
-    *_, samples, _ = drive(rig, DIRECTIONS)
+    samples = drive(rig, DIRECTIONS).samples
     frames = [sample.observation.frame for sample in samples]
     assert frames == list(range(frames[0], frames[0] + len(frames)))
     times = np.array([sample.observation.sampled_ns for sample in samples])
@@ -120,16 +156,16 @@ def test_samples_come_once_each_in_order_at_camera_rate(make):
 
 def test_what_is_observed_is_among_the_samples(make):
     rig = make(1)
-    seen, _, samples, _ = drive(rig, DIRECTIONS)
-    by_frame = {sample.observation.frame: sample.observation for sample in samples}
-    for observation in seen:
+    driven = drive(rig, DIRECTIONS)
+    by_frame = {sample.observation.frame: sample.observation for sample in driven.samples}
+    for observation in driven.observations:
         sampled = by_frame[observation.frame]
-        assert sampled.poses.array().tobytes() == observation.poses.array().tobytes()
+        assert bits(sampled.poses) == bits(observation.poses)
 
 
 def test_commands_say_what_was_sent(make):
     rig = make(1)
-    _, commands, *_ = drive(rig, DIRECTIONS)
+    commands = drive(rig, DIRECTIONS).commands
     assert [command.direction for command in commands] == [*DIRECTIONS, None]
     assert [command.sent_ns for command in commands] == sorted(c.sent_ns for c in commands)
     for command in commands:
@@ -146,17 +182,15 @@ def test_commands_say_what_was_sent(make):
 def test_robots_stand_until_they_are_steered(make):
     rig = make(1)
     with opened(rig):
-        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        wait(rig, PERIOD)
         last = rig.plant.observe()
-        starts = np.array([robot.start for robot in rig.spec.robots])
-        assert np.abs(last.poses.xy - starts).max() <= rig.true_to
+        assert np.abs(last.poses.xy - starts_of(rig)).max() <= rig.true_to
 
 
 def test_robots_move_when_steered(make):
     rig = make(1)
-    *_, verdict = drive(rig, DIRECTIONS * 3)
-    starts = np.array([robot.start for robot in rig.spec.robots])
-    assert np.hypot(*(verdict.final.xy - starts).T).max() > 10
+    verdict = drive(rig, DIRECTIONS * 3).verdict
+    assert np.hypot(*(verdict.final.xy - starts_of(rig)).T).max() > 10
 
 
 def test_robots_go_straight_on_with_the_field_off_where_it_can_be_switched(make):
@@ -167,15 +201,15 @@ def test_robots_go_straight_on_with_the_field_off_where_it_can_be_switched(make)
             with pytest.raises(AbortError):
                 rig.plant.send(FieldOff())
             return
-        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        wait(rig, PERIOD)
         sent = rig.plant.send(FieldOff())
         assert (sent.action, sent.stops) == (FieldOff(), False)
         if rig.spec.wheels and "drive" not in rig.spec.plant.model_fields_set:
             assert sent.left.tolist() == sent.right.tolist() == rig.spec.setup.speed.tolist()
-        rig.clock.sleep_until(rig.clock.now() + PERIOD)  # any dead time has passed
+        wait(rig, PERIOD)  # any dead time has passed
         rig.plant.observe()
         before = rig.plant.poses.array()
-        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        wait(rig, PERIOD)
         rig.plant.observe()
         after = rig.plant.poses.array()
         moved = after - before
@@ -189,9 +223,9 @@ def test_stop_is_idempotent(make):
     rig = make(1)
     rig.plant.open()
     rig.plant.send(Steer(1.0))
-    rig.clock.sleep_until(rig.clock.now() + PERIOD)
+    wait(rig, PERIOD)
     first = rig.plant.stop()
-    rig.clock.sleep_until(rig.clock.now() + PERIOD)
+    wait(rig, PERIOD)
     second = rig.plant.stop()
     assert first.direction is None
     assert (second.direction, second.sent_ns) == (None, first.sent_ns)
@@ -203,22 +237,25 @@ def test_stop_is_idempotent(make):
 
 def test_robots_stand_in_a_pause_and_drive_on_with_the_next_direction(make):
     rig = make(1)
+
+    def steer():
+        for _ in range(6):
+            assert not rig.plant.send(Steer(1.5)).stops  # clear of obstacles
+            wait(rig, PERIOD)
+
+    def ways_in_a_period():
+        before = rig.plant.observe().poses
+        wait(rig, PERIOD)
+        return ways(before, rig.plant.observe().poses)
+
     with opened(rig):
-        for direction in (1.5, None, 1.5):  # clear of obstacles
-            if direction is None:
-                assert rig.plant.send(Stop()).stops
-                rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
-            for _ in range(0 if direction is None else 6):
-                assert not rig.plant.send(Steer(direction)).stops
-                rig.clock.sleep_until(rig.clock.now() + PERIOD)
-            before = rig.plant.observe()
-            rig.clock.sleep_until(rig.clock.now() + PERIOD)
-            after = rig.plant.observe()
-            way = np.hypot(*(after.poses.xy - before.poses.xy).T)
-            if direction is None:
-                assert way.max() <= 2 * rig.true_to + 1e-6
-            else:
-                assert way.min() > 5
+        steer()
+        assert ways_in_a_period().min() > 5
+        assert rig.plant.send(Stop()).stops
+        wait(rig, SECOND // 2)
+        assert ways_in_a_period().max() <= 2 * rig.true_to + 1e-6
+        steer()
+        assert ways_in_a_period().min() > 5
 
 
 def test_robots_on_wheels_turn_on_the_spot_in_a_pause(make):
@@ -227,18 +264,18 @@ def test_robots_on_wheels_turn_on_the_spot_in_a_pause(make):
         pytest.skip("these robots cannot turn on the spot")
     with opened(rig):
         rig.plant.send(Steer(0.7))
-        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        wait(rig, PERIOD)
         rig.plant.send(Stop())
-        rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
+        wait(rig, SECOND // 2)
         before = rig.plant.observe().poses
         facing = float(before.heading[0]) + 1.0
         for _ in range(4):
             turned = rig.plant.send(Turn(facing))
             assert turned.stops
             assert turned.action == Turn(facing)
-            rig.clock.sleep_until(rig.clock.now() + PERIOD)
+            wait(rig, PERIOD)
         rig.plant.send(Stop())
-        rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
+        wait(rig, SECOND // 2)
         after = rig.plant.observe().poses
         assert before.distances(after.xy).max() < 25 + 2 * rig.true_to  # a flow carries some
         off = np.abs([wrap(facing - poses.heading) for poses in (before, after)])
@@ -257,30 +294,30 @@ def test_robots_stand_after_settle(make):
     rig = make(1)
     rig.plant.open()
     rig.plant.send(Steer(0.7))
-    rig.clock.sleep_until(rig.clock.now() + PERIOD)
+    wait(rig, PERIOD)
     rig.plant.send(Steer(-1.5))  # with a dead time, still under way when the stop is sent
     rig.plant.stop()
     verdict = rig.plant.settle()
     rig.plant.samples()
-    rig.clock.sleep_until(rig.clock.now() + PERIOD)
+    wait(rig, PERIOD)
     resting = [sample.truth or sample.observation.poses for sample in rig.plant.samples()]
     assert resting
     for poses in resting:
-        assert np.abs(poses.array() - verdict.final.array()).max() <= rig.true_to
+        assert greatest_difference(poses, verdict.final) <= rig.true_to
     rig.plant.close()
 
 
 def test_the_verdict_is_of_the_path(make):
     rig = make(1)
-    *_, samples, verdict = drive(rig, DIRECTIONS * 3)
+    driven = drive(rig, DIRECTIONS * 3)
+    verdict = driven.verdict
+    path = [sample.truth or sample.observation.poses for sample in driven.samples]
     count = len(rig.spec.robots)
     assert len(verdict.entered) == len(verdict.clearance) == count
-    last = samples[-1].truth or samples[-1].observation.poses
-    assert np.abs(last.xy - verdict.final.xy).max() <= rig.true_to
+    assert np.abs(path[-1].xy - verdict.final.xy).max() <= rig.true_to
     for i in range(count):
         assert verdict.entered[i] == (verdict.clearance[i] <= 0)
-        for sample in samples:
-            poses = sample.truth or sample.observation.poses
+        for poses in path:
             nearest = min(gap(thing, poses.x[i], poses.y[i]) for thing in rig.spec.obstacles)
             assert verdict.clearance[i] <= nearest + rig.true_to
 
@@ -288,11 +325,12 @@ def test_the_verdict_is_of_the_path(make):
 def test_a_plant_in_virtual_time_repeats_itself_by_seed(make):
     def run(seed):
         rig = make(seed)
-        _, commands, samples, verdict = drive(rig, DIRECTIONS)
-        poses = [sample.observation.poses for sample in samples]
-        truths = [sample.truth for sample in samples if sample.truth]
-        numbers = [p.array() for p in (*poses, *truths, verdict.final)]
-        return np.concatenate(numbers).tobytes(), [command.delivered for command in commands]
+        driven = drive(rig, DIRECTIONS)
+        poses = [sample.observation.poses for sample in driven.samples]
+        truths = [sample.truth for sample in driven.samples if sample.truth]
+        numbers = [p.array() for p in (*poses, *truths, driven.verdict.final)]
+        delivered = [command.delivered for command in driven.commands]
+        return np.concatenate(numbers).tobytes(), delivered
 
     assert run(1) == run(1)
     assert (run(1) != run(2)) == make(1).disturbed

@@ -16,6 +16,7 @@ sys.path.insert(0, str(FOLDER.parent))
 
 from support.random_trials import trial, write  # noqa: E402
 
+from tetractl.core.trial import Step  # noqa: E402
 from tetractl.experiment.load import parse_spec  # noqa: E402
 from tetractl.log import provenance  # noqa: E402
 from tetractl.log.format.channels import FORMAT_VERSION  # noqa: E402
@@ -38,6 +39,21 @@ trials: {count: 3, seed: 7}
 """
 
 
+def values_of_step(step: Step) -> dict[str, object]:
+    return {
+        "k": step.k,
+        "frame": step.observation.frame,
+        "signals": step.plan.signals.tolist(),
+        "cost": step.plan.cost,
+        "chosen": step.plan.chosen,
+        "generator": str(step.plan.generator),
+        "evaluations": [search.evaluations for search in step.plan.searches],
+        "histories": [search.history.tolist() for search in step.plan.searches],
+        "path_end": step.plan.path[-1, :, :2].tolist(),
+        "solve_ns": step.solve_ns,
+    }
+
+
 def values(log: TrialLog) -> dict[str, object]:
     """What every later reader must give, as JSON keeps it: floats by their shortest digits."""
     result = log.result
@@ -49,21 +65,7 @@ def values(log: TrialLog) -> dict[str, object]:
         "valid": log.valid.tolist(),
         "truth": None if log.truth is None else log.truth.tolist(),
         "commands": [[c.direction, c.sent_ns, list(c.delivered)] for c in log.commands],
-        "steps": [
-            {
-                "k": step.k,
-                "frame": step.observation.frame,
-                "signals": step.plan.signals.tolist(),
-                "cost": step.plan.cost,
-                "chosen": step.plan.chosen,
-                "generator": str(step.plan.generator),
-                "evaluations": [s.evaluations for s in step.plan.searches],
-                "histories": [s.history.tolist() for s in step.plan.searches],
-                "path_end": step.plan.path[-1, :, :2].tolist(),
-                "solve_ns": step.solve_ns,
-            }
-            for step in log.steps
-        ],
+        "steps": [values_of_step(step) for step in log.steps],
         "result": None
         if result is None
         else [result.outcome.value, result.steps, result.total_error, list(result.robot_errors)],
@@ -75,14 +77,17 @@ def values(log: TrialLog) -> dict[str, object]:
 def main() -> None:
     provenance.environment = lambda: "{}\n"
     name = f"format-{FORMAT_VERSION}"
-    sim, lab, torn = (FOLDER / f"{name}-{kind}" for kind in ("sim.mcap", "lab.mcap", "torn.mcap"))
+    sim = FOLDER / f"{name}-sim.mcap"
+    lab = FOLDER / f"{name}-lab.mcap"
+    torn = FOLDER / f"{name}-torn.mcap"
     run_trial(parse_spec(SPEC, "golden.yaml"), FOLDER, 1, (), Interrupt())
     log_path(FOLDER, 1).rename(sim)
-    made = trial(3, robots=2, steps=5, simulated=False, first=3, iterations=4, length=5)
-    write(made, lab)
+    of_lab = trial(3, robots=2, steps=5, simulated=False, first=3, iterations=4, length=5)
+    write(of_lab, lab)
     torn.write_bytes(sim.read_bytes()[:-9000])
-    found = {path.name: values(read_trial(path)) for path in (sim, lab, torn)}
-    (FOLDER / f"{name}.json").write_text(json.dumps(found, indent=None) + "\n")
+    logs = {path.name: read_trial(path) for path in (sim, lab, torn)}
+    expected = {file_name: values(log) for file_name, log in logs.items()}
+    (FOLDER / f"{name}.json").write_text(json.dumps(expected, indent=None) + "\n")
 
 
 if __name__ == "__main__":

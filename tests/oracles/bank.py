@@ -23,16 +23,21 @@ def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
     what those of the other robots tell of the common dead time; and each robot's dead time and its
     standard deviation (N,) [s].
     """
-    bank, prior, steps, finest = filters.bank, filters.prior, filters.step_s, GRID.finest_s
+    bank = filters.bank
+    prior = filters.prior
+    steps = filters.step_s
+    finest = GRID.finest_s
     times = np.arange(0, float(bank.dead_time_s.max()) + finest, finest / 2)
-    gaps, width = times[:, None, None] - bank.dead_time_s, np.maximum(steps, finest) / 2
+    gaps = times[:, None, None] - bank.dead_time_s
+    width = np.maximum(steps, finest) / 2
     near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
     near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
     ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
-    every = ln.sum(axis=1) - ((times - prior.dead_time) / prior.dead_time_std) ** 2 / 2
-    others = every[:, None] - ln
-    told = (near * np.exp(others - others.max(axis=0))[:, None]).sum(axis=0)
-    score = bank.score + np.log(told + 1e-300)
+    ln_prior = -(((times - prior.dead_time) / prior.dead_time_std) ** 2) / 2
+    ln_all = ln.sum(axis=1) + ln_prior
+    ln_others = ln_all[:, None] - ln
+    by_others = (near * np.exp(ln_others - ln_others.max(axis=0))[:, None]).sum(axis=0)
+    score = bank.score + np.log(by_others + 1e-300)
     weight = np.exp(score - score.max(axis=0))
     weight /= weight.sum(axis=0)
     mean = (weight * bank.dead_time_s).sum(axis=0)
@@ -43,16 +48,21 @@ def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
 def estimate(filters: FilterBank) -> Estimate:
     """Return the parameters of the robots by their likeliest hypotheses, and their standard
     deviations, which grow by what the test of the innovations finds."""
-    (score, tau, tau_std), bank, prior = share(filters), filters.bank, filters.prior
+    score, tau, tau_std = share(filters)
+    bank = filters.bank
+    prior = filters.prior
     best = np.argmax(score, axis=0), np.arange(score.shape[1])
-    each = (*best, np.argmax(bank.ln_weight[best], axis=1))
-    z, cov = bank.state[each], bank.cov[each]
-    weights = np.exp(bank.ln_weight[best] - bank.ln_weight[best].max(axis=1, keepdims=True))
+    ln_weight = bank.ln_weight[best]
+    likeliest = (*best, np.argmax(ln_weight, axis=1))
+    z = bank.state[likeliest]
+    cov = bank.cov[likeliest]
+    weights = np.exp(ln_weight - ln_weight.max(axis=1, keepdims=True))
     squares = bank.square_sum[best]
     blocks = np.maximum(bank.blocks[best], ASSUMED.least_blocks)[:, None]
     more = np.sqrt(np.maximum(1, squares / blocks)).max(axis=1)
     std = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more[:, None]
-    a, speed = prior.a * np.exp(z[:, LN_A]), prior.speed * np.exp(z[:, LN_SPEED])
+    a = prior.a * np.exp(z[:, LN_A])
+    speed = prior.speed * np.exp(z[:, LN_SPEED])
     of_bias = cov[:, [TURN_BIAS, MARKER_BIAS]][:, :, [TURN_BIAS, MARKER_BIAS]].sum(axis=(1, 2))
     part = 2 / (9 * blocks)
     return Estimate(

@@ -23,13 +23,13 @@ SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 
 def experiment(robots: int = 3, **fields: Any) -> Experiment:
     controller = {"type": "pso-mpc"} | fields.pop("controller", {})
-    some = {"robots": THREE_M3PI["robots"][:robots], "obstacles": [], "controller": controller}
-    return trials.experiment(**some | fields)
+    simple = {"robots": THREE_M3PI["robots"][:robots], "obstacles": [], "controller": controller}
+    return trials.experiment(**simple | fields)
 
 
 def result(errors: Sequence[float], **fields: Any) -> Result:
     n = len(errors)
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "outcome": Outcome.SEQUENCE_COMPLETED,
         "reason": "no signal left",
         "steps": 31,
@@ -40,15 +40,15 @@ def result(errors: Sequence[float], **fields: Any) -> Result:
         "solve_ns": (1_000_000, 2_000_000, 3_000_000),
         "deadline_misses": 0,
     }
-    return Result(**(found | fields))
+    return Result(**(values | fields))
 
 
 def trial(
-    path: str, spec: Experiment, found: Result, index: int = 0, **fields: Any
+    path: str, spec: Experiment, result: Result, index: int = 0, **fields: Any
 ) -> ResultSummary:
     origin = Origin.of(spec, PlantInfo("", True, 120.0, {}))
-    known: dict[str, Any] = {"seed": 1, "origin": origin, "recovered": False, "digest": None}
-    return ResultSummary(path, spec, trial=index, result=found, **(known | fields))
+    facts: dict[str, Any] = {"seed": 1, "origin": origin, "recovered": False, "digest": None}
+    return ResultSummary(path, spec, trial=index, result=result, **(facts | fields))
 
 
 def batch(

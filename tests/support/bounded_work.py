@@ -8,7 +8,8 @@ from contextlib import contextmanager
 
 from support.targets import Target, mutant
 
-LINES, MEGABYTES = 3_000_000, 40
+LINES = 3_000_000
+MEGABYTES = 40
 AGAIN = [b"{a: ", b"a: &a [*a]\n", b"a\n", b"~\0\5", b"\1", b"\xff"]
 """Repeated, a count that is trusted or a quadratic search would show."""
 
@@ -20,12 +21,13 @@ class TooMuchWorkError(BaseException):
 @contextmanager
 def bounded(lines: int = LINES, megabytes: float = MEGABYTES) -> Iterator[None]:
     """Fail where more lines of Python than these run, or more memory than this is taken at once."""
-    left = lines
+    lines_left = lines
 
     def count(frame, event, arg):
-        nonlocal left
-        left -= event == "line"
-        if left < 0:
+        nonlocal lines_left
+        if event == "line":
+            lines_left -= 1
+        if lines_left < 0:
             raise TooMuchWorkError
         return count
 
@@ -45,12 +47,14 @@ def bounded(lines: int = LINES, megabytes: float = MEGABYTES) -> Iterator[None]:
 
 def withstands(target: Target) -> None:
     """Give a target any bytes, mutants of good ones, and the same again and again."""
-    seeds, rng = target.seeds(), random.Random(1)
+    seeds = target.seeds()
+    rng = random.Random(1)
     for seed in seeds:  # what is made once is no work of an input's
         target.run(seed)
-    inputs = [rng.randbytes(rng.randrange(400)) for _ in range(5)]
-    inputs += [mutant(seeds, rng) for _ in range(5)] + [(one * 4096)[:4096] for one in AGAIN]
-    for data in inputs:
+    random_bytes = [rng.randbytes(rng.randrange(400)) for _ in range(5)]
+    mutants = [mutant(seeds, rng) for _ in range(5)]
+    repeated = [(piece * 4096)[:4096] for piece in AGAIN]
+    for data in (*random_bytes, *mutants, *repeated):
         try:
             with bounded():
                 target.run(data)

@@ -28,8 +28,10 @@ class Page:
     """One page; messages are JSON with a NUL behind each."""
 
     def __init__(self, to_browser: int, from_browser: int) -> None:
-        self._out, self._in = to_browser, os.fdopen(from_browser, "rb")
-        self._ids, self._session = count(1), None
+        self._out = to_browser
+        self._in = os.fdopen(from_browser, "rb")
+        self._ids = count(1)
+        self._session: str | None = None
         self.errors: list[str] = []
         self._waiting: list[dict[str, Any]] = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
@@ -55,13 +57,14 @@ class Page:
 
     def _read(self) -> dict[str, Any]:
         text = bytearray()
-        while (byte := self._in.read(1)) != b"\0":
+        while not text.endswith(b"\0"):
+            byte = self._in.read(1)
             assert byte, "the browser ended"
             text += byte
-        found = json.loads(text)
-        if found.get("method") == "Runtime.exceptionThrown":
-            self.errors.append(str(found["params"]["exceptionDetails"]))
-        return found
+        message = json.loads(text[:-1])
+        if message.get("method") == "Runtime.exceptionThrown":
+            self.errors.append(str(message["params"]["exceptionDetails"]))
+        return message
 
     def open(self, path: Path, width: int = 1280, height: int = 800) -> None:
         """Open a file, offline, and wait until it is loaded."""
@@ -81,11 +84,11 @@ class Page:
 
     def run(self, script: str) -> Any:
         """Return the value of an expression, of a promise what it becomes."""
-        found = self.call(
+        answer = self.call(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
-        assert "exceptionDetails" not in found, found["exceptionDetails"]
-        return found["result"].get("value")
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
 
     def key(self, key: str) -> None:
         """Press and release a key."""
@@ -107,10 +110,12 @@ class Page:
 def chromium(profile: Path) -> Iterator[Page]:
     """Start a browser with a profile of its own and return its page."""
     assert BROWSER is not None
-    to_browser, from_browser = os.pipe(), os.pipe()
+    browser_reads, we_write = os.pipe()
+    we_read, browser_writes = os.pipe()
 
     def pipes() -> None:  # Chromium reads from 3 and writes to 4
-        read, write = os.dup(to_browser[0]), os.dup(from_browser[1])
+        read = os.dup(browser_reads)
+        write = os.dup(browser_writes)
         os.dup2(read, 3)
         os.dup2(write, 4)
         for number in (3, 4):  # which dup2 leaves as they are where they were these already
@@ -130,13 +135,13 @@ def chromium(profile: Path) -> Iterator[Page]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    os.close(to_browser[0])
-    os.close(from_browser[1])
-    page = Page(to_browser[1], from_browser[0])
+    os.close(browser_reads)
+    os.close(browser_writes)
+    page = Page(we_write, we_read)
     try:
         yield page
     finally:
         process.kill()
         process.wait()
-        os.close(to_browser[1])
+        os.close(we_write)
         page.close()

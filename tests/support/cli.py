@@ -33,7 +33,8 @@ def tetractl(folder, *words, env=None, stdin="") -> Done:
 
     What is about processes, pipes and signals themselves starts a process instead.
     """
-    out, err = Text(), Text()
+    out = Text()
+    err = Text()
     handlers = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         with (

@@ -34,10 +34,10 @@ def call(command: str, log: Path, out: Path) -> Done:
 
 def check(command: str, log: Path, out: Path) -> Done:
     """Run a command; AssertionError for output that a terminal would obey, or that is endless."""
-    found = call(command, log, out)
-    for line in (found.stdout + found.stderr).split("\n"):
+    done = call(command, log, out)
+    for line in (done.stdout + done.stderr).split("\n"):
         assert line.isprintable(), (command, line[:200])
-    assert len(found.stdout) + len(found.stderr) < 1_000_000, command
-    assert found.returncode in (0, 1, 2, 3), (command, found.returncode)
-    assert found.returncode == 0 or found.stderr or command in TELL_ON_STDOUT
-    return found
+    assert len(done.stdout) + len(done.stderr) < 1_000_000, command
+    assert done.returncode in (0, 1, 2, 3), (command, done.returncode)
+    assert done.returncode == 0 or done.stderr or command in TELL_ON_STDOUT
+    return done

@@ -14,7 +14,8 @@ SMALL: dict[str, dict[str, Any]] = {
     "mppi": {"type": "mppi", "particles": 16, "iterations": 12},
 }
 """A quick search by each optimiser."""
-PSO, MULTISTART = SMALL["pso"], SMALL["multistart"]
+PSO = SMALL["pso"]
+MULTISTART = SMALL["multistart"]
 assert SMALL.keys() == set(OPTIMIZERS.builtin), "a further optimiser joins the contract by an entry"
 
 PUBLISHED: dict[str, dict[str, Any]] = {
@@ -35,7 +36,9 @@ def straight(robots: int) -> dict[str, Any]:
     """A policy's layer: along the sum of the robots' gaps."""
     gaps = np.kron(np.ones(robots), np.eye(2))  # adds up x and y
     others = np.zeros((2, 2 * robots + 2))  # headings, and the last direction
-    numbers = np.concatenate([np.hstack([gaps, others]).ravel(), np.zeros(2)])
+    weights = np.hstack([gaps, others])
+    biases = np.zeros(2)
+    numbers = np.concatenate([weights.ravel(), biases])
     packed = b64encode(numbers.tobytes()).decode()
     return {"inputs": 4 * robots + 2, "outputs": 2, "numbers": packed}
 

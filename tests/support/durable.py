@@ -91,8 +91,8 @@ class RealTime:
             log = read_trial(self.path.with_name(self.path.name + ".part"))
         except LogError:  # killed before its head was written: nothing had moved
             return Killed(ran, ran, 0)
-        assert [step.k for step in log.steps] == list(range(len(log.steps)))
-        assert log.frames.tolist() == list(range(len(log.frames)))
+        assert is_without_gaps([step.k for step in log.steps])
+        assert is_without_gaps(log.frames.tolist())
         last = max([0, *log.received_ns[-1:], *(c.sent_ns for c in log.commands[-1:])])
         return Killed(ran, ran - float(last) / 1e9, len(log.steps))
 
@@ -108,10 +108,16 @@ class RealTime:
         return out
 
 
+def is_without_gaps(numbers: list[int]) -> bool:
+    """Whether they are 0, 1, 2 and so on."""
+    return numbers == list(range(len(numbers)))
+
+
 def random_kill(path: Path, rng: random.Random, most_s: float = 4.0) -> Killed:
     """Kill a trial within its first seconds."""
     trial = RealTime(path)
-    time.sleep(max(0.0, rng.uniform(0.3, most_s) - trial.now_s()))
+    kill_s = rng.uniform(0.3, most_s)
+    time.sleep(max(0.0, kill_s - trial.now_s()))
     return trial.kill()
 
 

@@ -17,14 +17,16 @@ def gap(thing: Thing, x: float, y: float) -> float:
         case Circle():
             return math.dist((x, y), thing.center) - thing.radius
         case Rectangle():
-            right, top = thing.left + thing.width, thing.bottom + thing.height
+            right = thing.left + thing.width
+            top = thing.bottom + thing.height
             if thing.left <= x <= right and thing.bottom <= y <= top:
                 return -min(x - thing.left, right - x, y - thing.bottom, top - y)
-            near = min(max(x, thing.left), right), min(max(y, thing.bottom), top)
-            return math.dist((x, y), near)
+            nearest_x = min(max(x, thing.left), right)
+            nearest_y = min(max(y, thing.bottom), top)
+            return math.dist((x, y), (nearest_x, nearest_y))
         case Polygon():
-            nearest = min(to_segment(x, y, *start, *end) for start, end in edges(thing))
-            return -nearest if winds(thing, x, y) else nearest
+            to_edge = min(to_segment(x, y, *start, *end) for start, end in edges(thing))
+            return -to_edge if winds(thing, x, y) else to_edge
         case _:
             assert_never(thing)
 
@@ -52,7 +54,8 @@ def to_segment(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -
 
 def clips(box: Rectangle, x0: float, y0: float, x1: float, y1: float) -> bool:
     """Whether a segment meets a rectangle, as Liang and Barsky clip it."""
-    enter, leave = 0.0, 1.0
+    enter = 0.0
+    leave = 1.0
     for start, step, low, high in (
         (x0, x1 - x0, box.left, box.left + box.width),
         (y0, y1 - y0, box.bottom, box.bottom + box.height),
@@ -62,7 +65,8 @@ def clips(box: Rectangle, x0: float, y0: float, x1: float, y1: float) -> bool:
                 return False
             continue
         first, last = sorted(((low - start) / step, (high - start) / step))
-        enter, leave = max(enter, first), min(leave, last)
+        enter = max(enter, first)
+        leave = min(leave, last)
     return enter <= leave
 
 
@@ -75,7 +79,8 @@ def winds(polygon: Polygon, x: float, y: float) -> bool:
     """Whether a polygon winds round a point that is not on its edge: by the angles it turns."""
     total = 0.0
     for (ax, ay), (bx, by) in edges(polygon):
-        begin, end = math.atan2(ay - y, ax - x), math.atan2(by - y, bx - x)
+        begin = math.atan2(ay - y, ax - x)
+        end = math.atan2(by - y, bx - x)
         total += math.remainder(end - begin, 2 * math.pi)
     return abs(total) > math.pi
 
@@ -84,11 +89,13 @@ def cuts(polygon: Polygon, x0: float, y0: float, x1: float, y1: float) -> bool:
     """Whether a segment meets a polygon: it is cut by all edges, and each piece's middle tested."""
     cut = [0.0, 1.0]
     for (ax, ay), (bx, by) in edges(polygon):
-        nx, ny = by - ay, ax - bx
-        begin, end = (x0 - ax) * nx + (y0 - ay) * ny, (x1 - ax) * nx + (y1 - ay) * ny
-        if begin != end and 0 <= (t := begin / (begin - end)) <= 1:
-            cut.append(t)
-    cut.sort()
+        normal_x = by - ay
+        normal_y = ax - bx
+        begin = (x0 - ax) * normal_x + (y0 - ay) * normal_y  # distances from the edge's line
+        end = (x1 - ax) * normal_x + (y1 - ay) * normal_y
+        if begin != end:
+            cut.append(begin / (begin - end))
+    cut = sorted(t for t in cut if 0 <= t <= 1)
     tests = cut + [(s + t) / 2 for s, t in itertools.pairwise(cut)]
     points = [(x0 + t * (x1 - x0), y0 + t * (y1 - y0)) for t in tests]
     corner = any(to_segment(*corner, x0, y0, x1, y1) <= 1e-12 for corner in polygon.vertices)

@@ -32,7 +32,8 @@ class SteppedClock(VirtualClock):
 
     def sleep_until(self, when: int) -> None:
         while self.now() < when:
-            super().sleep_until(min(when, self.now() + STEP_NS))
+            next_ns = self.now() + STEP_NS
+            super().sleep_until(min(when, next_ns))
             for step in tuple(self.steps):
                 step()
 
@@ -54,7 +55,8 @@ class World:
         self.moving = (False,) * len(self.poses)
 
     def advance(self) -> None:
-        seconds, moving = (self.clock.now() - self.then_ns) / SECOND, np.array(self.moving)
+        seconds = (self.clock.now() - self.then_ns) / SECOND
+        moving = np.array(self.moving)
         self.then_ns = self.clock.now()
         moved = exact(
             *self.poses.T,
@@ -74,7 +76,8 @@ class FakeCamera:
     """
 
     def __init__(self, world: World) -> None:
-        self.world, self.clock = world, world.clock
+        self.world = world
+        self.clock = world.clock
         self.newest: CameraFrame | None = None
         self.damaged = 0
         self.hidden: set[str] = set()
@@ -99,20 +102,26 @@ class FakeCamera:
         return Health(facts={"camera": "fake"})
 
     def frames(self) -> list[CameraFrame]:
-        fresh, self._fresh = self._fresh, []
+        fresh = self._fresh
+        self._fresh = []
         return fresh
 
     def _step(self) -> None:
         self.world.advance()
         now = self.clock.now()
-        while (due := self._first_ns + round(self._count * SECOND / CAMERA_HZ)) <= now:
+        while self._due_ns() <= now:
+            due_ns = self._due_ns()
             self._count += 1
             if not self.silent:
-                arrives = due + LATENCY_NS
-                self._exposed.append(CameraFrame(self._count, due, arrives, self._seen()))
+                arrives_ns = due_ns + LATENCY_NS
+                self._exposed.append(CameraFrame(self._count, due_ns, arrives_ns, self._seen()))
         while self._exposed and self._exposed[0].received_ns <= now:
             self.newest = self._exposed.pop(0)
             self._fresh.append(self.newest)
+
+    def _due_ns(self) -> int:
+        """When the next frame is due."""
+        return self._first_ns + round(self._count * SECOND / CAMERA_HZ)
 
     def _seen(self) -> tuple[Pose | None, ...]:
         names = self.world.setup.names
@@ -166,7 +175,8 @@ class FakeActuator:
     def _send(self, action: Action, moving: tuple[bool, ...]) -> Transmission:
         if self.failure is not None:
             raise AbortError(self.failure)
-        world, setup = self.world, self.world.setup
+        world = self.world
+        setup = world.setup
         world.advance()
         world.moving = tuple(
             was if i in world.deaf else now
@@ -175,20 +185,19 @@ class FakeActuator:
         match action:
             case Steer(u) | Turn(u):
                 world.direction = u
-        world.ahead = ahead = float(not isinstance(action, Turn))
+        world.ahead = 0.0 if isinstance(action, Turn) else 1.0
         let = np.array(moving, dtype=float)
-        speed = setup.speed * let * ahead
-        heading = world.poses[:, 2]
-        turning = setup.a * np.sin(world.direction - heading) * let
+        speed = setup.speed * let * world.ahead
+        sine = np.sin(world.direction - world.poses[:, 2])
+        turning = setup.a * sine * let
         wheels = (None, None)
         if setup.wheel_radius is not None:
-            wheels = wheel_speeds(np.sin(world.direction - heading), setup.a, speed, 0.0)
-            left, right = wheels
-            wheels = left - turning * setup.wheel_radius, right + turning * setup.wheel_radius
-        now = world.clock.now()
-        made = Transmission(action, now, moving, speed, turning, *wheels)
-        self.sent.append(made)
-        return made
+            straight_left, straight_right = wheel_speeds(sine, setup.a, speed, 0.0)
+            apart = turning * setup.wheel_radius
+            wheels = (straight_left - apart, straight_right + apart)
+        transmission = Transmission(action, world.clock.now(), moving, speed, turning, *wheels)
+        self.sent.append(transmission)
+        return transmission
 
 
 @dataclass
@@ -211,14 +220,12 @@ def fake_lab(
 ) -> FakeLab:
     clock = SteppedClock()
     world = World(setup, clock)
-    camera, moved, supervision = (
-        FakeCamera(world),
-        FakeActuator(world, **actuator),
-        LabSupervision(),
-    )
+    camera = FakeCamera(world)
+    fake_actuator = FakeActuator(world, **actuator)
+    supervision = LabSupervision()
     rig = Rig(
         camera,
-        moved,
+        fake_actuator,
         limits or LabLimits(),
         setup,
         clock,
@@ -227,4 +234,5 @@ def fake_lab(
         checks_of=checks_of,
     )
     clock.steps.append(rig.loop.step)
-    return FakeLab(LabPlant(rig, supervision), camera, moved, world, clock, supervision)
+    plant = LabPlant(rig, supervision)
+    return FakeLab(plant, camera, fake_actuator, world, clock, supervision)

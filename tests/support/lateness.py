@@ -18,18 +18,20 @@ class Lateness:
 @contextmanager
 def lateness() -> Iterator[Lateness]:
     """Watch how late a thread that sleeps again and again is woken, inside the block."""
-    found, over = Lateness(), threading.Event()
+    lateness = Lateness()
+    over = threading.Event()
 
     def watch() -> None:
         while not over.is_set():
             before = time.monotonic()
             time.sleep(NAP_S)
-            found.most_s = max(found.most_s, time.monotonic() - before - NAP_S)
+            late_s = time.monotonic() - before - NAP_S
+            lateness.most_s = max(lateness.most_s, late_s)
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
     try:
-        yield found
+        yield lateness
     finally:
         over.set()
         thread.join()

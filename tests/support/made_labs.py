@@ -15,8 +15,8 @@ from tetractl.log.read.reader import read_trial
 
 def lab_log(tmp_path, valid, speed_mm, halts, metres):
     """A complete lab trial: a second of frames at 100 Hz; robot 0 drives along x throughout."""
-    made = random_trials.trial(simulated=False)
-    log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))
+    random_trial = random_trials.trial(simulated=False)
+    log = read_trial(random_trials.write(random_trial, tmp_path / "trial.mcap"))
     assert log.result
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab").experiment
     poses = np.zeros((100, 3, 3))

@@ -34,12 +34,15 @@ def prepare(experiment, clock, seed, supervision):
     rule = experiment.chosen
     assert isinstance(rule, MarkedRobots)
     robots = tuple(
-        Robot(name=one.name, start=mark, target=one.target, a=one.a, speed=one.speed)
-        for mark, one in zip(rule.marks, rule.stand_ins, strict=True)
+        Robot(
+            name=planned.name, start=mark, target=planned.target, a=planned.a, speed=planned.speed
+        )
+        for mark, planned in zip(rule.marks, rule.stand_ins, strict=True)
     )
     chosen = rule.model_copy(update={"found": True})
-    found: Experiment = experiment.model_copy(update={"robots": robots, "chosen": chosen})
-    return PreparedTrial(found, found.plant.build(found.setup, clock, seed, supervision))
+    prepared: Experiment = experiment.model_copy(update={"robots": robots, "chosen": chosen})
+    plant = prepared.plant.build(prepared.setup, clock, seed, supervision)
+    return PreparedTrial(prepared, plant)
 
 
 def install(monkeypatch):

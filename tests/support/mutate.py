@@ -29,15 +29,19 @@ CHANGE = 0.0  # relative, of a float; 0 for the least there is
 def places(message: Message, inside: Place = ()) -> Iterator[Place]:
     """Yield where each number, truth value and word of a message is."""
     for field, value in message.ListFields():
-        here = (*inside, field.name)
-        repeated = isinstance(value, MutableSequence)
-        items = list(enumerate(value)) if repeated else [(None, value)]
-        for index, item in items:
-            at = here if index is None else (*here, index)
-            if isinstance(item, Message):
-                yield from places(item, at)
-            else:
-                yield at
+        place = (*inside, field.name)
+        if isinstance(value, MutableSequence):
+            for index, item in enumerate(value):
+                yield from _places_of(item, (*place, index))
+        else:
+            yield from _places_of(value, place)
+
+
+def _places_of(value: Any, place: Place) -> Iterator[Place]:
+    if isinstance(value, Message):
+        yield from places(value, place)
+    else:
+        yield place
 
 
 def holder_of(message: Message, place: Place) -> tuple[Any, str | int]:
@@ -61,7 +65,8 @@ def changed(message: Message, place: Place) -> Message:
 
 
 def _single(value: float) -> float:
-    return float(np.nextafter(np.float32(value), np.float32(np.inf)))
+    single = np.float32(value)
+    return float(np.nextafter(single, np.float32(np.inf)))
 
 
 def other(value: Any) -> Any:
@@ -70,8 +75,8 @@ def other(value: Any) -> Any:
     if isinstance(value, int):
         return value + 1 if value < 2**63 - 1 else value - 1
     if isinstance(value, bytes):
-        at = zlib.crc32(value) % len(value)  # another place in each
-        return value[:at] + bytes([value[at] ^ 1]) + value[at + 1 :]
+        offset = zlib.crc32(value) % len(value)  # another one in each
+        return value[:offset] + bytes([value[offset] ^ 1]) + value[offset + 1 :]
     if isinstance(value, float):
         if math.isnan(value):  # every change of it is itself
             return 0.0
@@ -132,7 +137,8 @@ def rewritten(log: Path, path: Path, in_order: bool = False, **options: Any) -> 
     """Write a log again as a program does that has MCAP's library and not tetractl; the messages
     are in the order of their times, which is the reader's default, or else `in_order`."""
     with log.open("rb") as source, path.open("wb") as file:
-        reader, writer = make_reader(source), Writer(file, **options)
+        reader = make_reader(source)
+        writer = Writer(file, **options)
         writer.start()
         for item in reader.iter_metadata():
             writer.add_metadata(item.name, item.metadata)
@@ -140,12 +146,12 @@ def rewritten(log: Path, path: Path, in_order: bool = False, **options: Any) -> 
         for schema, channel, message in reader.iter_messages(log_time_order=not in_order):
             if channel.id not in numbers:
                 assert schema is not None
-                known = writer.register_schema(schema.name, schema.encoding, schema.data)
-                numbers[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, known
-                )
-            number, at = numbers[channel.id], message.log_time
-            writer.add_message(number, at, message.data, message.publish_time)
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                encoding = channel.message_encoding
+                number = writer.register_channel(channel.topic, encoding, schema_id)
+                numbers[channel.id] = number
+            number = numbers[channel.id]
+            writer.add_message(number, message.log_time, message.data, message.publish_time)
         for item in reader.iter_attachments():
             writer.add_attachment(0, item.log_time, item.name, item.media_type, item.data)
         writer.finish()

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 from support.geometry import gap, meets
 
-LOWER, UPPER = -math.pi, math.pi
+LOWER = -math.pi
+UPPER = math.pi
 SPAN = UPPER - LOWER
 MASK = 2**64 - 1
 
@@ -33,11 +34,14 @@ def step(model, x, y, theta, u, a, v, t):
     if model == "arc":
         if abs(turn * t) < 1e-8:
             return x + t * v * math.cos(theta), y + t * v * math.sin(theta), theta + t * turn
-        end, radius = theta + turn * t, v / turn
+        end = theta + turn * t
+        radius = v / turn
         x += radius * (math.sin(end) - math.sin(theta))
         return x, y - radius * (math.cos(end) - math.cos(theta)), end
-    phi, e = u - theta, math.exp(-a * t)
-    c, s = math.cos(phi), math.sin(phi)
+    phi = u - theta
+    e = math.exp(-a * t)
+    c = math.cos(phi)
+    s = math.sin(phi)
     turned = 2 * math.atan2(s * (1 - e), (1 + c) + (1 - c) * e)
     along = v * (t + math.log(((1 + c) + (1 - c) * e * e) / 2) / a)
     right = v * turned / a
@@ -80,19 +84,22 @@ class Swarm:
     history: list[float] = field(default_factory=list)
 
 
-def search(world: World, length: int, warm, spec, key: int, iterations: int) -> Swarm:
-    """Algorithm 1 for a number of iterations, without any stop."""
+def scattered(key: int, which: int, particles: int, length: int) -> list[list[float]]:
+    """Return uniform numbers in [0, 1), a row a particle: the `which`-th block of such draws."""
+    rows = [[0.0] * length for _ in range(particles)]
+    for j in range(length):
+        for n in range(particles):
+            index = (which * length + j) * particles + n
+            rows[n][j] = (split_mix(split_mix(key, 0), index) >> 11) / 2**53
+    return rows
+
+
+def start(world: World, length: int, warm, spec, key: int) -> Swarm:
+    """Lines 1 to 5 of algorithm 1."""
     n_p = spec.particles
-
-    def scattered(which):
-        rows = [[0.0] * length for _ in range(n_p)]
-        for j in range(length):
-            for n in range(n_p):
-                index = (which * length + j) * n_p + n
-                rows[n][j] = (split_mix(split_mix(key, 0), index) >> 11) / 2**53
-        return rows
-
-    u, v, best = scattered(0), scattered(1), scattered(2)  # line 1
+    u = scattered(key, 0, n_p, length)  # line 1
+    v = scattered(key, 1, n_p, length)
+    best = scattered(key, 2, n_p, length)
     for n in range(n_p):
         for j in range(length):
             u[n][j] = LOWER + SPAN * u[n][j]
@@ -101,23 +108,38 @@ def search(world: World, length: int, warm, spec, key: int, iterations: int) -> 
     u_gb = list(min(best, key=lambda b: cost(world, b)))  # lines 2-3
     if warm is not None:
         u_gb = list(warm)  # line 5
-    swarm = Swarm(world, u, v, best, u_gb, [cost(world, u_gb)])
+    return Swarm(world, u, v, best, u_gb, [cost(world, u_gb)])
+
+
+def move(swarm: Swarm, spec, key: int, z: int) -> None:
+    """(14)-(17) for each number of each particle, in iteration z."""
+    length = len(swarm.u_gb)
+    for n in range(spec.particles):
+        u = swarm.u[n]
+        v = swarm.v[n]
+        best = swarm.best[n]
+        for j in range(length):
+            bits = split_mix(split_mix(key, 1), (z * length + j) * spec.particles + n)
+            r1 = (bits >> 33) / 2**31
+            r2 = (bits & 0x7FFFFFFF) / 2**31
+            new = (
+                spec.inertia * v[j]
+                + spec.cognitive * r1 * (best[j] - u[j])
+                + spec.social * r2 * (swarm.u_gb[j] - u[j])
+            )  # (14)
+            v[j] = max(-SPAN, min(new, SPAN))  # (15)
+            u[j] = max(LOWER, min(u[j] + v[j], UPPER))  # (16)-(17)
+
+
+def search(world: World, length: int, warm, spec, key: int, iterations: int) -> Swarm:
+    """Algorithm 1 for a number of iterations, without any stop."""
+    swarm = start(world, length, warm, spec, key)
     for z in range(iterations):
-        for n in range(n_p):
-            for j in range(length):
-                bits = split_mix(split_mix(key, 1), (z * length + j) * n_p + n)
-                r1, r2 = (bits >> 33) / 2**31, (bits & 0x7FFFFFFF) / 2**31
-                new = (
-                    spec.inertia * v[n][j]
-                    + spec.cognitive * r1 * (best[n][j] - u[n][j])
-                    + spec.social * r2 * (swarm.u_gb[j] - u[n][j])
-                )  # (14)
-                v[n][j] = max(-SPAN, min(new, SPAN))  # (15)
-                u[n][j] = max(LOWER, min(u[n][j] + v[n][j], UPPER))  # (16)-(17)
-        for n in range(n_p):
-            if cost(world, u[n]) < cost(world, best[n]):
-                best[n] = list(u[n])  # (18)
-        leader = min(best, key=lambda b: cost(world, b))
+        move(swarm, spec, key, z)
+        for n in range(spec.particles):
+            if cost(world, swarm.u[n]) < cost(world, swarm.best[n]):
+                swarm.best[n] = list(swarm.u[n])  # (18)
+        leader = min(swarm.best, key=lambda b: cost(world, b))
         if cost(world, leader) < cost(world, swarm.u_gb):
             swarm.u_gb = list(leader)  # (19)
         swarm.history.append(cost(world, swarm.u_gb))

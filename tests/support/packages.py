@@ -20,7 +20,10 @@ def install(folder: Path, name: str, version: str, points: str, **modules: str) 
 
 def python(folder: Path, sites: list[Path], *words: object, **env: str):
     """Run Python in a folder, with the packages of other folders installed; what it did."""
-    path = os.pathsep.join(filter(None, [*map(str, sites), os.environ.get("PYTHONPATH", "")]))
+    folders = [str(site) for site in sites]
+    if os.environ.get("PYTHONPATH"):
+        folders.append(os.environ["PYTHONPATH"])
+    path = os.pathsep.join(folders)
     return subprocess.run(
         [sys.executable, *map(str, words)], cwd=folder, capture_output=True, text=True, check=False,
         env=os.environ | {"PYTHONPATH": path} | env,

@@ -48,7 +48,8 @@ def sim(spec: Experiment, seed: int = 1, clock: Clock | None = None) -> SimPlant
 def driven(simulated: SimPlant, directions=DIRECTIONS, period: int = PERIOD):
     """Open, steer once a period; return all commands, and all samples up to the last one's end."""
     simulated.open()
-    commands, samples = [], []
+    commands = []
+    samples = []
     for k, direction in enumerate(directions):
         commands.append(simulated.send(Steer(direction)))
         simulated.clock.sleep_until((k + 1) * period)

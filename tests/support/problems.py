@@ -32,24 +32,27 @@ def world(
             things.append(Circle(type="circle", center=(x, y), radius=rng.uniform(20, 200)))
         elif i % 3 == 2:
             turn = rng.uniform(-4, 4)
-            c, s = np.cos(turn), np.sin(turn)
+            c = np.cos(turn)
+            s = np.sin(turn)
             vertices = rng.uniform(30, 100) * HOOK @ np.array([[c, s], [-s, c]]) + (x, y)
-            things.append(Polygon(type="polygon", vertices=tuple(map(tuple, vertices))))
+            corners = [tuple(vertex) for vertex in vertices]
+            things.append(Polygon(type="polygon", vertices=tuple(corners)))
         else:
             width, height = rng.uniform(20, 300, 2)
             box = Rectangle(type="rectangle", left=x, bottom=y, width=width, height=height)
             things.append(box)
-    found = [
-        (
-            *rng.uniform(0, 800, 2),
-            rng.uniform(-4, 4),
-            *rng.uniform(0, 800, 2),
-            rng.uniform(1, 7),
-            rng.uniform(50, 250),
-        )
-        for _ in range(robots)
-    ]
-    return World(found, things, model, period, float(rng.uniform(10, 2000)), swept)
+    rows = [random_robot(rng) for _ in range(robots)]
+    return World(rows, things, model, period, float(rng.uniform(10, 2000)), swept)
+
+
+def random_robot(rng: np.random.Generator) -> tuple[float, ...]:
+    """A robot as the oracle takes it: x, y, heading, target x, target y, a, speed."""
+    start = rng.uniform(0, 800, 2)
+    heading = rng.uniform(-4, 4)
+    target = rng.uniform(0, 800, 2)
+    a = rng.uniform(1, 7)
+    speed = rng.uniform(50, 250)
+    return (*start, heading, *target, a, speed)
 
 
 def problem(world: World, separation: float = 0.0, drifts: bool = False) -> Problem:
@@ -79,8 +82,8 @@ def is_decided(problem: Problem, length: int, warm, spec: Pso, key: int) -> bool
     Directions of exactly pi and -pi, where (17) clamps many a particle, are the same direction.
     """
 
-    def close(one, other, u, other_u):
-        near = np.abs(one - other) <= 1e-9 * (1 + np.abs(one))
+    def close(cost, other_cost, u, other_u):
+        near = np.abs(cost - other_cost) <= 1e-9 * (1 + np.abs(cost))
         return bool(np.any(near & (u != other_u).any(axis=-1)))
 
     swarm = spec.swarm(problem, length, warm, key)

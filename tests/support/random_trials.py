@@ -7,6 +7,7 @@ from unittest import mock
 
 import numpy as np
 
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, PlantInfo, Sample, Stop, Verdict
 from tetractl.core.plan import Estimate, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses
@@ -18,6 +19,7 @@ from tetractl.log import provenance
 from tetractl.log.format.codec import drawn
 from tetractl.log.write.writer import LogWriter
 
+PERIOD_NS = SECOND // 5  # of a control step
 SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"
 OBSTACLES = [
     {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200},
@@ -90,46 +92,59 @@ def trial(
     """A trial of `steps` control steps at 5 Hz, the same for the same arguments."""
     rng = np.random.default_rng(seed)
     spec = experiment(robots, **fields)
-    period = 200_000_000
     rounds = []
     for k in range(steps):
-        samples = []
-        for i in range(frames):
-            sampled = k * period + i * period // frames
-            valid = np.ones(robots, bool) if simulated else rng.random(robots) < 0.9
-            observation = Observation(
-                k * frames + i, sampled, sampled + 5_400_000, _poses(rng, robots), valid
-            )
-            samples.append(Sample(observation, _single(_poses(rng, robots)) if simulated else None))
+        numbers = range(k * frames, (k + 1) * frames)
+        samples = [_sample(rng, number, frames, robots, simulated) for number in numbers]
         step = _step(rng, k, samples[-1].observation, first, iterations, length)
         rounds.append((samples, replace(step, solve_ns=step.solve_ns + host_ns)))
+    result = _result(rng, robots, steps, simulated, host_ns)
+    facts = {"a": repr(rng.random()), "fw": "ü=1"}
+    start = start_of(
+        LoadedSpec(spec, SPEC_TEXT, "made-up.yaml"),
+        index,
+        PlantInfo("sim" if simulated else "lab", simulated, 120.0, facts),
+        EPOCH_NS if simulated else 1_790_000_000_123_456_789,
+    )
+    delivered = rng.random(robots) < 0.5
+    stop = Command(Stop(), steps * PERIOD_NS, tuple(delivered.tolist()))
+    return RandomTrial(spec, start, rounds, stop, result)
+
+
+def _sample(
+    rng: np.random.Generator, number: int, frames: int, robots: int, simulated: bool
+) -> Sample:
+    """Frame `number` of a trial with so many `frames` a period."""
+    k, frame = divmod(number, frames)
+    sampled_ns = k * PERIOD_NS + frame * PERIOD_NS // frames
+    received_ns = sampled_ns + 5_400_000
+    valid = np.ones(robots, bool) if simulated else rng.random(robots) < 0.9
+    poses = _poses(rng, robots)
+    observation = Observation(number, sampled_ns, received_ns, poses, valid)
+    truth = _single(_poses(rng, robots)) if simulated else None
+    return Sample(observation, truth)
+
+
+def _result(
+    rng: np.random.Generator, robots: int, steps: int, simulated: bool, host_ns: int
+) -> Result:
     final = _poses(rng, robots)
     errors = rng.uniform(0, 500, robots).tolist()
     verdict = Verdict(final, (True,) + (False,) * (robots - 1), _clearances(rng, robots))
     if not simulated:
         turn = tuple(rng.normal(0.0, 0.1, robots).tolist())
         verdict = replace(verdict, turn=turn, turn_std=(*[0.01] * (robots - 1), float("inf")))
-    result = Result(
+    return Result(
         outcome=Outcome.SEQUENCE_COMPLETED,
         reason="no signal left",
         steps=steps,
-        duration_s=steps * 0.2,
+        duration_s=steps * PERIOD_NS / SECOND,
         total_error=sum(errors),
         robot_errors=tuple(errors),
         verdict=verdict,
         solve_ns=tuple(int(n) + host_ns for n in rng.integers(0, 10**9, steps)),
         deadline_misses=host_ns % 7,
     )
-    start = start_of(
-        LoadedSpec(spec, SPEC_TEXT, "made-up.yaml"),
-        index,
-        PlantInfo(
-            "sim" if simulated else "lab", simulated, 120.0, {"a": repr(rng.random()), "fw": "ü=1"}
-        ),
-        EPOCH_NS if simulated else 1_790_000_000_123_456_789,
-    )
-    stop = Command(Stop(), steps * period, tuple((rng.random(robots) < 0.5).tolist()))
-    return RandomTrial(spec, start, rounds, stop, result)
 
 
 def write(random_trial: RandomTrial, path: Path, environment: str = "{}\n") -> Path:
@@ -150,7 +165,8 @@ def _poses(rng: np.random.Generator, robots: int) -> Poses:
 
 def _single(poses: Poses) -> Poses:
     """True poses as precise as a log keeps them."""
-    return Poses.of(poses.array().astype(np.float32).astype(np.float64))
+    single = poses.array().astype(np.float32)
+    return Poses.of(single.astype(np.float64))
 
 
 def _as_logged(path: Floats) -> Floats:
@@ -202,7 +218,9 @@ def _step(
         left=rng.normal(0, 200, robots) if k % 2 else None,
         right=rng.normal(0, 200, robots) if k % 2 else None,
     )
-    return Step(k, observation, plan, command, int(rng.integers(10**9)), bool(rng.random() < 0.1))
+    solve_ns = int(rng.integers(10**9))
+    missed = rng.random() < 0.1
+    return Step(k, observation, plan, command, solve_ns, bool(missed))
 
 
 def _estimate(rng: np.random.Generator, k: int, robots: int) -> Estimate | None:
@@ -212,5 +230,6 @@ def _estimate(rng: np.random.Generator, k: int, robots: int) -> Estimate | None:
     sure = [rng.uniform(0.1, 200, robots) for _ in range(4)]
     if k % 3 == 1:
         return Estimate(*sure)
-    bias, bias_std = rng.normal(0, 0.1, robots), rng.uniform(0, 0.1, robots)
+    bias = rng.normal(0, 0.1, robots)
+    bias_std = rng.uniform(0, 0.1, robots)
     return Estimate(*sure, bias, bias_std, dead_time=0.0, dead_time_std=float(rng.random()))

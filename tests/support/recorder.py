@@ -8,7 +8,10 @@ class Recorder:
     """Keeps the records of one trial; `trial` returns them like a trial read from its log."""
 
     def __init__(self):
-        self.samples, self.commands, self.steps, self.notes = [], [], [], []
+        self.samples = []
+        self.commands = []
+        self.steps = []
+        self.notes = []
         self.result = None
 
     def on_start(self, start):

@@ -61,7 +61,8 @@ class Started:
     `streams` that are given."""
 
     def __init__(self, cwd, *words, **streams):
-        self.out, self.err = cwd / "out-said", cwd / "err-said"
+        self.out = cwd / "out-said"
+        self.err = cwd / "err-said"
         with self.out.open("w") as out, self.err.open("w") as err:
             self.process = subprocess.Popen(
                 [TETRACTL, *map(str, words)],
@@ -108,7 +109,12 @@ class Running(Started):
 
     def until_logging(self, trials, size=0):
         """Until so many trials have written more than `size` bytes of log."""
-        self.until(lambda: sum(p.stat().st_size > size for p in self._parts()) >= trials)
+
+        def are_logging():
+            sizes = [part.stat().st_size for part in self._parts()]
+            return sum(size_now > size for size_now in sizes) >= trials
+
+        self.until(are_logging)
 
     def _parts(self):
         return list(self.logs.glob("*.part")) if self.logs.exists() else []
@@ -127,7 +133,8 @@ class Running(Started):
 
 def _children(pid):
     with suppress(OSError):
-        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        numbers = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+        return [int(number) for number in numbers.split()]
     return []
 
 

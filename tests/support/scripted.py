@@ -13,8 +13,8 @@ TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
 
 
 def seen(poses=STARTS, now=0):
-    count = len(poses)
-    return Observation(0, now, now, Poses.of(np.array(poses)), np.ones(count, np.bool_))
+    all_valid = np.ones(len(poses), np.bool_)
+    return Observation(0, now, now, Poses.of(np.array(poses)), all_valid)
 
 
 def still():
@@ -47,5 +47,6 @@ class Scripted:
         )
 
     def forget(self):
-        asked, self.asked = self.asked, []
-        return asked
+        searches = self.asked
+        self.asked = []
+        return searches

@@ -9,46 +9,50 @@ from tetractl.model.shapes.polygon import Polygon
 from tetractl.model.shapes.rectangle import Rectangle
 
 GRID = st.integers(-6, 6)
+POINTS = st.tuples(GRID, GRID)
 L_SHAPE = Polygon(type="polygon", vertices=((0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)))
 
 
 @st.composite
 def rectangles(draw):
-    sides = {"width": draw(st.integers(1, 5)), "height": draw(st.integers(1, 5))}
-    return Rectangle(type="rectangle", left=draw(GRID), bottom=draw(GRID), **sides)
+    width = draw(st.integers(1, 5))
+    height = draw(st.integers(1, 5))
+    x, y = draw(POINTS)
+    return Rectangle(type="rectangle", left=x, bottom=y, width=width, height=height)
 
 
 @st.composite
 def circles(draw):
-    return Circle(type="circle", center=(draw(GRID), draw(GRID)), radius=draw(st.integers(1, 4)))
+    return Circle(type="circle", center=draw(POINTS), radius=draw(st.integers(1, 4)))
 
 
 @st.composite
 def stars(draw):
     """Polygons seen whole from one point inside, most of them concave, either way round."""
     count = draw(st.integers(3, 9))
-    x, y = draw(GRID), draw(GRID)
+    x, y = draw(POINTS)
     vertices = []
     for i in range(count):
-        angle, radius = 2 * math.pi * i / count + 0.1, draw(st.floats(0.5, 5))
+        angle = 2 * math.pi * i / count + 0.1
+        radius = draw(st.floats(0.5, 5))
         vertices.append((x + radius * math.cos(angle), y + radius * math.sin(angle)))
-    return Polygon(type="polygon", vertices=tuple(vertices[:: draw(st.sampled_from([1, -1]))]))
+    way_round = draw(st.sampled_from([1, -1]))
+    return Polygon(type="polygon", vertices=tuple(vertices[::way_round]))
 
 
 @st.composite
 def combs(draw):
     """Polygons with axis-parallel edges on the grid: teeth on a base, as in a micro-arena."""
-    x, y = draw(GRID), draw(GRID)
+    x, y = draw(POINTS)
     heights = draw(st.lists(st.integers(1, 4), min_size=1, max_size=4))
-    top, at = [], x
-    for height in heights:
-        for corner in ((at, y + height), (at + 1, y + height)):
+    top = []
+    for tooth, height in enumerate(heights, x):
+        for corner in ((tooth, y + height), (tooth + 1, y + height)):
             if len(top) > 1 and top[-1][1] == top[-2][1] == corner[1]:
                 top.pop()
             if not top or top[-1] != corner:
                 top.append(corner)
-        at += 1
-    vertices = [(at, y), (x, y), *top]
+    vertices = [(x + len(heights), y), (x, y), *top]
     return Polygon(type="polygon", vertices=tuple(vertices))
 
 

@@ -73,11 +73,11 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     """Run a study in this process; return the study, its store and what became of the trials."""
     loaded = load_study(write(folder, study, spec))
     store = loaded.store(folder / out)
-    whole = options.get("logs", Logs(0, False))
+    which_logs = options.get("logs", Logs(0, False))
     watcher = Watcher()
     with store.opened():
         rerun_outdated = options.get("rerun_outdated", False)
-        tasks, outdated = lacking(loaded, store, whole, rerun_outdated)
+        tasks, outdated = lacking(loaded, store, which_logs, rerun_outdated)
         executor = options.get("executor") or on_this_machine(
             options.get("jobs", 1), len(tasks), Interrupt()
         )
@@ -97,8 +97,8 @@ class Ran(NamedTuple):
     @property
     def finished(self):
         """Results by arm and trial."""
-        found = finished_trials(self.loaded, self.store)
-        return {(arm.name, trial.trial): trial for arm, trial in found}
+        finished = finished_trials(self.loaded, self.store)
+        return {(arm.name, trial.trial): trial for arm, trial in finished}
 
     @property
     def counts(self):
@@ -110,7 +110,8 @@ class Watcher:
     """A `RunObserver` that keeps what it was called with."""
 
     def __init__(self):
-        self.started, self.endings = [], []
+        self.started = []
+        self.endings = []
 
     @property
     def failures(self):

@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mcap.records import (
-    Attachment,
-)
+from mcap.records import Attachment
 from support.mutate import changed, places, rewrite
 
 from tetractl.core.errors import LogError
@@ -72,13 +70,14 @@ def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
 
 def tamperings(log: RawLog, count: int, seed: int = 1) -> Iterator[Tampering]:
     """Yield up to `count` changes of each field, fact and attachment."""
-    rng, by_kind = random.Random(seed), dict[tuple[str, str], list[tuple[int, Any]]]()
+    rng = random.Random(seed)
+    by_kind: dict[tuple[str, str], list[tuple[int, Any]]] = {}
     for index, record in enumerate(log.records):
         for what, how in _deeds(record):
             name = record.topic if isinstance(record, Entry) else record.name
             by_kind.setdefault((name, what), []).append((index, how))
-    for (name, what), found in by_kind.items():
-        for index, how in rng.sample(found, min(count, len(found))):
+    for (name, what), deeds in by_kind.items():
+        for index, how in rng.sample(deeds, min(count, len(deeds))):
             yield Tampering(name, what, index, _done(log.records[index], what, how))
 
 
@@ -116,8 +115,8 @@ def _done(record: Record, what: str, how: Any) -> tuple[Record, ...]:
 
 def noticed(log: RawLog, tampering: Tampering, path: Path) -> bool:
     """Write the tampered log to `path`, return whether `verify` fails on it, and remove it."""
-    at = tampering.index
-    records = [*log.records[:at], *tampering.records, *log.records[at + 1 :]]
+    index = tampering.index
+    records = [*log.records[:index], *tampering.records, *log.records[index + 1 :]]
     rewrite(RawLog(log.path, records=records, channels=log.channels), path, {})
     try:
         return not verify(path).ok
@@ -153,8 +152,8 @@ STATED_ONCE = {(RUN, "spec_name"), (SPEC, "text")}
 def missed(path: Path) -> set[tuple[str, str]]:
     """Return of an intact log the (channel, field) of which `verify` misses a change."""
     assert verify(path).problems == ()
-    seen, tried = score(path, 1)
+    noticed_of, tried_of = score(path, 1)
     apart = {PICTURE, BACKGROUND, DIGESTS, RECOVERED}  # without messages here, or sealed
-    assert {channel for channel, _ in tried} >= CHANNELS.keys() - apart
-    found = {kind for kind in tried if seen[kind] < tried[kind]}
-    return {kind for kind in found if kind[0] not in HOST_RECORDS} - STATED_ONCE
+    assert {channel for channel, _ in tried_of} >= CHANNELS.keys() - apart
+    unnoticed = {kind for kind in tried_of if noticed_of[kind] < tried_of[kind]}
+    return {kind for kind in unnoticed if kind[0] not in HOST_RECORDS} - STATED_ONCE

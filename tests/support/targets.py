@@ -8,7 +8,6 @@ import random
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,23 +78,26 @@ def mutant(seeds: Sequence[bytes], rng: random.Random) -> bytes:
     """Return a seed with a few bytes changed, cut, repeated, or replaced by those of another."""
     data = bytearray(rng.choice(seeds))
     for _ in range(rng.randint(1, 4)):
-        at, size = rng.randint(0, len(data)), rng.randint(1, 16)
+        offset = rng.randint(0, len(data))
+        size = rng.randint(1, 16)
         match rng.randrange(6):
-            case 0 if at < len(data):
-                data[at] = rng.randrange(256)
+            case 0 if offset < len(data):
+                data[offset] = rng.randrange(256)
             case 1:
-                del data[at : at + rng.choice([1, size, len(data)])]
+                del data[offset : offset + rng.choice([1, size, len(data)])]
             case 2:
-                data[at:at] = rng.randbytes(size)
+                data[offset:offset] = rng.randbytes(size)
             case 3:
-                data[at : at + size] = bytes(data[at : at + size]) * rng.choice([2, 3, 50])
+                piece = bytes(data[offset : offset + size])
+                data[offset : offset + size] = piece * rng.choice([2, 3, 50])
             case 4:
-                other = rng.choice(seeds)
-                start = rng.randint(0, len(other))
-                data[at:at] = other[start : start + rng.choice([size, 200])]
+                donor = rng.choice(seeds)
+                start = rng.randint(0, len(donor))
+                data[offset:offset] = donor[start : start + rng.choice([size, 200])]
             case _:
-                count = rng.choice(NUMBERS).to_bytes(8, "little")[: rng.choice([1, 2, 4, 8])]
-                data[at : at + len(count)] = count
+                number = rng.choice(NUMBERS).to_bytes(8, "little")
+                count = number[: rng.choice([1, 2, 4, 8])]
+                data[offset : offset + len(count)] = count
     return bytes(data)
 
 
@@ -113,7 +115,8 @@ def spec(data: bytes) -> None:
 
 def calibration(data: bytes) -> None:
     with only(SpecError, one_line=False):
-        assert isinstance(calibrated(_lab(), text(data), "c.yaml"), Experiment)
+        experiment = calibrated(_lab(), text(data), "c.yaml")
+        assert isinstance(experiment, Experiment)
 
 
 @cache
@@ -124,12 +127,12 @@ def _lab():
 def calibrations() -> list[bytes]:
     wheel = {"gain_mm": 7.0, "dead_zone": 9, "invert": False}
     blue = {"name": "blue", "radius_mm": 41.5, "left": wheel, "right": wheel, "swap": True}
-    found = Calibration(
+    values = Calibration(
         measured="2026-01-01T00:00:00Z",
         camera={"robots": [{"name": "blue", "heading_offset": 0.25}]},
         actuator={"robots": [blue]},
     )
-    return [dump(found.model_dump(mode="json")).encode()]
+    return [dump(values.model_dump(mode="json")).encode()]
 
 
 # serial bytes
@@ -137,13 +140,16 @@ def calibrations() -> list[bytes]:
 
 def serial(data: bytes) -> None:
     """One byte for where reads are cut, then what comes from the port."""
-    cut, stuff = (data[:1] or b"\1")[0] % 64 + 1, data[1:]
-    decoder, splitter = Decoder(), cobs.Splitter()
-    for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
-        piece = stuff[start:stop]
+    read_size = data[0] % 64 + 1 if data else 2
+    stuff = data[1:]
+    decoder = Decoder()
+    splitter = cobs.Splitter()
+    for start in range(0, len(stuff), read_size):
+        piece = stuff[start : start + read_size]
         for content in decoder.feed(piece):
             assert Decoder().feed(encode(content)) == [content]
-            received(content), answered(content)
+            received(content)
+            answered(content)
         assert len(decoder._raw) <= 2 * (CONTENT_MAX + 3) + 1
         for frame in splitter.feed(piece):
             for decode in (broadcast.decode_reply, broadcast.decode_command):
@@ -172,8 +178,8 @@ def log(data: bytes) -> None:
     """A file, whatever is in it."""
     path = written(data, "any.mcap")
     with only(LogError):
-        found = scan(path)
-        assert all(line.isprintable() for line in (*found.problems, *found.lost))
+        contents = scan(path)
+        assert all(line.isprintable() for line in (*contents.problems, *contents.lost))
     for read in (read_trial, read_result, overview):
         with only(LogError):
             read(path)

@@ -62,9 +62,11 @@ class Terminal:
 
     def expect(self, pattern: str) -> str:
         """Read on until what came since the last match matches, without control codes."""
-        while not (found := self._match(pattern)):
+        matched = self._match(pattern)
+        while not matched:
             assert self._read(), f"{pattern!r} never came:\n{self.raw[-3000:]}"
-        return found
+            matched = self._match(pattern)
+        return matched
 
     def answer(self, pattern: str, keys: str) -> None:
         """Type, without waiting, if what came since the last match matches; fail if all is over."""
@@ -106,9 +108,11 @@ class Terminal:
 
     def _match(self, pattern: str) -> str:
         text = _CODES.sub("", self.raw)
-        if found := re.compile(pattern).search(text, self._seen):
-            self._seen = found.end()
-        return found[0] if found else ""
+        match = re.compile(pattern).search(text, self._seen)
+        if match is None:
+            return ""
+        self._seen = match.end()
+        return match[0]
 
     def _read(self, patience_s: float = PATIENCE_S) -> bool:
         ready, _, _ = select.select([self._master], [], [], patience_s)
@@ -134,5 +138,5 @@ class Terminal:
 
 def _environment() -> dict[str, str]:
     hidden = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE")
-    kept = {name: value for name, value in os.environ.items() if name not in hidden}
-    return kept | {"TERM": "xterm-256color", "PYTHONUTF8": "1"}
+    inherited = {name: value for name, value in os.environ.items() if name not in hidden}
+    return inherited | {"TERM": "xterm-256color", "PYTHONUTF8": "1"}

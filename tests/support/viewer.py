@@ -14,7 +14,11 @@ from websockets.typing import Subprotocol
 
 PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
-MESSAGE, TIME = 1, 2  # what a binary message from the server begins with
+# what a binary message from the server begins with
+MESSAGE = 1
+TIME = 2
+
+SUBSCRIPTIONS_FROM = 100  # the number of a subscription is that of its channel and this
 
 
 @dataclass
@@ -34,15 +38,15 @@ class Viewer:
         self.socket = self._manager.__enter__()
         self.info = json.loads(self.socket.recv(timeout=PATIENCE_S))
         advertised = json.loads(self.socket.recv(timeout=PATIENCE_S))
-        self.channels = {one["topic"]: one for one in advertised["channels"]}
+        self.channels = {channel["topic"]: channel for channel in advertised["channels"]}
         return self
 
     def __exit__(self, *error):
         self._manager.__exit__(*error)
 
     def subscribe(self, *topics):
-        wanted = [self.channels[topic]["id"] for topic in topics or self.channels]
-        subscriptions = [{"id": 100 + one, "channelId": one} for one in wanted]
+        ids = [self.channels[topic]["id"] for topic in topics or self.channels]
+        subscriptions = [{"id": SUBSCRIPTIONS_FROM + number, "channelId": number} for number in ids]
         self.socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
         return self
 
@@ -73,8 +77,8 @@ class Viewer:
         pool = descriptor_pool.DescriptorPool()
         for file in descriptor_pb2.FileDescriptorSet.FromString(b64decode(channel["schema"])).file:
             pool.Add(file)
-        found = pool.FindMessageTypeByName(channel["schemaName"])
-        return message_factory.GetMessageClass(found).FromString(data)
+        message_type = pool.FindMessageTypeByName(channel["schemaName"])
+        return message_factory.GetMessageClass(message_type).FromString(data)
 
     def _next(self):
         got = self.socket.recv(timeout=PATIENCE_S)
@@ -83,8 +87,8 @@ class Viewer:
             return (said["op"], 0, said)
         if got[0] == MESSAGE:
             _, subscription, log_ns = struct.unpack_from("<BIQ", got)
-            topic = next(t for t, one in self.channels.items() if 100 + one["id"] == subscription)
-            return (topic, log_ns, got[13:])
+            topics = {channel["id"]: topic for topic, channel in self.channels.items()}
+            return (topics[subscription - SUBSCRIPTIONS_FROM], log_ns, got[13:])
         assert got[0] == TIME
         return ("time", struct.unpack_from("<Q", got, 1)[0], b"")
 
@@ -105,7 +109,7 @@ def deaf(url, count):
     answer = b""
     while b"\r\n\r\n" not in answer:
         answer += stuck.recv(1)
-    wanted = [{"id": one, "channelId": one} for one in range(1, count + 1)]
-    said = json.dumps({"op": "subscribe", "subscriptions": wanted}).encode()
-    stuck.sendall(struct.pack(">BBHI", 0x81, 0xFE, len(said), 0) + said)
+    subscriptions = [{"id": number, "channelId": number} for number in range(1, count + 1)]
+    request = json.dumps({"op": "subscribe", "subscriptions": subscriptions}).encode()
+    stuck.sendall(struct.pack(">BBHI", 0x81, 0xFE, len(request), 0) + request)
     return stuck

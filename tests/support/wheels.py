@@ -7,5 +7,6 @@ from tetractl.model.wheels import Drivetrains
 
 def train(gain=(10.0, 10.0), dead_zone=(0, 0), limit=127, swap=False):
     """Return one robot's wheels: gains [mm/s per count] and dead zones of the left and right."""
-    zone = np.array(dead_zone)[:, None]
-    return Drivetrains(np.array(gain)[:, None], zone, np.array([limit]), np.array([swap]))
+    gains = np.array(gain)[:, None]
+    zones = np.array(dead_zone)[:, None]
+    return Drivetrains(gains, zones, np.array([limit]), np.array([swap]))

@@ -32,8 +32,8 @@ def test_text_json_and_figure(tmp_path):
     assert done.stdout.splitlines()[-1].startswith("advice: two and one are ")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     printed = analyze(tmp_path, *few, "--json").stdout
-    found = json.loads(printed)
-    assert found["unit"] == "um"
-    assert found["most_alike"] == ["two", "one"]
-    assert len(found["singular_values"]) == 4
-    assert f"{found['mean_total_error']:.3f}" in done.stdout
+    document = json.loads(printed)
+    assert document["unit"] == "um"
+    assert document["most_alike"] == ["two", "one"]
+    assert len(document["singular_values"]) == 4
+    assert f"{document['mean_total_error']:.3f}" in done.stdout

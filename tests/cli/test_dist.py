@@ -36,15 +36,16 @@ def done(*command, **variables):
 @pytest.fixture(scope="module")
 def python(tmp_path_factory):
     """The interpreter of an empty environment into which the wheels were installed."""
-    wheels, place = (tmp_path_factory.mktemp(name) for name in ("wheels", "environment"))
+    wheels = tmp_path_factory.mktemp("wheels")
+    place = tmp_path_factory.mktemp("environment")
     done(sys.executable, ROOT / "tools/dist.py", wheels)
     pure = next(wheels.glob("tetractl-*-none-any.whl"))
     core = next(wheels.glob("tetractl-*-cp*.whl"), pure)
-    others = [one for one in wheels.glob("*.whl") if one not in (core, pure)]
-    assert sorted(one.name.split("-")[0] for one in others) == [
-        f"tetractl_{one.name.removeprefix('tetractl-')}"
-        for one in sorted((ROOT / "packages").glob("tetractl-*"))
-    ]
+    others = [wheel for wheel in wheels.glob("*.whl") if wheel not in (core, pure)]
+    built = sorted(wheel.name.partition("-")[0] for wheel in others)
+    assert built == sorted(
+        folder.name.replace("-", "_") for folder in (ROOT / "packages").glob("tetractl-*")
+    )
     done(sys.executable, "-m", "venv", place)
     python = place / "bin" / "python"
     done(python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", core, *others)
@@ -54,8 +55,9 @@ def python(tmp_path_factory):
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the wheel has no compiled code")
 @pytest.mark.parametrize("spec", ["three_m3pi_bench", "three_m3pi_paper"])
 def test_a_trial_from_the_wheel_compiles_nothing_and_decides_the_same(python, tmp_path, spec):
-    spec, cache = ROOT / f"experiments/{spec}.yaml", tmp_path / "cache"
-    run = ("run", spec, "--trials", "1", "--quiet", "--out")
+    path = ROOT / f"experiments/{spec}.yaml"
+    cache = tmp_path / "cache"
+    run = ("run", path, "--trials", "1", "--quiet", "--out")
     done(python, "-c", RUN, *run, tmp_path / "wheel", TETRACTL_CACHE_DIR=str(cache))
     assert list(cache.rglob("*.kernel")) == []
     done(sys.executable, "-m", "tetractl", *run, tmp_path / "source")

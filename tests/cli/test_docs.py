@@ -47,8 +47,8 @@ def test_every_example_prints_what_the_page_shows(page):
         assert console.agrees(example.shown, printed, exact), (
             f"$ {example.command}\n{printed}\n{MEND.format(_name(page))}"
         )
-        told = after is not None and after[0].command == "echo $?"
-        assert told or code == 0, f"$ {example.command}\nexit code {code}\n{printed}"
+        shows_its_code = after is not None and after[0].command == "echo $?"
+        assert shows_its_code or code == 0, f"$ {example.command}\nexit code {code}\n{printed}"
 
 
 @pytest.mark.system
@@ -74,10 +74,10 @@ def test_the_small_table_of_the_readme_has_the_numbers_of_its_first_command():
     page = (ROOT / "README.md").read_text("utf-8")
     printed = next(example.shown for example in console.examples(page) if example.shown)
     for row in ("our controller", "the paper's controller"):
-        (line,) = [one for one in page.splitlines() if one.startswith(f"| {row}")]
-        mean, interval, entered, left = (cell.strip() for cell in line.split("|")[3:7])
+        (line,) = [line for line in page.splitlines() if line.startswith(f"| {row}")]
+        mean, interval, *faults = (cell.strip() for cell in line.split("|")[3:7])
         assert re.search(rf" {mean} .* {interval}", printed), line
-        assert {entered, left} <= {"0", "4"}
+        assert set(faults) <= {"0", "4"}  # that entered an obstacle, and that left the arena
     assert "left the arena: paper: 4 of 20" in printed
 
 
@@ -106,9 +106,9 @@ def test_each_mean_of_which_bench_is_which_stands_on_the_page_it_names():
         target = re.search(r"\]\(([^)#]*)", where)
         assert target, where
         named = (page.parent / target[1] if target[1] else page).read_text("utf-8")
-        shown = re.match(r" ([\d.]+) (?:\[([\d.]+), ([\d.]+)\]|\+- ([\d.]+))", mean)
-        assert shown, mean
-        for number in filter(None, shown.groups()):
+        numbers = re.match(r" ([\d.]+) (?:\[([\d.]+), ([\d.]+)\]|\+- ([\d.]+))", mean)
+        assert numbers, mean
+        for number in filter(None, numbers.groups()):
             assert number in named.replace(section, ""), (number, where)
 
 
@@ -169,9 +169,9 @@ def test_the_site_has_every_page_and_needs_no_network(tmp_path):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_is_offered_for_each_shell(shell):
-    shown = _completion(f"source_{shell}", "")
-    assert "tetractl" in shown
-    assert "_TETRACTL_COMPLETE" in shown
+    script = _completion(f"source_{shell}", "")
+    assert "tetractl" in script
+    assert "_TETRACTL_COMPLETE" in script
 
 
 @pytest.mark.parametrize(

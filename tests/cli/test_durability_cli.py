@@ -54,8 +54,8 @@ def test_a_kill_costs_little(tmp_path, seed):
 def test_verify_says_which_of_the_two_it_did(logs):
     done = tetractl(logs, "verify .").ok()
     assert done.stdout.count("ok: ") == done.stdout.count("re-computed, bit-identical") == 2
-    found = json.loads(tetractl(logs, "verify . --json").stdout)
-    assert [(log["ok"], log["problems"]) for log in found["logs"]] == [(True, [])] * 2
+    document = json.loads(tetractl(logs, "verify . --json").stdout)
+    assert [(log["ok"], log["problems"]) for log in document["logs"]] == [(True, [])] * 2
 
 
 def test_verify_fails_on_what_it_cannot_read(logs):

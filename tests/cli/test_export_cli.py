@@ -55,15 +55,14 @@ def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_pat
     assert len(pandas.read_csv(tmp_path / "out" / "trials.csv")) == 1
 
 
-@pytest.mark.parametrize("command", ["export LOG -o out", "report LOG -o r.html"])
-def test_a_damaged_log_is_told_and_a_failure(folder, tmp_path, command):
+@pytest.mark.parametrize(("command", "out"), [("export", "\x1b[1mout"), ("report", "r.html")])
+def test_a_damaged_log_is_told_and_a_failure(folder, tmp_path, command, out):
     """Regression: both were silent, with exit code 0. Paths are printed without raw escapes."""
     data = bytearray((folder / "logs" / "trial-000.mcap").read_bytes())
     del data[-2000:]
     log = tmp_path / "a\x1b[31m.mcap"
     log.write_bytes(data)
-    words = command.replace("LOG", str(log)).replace("out", "\x1b[1mout").split()
-    done = tetractl(tmp_path, *words)
+    done = tetractl(tmp_path, command, log, "-o", out)
     assert done.returncode == 1
     assert "damaged" in done.stderr
     assert "\\x1b[31m.mcap" in done.stderr

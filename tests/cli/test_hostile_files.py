@@ -77,9 +77,7 @@ def test_what_determines_nothing_is_told(tmp_path):
     [("{", False), ("[1]", False), ("1" * 400, False), ("[1e300, 1, 1]", True)],
 )
 def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, drawn, tmp_path):
-    made = random_trials.write(random_trials.trial(steps=3), tmp_path / "made.mcap")
-    contents = scan(made)
-
+    contents = scan(random_trials.write(random_trials.trial(steps=3), tmp_path / "made.mcap"))
     facts = [Fact(key="true_a", value=fact)]
     log = rewrite(contents, tmp_path / "log.mcap", stating(contents, RUN, facts=facts))
     done = tetractl(tmp_path, "plot", log, "--kind", "over-time", "-o", "e.png")

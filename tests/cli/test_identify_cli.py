@@ -12,22 +12,21 @@ pytestmark = pytest.mark.slow
 def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
     done = tetractl(folder, "identify", "logs", "-o", "found.yaml").ok()
     assert "2 logs" in done.stdout and "disturbed simulation" in done.stdout
-    found = yaml.safe_load((folder / "found.yaml").read_text())
-    assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.01)
-    assert found["robots"]["two"]["a"]["value"] == pytest.approx(3, rel=0.05)
+    identified = yaml.safe_load((folder / "found.yaml").read_text())
+    assert identified["dead_time"]["value"] == pytest.approx(0.1, abs=0.01)
+    assert identified["robots"]["two"]["a"]["value"] == pytest.approx(3, rel=0.05)
     (folder / "better.yaml").write_text(
         (folder / "quick.yaml").read_text() + "identified: found.yaml\n"
     )
     dry = tetractl(folder, "run", "better.yaml", "--dry-run")
     resolved = yaml.safe_load(dry.stdout)
-    assert [one["a"] for one in resolved["robots"]] == [
-        found["robots"][name]["a"]["value"] for name in ("one", "two")
-    ]
-    age = found["frame_age"]
-    assert resolved["controller"]["dead_time"] == found["dead_time"]["value"] + age
+    rates = {robot["name"]: robot["a"] for robot in resolved["robots"]}
+    assert rates == {name: identified["robots"][name]["a"]["value"] for name in ("one", "two")}
+    age = identified["frame_age"]
+    assert resolved["controller"]["dead_time"] == identified["dead_time"]["value"] + age
     assert resolved["identified"] is None
-    told = tetractl(folder, "run", "better.yaml", "--dry-run", "--set", "robots.one.a=5")
-    assert yaml.safe_load(told.stdout)["robots"][0]["a"] == 5  # --set has the last word
+    overridden = tetractl(folder, "run", "better.yaml", "--dry-run", "--set", "robots.one.a=5")
+    assert yaml.safe_load(overridden.stdout)["robots"][0]["a"] == 5  # --set has the last word
     again = tetractl(folder, "identify", "logs", "-o", "found.yaml")
     assert (again.returncode, "exists already" in again.stderr) == (2, True)
 
@@ -39,16 +38,19 @@ def test_what_is_identified_from_a_damaged_log_is_told_with_a_failure(folder, tm
     assert (done.returncode, "dead time" in done.stdout) == (1, True)
 
 
+def identified_json(folder, *words):
+    return json.loads(tetractl(folder, "identify", *words, "--json").ok().stdout)
+
+
 def test_exported_tables_say_the_same(folder):
     assert tetractl(folder, "export", "logs", "-o", "tables").returncode == 0
-    logs, tables = (
-        json.loads(tetractl(folder, "identify", *words, "--json").stdout)
-        for words in (["logs"], ["tables/poses.csv", "tables/steps.csv"])
-    )
-    assert tables["origin"] == "CSV"
-    assert tables["dead_time"]["value"] == pytest.approx(logs["dead_time"]["value"], abs=1e-4)
-    for one, two in zip(logs["robots"], tables["robots"], strict=True):
-        assert one["a"]["value"] == pytest.approx(two["a"]["value"], rel=1e-3)
+    from_logs = identified_json(folder, "logs")
+    from_tables = identified_json(folder, "tables/poses.csv", "tables/steps.csv")
+    assert from_tables["origin"] == "CSV"
+    dead_time = from_logs["dead_time"]["value"]
+    assert from_tables["dead_time"]["value"] == pytest.approx(dead_time, abs=1e-4)
+    for expected, robot in zip(from_logs["robots"], from_tables["robots"], strict=True):
+        assert robot["a"]["value"] == pytest.approx(expected["a"]["value"], rel=1e-3)
 
 
 def test_logs_of_a_field_of_known_strength_say_the_rate_per_strength(folder):
@@ -61,8 +63,8 @@ def test_logs_of_a_field_of_known_strength_say_the_rate_per_strength(folder):
         (folder / "field.yaml").read_text() + "identified: field-found.yaml\n"
     )
     dry = tetractl(folder, "run", "field-better.yaml", "--dry-run", "--set", "strength=2").ok()
-    (alpha,) = (one["a"] for one in yaml.safe_load(dry.stdout)["robots"] if one["name"] == "two")
-    assert alpha["per_mT"] == pytest.approx(0.75, rel=0.05)
+    robots = {robot["name"]: robot for robot in yaml.safe_load(dry.stdout)["robots"]}
+    assert robots["two"]["a"]["per_mT"] == pytest.approx(0.75, rel=0.05)
     mixed = tetractl(folder, "identify", "field", "logs")
     assert (mixed.returncode, "the field's strength differs" in mixed.stderr) == (2, True)
 
@@ -88,12 +90,12 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     def identify(name, *words):
         return tetractl(tmp_path, "identify", "poses.csv", f"{name}.csv", *words)
 
-    (one,), (other,) = (
-        json.loads(identify(name, "--json").ok().stdout) for name in ("speeds", "wheels")
-    )
-    assert one["turning_gain"]["value"] == pytest.approx(other["turning_gain"]["value"], rel=1e-6)
-    assert one["turning_gain"]["value"] == pytest.approx(1.0, abs=0.1)
-    assert one["dead_time"]["value"] == pytest.approx(0.1, abs=0.05)
+    (by_speeds,) = json.loads(identify("speeds", "--json").ok().stdout)
+    (by_wheels,) = json.loads(identify("wheels", "--json").ok().stdout)
+    gain = by_speeds["turning_gain"]["value"]
+    assert gain == pytest.approx(by_wheels["turning_gain"]["value"], rel=1e-6)
+    assert gain == pytest.approx(1.0, abs=0.1)
+    assert by_speeds["dead_time"]["value"] == pytest.approx(0.1, abs=0.05)
     assert "turning gain" in identify("speeds").ok().stdout
     for name, words, why in (
         ("torn", (), "torn.csv: a column of the wheels is missing"),
@@ -106,9 +108,9 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
 
 
 def test_the_wheels_of_logs_are_identified(folder):
-    found = json.loads(tetractl(folder, "identify", "logs", "--wheels", "--json").ok().stdout)
-    assert [one["name"] for one in found] == ["one", "two"]
-    for one in found:
+    robots = identified_json(folder, "logs", "--wheels")
+    assert [robot["name"] for robot in robots] == ["one", "two"]
+    for robot in robots:
         # between two commands these robots turn ever more slowly, without wheels
-        assert 0.7 < one["turning_gain"]["value"] < 1.1
-        assert one["speed_gain"]["value"] == pytest.approx(1.0, abs=0.1)
+        assert 0.7 < robot["turning_gain"]["value"] < 1.1
+        assert robot["speed_gain"]["value"] == pytest.approx(1.0, abs=0.1)

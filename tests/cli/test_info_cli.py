@@ -53,29 +53,29 @@ def test_it_says_what_is_in_a_log(folder):
 
 def test_json_holds_the_same(folder):
     done = tetractl(folder, "info whole.mcap --json")
-    found = json.loads(done.stdout, parse_constant=pytest.fail)
+    document = json.loads(done.stdout, parse_constant=pytest.fail)
     trial = three_robots()
     assert trial.result is not None
     assert done.returncode == 0
-    assert found["run"]["seed"] == str(SEED)
-    assert found["result"]["robot_errors"] == list(trial.result.robot_errors)
-    assert found["result"]["outcome"] == "sequence completed"
-    assert [event["level"] for event in found["events"]] == ["info", "info"]
-    assert found["events"][1]["time_s"] == pytest.approx(trial.result.duration_s)
-    assert found["estimate"] is None
-    channels = {item["topic"]: item for item in found["channels"]}
+    assert document["run"]["seed"] == str(SEED)
+    assert document["result"]["robot_errors"] == list(trial.result.robot_errors)
+    assert document["result"]["outcome"] == "sequence completed"
+    assert [event["level"] for event in document["events"]] == ["info", "info"]
+    assert document["events"][1]["time_s"] == pytest.approx(trial.result.duration_s)
+    assert document["estimate"] is None
+    channels = {item["topic"]: item for item in document["channels"]}
     assert channels["/frames"]["messages"] < len(trial.mocap) / 100
     assert channels["/controller/step"]["hz"] == pytest.approx(5, rel=0.01)
-    assert found["digest"] == found["stated_digest"] == content_digest(folder / "whole.mcap")
+    assert document["digest"] == document["stated_digest"] == content_digest(folder / "whole.mcap")
     files = {"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"}
-    assert set(found["attachments"]) == files
-    assert found["damage"] is None
-    assert found["size"] == (folder / "whole.mcap").stat().st_size
+    assert set(document["attachments"]) == files
+    assert document["damage"] is None
+    assert document["size"] == (folder / "whole.mcap").stat().st_size
 
 
 def test_the_last_estimate_is_told_with_its_deviations(tmp_path):
-    made = random_trials.trial(robots=2, steps=6)
-    estimate = made.steps[-1].plan.estimate
+    random_trial = random_trials.trial(robots=2, steps=6)
+    estimate = random_trial.steps[-1].plan.estimate
     assert estimate is not None
     sure = replace(
         estimate,
@@ -88,16 +88,16 @@ def test_the_last_estimate_is_told_with_its_deviations(tmp_path):
         dead_time=0.1503,
         dead_time_std=0.0042,
     )
-    last = replace(made.steps[-1], plan=replace(made.steps[-1].plan, estimate=sure))
-    made.rounds[-1] = (made.rounds[-1][0], last)
-    path = random_trials.write(made, tmp_path / "known.mcap")
+    last = replace(random_trial.steps[-1], plan=replace(random_trial.steps[-1].plan, estimate=sure))
+    random_trial.rounds[-1] = (random_trial.rounds[-1][0], last)
+    path = random_trials.write(random_trial, tmp_path / "known.mcap")
     text = tetractl(tmp_path, f"info {path}").stdout
     assert "estimate at step 5\n" in text
     assert "a 5.493 +- 0.052 rad/s, speed 201 +- 12 mm/s, heading bias 0.0123 +- 0.0031" in text
     assert "dead time  0.1503 +- 0.0042 s\n" in text
-    found = json.loads(tetractl(tmp_path, f"info {path} --json").stdout)
-    assert found["estimate"]["a"] == [5.4926, 3.0]
-    assert found["estimate_step"] == 5
+    document = json.loads(tetractl(tmp_path, f"info {path} --json").stdout)
+    assert document["estimate"]["a"] == [5.4926, 3.0]
+    assert document["estimate_step"] == 5
 
 
 @pytest.mark.parametrize(
@@ -112,5 +112,5 @@ def test_damage_is_told_and_fails(folder, log, said):
     assert done.returncode == 1
     assert said in done.stdout
     assert "\ndamage\n" in done.stdout
-    found = json.loads(tetractl(folder, f"info {log} --json").stdout)
-    assert found["damage"]["problems"]
+    document = json.loads(tetractl(folder, f"info {log} --json").stdout)
+    assert document["damage"]["problems"]

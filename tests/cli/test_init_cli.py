@@ -25,9 +25,9 @@ def tetractl(tmp_path):
     ("options", "lab"), [([], False), (["--lab"], True)], ids=["robots", "lab"]
 )
 def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, lab):
-    made = tetractl("init", "first", *options)
-    assert (made.returncode, made.stdout) == (0, "first.yaml\n")
-    assert made.stderr == "run it with: tetractl run first.yaml\n"
+    init = tetractl("init", "first", *options)
+    assert (init.returncode, init.stdout) == (0, "first.yaml\n")
+    assert init.stderr == "run it with: tetractl run first.yaml\n"
     checked = tetractl("validate", "first.yaml", "--strict")
     assert (checked.returncode, checked.stderr) == (0, "")
     assert checked.stdout.startswith("first.yaml: ok: name first, robots 2")
@@ -46,8 +46,8 @@ def test_the_lab_of_a_new_spec_can_be_used(tetractl):
 
 
 def test_a_lab_has_the_robots_and_the_camera_that_are_asked_for(tetractl, tmp_path):
-    made = tetractl("init", "lines", "--lab", "--robots", "twist").ok()
-    assert made.stdout == "lines.yaml\n"
+    init = tetractl("init", "lines", "--lab", "--robots", "twist").ok()
+    assert init.stdout == "lines.yaml\n"
     assert tetractl("validate", "lines.yaml", "--strict").ok().stderr == ""
     lab = load_spec(tmp_path / "lines.yaml").experiment.lab
     assert (lab.camera.type, lab.actuator.type) == ("optitrack", "twist")
@@ -117,8 +117,8 @@ def test_what_other_packages_bring_is_among_the_examples(tetractl, tmp_path):
 def test_every_file_that_a_help_or_a_hint_names_is_an_example():
     named = re.compile(r"experiments/([\w/]+)\.yaml|--example (\w+)`")
     sources = "".join(path.read_text() for path in (ROOT / "tetractl").rglob("*.py"))
-    found = {one or other for one, other in named.findall(sources)}
-    assert {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= found <= {*examples(), "NAME"}
+    names = {in_path or in_option for in_path, in_option in named.findall(sources)}
+    assert {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= names <= {*examples(), "NAME"}
 
 
 def test_a_name_that_ends_in_yml_is_kept(tetractl, tmp_path):

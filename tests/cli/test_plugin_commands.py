@@ -52,12 +52,16 @@ def tetractl(tmp_path, monkeypatch):
     return lambda *words: cli.tetractl(tmp_path, *words, env={"COLUMNS": "100"})
 
 
+def on_one_line(text):
+    return " ".join(text.split())
+
+
 def test_the_command_of_the_page_runs_and_its_options_have_placeholders(tetractl, folder):
     log = folder / "logs" / "trial-000.mcap"
-    shown = tetractl("furthest", log).ok().stdout
-    assert re.fullmatch(rf"{log}: (one|two), \d+\.\d\d mm\n", shown)
+    printed = tetractl("furthest", log).ok().stdout
+    assert re.fullmatch(rf"{log}: (one|two), \d+\.\d\d mm\n", printed)
     assert tetractl("furthest", folder / "logs", "--above", "1e6").ok().stdout == ""
-    words = " ".join(tetractl("furthest", "--help").ok().stdout.split())
+    words = on_one_line(tetractl("furthest", "--help").ok().stdout)
     assert re.search(
         r"LOG\|FOLDER\.\.\. (<.+> )?Trial logs: files, folders or globs\. \[required\]", words
     )
@@ -67,7 +71,7 @@ def test_the_command_of_the_page_runs_and_its_options_have_placeholders(tetractl
 
 
 def test_commands_that_cannot_be_used_say_why_and_break_no_other(tetractl):
-    listed = " ".join(tetractl("--help").ok().stdout.replace("│", " ").split())
+    listed = on_one_line(tetractl("--help").ok().stdout.replace("│", " "))
     why = "Cannot be used: mine 1.0: the command"
     assert f"absent {why} 'absent' cannot be used: ModuleNotFoundError: No module" in listed
     assert f"odd {why} 'odd' cannot be used: AssertionError: Typer currently" in listed

@@ -89,8 +89,9 @@ def tetractl(tmp_path):
 
 
 def place_of(folder, name, text):
-    lines = MODULES[name].splitlines()
-    return f"{folder}/site/{name}.py:{lines.index(next(one for one in lines if text in one)) + 1}"
+    numbered = enumerate(MODULES[name].splitlines(), 1)
+    first = next(number for number, line in numbered if text in line)
+    return f"{folder}/site/{name}.py:{first}"
 
 
 def test_a_controllers_exception_names_it_and_its_calls_are_in_the_log(tetractl, tmp_path):
@@ -99,9 +100,9 @@ def test_a_controllers_exception_names_it_and_its_calls_are_in_the_log(tetractl,
     text = f"plug-in controller 'east' (mine 1.0, {where}) raised ZeroDivisionError: division by"
     assert done.returncode == 1
     assert done.stderr.startswith(f"error: trial 1: {text} zero\n")
-    shown = tetractl("info", "logs/trial-000.mcap").stdout
-    assert f"debug    {where} in plan: 1 / (self.section.fails_at - self.k)" in shown
-    assert f"aborted ({text} zero) after 3 control steps" in shown
+    info = tetractl("info", "logs/trial-000.mcap").stdout
+    assert f"debug    {where} in plan: 1 / (self.section.fails_at - self.k)" in info
+    assert f"aborted ({text} zero) after 3 control steps" in info
 
 
 def test_other_exceptions_name_their_plug_in_too(tetractl, tmp_path):
@@ -124,27 +125,27 @@ def test_a_robot_that_a_plug_in_holds_for_ever_is_told_in_log_and_table(tetractl
         f"{{name: {name}, start: [200, {y}], target: [500, {y}], a: 6, speed: 100}}"
         for name, y in (("a", 500), ("b", 300))
     ]
-    both = f"robots=[{', '.join(robots)}]"
-    sets = [held, both, "controller.steps=30", "controller.time_limit=6.2"]
+    two_robots = f"robots=[{', '.join(robots)}]"
+    sets = [held, two_robots, "controller.steps=30", "controller.time_limit=6.2"]
     words = [word for setting in sets for word in ("--set", setting)]
     done = tetractl("run", "one.yaml", "--out", "logs", *words).ok()
     assert "a does not move while others drive" in " ".join(done.stdout.split())
-    shown = tetractl("info", "logs/trial-000.mcap").stdout
-    assert "warning  a does not move while others drive" in shown
-    assert "time limit (a does not move while others drive) after 31" in shown
+    info = tetractl("info", "logs/trial-000.mcap").stdout
+    assert "warning  a does not move while others drive" in info
+    assert "time limit (a does not move while others drive) after 31" in info
     assert tetractl("verify", "logs").returncode == 0
 
 
 def test_what_a_controller_returns_is_checked_and_names_it(tetractl):
     """`sys.exit` is an error too; in both cases the log is complete and can be read."""
-    for out, told in (
+    for out, why in (
         ("nan", "(mine 1.0) returned a Plan that cannot be used: a cost is nan"),
         ("exit", "raised SystemExit: 0"),
     ):
         done = tetractl("run", "one.yaml", "--out", out, "-q", "--set", f"controller.ends={out}")
         assert done.returncode == 1
         assert done.stderr.startswith("error: trial 1: plug-in controller 'east' (mine 1.0")
-        assert told in done.stderr
+        assert why in done.stderr
         assert tetractl("verify", out).ok().stdout.startswith(f"{out}/trial-000.mcap: ok")
 
 
@@ -153,8 +154,7 @@ def test_a_disturbance_that_fails_at_the_stop_too_leaves_a_complete_log(tetractl
     failing = "plant.disturbances=[{type: anchor, until_s: 0.5}]"
     done = tetractl("run", "one.yaml", "--out", "logs", "-q", "--set", failing)
     assert done.returncode == 1
-    told = "error: trial 1: plug-in disturbance 'anchor' (mine 1.0"
-    assert done.stderr.startswith(told)
+    assert done.stderr.startswith("error: trial 1: plug-in disturbance 'anchor' (mine 1.0")
     assert "raised SystemExit: no more" in done.stderr
     assert tetractl("info", "logs/trial-000.mcap").returncode == 0
     assert tetractl("verify", "logs").ok().stdout.startswith("logs/trial-000.mcap: ok")

@@ -72,9 +72,9 @@ trials: {count: 1}
 
 def code(name):
     page = (ROOT / "docs" / "how-to" / "extend.md").read_text(encoding="utf-8")
-    found = re.search(rf"```python title={name}\.py\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
-    assert found is not None
-    return found[1]
+    block = re.search(rf"```python title={name}\.py\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    assert block is not None
+    return block[1]
 
 
 @pytest.fixture(scope="module")
@@ -100,16 +100,16 @@ def test_planner_kernels_and_polish_honour_them(installed):
     _, run = installed
     done = run("-c", PLAN)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["hits"] > 20
-    assert found["worst"] < 1e-9
-    assert found["polish"] < 0.1
-    assert found["straight"] > 0  # straight on is through the diamond ...
-    assert found["found"] == 0  # ... and the polish leads out of it
-    assert found["clear"] > 9.9
-    assert found["cost"] <= 0.1
+    printed = json.loads(done.stdout)
+    assert printed["hits"] > 20
+    assert printed["worst"] < 1e-9
+    assert printed["polish"] < 0.1
+    assert printed["straight"] > 0  # straight on is through the diamond ...
+    assert printed["found"] == 0  # ... and the polish leads out of it
+    assert printed["clear"] > 9.9
+    assert printed["cost"] <= 0.1
     again = json.loads(run("-c", PLAN).stdout)
-    assert again == found
+    assert again == printed
 
 
 def test_checks_plant_log_and_pictures_honour_them(installed):

@@ -141,8 +141,9 @@ def test_kinds_are_listed_with_their_package(site, tmp_path):
     assert ["optimizer", "random-search", "tetractl-example", "0.1.0", code] in lines
     done = tetractl(tmp_path, [site], "kinds", "--json")
     (camera,) = [k for k in json.loads(done.stdout)["kinds"] if k["type"] == "csv-camera"]
-    found = camera["seam"], camera["package"], camera["problem"]
-    assert found == ("camera", "tetractl-example", None)
+    assert camera["seam"] == "camera"
+    assert camera["package"] == "tetractl-example"
+    assert camera["problem"] is None
 
 
 def test_an_unknown_type_is_answered_with_what_is_installed(site, tmp_path):
@@ -157,15 +158,15 @@ def test_an_unknown_type_is_answered_with_what_is_installed(site, tmp_path):
 def test_a_broken_package_is_one_line_where_it_is_used_and_nothing_elsewhere(tmp_path):
     points = "[tetractl.optimizers]\nrandom-search = bad_search:Search\n"
     bad = install(tmp_path / "site", "bad", "3.1", points, bad_search="import absent_module")
-    told = "error: bad 3.1: the optimizer 'random-search' cannot be used: "
+    error = "error: bad 3.1: the optimizer 'random-search' cannot be used: "
     for spec, out, said in (
-        (SPEC, "", told),
+        (SPEC, "", error),
         (SPEC.replace("type: random-search, ", ""), ": ok: ", ""),
     ):
         (tmp_path / "two.yaml").write_text(spec, encoding="utf-8")
         done = tetractl(tmp_path, [bad], "validate", "two.yaml")
         assert out in done.stdout and done.stderr.startswith(said)
-    assert told in tetractl(tmp_path, [bad], "kinds").stderr
+    assert error in tetractl(tmp_path, [bad], "kinds").stderr
 
 
 def test_what_a_kind_prints_in_the_commands_own_process_is_marked(site, logged, tmp_path):

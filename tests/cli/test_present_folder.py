@@ -58,9 +58,11 @@ def test_a_run_whose_fork_server_is_killed_does_its_work(tmp_path):
         [*CONSOLE, *RUN, *SHORT], cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     until = time.monotonic() + PATIENCE_S
-    while (server := server_of(run.pid)) is None:
+    server = None
+    while server is None:
         assert run.poll() is None
         assert time.monotonic() < until
+        server = server_of(run.pid)
     os.kill(server, signal.SIGKILL)
     _, said = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 0, said

@@ -52,7 +52,7 @@ def test_every_key_reaches_the_player(folder):
     """What a key does there is tested of the player; here, what then stands on the screen."""
     with play(folder, "--paused") as terminal:
         terminal.expect("‖ 1×.*" + at(0.0))
-        for keys, shown in (
+        for keys, on_screen in (
             (".", "step k      1 "),
             ("\x1b[C", at(1.2)),
             ("\x1bOC", at(2.2)),
@@ -70,7 +70,7 @@ def test_every_key_reaches_the_player(folder):
             ("?", at(0.0)),
         ):
             terminal.press(keys)
-            terminal.expect(shown)
+            terminal.expect(on_screen)
         terminal.press("q")
         assert terminal.finish() == 0
         assert terminal.settings() == terminal.before
@@ -175,10 +175,11 @@ def test_a_dumb_terminal_gets_plain_lines(folder):
 def test_without_a_terminal_one_line_a_step(folder):
     done = run("replay", "whole.mcap", cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
-    lines, steps = step_lines(done.stdout), three_robots().steps
+    lines = step_lines(done.stdout)
+    steps = three_robots().steps
     assert len(lines) == len(steps)
-    told = [line for line in done.stdout.splitlines() if line not in lines]
-    assert told == [
+    events = [line for line in done.stdout.splitlines() if line not in lines]
+    assert events == [
         "  0.00 s  info: trial 0 of three-m3pi starts",
         "  8.20 s  info: sequence completed after 41 control steps",
         "  8.20 s  sequence completed, final total error 83.8 mm true",
@@ -211,7 +212,8 @@ def test_start_until_and_rate_without_a_terminal(folder):
 def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     done = run("replay", "cut.mcap.part", cwd=folder)
     assert done.returncode == 1
-    assert len(step_lines(done.stdout)) == len(read_trial(folder / "cut.mcap.part").steps)
+    steps = read_trial(folder / "cut.mcap.part").steps
+    assert len(step_lines(done.stdout)) == len(steps)
     assert done.stderr.startswith("damaged: cut.mcap.part: ")
     assert "lost: cut.mcap.part: " in done.stderr
     done = run("plot", "cut.mcap.part", "--kind", "errors", cwd=folder)

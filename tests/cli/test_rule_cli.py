@@ -30,18 +30,18 @@ WITHOUT_JSON += ["lab markers"]
 
 
 def test_options_of_one_meaning_have_one_name():
-    seen = set()
+    all_options = set()
     for words, command in commands():
         options = {option for p in command.params for option in p.opts if option.startswith("-")}
-        seen |= options
+        all_options |= options
         assert ("--out" in options) == ("-o" in options), words
         assert "--json" in options or " ".join(words) in WITHOUT_JSON, words
         takes_spec = any(p.name in ("spec", "specs") for p in command.params)
         takes_spec |= words == ("rerun",)  # of the spec that its log holds
         takes_spec |= words == ("kinds",)  # of the section that is checked
         assert ("--set" in options) == takes_spec, words
-    assert {"--out", "--json", "--set", "--yes"} <= seen
-    assert "--output" not in seen
+    assert {"--out", "--json", "--set", "--yes"} <= all_options
+    assert "--output" not in all_options
 
 
 @pytest.mark.parametrize("words", [(), ("lab",)])
@@ -57,17 +57,17 @@ SPEC_COMMANDS = ["validate", "run", "lab check", "lab stop", "lab calibrate", "l
 
 
 @pytest.mark.parametrize("command", LOG_COMMANDS + SPEC_COMMANDS)
-@pytest.mark.parametrize("made", ["missing", "fifo"])
-def test_a_file_that_is_missing_or_no_regular_one_is_bad_usage(tmp_path, command, made):
+@pytest.mark.parametrize("kind", ["missing", "fifo"])
+def test_a_file_that_is_missing_or_no_regular_one_is_bad_usage(tmp_path, command, kind):
     """Regression: a FIFO hung its reader, and `replay missing.mcap` ended with 1."""
-    if made == "fifo":
+    if kind == "fifo":
         os.mkfifo(tmp_path / "x")
     done = tetractl(*command.split(), "x", cwd=tmp_path)
     assert done.returncode == 2
     said = done.stderr + done.stdout  # validate's problems are its results
     assert said.startswith(("error: x: ", "x: ")), said
     assert said.count("\n") == 1
-    assert ("not a regular file" in said) == (made == "fifo")
+    assert ("not a regular file" in said) == (kind == "fifo")
 
 
 def test_json_is_format_json_and_a_folder_of_one_log_is_that_log(tmp_path):
@@ -75,5 +75,5 @@ def test_json_is_format_json_and_a_folder_of_one_log_is_that_log(tmp_path):
     done = tetractl("run", "spec.yaml", "--trials", "1", "-o", "logs", "--json", cwd=tmp_path).ok()
     for words in (("stats", "logs", "--json"), ("stats", "logs", "--format", "json")):
         assert tetractl(*words, cwd=tmp_path).stdout == done.stdout
-    found = json.loads(tetractl("info", "logs", "--json", cwd=tmp_path).stdout)
-    assert found["log"] == "logs/trial-000.mcap"
+    info = json.loads(tetractl("info", "logs", "--json", cwd=tmp_path).stdout)
+    assert info["log"] == "logs/trial-000.mcap"

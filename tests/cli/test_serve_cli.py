@@ -30,9 +30,8 @@ def log(tmp_path_factory):
 def command(*words, cwd):
     """A command, and the `url` at which it says that it serves."""
     with Started(cwd, *words) as served:
-        found = []
-        served.until(lambda: found.extend(ADDRESS.findall(served.said())) or found)
-        served.url = found[0]
+        served.until(lambda: ADDRESS.search(served.said()))
+        served.url = ADDRESS.findall(served.said())[0]
         yield served
         assert "Traceback" not in served.said()
 
@@ -52,8 +51,8 @@ def test_a_run_is_served_while_it_runs_and_its_log_stays_the_same(tmp_path):
         assert served.process.wait(PATIENCE_S) == 0
     subprocess.run([TETRACTL, *run, "alone"], cwd=tmp_path, capture_output=True, check=True)
     for name in ("trial-000.mcap", "trial-001.mcap"):
-        served, alone = (read_result(tmp_path / one / name) for one in ("served", "alone"))
-        assert served.digest == alone.digest
+        digest = read_result(tmp_path / "served" / name).digest
+        assert digest == read_result(tmp_path / "alone" / name).digest
 
 
 def test_without_the_extra_one_clear_line_says_how_to_get_it(tmp_path):

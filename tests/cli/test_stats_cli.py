@@ -46,21 +46,31 @@ def work(tmp_path, ten):
     return tmp_path
 
 
+def rows_of(table):
+    """The words of each line, by the name in its first column."""
+    lines = table.splitlines()
+    return {line.partition("  ")[0].strip(): line.split() for line in lines}
+
+
+def csv_rows(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
 def test_the_table_shows_the_batch_beside_the_published_result(work):
-    done, full = stats("ten", cwd=work), stats("ten", "--full", cwd=work).stdout
+    done = stats("ten", cwd=work)
     assert (done.returncode, done.stderr) == (0, "")
     assert "10 of 10 trials valid" in done.stdout
     assert "\x1b" not in done.stdout
-    rows = {line.split("  ")[0].strip(): line.split() for line in done.stdout.splitlines()}
+    rows = rows_of(done.stdout)
     assert rows["total"][1:7] == ["10", "345.0", "30.3", "345.0", "300.0", "390.0"]
     assert rows["published"][1:4] == ["20", "648.6", "225.1"]
     assert "robot 2" not in rows
-    rows = {line.split("  ")[0].strip(): line.split() for line in full.splitlines()}
+    rows = rows_of(stats("ten", "--full", cwd=work).stdout)
     assert rows["robot 2"][2:4] == ["10", "145.0"]
 
 
 def test_csv_markdown_and_latex(work):
-    rows = list(csv.DictReader(io.StringIO(stats("ten", "--format", "csv", cwd=work).stdout)))
+    rows = csv_rows(stats("ten", "--format", "csv", cwd=work).stdout)
     assert [float(row["total_error_mm"]) for row in rows] == [300 + 10 * i for i in range(10)]
     assert "| total | 10 | 345.0 |" in stats("ten", "--format", "markdown", cwd=work).stdout
     assert r"total & 10 & 345.0 &" in stats("ten", "--format", "latex", cwd=work).stdout
@@ -71,16 +81,16 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
     torn.write_bytes(torn.read_bytes()[:-2000])
     (work / "ten/trial-011.mcap").write_bytes(b"not a log at all")
     done = stats("ten", "--format", "json", cwd=work)
-    found = json.loads(done.stdout)
+    document = json.loads(done.stdout)
     assert done.returncode == 1
     assert "damaged: ten/trial-004.mcap" in done.stderr
     assert "damaged: ten/trial-011.mcap: not an MCAP file" in done.stderr
-    assert found["n_trials"] == 10
-    assert found["recovered"] == 1
-    assert [trial["log"] for trial in found["trials"] if trial["recovered"]] == [
+    assert document["n_trials"] == 10
+    assert document["recovered"] == 1
+    assert [trial["log"] for trial in document["trials"] if trial["recovered"]] == [
         "ten/trial-004.mcap"
     ]
-    assert found["damaged"] == [{"log": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
+    assert document["damaged"] == [{"log": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
 
 
 def test_a_trial_of_a_lab_in_which_a_robot_turns_unlike_in_the_others_is_named(tmp_path):
@@ -96,15 +106,15 @@ def test_a_trial_of_a_lab_in_which_a_robot_turns_unlike_in_the_others_is_named(t
     assert f"less certain: {said}\n" in done.stdout
     flagged = json.loads(stats(".", "--json", cwd=tmp_path).stdout)["flagged"]
     said = "robot 1 turned by +0.30 rad/s unlike in the other trials"
-    assert [one["log"] for one in flagged if said in one["notes"]] == ["trial-005.mcap"]
+    assert [trial["log"] for trial in flagged if said in trial["notes"]] == ["trial-005.mcap"]
 
 
 def test_against_prints_what_several_folders_print(work):
     write(work / "exact", 12, controller={"motion": "exact"})
     for form in ("table", "json", "csv", "html"):
-        one = stats("exact", "--against", "ten", "--format", form, cwd=work)
-        assert one.stdout == stats("exact", "ten", "--format", form, cwd=work).stdout
-        assert one.returncode == 0
+        done = stats("exact", "--against", "ten", "--format", form, cwd=work)
+        assert done.stdout == stats("exact", "ten", "--format", form, cwd=work).stdout
+        assert done.returncode == 0
 
 
 def test_several_folders_are_batches_compared_two_by_two(work):
@@ -118,16 +128,16 @@ def test_several_folders_are_batches_compared_two_by_two(work):
     assert "detectable at 80 %" in full
     assert max(map(len, full.splitlines())) <= 120
     assert (work / "ecdf.svg").stat().st_size > 1000
-    found = json.loads(stats("ten", "exact", "still", "--json", cwd=work).stdout)
-    assert [arm["name"] for arm in found["groups"]] == ["ten", "exact", "still"]
-    assert [arm["n_counted"] for arm in found["groups"]] == [10, 12, 9]
-    first, second, third = found["comparisons"]
+    document = json.loads(stats("ten", "exact", "still", "--json", cwd=work).stdout)
+    assert [arm["name"] for arm in document["groups"]] == ["ten", "exact", "still"]
+    assert [arm["n_counted"] for arm in document["groups"]] == [10, 12, 9]
+    first, second, third = document["comparisons"]
     assert (first["one"], first["other"], first["pairs"]) == ("ten", "exact", 10)
     assert (first["difference"], first["verdict"]) == (0.0, None)
     assert first["detects_sd"] == pytest.approx(1.0, abs=0.01)
     assert not second["comparable"] and not third["comparable"]
     assert (second["rank_p"], second["verdict"]) == (None, None)
-    rows = list(csv.DictReader(io.StringIO(stats("ten", "exact", "--format=csv", cwd=work).stdout)))
+    rows = csv_rows(stats("ten", "exact", "--format=csv", cwd=work).stdout)
     assert (rows[0]["one_n"], rows[0]["other_mean"]) == ("10", "355.0")
     latex = stats("ten", "exact", "--format", "latex", "--full", cwd=work).stdout
     assert "ten - exact & 10 pairs" in latex

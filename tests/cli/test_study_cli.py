@@ -22,7 +22,7 @@ def table(out):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def finished_study(tmp_path_factory):
     """The quick study, run in one go with all logs."""
     folder = tmp_path_factory.mktemp("whole")
     write(folder)
@@ -30,8 +30,8 @@ def whole(tmp_path_factory):
     return folder, done
 
 
-def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
-    folder, done = whole
+def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(finished_study):
+    folder, done = finished_study
     out = folder / "out"
     arms = sorted(path.name for path in out.iterdir() if path.is_dir())
     assert len(arms) == 8
@@ -40,14 +40,14 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
         "trials.csv", "times.csv", "error-arms.png", "error-plant.dead_time.png",
         "error-robots.r.a.png",
     }  # fmt: skip
-    found = table(out)
-    assert len(found) == 40
-    for row in found[::7]:
+    rows = table(out)
+    assert len(rows) == 40
+    for row in rows[::7]:
         log = out / row["log"]
         assert row["content_digest"] == content_digest(log)
         assert float(row["total_error_mm"]) == read_result(log).result.total_error
-    assert found[0]["controller"] == "many"
-    assert {row["plant.dead_time"] for row in found} == {"0", "0.1"}
+    assert rows[0]["controller"] == "many"
+    assert {row["plant.dead_time"] for row in rows} == {"0", "0.1"}
     assert "quick: 8 arms of 5 trials, 40 of 40 to run, 1 at a time" in done.stderr
     assert "expected duration" in done.stderr
     assert "40 of 40 trials" in done.stderr
@@ -57,8 +57,10 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
 
 
 @pytest.mark.system
-def test_a_study_is_checked_previewed_and_run_from_python_alike(whole, tmp_path, monkeypatch):
-    folder, _ = whole
+def test_a_study_is_checked_previewed_and_run_from_python_alike(
+    finished_study, tmp_path, monkeypatch
+):
+    folder, _ = finished_study
     write(tmp_path)
     assert "study.yaml: ok: study" in tetractl("validate", "study.yaml", cwd=tmp_path).ok().stdout
     dry = study("study.yaml", "--out", "again", "--dry-run", cwd=tmp_path).ok().stdout
@@ -66,7 +68,7 @@ def test_a_study_is_checked_previewed_and_run_from_python_alike(whole, tmp_path,
     assert "few-dead_time=0.1-a=3" in dry and not (tmp_path / "again").exists()
     monkeypatch.chdir(tmp_path)
     batches = run_study("study.yaml", "again", logs="none")
-    assert [len(one.trials) for one in batches.values()] == [5] * 8
+    assert [len(batch.trials) for batch in batches.values()] == [5] * 8
     totals = [row["total_error_mm"] for row in table(folder / "out")]
     assert [row["total_error_mm"] for row in table(tmp_path / "again")] == totals
 
@@ -93,7 +95,7 @@ def test_a_study_says_that_rows_of_an_earlier_version_are_not_read(tmp_path):
 
 
 @pytest.mark.long
-def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
+def test_a_study_killed_and_run_again_gives_the_same_table(finished_study, tmp_path):
     write(tmp_path)
     out = tmp_path / "out"
     for already in (5, 20):
@@ -107,23 +109,23 @@ def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
     torn.write_bytes(torn.read_bytes()[:-20])  # as a power cut may leave it
     done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=tmp_path).ok()
     assert "40 of 40 to run" not in done.stderr
-    assert results(out) == results(whole[0] / "out")
+    assert results(out) == results(finished_study[0] / "out")
 
 
 @pytest.mark.system
-def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
+def test_a_study_interrupted_is_gone_on_with(finished_study, tmp_path):
     write(tmp_path)
     out = tmp_path / "out"
     with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
         running.until_logs(out, 5)
         running.process.send_signal(signal.SIGINT)
         assert running.end() == 130
-    told = running.err.read_text().splitlines()
-    assert told[-1] == "interrupted"
-    assert "trials are missing; continue with the same command" in told[-2]
+    lines = running.err.read_text().splitlines()
+    assert lines[-1] == "interrupted"
+    assert "trials are missing; continue with the same command" in lines[-2]
     assert 5 <= len(table(out)) < 40
     assert study("study.yaml", "--out", "out", cwd=tmp_path).returncode == 0
-    assert results(out) == results(whole[0] / "out")
+    assert results(out) == results(finished_study[0] / "out")
 
 
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
@@ -133,8 +135,8 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert done.returncode == 1
     assert "failed: speed=1e+308/0: aborted: the cost is not finite" in done.stderr
     assert "4 trials aborted" in done.stderr
-    found = table(tmp_path / "out")
-    assert [row["outcome"] == "aborted" for row in found] == [True] * 4 + [False] * 4
-    read = [read_result(tmp_path / "out" / row["log"]) for row in found]
-    assert [one.brief for one in read] == [False] * 4 + [True] * 4
-    assert [one.digest for one in read] == [row["content_digest"] for row in found]
+    rows = table(tmp_path / "out")
+    assert [row["outcome"] == "aborted" for row in rows] == [True] * 4 + [False] * 4
+    results = [read_result(tmp_path / "out" / row["log"]) for row in rows]
+    assert [result.brief for result in results] == [False] * 4 + [True] * 4
+    assert [result.digest for result in results] == [row["content_digest"] for row in rows]

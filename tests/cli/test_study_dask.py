@@ -50,16 +50,13 @@ def cluster(cwd, *security, scheme="tcp"):
             with suppress(subprocess.TimeoutExpired):
                 scheduler.wait(0.05)
         address = json.loads(file.read_text())["address"]
-        one = ["--nthreads", "1", "--no-nanny", "--local-directory", str(cwd), *security, address]
-        yield (
-            address,
-            scheduler,
-            [stack.enter_context(dask("worker", *one, cwd=cwd)) for _ in range(2)],
-        )
+        args = ["--nthreads", "1", "--no-nanny", "--local-directory", str(cwd), *security, address]
+        workers = [stack.enter_context(dask("worker", *args, cwd=cwd)) for _ in range(2)]
+        yield address, scheduler, workers
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory):
+def local_study(tmp_path_factory):
     """The folder of the longer study run in this process."""
     folder = tmp_path_factory.mktemp("here")
     write(folder, LONGER)
@@ -67,7 +64,7 @@ def here(tmp_path_factory):
     return folder / "here"
 
 
-def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path, here):
+def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path, local_study):
     write(tmp_path, LONGER)
     out = tmp_path / "there"
     with cluster(tmp_path) as (address, _, workers):
@@ -77,13 +74,13 @@ def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path,
             workers[0].kill()
             assert running.end() == 0, running.err.read_text()
     assert logs(out) == 96
-    assert results(out) == results(here)
+    assert results(out) == results(local_study)
     for path in sorted(out.rglob("*.mcap"))[::17]:
-        assert content_digest(path) == content_digest(here / path.relative_to(out))
+        assert content_digest(path) == content_digest(local_study / path.relative_to(out))
 
 
 def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_goes_on(
-    tmp_path, here
+    tmp_path, local_study
 ):
     write(tmp_path, LONGER)
     out = tmp_path / "there"
@@ -102,29 +99,33 @@ def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_
         args = ("--out", out, "--cluster", address, "-q")
         tetractl("study", "study.yaml", *args, cwd=tmp_path).ok()
     assert logs(out) == 96
-    assert results(out) == results(here)
+    assert results(out) == results(local_study)
 
 
 def certificates(folder):
-    """Write a certificate of its own authority and return the files: authority, own, key."""
-    names = ("ca.pem", "ca.key", "own.pem", "own.key", "own.csr")
-    ca, ca_key, own, key, asked = (str(folder / name) for name in names)
+    """Write a certificate of its own authority and return the files: authority, certificate,
+    key."""
+    ca = str(folder / "ca.pem")
+    ca_key = str(folder / "ca.key")
+    certificate = str(folder / "own.pem")
+    key = str(folder / "own.key")
+    request = str(folder / "own.csr")
     new = ["openssl", "req", "-newkey", "rsa:2048", "-nodes", "-subj"]
     sign = ["openssl", "x509", "-req", "-CAcreateserial", "-days", "9"]
     for words in (
         [*new, "/CN=authority", "-x509", "-days", "9", "-keyout", ca_key, "-out", ca],
-        [*new, "/CN=study", "-keyout", key, "-out", asked],
-        [*sign, "-in", asked, "-CA", ca, "-CAkey", ca_key, "-out", own],
+        [*new, "/CN=study", "-keyout", key, "-out", request],
+        [*sign, "-in", request, "-CA", ca, "-CAkey", ca_key, "-out", certificate],
     ):
         subprocess.run(words, check=True, capture_output=True)
-    return ca, own, key
+    return ca, certificate, key
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl for certificates")
 def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypatch):
     write(tmp_path, SMALL)
-    ca, own, key = certificates(tmp_path)
-    security = ("--tls-ca-file", ca, "--tls-cert", own, "--tls-key", key)
+    ca, certificate, key = certificates(tmp_path)
+    security = ("--tls-ca-file", ca, "--tls-cert", certificate, "--tls-key", key)
     with cluster(tmp_path, *security, scheme="tls") as (address, _, _):
         args = ("study.yaml", "--out", "there", "-q", "--cluster")
         done = tetractl("study", *args, address, cwd=tmp_path)
@@ -135,11 +136,10 @@ def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypat
         assert "no Dask scheduler answers there" in done.stderr
         assert logs(tmp_path / "there") == 0
         tls = "DASK_DISTRIBUTED__COMM__TLS__"
-        for name, file in (("CA_FILE", ca), ("CLIENT__CERT", own), ("CLIENT__KEY", key)):
+        for name, file in (("CA_FILE", ca), ("CLIENT__CERT", certificate), ("CLIENT__KEY", key)):
             monkeypatch.setenv(tls + name, file)
-        done = process(
-            tmp_path, "study", *args, address
-        ).ok()  # Dask reads them when it is imported
+        # Dask reads them when it is imported: in a process of its own
+        process(tmp_path, "study", *args, address).ok()
         assert logs(tmp_path / "there") == 6
 
 

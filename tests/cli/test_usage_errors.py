@@ -208,9 +208,9 @@ def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path
     """`report` takes what `stats` takes; a log that cannot be read is named with its cause."""
     inside = sorted(f"out/{path.name}" for path in (folder / "out").iterdir())
     assert "out/trials.csv" in inside
-    one, other = (tetractl(folder, "stats", *paths) for paths in (["out"], inside))
-    assert one == other
-    assert (one.returncode, one.stderr) == (0, "")
+    done = tetractl(folder, "stats", "out")
+    assert tetractl(folder, "stats", *inside) == done
+    assert (done.returncode, done.stderr) == (0, "")
     page = tmp_path / "page.html"
     done = tetractl(folder, "report", *inside, "noise.mcap", "-o", page)
     assert (done.returncode, done.stderr) == (1, "warning: noise.mcap: not an MCAP file\n")
@@ -237,16 +237,17 @@ def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("words", [["run"], ["stats"], ["study"], ["lab", "check"], []])
 def test_help_of_options_names_no_types_of_python(folder, words):
-    shown = tetractl(folder, *words, "--help").stdout.partition(" Options ")[2]
-    assert shown
-    assert not re.search("<(bool|int|str|float|path|list)", shown), shown
+    options = tetractl(folder, *words, "--help").stdout.partition(" Options ")[2]
+    assert options
+    assert not re.search("<(bool|int|str|float|path|list)", options), options
 
 
 def test_options_are_described_without_docstrings_too(folder, monkeypatch):
     """`python -OO` keeps none: commands then have no description, but their options do."""
     monkeypatch.setattr("tetractl.cli.run.run.__doc__", None)
-    shown = " ".join(tetractl(folder, "run", "--help").ok().stdout.split())
-    assert "--quiet -q Show neither a live view nor progress." in shown.replace(" │ │ ", " ")
+    text = tetractl(folder, "run", "--help").ok().stdout
+    words = " ".join(text.split()).replace(" │ │ ", " ")
+    assert "--quiet -q Show neither a live view nor progress." in words
 
 
 def test_warm_compiles_what_specs_and_studies_name(folder):

@@ -16,11 +16,11 @@ pytestmark = pytest.mark.system
 
 
 def run(folder, *words, code=0, env=None):
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "_TETRACTL"))}
+    inherited = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "_TETRACTL"))}
     done = subprocess.run(
         list(map(str, words)),
         cwd=folder,
-        env=kept | {"COLUMNS": "100"} | (env or {}),
+        env=inherited | {"COLUMNS": "100"} | (env or {}),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -56,9 +56,9 @@ def installed(tmp_path_factory):
     packages = place / where.strip()
     install(python, wheel)
     libraries = Path(sysconfig.get_path("purelib"))
-    for each in libraries.iterdir():  # all but ours, whose commands would be found as well
-        if not each.name.startswith(("tetractl", "_editable_impl_tetractl")):
-            (packages / each.name).symlink_to(each)
+    for library in libraries.iterdir():  # all but ours, whose commands would be found as well
+        if not library.name.startswith(("tetractl", "_editable_impl_tetractl")):
+            (packages / library.name).symlink_to(library)
     said = run(place, python, "-c", "import tetractl; print(tetractl.__file__)")
     assert said.strip().startswith(str(packages)), said
     return python.parent

@@ -24,9 +24,9 @@ MEASURED = {"outside": (-2.694, 264.5), "in an obstacle": (250.0, 410.0)}
 @pytest.fixture(scope="module", params=MEASURED.values(), ids=MEASURED)
 def log(request, tmp_path_factory):
     """The log of a trial whose robot was measured where no spec may place it, as a cell may be."""
-    given = parse_spec(SIM, "measured.yaml").experiment
-    moved = given.robots[0].model_copy(update={"start": request.param})
-    spec = given.model_copy(update={"robots": (moved, *given.robots[1:])})
+    written = parse_spec(SIM, "measured.yaml").experiment
+    moved = written.robots[0].model_copy(update={"start": request.param})
+    spec = written.model_copy(update={"robots": (moved, *written.robots[1:])})
     vars(spec).pop("setup", None)  # that of the robots where the spec places them
     folder = tmp_path_factory.mktemp("measured")
     run_trial(LoadedSpec(spec, SIM, "measured.yaml"), folder, 1)
@@ -47,7 +47,8 @@ READERS = {
 
 @pytest.mark.parametrize("command", READERS)
 def test_a_trial_that_began_anywhere_is_read(log, tmp_path, command):
-    tetractl(tmp_path, *READERS[command].format(log=log).split()).ok()
+    words = READERS[command].format(log=log).split()
+    tetractl(tmp_path, *words).ok()
 
 
 def test_a_person_may_not_place_a_robot_there(log):

@@ -3,12 +3,13 @@
 import math
 from copy import deepcopy
 from dataclasses import asdict, replace
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from oracles import bank as oracle
 from oracles.filter import RobotFilter
+from support.built_disturbance import BuiltSection
 from support.paths import ROOT
 
 from tetractl.control.estimator import StateEstimator
@@ -34,7 +35,7 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Observation, Poses, Sight, wrap
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
 
@@ -99,20 +100,6 @@ class Backing(Disturbance):
     def moved(self, poses, moving, seconds, time_s):
         rate = 2.0 if 4.5 <= time_s < 5 else 0.0
         return Poses(poses.x, poses.y, poses.heading + rate * seconds)
-
-
-class BuiltSection(DisturbanceSection):
-    """Stands for the section of a disturbance that is built already."""
-
-    type: Literal["built"] = "built"
-    disturbance: Any
-
-    @classmethod
-    def holding(cls, disturbance):
-        return cls.model_construct(disturbance=disturbance)
-
-    def build(self, setup, rng):
-        return self.disturbance
 
 
 class Driven(NamedTuple):

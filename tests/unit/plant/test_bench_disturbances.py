@@ -24,6 +24,29 @@ def plant(*disturbances, seed=1, robots=PAIR, wheels=None, **fields):
     return sim(spec, seed)
 
 
+START_X = 900  # of both robots of PAIR [mm], which head to the right
+SPEEDS = np.array([100, 50])  # of PAIR [mm/s]
+
+
+def latencies(samples):
+    """From the exposure of each frame but the first until the host has it [ns]."""
+    frames = [sample.observation for sample in samples[1:]]
+    return np.array([frame.received_ns - frame.sampled_ns for frame in frames])
+
+
+def deliveries(simulated, count):
+    """Which of so many directions, sent one right after the other, have reached each robot."""
+    simulated.open()
+    commands = [simulated.send(Steer(0.0)) for _ in range(count)]
+    return np.array([command.delivered for command in commands])
+
+
+def rate_agrees(happened, share):
+    """Whether it happened as often as by chance, with this share for each."""
+    count = int(np.count_nonzero(happened))
+    return stats.binomtest(count, np.size(happened), share).pvalue > 1e-4
+
+
 def driven(simulated, seconds, direction=0.0):
     """Hold a direction; return every sample."""
     simulated.open()
@@ -35,7 +58,7 @@ def driven(simulated, seconds, direction=0.0):
 def test_frames_reach_the_host_as_late_as_the_spec_says():
     section = {"type": "camera-latency", "mean": 0.02, "deviation": 0.001}
     samples = driven(plant(section), 20)
-    latency = np.array([s.observation.received_ns - s.observation.sampled_ns for s in samples[1:]])
+    latency = latencies(samples)
     assert latency.mean() / SECOND == pytest.approx(0.02, abs=1e-4)
     assert latency.std() / SECOND == pytest.approx(0.001, rel=0.1)
     received = [s.observation.received_ns for s in samples]
@@ -45,11 +68,11 @@ def test_frames_reach_the_host_as_late_as_the_spec_says():
 
 def test_some_frames_are_late():
     section = {"type": "camera-latency", "mean": 0.001, "late_share": 0.1, "late_by": 0.004}
-    samples = driven(plant(section), 60)
-    latency = np.array([s.observation.received_ns - s.observation.sampled_ns for s in samples[1:]])
-    late = latency > 0.001 * SECOND
-    assert stats.binomtest(int(late.sum()), late.size, 0.1).pvalue > 1e-4
-    assert stats.kstest(latency[late] / SECOND - 0.001, "uniform", (0, 0.004)).pvalue > 1e-4
+    latency_s = latencies(driven(plant(section), 60)) / SECOND
+    late = latency_s > 0.001
+    assert rate_agrees(late, 0.1)
+    late_by_s = latency_s[late] - 0.001
+    assert stats.kstest(late_by_s, "uniform", (0, 0.004)).pvalue > 1e-4
 
 
 @pytest.mark.parametrize(("burst", "share"), [(1.0, 0.4), (4.0, 0.1)])
@@ -74,19 +97,29 @@ def test_planning_takes_time_before_a_command_and_before_the_stop():
     assert 0.01 <= (simulated.stop().sent_ns - now) / SECOND <= 0.03
 
 
-def test_the_radio_delays_and_loses_for_each_robot_alone():
+def test_the_radio_loses_for_each_robot_alone():
     simulated = plant({"type": "radio", "delay": 0.05, "loss": 0.3})
-    simulated.open()
-    delivered = np.array([simulated.send(Steer(0.0)).delivered for _ in range(2000)])
-    assert stats.binomtest(int((~delivered).sum()), delivered.size, 0.3).pvalue > 1e-4
+    delivered = deliveries(simulated, 2000)
+    assert rate_agrees(~delivered, 0.3)
     assert abs(np.corrcoef(delivered.T)[0, 1]) < 0.08
-    spread = driven(plant({"type": "radio", "spread": 0.1}), 1)[-1].truth.x
-    late_s = 1 - (spread - 900) / [100, 50]
-    assert late_s.min() >= 0
-    assert late_s.max() <= 0.11
-    assert late_s[0] != pytest.approx(late_s[1], abs=0.01)
-    late = plant({"type": "radio", "delay": 0.05})
-    assert driven(late, 1)[-1].truth.x - 900 == pytest.approx([94, 47], abs=1.0)
+
+
+def seconds_stood(simulated):
+    """How long each robot has stood of the first second, with one direction sent at once."""
+    x = driven(simulated, 1)[-1].truth.x
+    return 1 - (x - START_X) / SPEEDS
+
+
+def test_the_radio_delays_for_each_robot_alone():
+    stood_s = seconds_stood(plant({"type": "radio", "spread": 0.1}))
+    assert stood_s.min() >= 0
+    assert stood_s.max() <= 0.1 + 0.01  # up to a frame more
+    assert stood_s[0] != pytest.approx(stood_s[1], abs=0.01)
+
+
+def test_the_radio_delays_all_by_as_much():
+    stood_s = seconds_stood(plant({"type": "radio", "delay": 0.05}))
+    assert stood_s == pytest.approx([0.05, 0.05], abs=0.02)
 
 
 def test_a_stop_is_repeated_until_it_is_heard():
@@ -97,18 +130,19 @@ def test_a_stop_is_repeated_until_it_is_heard():
         final = simulated.settle().final.x
         simulated.clock.sleep_until(simulated.clock.now() + SECOND)
         assert simulated.observe().poses.x == pytest.approx(final)
-        assert final[0] <= 900 + 100 * 1.2
+        assert final[0] <= START_X + SPEEDS[0] * 1.2
 
 
 def test_robots_are_put_down_near_their_starts():
     section = {"type": "start-error", "position": 10, "heading": 0.1}
     off = []
     for seed in range(300):
-        pose = plant(section, seed=seed).poses
-        off.append([pose.x - 900, pose.y - [800, 900], pose.heading * 100])
-    values = np.array(off).ravel()
-    assert stats.kstest(values, "uniform", (-10, 20)).pvalue > 1e-4
-    assert abs(np.corrcoef(np.array(off)[:, 0].T)[0, 1]) < 0.2
+        poses = plant(section, seed=seed).poses
+        off.append([poses.x - START_X, poses.y - [800, 900], 100 * poses.heading])
+    off = np.array(off)  # (trials, 3, robots), each uniform from -10 to 10
+    assert stats.kstest(off.ravel(), "uniform", (-10, 20)).pvalue > 1e-4
+    x_of_robots = off[:, 0].T
+    assert abs(np.corrcoef(x_of_robots)[0, 1]) < 0.2
 
 
 @pytest.mark.long
@@ -120,18 +154,30 @@ def test_each_robot_drifts_always_to_its_own_side():
     assert stats.kstest(np.array(rates).ravel(), "uniform", (-0.2, 0.4)).pvalue > 1e-4
 
 
-def test_a_flow_carries_all_who_swim_alike():
-    simulated = plant({"type": "flow", "speed": 10, "direction": math.pi / 2})
-    standing = simulated.poses.y
+UPWARDS = {"type": "flow", "speed": 10, "direction": math.pi / 2}
+
+
+def test_a_flow_does_not_carry_those_who_stand():
+    simulated = plant(UPWARDS)
+    start_y = simulated.poses.y
     simulated.open()
     simulated.clock.sleep_until(SECOND)
-    assert simulated.observe().poses.y == pytest.approx(standing)
-    samples = driven(plant({"type": "flow", "speed": 10, "direction": math.pi / 2}), 2)
-    assert samples[-1].truth.y - standing == pytest.approx([20, 20], abs=0.2)
+    assert simulated.observe().poses.y == pytest.approx(start_y)
+
+
+def test_a_flow_carries_all_who_swim_alike():
+    simulated = plant(UPWARDS)
+    start_y = simulated.poses.y
+    samples = driven(simulated, 2)
+    assert samples[-1].truth.y - start_y == pytest.approx([20, 20], abs=0.2)
+
+
+def test_the_direction_of_a_flow_is_drawn_in_every_trial():
     angles = []
     for seed in range(200):
-        gone = driven(plant({"type": "flow", "speed": 100}, seed=seed), 0.1)[-1].truth
-        angles.append(math.atan2(gone.y[1] - 900, gone.x[1] - 900 - 50 * 0.1))
+        truth = driven(plant({"type": "flow", "speed": 100}, seed=seed), 0.1)[-1].truth
+        swum_x = SPEEDS[1] * 0.1
+        angles.append(math.atan2(truth.y[1] - 900, truth.x[1] - START_X - swum_x))
     assert stats.kstest(angles, "uniform", (-math.pi, 2 * math.pi)).pvalue > 1e-4
 
 
@@ -140,8 +186,9 @@ def test_cells_weave_and_their_bodies_point_along_their_paths():
     samples = driven(plant(section, seed=4), 5)[2:]
     across = np.array([sample.truth.y for sample in samples]) - [800, 900]
     assert np.ptp(across, axis=0) == pytest.approx([10, 10], rel=0.02)
-    turns = (np.diff(np.sign(across - across.mean(axis=0)), axis=0) != 0).sum(axis=0)
-    assert turns == pytest.approx([20, 20], abs=1)
+    side = np.sign(across - across.mean(axis=0))
+    crossings = np.count_nonzero(np.diff(side, axis=0), axis=0)
+    assert crossings == pytest.approx([20, 20], abs=1)  # two in each of 10 periods
     path = np.array([sample.truth.xy for sample in samples])
     along = np.diff(path, axis=0)
     course = np.arctan2(along[..., 1], along[..., 0])
@@ -172,7 +219,8 @@ def test_a_stop_in_a_silence_is_repeated_until_it_is_heard():
     simulated = plant({"type": "silent-radio", "duration": 3, "between": [0.5, 0.5]})
     driven(simulated, 1)
     assert all(simulated.stop().delivered)
-    assert simulated.settle().final.x - 900 == pytest.approx([350, 175], abs=3)
+    way = simulated.settle().final.x - START_X
+    assert way == pytest.approx(3.5 * SPEEDS, abs=3)  # until the silence is over
 
 
 @pytest.mark.parametrize("drive", [None, {}, {"rate": 40}, {"lag": 0.04}])
@@ -187,22 +235,22 @@ def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(d
         simulated.send(Steer(0.0))
     simulated.clock.sleep_until(3 * SECOND)
     samples = simulated.samples()
-    gone = samples[-1].truth.x - 900
-    # heard last before the silence
-    lag = (drive or {}).get("lag", 0.0)
-    sent = 0.1
-    stood = 0.75 + sent if watchdog else lag
-    assert gone == pytest.approx(np.array([100, 50]) * (3 - stood), abs=100 * sent)
-    frames = [round(120 * when) for when in (1.5, 2.0)]
-    stands = samples[frames[1]].truth.x - samples[frames[0]].truth.x < 0.1
-    assert stands.all() == stands.any() == (watchdog is not None)
+    way = samples[-1].truth.x - START_X
+    between_s = 0.1  # two directions
+    lag_s = (drive or {}).get("lag", 0.0)
+    by_watchdog_s = 1.0 - 0.25 + between_s  # the last was heard before the silence
+    stood_s = lag_s if watchdog is None else by_watchdog_s
+    assert way == pytest.approx(SPEEDS * (3 - stood_s), abs=100 * between_s)
+    way_in_silence = samples[round(2.0 * 120)].truth.x - samples[round(1.5 * 120)].truth.x
+    stands = way_in_silence < 0.1
+    assert stands.tolist() == [watchdog is not None] * 2
     simulated.send(Stop())
     simulated.clock.sleep_until(4 * SECOND)
     simulated.samples()
-    still = simulated.poses.x
+    stopped_x = simulated.poses.x
     simulated.clock.sleep_until(5 * SECOND)
     simulated.samples()
-    assert simulated.poses.x == pytest.approx(still)
+    assert simulated.poses.x == pytest.approx(stopped_x)
 
 
 def test_a_watchdog_shorter_than_the_time_between_two_commands_is_refused():
@@ -235,7 +283,8 @@ def test_the_camera_shows_old_poses_as_new_for_a_spell(section, behind):
     samples = driven(plant(section | {"duration": 0.4, "between": [1, 1]}), 3)
     times = np.array([sample.observation.sampled_ns for sample in samples]) / SECOND
     measured_x = np.array([sample.observation.poses.x for sample in samples])
-    lag_s = (np.array([sample.truth.x for sample in samples]) - measured_x) / [100, 50]
+    true_x = np.array([sample.truth.x for sample in samples])
+    lag_s = (true_x - measured_x) / SPEEDS
     during = (times >= 1) & (times < 1.4)
     assert np.diff(times) == pytest.approx(1 / 120, abs=1e-6)
     assert np.all(lag_s[~during] == 0)
@@ -256,15 +305,16 @@ def test_markers_are_off_to_either_side_in_the_picture_alone():
         sample = driven(plant({"type": "marker-off", "heading": 0.1}, seed=seed), 0.1)[-1]
         off.extend(sample.observation.poses.heading - sample.truth.heading)
     assert np.abs(off) == pytest.approx(0.1)
-    assert stats.binomtest(int((np.array(off) > 0).sum()), len(off)).pvalue > 1e-4
+    assert rate_agrees(np.array(off) > 0, 0.5)
 
 
 def test_robots_slow_down_as_batteries_do():
+    """By a fifth in 10 s, at 120 frames a second, and no further."""
     samples = driven(plant({"type": "battery", "speed": 0.2, "over": 10.0}), 20)
     x = np.array([sample.truth.x for sample in samples])
-    speed = np.diff(x, axis=0) * 120 / [100, 50]
-    assert speed[600] == pytest.approx([0.9, 0.9], abs=1e-3)
-    assert speed[1300:] == pytest.approx(0.8, abs=1e-3)
+    speed = np.diff(x, axis=0) * 120 / SPEEDS
+    assert speed[5 * 120] == pytest.approx([0.9, 0.9], abs=1e-3)
+    assert speed[11 * 120 :] == pytest.approx(0.8, abs=1e-3)
 
 
 @pytest.mark.parametrize("field", ["a", "speed"])
@@ -274,14 +324,21 @@ def test_a_and_speed_wander_as_far_and_as_fast_as_the_spec_says(field):
     disturbance = section.build(setup, np.random.default_rng(5))
     ones = np.ones(2)
     ln_factors = np.log([disturbance.varied(ones, ones, k / 20) for k in range(20_000)])
-    error, unchanged = (ln_factors[:, i] for i in ((0, 1) if field == "a" else (1, 0)))
+    of_a = ln_factors[:, 0]
+    of_speed = ln_factors[:, 1]
+    error = of_a if field == "a" else of_speed
+    unchanged = of_speed if field == "a" else of_a
     assert np.all(unchanged == 0)
     assert error.std(axis=0) == pytest.approx([0.1, 0.1], rel=0.1)
     correlations = [np.corrcoef(robot[:-10], robot[10:])[0, 1] for robot in error.T]
     assert correlations == pytest.approx([np.exp(-1)] * 2, abs=0.1)
     assert np.abs(np.corrcoef(error.T)[0, 1]) < 0.1
-    fast = driven(plant({"type": "wander", "speed": 0.1}, seed=5), 10)[-1].truth.x - 900
-    assert fast != pytest.approx([1000, 500], rel=1e-3)
+
+
+def test_robots_whose_speeds_wander_do_not_come_as_far_as_by_their_speeds():
+    simulated = plant({"type": "wander", "speed": 0.1}, seed=5)
+    way = driven(simulated, 10)[-1].truth.x - START_X
+    assert way != pytest.approx(10 * SPEEDS, rel=1e-3)
 
 
 def test_tracking_is_lost_as_often_and_as_long_as_the_spec_says():

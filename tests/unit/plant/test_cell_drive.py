@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tetractl.core.commands import FieldOff, Steer, Stop
+from tetractl.core.errors import SpecError
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.experiment.disturbance import DelayedCommand
@@ -35,13 +36,12 @@ def setup():
 
 
 def drive(walk=0.0, seed=1, **section):
-    known_setup = setup()
+    """Cells that neither swim in a flow nor have dipoles that are off, unless the section says."""
     quiet = {"dipole": 0.0, "drift": 0.0} | section
     culture = CultureSection.model_validate(quiet)
+    cells = setup()
     random = np.random.SeedSequence(seed)
-    return CellDrive(
-        culture, known_setup, known_setup.a, known_setup.speed, known_setup.starts, walk, random
-    )
+    return CellDrive(culture, cells, cells.a, cells.speed, cells.starts, walk, random)
 
 
 def swum(cells, seconds, since=0.0):
@@ -126,7 +126,7 @@ def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
 
 def test_a_pose_that_is_set_is_the_bodys():
     cells = drive()
-    wanted = Poses(np.array([1.0, 0.2]), np.array([0.4, 1.9]), np.array([0.3, -2.0]))
+    wanted = Poses.of(np.array([[1.0, 0.4, 0.3], [0.2, 1.9, -2.0]]))
     cells.poses = wanted
     assert np.allclose(cells.poses.array(), wanted.array())
 
@@ -138,17 +138,17 @@ def test_no_cell_leaves_its_dish(tmp_path):
         "plant: {type: sim, cells: {}, heading_noise: 0.05, truth_rate: 240,"
         " camera_rate: 30}\n"
     )
-    result = run_trial(parse_spec(text, "cells.yaml"), tmp_path, 0, (), Interrupt())
+    spec = parse_spec(text, "cells.yaml")
+    result = run_trial(spec, tmp_path, 0, (), Interrupt())
     assert log_path(tmp_path, 0).exists()
     assert not result.left_arena
     assert 0 <= min(result.verdict.edge) < 0.02
     (tmp_path / "again").mkdir()
-    again = run_trial(parse_spec(text, "cells.yaml"), tmp_path / "again", 0, (), Interrupt())
-    assert again.verdict.final.array().tolist() == result.verdict.final.array().tolist()
+    again = run_trial(spec, tmp_path / "again", 0, (), Interrupt())
+    assert np.array_equal(again.verdict.final.array(), result.verdict.final.array())
 
 
 def test_cells_have_no_wheels():
-    with pytest.raises(Exception, match="have no wheels"):
-        parse_spec(
-            SPEC + "wheels: {radius: 0.1}\nplant: {type: sim, cells: {}, drive: {}}\n", "both.yaml"
-        )
+    wheels = "wheels: {radius: 0.1}\nplant: {type: sim, cells: {}, drive: {}}\n"
+    with pytest.raises(SpecError, match="have no wheels"):
+        parse_spec(SPEC + wheels, "both.yaml")

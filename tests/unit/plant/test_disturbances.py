@@ -2,39 +2,27 @@
 says of robots that are held."""
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 import pytest
+from support.built_disturbance import BuiltSection
 from support.plants import PAIR, PERIOD, driven, sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.experiment.disturbance import Disturbance
 
 pytestmark = pytest.mark.slow
 
 STRAIGHT = [0.0] * 5  # directions of five periods
 
 
-class Given(DisturbanceSection):
-    """Builds the disturbance it is given."""
-
-    type: Literal["given"] = "given"
-    what: object
-
-    def build(self, setup, rng):
-        self.what.rng = rng
-        return self.what
-
-
 def plant(*disturbances, seed=1, **fields):
-    sections = [Given.model_construct(what=disturbance) for disturbance in disturbances]
-    return sim(
-        experiment(robots=PAIR, obstacles=[], plant={"disturbances": sections, **fields}), seed
-    )
+    sections = [BuiltSection.holding(disturbance) for disturbance in disturbances]
+    section = {"disturbances": sections, **fields}
+    return sim(experiment(robots=PAIR, obstacles=[], plant=section), seed)
 
 
 def test_parameters_are_those_the_robots_move_by():
@@ -104,20 +92,24 @@ def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, d
             return a * free, speed * free
 
     robots = [robot | {"a": 2.0, "heading": 1.0} for robot in PAIR]
-    spec = {"motion": motion, "disturbances": [Given.model_construct(what=Held())]}
+    spec = {"motion": motion, "disturbances": [BuiltSection.holding(Held())]}
     if drive is not None:
         spec["drive"] = drive
     wheels = {"wheels": {"radius": 40}}
     held = sim(experiment(robots=robots, obstacles=[], plant=spec, **wheels))
     free = sim(experiment(robots=robots, obstacles=[], plant=spec | {"disturbances": []}, **wheels))
-    held.open(), free.open()
-    held.send(Steer(0.0)), free.send(Steer(0.0))
-    ends = []
-    for simulated, seconds in ((free, 0.6), (held, 1.0)):  # one direction held throughout
+
+    def end_of_second_robot(simulated, seconds):
+        """Where it is after so long under one direction."""
+        simulated.open()
+        simulated.send(Steer(0.0))
         simulated.clock.sleep_until(round(seconds * SECOND))
         simulated.observe()
-        ends.append(simulated.poses.array()[1])
-    assert ends[1] == pytest.approx(ends[0], abs=0.01)
+        return simulated.poses.array()[1]
+
+    stood_s = 0.4
+    end = end_of_second_robot(held, 0.6 + stood_s)
+    assert end == pytest.approx(end_of_second_robot(free, 0.6), abs=0.01)
 
 
 def test_moved_acts_on_the_true_poses_before_a_frame_is_exposed():
@@ -214,7 +206,7 @@ class Holds(Disturbance):
 
 def held_for(seconds, plant):
     spec = experiment(wheels={"radius": 40}, obstacles=[], plant=plant)
-    held = [Given.model_construct(what=Holds(seconds))]
+    held = [BuiltSection.holding(Holds(seconds))]
     section = spec.plant.model_copy(update={"disturbances": held})
     simulated = sim(spec.model_copy(update={"plant": section}))
     simulated.open()

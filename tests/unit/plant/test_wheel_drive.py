@@ -18,7 +18,7 @@ from tetractl.model.wheels import body_velocity
 
 pytestmark = pytest.mark.slow
 
-COUNT = 1000 / 127
+COUNT = 1000 / 127  # speed of a wheel per count [mm/s]
 ROBOTS = experiment().robots
 
 
@@ -77,9 +77,10 @@ def test_transmissions_come_at_once_with_a_direction_and_then_at_the_rate():
 
 def test_counts_are_whole_and_their_mean_is_what_was_wished():
     commands, _ = driven(plant(drive={"rate": 40, "count": COUNT}), [0.0] * 40)
-    left = np.array([command.left for command in commands])
-    assert left / COUNT == pytest.approx(np.round(left / COUNT), abs=1e-9)
-    assert left.mean(axis=0) == pytest.approx([180, 200, 150], abs=COUNT / 4)
+    left_mm_s = np.array([command.left for command in commands])
+    counts = left_mm_s / COUNT
+    assert counts == pytest.approx(np.round(counts), abs=1e-9)
+    assert left_mm_s.mean(axis=0) == pytest.approx([180, 200, 150], abs=COUNT / 4)
 
 
 @pytest.mark.parametrize("part", ["gain_error", "radius_error"])

@@ -1,9 +1,8 @@
 """A disturbance whose poses or times no log can hold ends the trial before they are logged."""
 
-from typing import Literal
-
 import numpy as np
 import pytest
+from support.built_disturbance import BuiltSection
 from support.plants import sim
 from support.trials import experiment
 
@@ -11,70 +10,100 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import Poses
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.experiment.disturbance import Disturbance
 
 pytestmark = pytest.mark.slow
 
 
-class Wrong(DisturbanceSection):
-    """Puts all robots at `x`, or returns the poses of one robot only."""
+class Moves(Disturbance):
+    """Stands for a disturbance of another package that moves robots to `poses`."""
 
-    type: Literal["wrong"] = "wrong"
-    method: str
-    x: float | None
+    def __init__(self, poses):
+        self.poses = poses
 
-    def build(self, setup, rng):
-        rows = setup.starts.array()
-        rows[:, 0] = 0.0 if self.x is None else self.x
-        poses = Poses.of(rows[:1] if self.x is None else rows)
-        overrides = {
-            "moved": lambda one, old, moving, seconds, time_s: poses,
-            "measured": lambda one, old, valid, time_s: (poses, valid),
-        }
-        return type("Made", (Disturbance,), {self.method: overrides[self.method]})()
+    def moved(self, poses, moving, seconds, time_s):
+        return self.poses
 
 
-@pytest.mark.parametrize(
-    ("method", "x"),
-    [
-        *(("moved", x) for x in (np.nan, np.inf, 1e300, None)),
-        *(("measured", x) for x in (np.nan, np.inf, 1e300)),
-    ],
-)
-def test_poses_that_no_log_can_hold_end_the_trial(method, x):
-    section = Wrong.model_construct(type="wrong", method=method, x=x)
+class Measures(Disturbance):
+    """Stands for a disturbance of another package that shows robots at `poses`."""
+
+    def __init__(self, poses):
+        self.poses = poses
+
+    def measured(self, poses, valid, time_s):
+        return self.poses, valid
+
+
+class Arrives(Disturbance):
+    """Stands for a disturbance of another package by which every frame arrives at `arrival_ns`."""
+
+    def __init__(self, arrival_ns):
+        self.arrival_ns = arrival_ns
+
+    def received(self, exposed_ns, arrival_ns):
+        return self.arrival_ns
+
+
+class Plans(Disturbance):
+    """Stands for a disturbance of another package by which planning takes `seconds`."""
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+
+    def planning_s(self, time_s):
+        return self.seconds
+
+
+def disturbed(disturbance):
+    """A simulation of the experiment with this disturbance alone."""
+    section = BuiltSection.holding(disturbance)
     spec = experiment()
     plant = spec.plant.model_copy(update={"disturbances": (section,)})
-    plant = sim(spec.model_copy(update={"plant": plant}))
+    return sim(spec.model_copy(update={"plant": plant}))
+
+
+def drive_for_a_second(plant):
+    plant.send(Steer(0.0))
+    plant.clock.sleep_until(SECOND)
+    plant.samples()
+
+
+def starts_at(x):
+    """The starts of the experiment's robots, with another x."""
+    rows = experiment().setup.starts.array()
+    rows[:, 0] = x
+    return Poses.of(rows)
+
+
+@pytest.mark.parametrize("x", [np.nan, np.inf, 1e300])
+@pytest.mark.parametrize("disturbance", [Moves, Measures])
+def test_poses_that_no_log_can_hold_end_the_trial(disturbance, x):
+    plant = disturbed(disturbance(starts_at(x)))
     with pytest.raises(WrongValueError, match="pose that no log can hold"):
         plant.open()
-        plant.send(Steer(0.0))
-        plant.clock.sleep_until(SECOND)
-        plant.samples()
+        drive_for_a_second(plant)
 
 
-class Untimely(DisturbanceSection):
-    """Returns `value` as a frame's arrival or as a planning time."""
-
-    type: Literal["untimely"] = "untimely"
-    method: str
-    value: float
-
-    def build(self, setup, rng):
-        return type("Made", (Disturbance,), {self.method: lambda *_: self.value})()
+def test_poses_of_one_robot_alone_end_the_trial():
+    one_robot = Poses.of(starts_at(0.0).array()[:1])
+    plant = disturbed(Moves(one_robot))
+    with pytest.raises(WrongValueError, match="pose that no log can hold"):
+        plant.open()
+        drive_for_a_second(plant)
 
 
-@pytest.mark.parametrize(
-    ("method", "value"),
-    [("received", np.nan), ("received", -1), *(("planning_s", x) for x in (np.nan, -1.0, 10**30))],
-)
-def test_times_that_no_log_can_hold_end_the_trial(method, value):
-    section = Untimely.model_construct(type="untimely", method=method, value=value)
-    spec = experiment()
-    plant = spec.plant.model_copy(update={"disturbances": (section,)})
-    plant = sim(spec.model_copy(update={"plant": plant}))
+@pytest.mark.parametrize("arrival_ns", [np.nan, -1])
+def test_a_frame_that_arrives_before_it_was_exposed_ends_the_trial(arrival_ns):
+    plant = disturbed(Arrives(arrival_ns))
     plant.open()
-    with pytest.raises(WrongValueError, match=r"arrival of a frame before|a planning time of"):
-        plant.send(Steer(0.0))
-        plant.clock.sleep_until(SECOND)
-        plant.samples()
+    with pytest.raises(WrongValueError, match="arrival of a frame before"):
+        drive_for_a_second(plant)
+
+
+@pytest.mark.parametrize("seconds", [np.nan, -1.0, 10**30])
+def test_a_planning_time_that_no_log_can_hold_ends_the_trial(seconds):
+    plant = disturbed(Plans(seconds))
+    plant.open()
+    with pytest.raises(WrongValueError, match="a planning time of"):
+        drive_for_a_second(plant)

@@ -1,0 +1,20 @@
+"""A section of the spec around a disturbance that is built already."""
+
+from typing import Any, Literal
+
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+
+
+class BuiltSection(DisturbanceSection):
+    """Stands for the section of `disturbance`, which has its random numbers as `rng` then."""
+
+    type: Literal["built"] = "built"
+    disturbance: Any
+
+    @classmethod
+    def holding(cls, disturbance: Disturbance) -> "BuiltSection":
+        return cls.model_construct(disturbance=disturbance)
+
+    def build(self, setup, rng):
+        self.disturbance.rng = rng
+        return self.disturbance

@@ -2,7 +2,7 @@
 
 import math
 import re
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -15,51 +15,82 @@ POSES = "time_s,robot,x_mm,y_mm,heading_rad,valid\n0,one,1,2,0.1,True\n0.1,one,3
 COMMANDS = "time_s,direction_rad\n0,0.5\n0.2,0.7\n"
 
 
+def tracks_of(folder, poses, commands):
+    """The tracks of a table of poses and a table of commands."""
+    paths = [folder / "p.csv", folder / "c.csv"]
+    paths[0].write_text(poses)
+    paths[1].write_text(commands)
+    return csv_tracks(paths)
+
+
 def test_csv_files_are_read(tmp_path):
-    (tmp_path / "p.csv").write_text(POSES)
-    (tmp_path / "c.csv").write_text(COMMANDS)
-    (track,) = csv_tracks([tmp_path / "c.csv", tmp_path / "p.csv"])
-    assert (track.unit, track.names, track.origin) == ("mm", ("one",), "CSV")
+    (track,) = tracks_of(tmp_path, POSES, COMMANDS)
+    assert track.unit == "mm"
+    assert track.names == ("one",)
+    assert track.origin == "CSV"
     assert track.valid.ravel().tolist() == [True, False]
     assert track.poses[0, 0].tolist() == [1, 2, 0.1]
-    assert (track.u.tolist(), track.until) == ([0.5, 0.7], pytest.approx(0.4))
+    assert track.u.tolist() == [0.5, 0.7]
+    assert track.until == pytest.approx(0.4)  # the last command acts for a period
+
+
+def test_the_order_of_the_files_changes_nothing(tmp_path):
+    poses = tmp_path / "p.csv"
+    commands = tmp_path / "c.csv"
+    poses.write_text(POSES)
+    commands.write_text(COMMANDS)
+    (track,) = csv_tracks([commands, poses])
+    assert track.poses[0, 0].tolist() == [1, 2, 0.1]
+    assert track.u.tolist() == [0.5, 0.7]
 
 
 def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
-    (tmp_path / "p.csv").write_text(POSES)
-    (tmp_path / "c.csv").write_text("time_s,direction_rad,lag_ms\n0,0.5,40\n0.2,0.7,40\n")
-    (track,) = csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
-    assert track.lag == pytest.approx(0.04) and track.on_wheels
-    (tmp_path / "c.csv").write_text("time_s,direction_rad,lag_s\n0,0.5,-1\n0.2,0.7,1\n")
+    with_lag = "time_s,direction_rad,lag_ms\n0,0.5,40\n0.2,0.7,40\n"
+    (track,) = tracks_of(tmp_path, POSES, with_lag)
+    assert track.lag == pytest.approx(0.04)
+    assert track.on_wheels
+
+
+def test_a_lag_below_0_is_refused(tmp_path):
+    with_lag = "time_s,direction_rad,lag_s\n0,0.5,-1\n0.2,0.7,1\n"
     with pytest.raises(UsageError, match="line 2: lag_s must not be negative"):
-        csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
+        tracks_of(tmp_path, POSES, with_lag)
+
+
+def poses_along_headings(y_sign):
+    """A robot that drives along its heading, where y counts upwards (1) or downwards (-1)."""
+    time = np.arange(20) / 10
+    heading = 0.3 + time
+    x = np.cumsum(np.cos(heading))
+    y = np.cumsum(np.sin(heading))
+    lines = ["time_s,robot,x_mm,y_mm,heading_rad"]
+    for row in zip(time, x, y_sign * y, heading, strict=True):
+        time_s, x_mm, y_mm, heading_rad = map(float, row)
+        lines.append(f"{time_s},one,{x_mm},{y_mm},{heading_rad}")
+    return "\n".join([*lines, ""])
+
+
+def test_positions_along_the_headings_are_read(tmp_path):
+    assert tracks_of(tmp_path, poses_along_headings(1), COMMANDS)
 
 
 def test_positions_whose_y_runs_downwards_are_not_those_of_the_headings(tmp_path):
     """Regression: speeds 8 and 31 % low, with intervals without the true ones."""
-    time = np.arange(20) / 10
-    heading = 0.3 + time
-    x, y = np.cumsum([np.cos(heading), np.sin(heading)], axis=1)
-    (tmp_path / "c.csv").write_text(COMMANDS)
-    for down, says in ((1, None), (-1, "only with y reversed")):
-        rows = np.column_stack([time, np.full(20, 7), x, down * y, heading])
-        header = "time_s,robot,x_mm,y_mm,heading_rad"
-        np.savetxt(tmp_path / "p.csv", rows, delimiter=",", header=header, comments="")
-        if says is None:
-            assert csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
-            continue
-        with pytest.raises(UsageError, match=says):
-            csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
+    with pytest.raises(UsageError, match="only with y reversed"):
+        tracks_of(tmp_path, poses_along_headings(-1), COMMANDS)
+
+
+def of_two_logs(text):
+    """The same table twice, with a column that names the log."""
+    header, *rows = text.splitlines()
+    of_a = [f"a.mcap,{row}" for row in rows]
+    of_b = [f"b.mcap,{row}" for row in rows]
+    return "\n".join([f"path,{header}", *of_a, *of_b])
 
 
 def test_poses_and_commands_of_one_path_are_a_trial(tmp_path):
-    paths = [tmp_path / "p.csv", tmp_path / "c.csv"]
-    for path, text in zip(paths, (POSES, COMMANDS), strict=True):
-        head, *rows = text.splitlines()
-        named = [f"{log},{row}" for log in ("a.mcap", "b.mcap") for row in rows]
-        path.write_text("\n".join([f"path,{head}", *named]))
-    found = csv_tracks(paths)
-    assert [track.poses.shape for track in found] == [(2, 1, 3)] * 2
+    tracks = tracks_of(tmp_path, of_two_logs(POSES), of_two_logs(COMMANDS))
+    assert [track.poses.shape for track in tracks] == [(2, 1, 3), (2, 1, 3)]
 
 
 @pytest.mark.parametrize(
@@ -72,241 +103,320 @@ def test_poses_and_commands_of_one_path_are_a_trial(tmp_path):
     ],
 )
 def test_what_is_wrong_with_a_csv_file_is_told(tmp_path, poses, commands, says):
-    (tmp_path / "p.csv").write_text(poses)
-    (tmp_path / "c.csv").write_text(commands)
     with pytest.raises(UsageError, match=says):
-        csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
+        tracks_of(tmp_path, poses, commands)
 
 
-A, SPEED, RATE_HZ = 4.0, 180.0, 30.0
-"""Turning rate [rad/s] and speed [mm/s] of the robot that drives in `driven`, and its frames."""
+A_RAD_S = 4.0
+SPEED_MM_S = 180.0
+FRAME_RATE_HZ = 30.0
+DRIVE_S = 12
 
 
-def driven():
-    """Rows (M, 4) of time [s], x, y [mm] and heading [rad] of a robot that follows directions, and
-    rows (C, 2) of times and directions [rad]."""
-    sent = np.column_stack([np.arange(0, 12, 1.5), np.tile([0.0, 1.57, 3.0, -1.57], 2)])
-    state = np.array([0.0, 0.0, 0.3])
+@dataclass(frozen=True)
+class Tables:
+    """Rows (M, 4) of time [s], x, y [mm] and heading [rad], and rows (C, 2) of times [s] and
+    directions [rad]."""
+
+    poses: np.ndarray
+    commands: np.ndarray
+
+
+def drive():
+    """The tables of a robot that follows a new direction every 1.5 s."""
+    sent_s = np.arange(0, DRIVE_S, 1.5)
+    directions = np.tile([0.0, 1.57, 3.0, -1.57], 2)
+    substep_s = 1 / FRAME_RATE_HZ / 10
+    pose = np.array([0.0, 0.0, 0.3])
     poses = []
-    for k in range(round(12 * RATE_HZ)):
-        time = k / RATE_HZ
-        poses.append((time, *state))
-        for _ in range(10):  # substeps of the exact motion
-            u = sent[np.searchsorted(sent[:, 0], time, side="right") - 1, 1]
-            course = [SPEED * math.cos(state[2]), SPEED * math.sin(state[2])]
-            state = state + np.array([*course, A * math.sin(u - state[2])]) / RATE_HZ / 10
-    return np.array(poses), sent
+    for k in range(round(DRIVE_S * FRAME_RATE_HZ)):
+        time_s = k / FRAME_RATE_HZ
+        poses.append((time_s, *pose))
+        direction = directions[np.searchsorted(sent_s, time_s, side="right") - 1]
+        for _ in range(10):
+            heading = pose[2]
+            velocity = SPEED_MM_S * np.array([math.cos(heading), math.sin(heading)])
+            turning = A_RAD_S * math.sin(direction - heading)
+            pose = pose + substep_s * np.array([*velocity, turning])
+    return Tables(np.array(poses), np.column_stack([sent_s, directions]))
 
 
-def files(folder: Path, poses: str, commands: str, **how: str) -> list[Path]:
-    """Write poses and commands, `how` they are written by the names of the forms below."""
-    rows, sent = driven()
-    paths = [folder / "poses.csv", folder / "commands.csv"]
-    for path, header, table in zip(paths, (poses, commands), (rows, sent), strict=True):
-        scaled = table.copy()
-        scaled[:, 0] = float(how.get("since", 0)) + table[:, 0] * float(how.get("times", 1))
+PLAIN_POSES = "time_s,robot,x_mm,y_mm,heading_rad"
+PLAIN_COMMANDS = "time_s,direction_rad"
+
+
+@dataclass(frozen=True)
+class Form:
+    """How the two tables are written: their headers; the time 0, in the header's unit, of which a
+    second has `units_per_s`; how numbers are set apart and written, and the lines above.
+    """
+
+    poses: str = PLAIN_POSES
+    commands: str = PLAIN_COMMANDS
+    start: float = 0.0
+    units_per_s: float = 1.0
+    separator: str = ","
+    decimal_comma: bool = False
+    lines_above: tuple[str, ...] = ()
+    encoding: str = "utf-8"
+
+    def line(self, numbers, robot=None):
+        """One row of a table."""
+        words = [repr(float(number)) for number in numbers]
+        if robot is not None:
+            words.insert(1, robot)
+        text = self.separator.join(words)
+        return text.replace(".", ",") if self.decimal_comma else text
+
+    def numbers(self, header, table):
+        """The rows of a table in the units of its header; angles are in the last column."""
+        rows = table.copy()
+        rows[:, 0] = self.start + table[:, 0] * self.units_per_s
         if "deg" in header:
-            scaled[:, -1] = np.degrees(table[:, -1])
-        separator = how.get("separator", ",")
-        lines = [header]
-        for row in scaled:
-            words = [repr(float(number)) for number in row]
-            if path == paths[0]:
-                words.insert(1, "green")
-            line = separator.join(words)
-            lines.append(line.replace(".", ",") if "comma" in how else line)
-        text = "\n".join([*how.get("above", "").splitlines(), *lines, ""])
-        path.write_bytes(text.encode(how.get("encoding", "utf-8")))
+            rows[:, -1] = np.degrees(table[:, -1])
+        return rows
+
+
+PLAIN = Form()
+
+
+def write_table(path, form, header, table, robot=None):
+    rows = [form.line(row, robot) for row in form.numbers(header, table)]
+    text = "\n".join([*form.lines_above, header, *rows, ""])
+    path.write_bytes(text.encode(form.encoding))
+
+
+def write_drive(folder, form=PLAIN):
+    """Write poses and commands of the drive; return both paths."""
+    tables = drive()
+    paths = [folder / "poses.csv", folder / "commands.csv"]
+    write_table(paths[0], form, form.poses, tables.poses, robot="green")
+    write_table(paths[1], form, form.commands, tables.commands)
     return paths
 
 
-PLAIN = ("time_s,robot,x_mm,y_mm,heading_rad", "time_s,direction_rad")
+def separated_by(separator, comment="", **how):
+    """Plain headers with another separator."""
+    return Form(
+        poses=comment + PLAIN_POSES.replace(",", separator),
+        commands=comment + PLAIN_COMMANDS.replace(",", separator),
+        separator=separator,
+        **how,
+    )
+
+
 FORMS = {
-    "plain": (*PLAIN, {}),
-    "Unix seconds": (*PLAIN, {"since": "1764000000.25"}),
-    "Unix milliseconds": (
-        "time_ms,robot,x_mm,y_mm,heading_rad",
-        "time_ms,direction_rad",
-        {"since": "1764000000250", "times": "1000"},
+    "plain": PLAIN,
+    "Unix seconds": Form(start=1764000000.25),
+    "Unix milliseconds": Form(
+        poses="time_ms,robot,x_mm,y_mm,heading_rad",
+        commands="time_ms,direction_rad",
+        start=1764000000250.0,
+        units_per_s=1e3,
     ),
-    "nanoseconds": (
-        "timestamp [ns],robot,x_mm,y_mm,heading_rad",
-        "timestamp [ns],direction_rad",
-        {"since": "1764000000250000000", "times": "1e9"},
+    "nanoseconds": Form(
+        poses="timestamp [ns],robot,x_mm,y_mm,heading_rad",
+        commands="timestamp [ns],direction_rad",
+        start=1764000000250000000.0,
+        units_per_s=1e9,
     ),
-    "degrees": ("time_s,robot,x_mm,y_mm,heading_deg", "time_s,direction (deg)", {}),
-    "spaces": ("time_s, robot, x_mm, y_mm, heading_rad", "time_s, direction_rad", {}),
-    "semicolons and decimal commas": (
-        PLAIN[0].replace(",", ";"),
-        PLAIN[1].replace(",", ";"),
-        {"separator": ";", "comma": "yes"},
+    "degrees": Form(poses="time_s,robot,x_mm,y_mm,heading_deg", commands="time_s,direction (deg)"),
+    "spaces": Form(
+        poses="time_s, robot, x_mm, y_mm, heading_rad", commands="time_s, direction_rad"
     ),
-    "tabs": (PLAIN[0].replace(",", "\t"), PLAIN[1].replace(",", "\t"), {"separator": "\t"}),
-    "blanks": (PLAIN[0].replace(",", " "), PLAIN[1].replace(",", " "), {"separator": " "}),
-    "NumPy's header": (
-        "# " + PLAIN[0].replace(",", " "),
-        "# " + PLAIN[1].replace(",", " "),
-        {"separator": " "},
+    "semicolons and decimal commas": separated_by(";", decimal_comma=True),
+    "tabs": separated_by("\t"),
+    "blanks": separated_by(" "),
+    "NumPy's header": separated_by(" ", comment="# "),
+    "comments": Form(lines_above=("# exported by hand", "# 2026-11-26")),
+    "Excel's first line": separated_by(";", lines_above=("sep=;",)),
+    "UTF-16": Form(encoding="utf-16"),
+    "a byte order mark": Form(encoding="utf-8-sig"),
+    "Latin-1": Form(lines_above=("# gr\xfcn",), encoding="latin-1"),
+    "capitals": Form(
+        poses="Time_s,robot,X [mm],Y [mm],Heading [rad]", commands="Time (s),Direction (rad)"
     ),
-    "comments": (*PLAIN, {"above": "# exported by hand\n# 2026-11-26"}),
-    "Excel's first line": (
-        PLAIN[0].replace(",", ";"),
-        PLAIN[1].replace(",", ";"),
-        {"separator": ";", "above": "sep=;"},
-    ),
-    "UTF-16": (*PLAIN, {"encoding": "utf-16"}),
-    "a byte order mark": (*PLAIN, {"encoding": "utf-8-sig"}),
-    "Latin-1": (*PLAIN, {"above": "# gr\xfcn", "encoding": "latin-1"}),
-    "capitals": ("Time_s,robot,X [mm],Y [mm],Heading [rad]", "Time (s),Direction (rad)", {}),
 }
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS.keys())
 def test_a_table_is_read_however_it_is_written(tmp_path, form):
-    poses, commands, how = FORMS[form]
-    (track,) = csv_tracks(files(tmp_path, poses, commands, **how))
-    rows, sent = driven()
+    (track,) = csv_tracks(write_drive(tmp_path, form))
+    tables = drive()
     assert track.unit == "mm"
-    assert track.time == pytest.approx(rows[:, 0], abs=1e-6)
-    assert track.poses[:, 0] == pytest.approx(rows[:, 1:], abs=1e-9)
-    assert track.sent == pytest.approx(sent[:, 0], abs=1e-6)
-    assert track.u == pytest.approx(sent[:, 1], abs=1e-9)
+    assert track.time == pytest.approx(tables.poses[:, 0], abs=1e-6)
+    assert track.poses[:, 0] == pytest.approx(tables.poses[:, 1:], abs=1e-9)
+    assert track.sent == pytest.approx(tables.commands[:, 0], abs=1e-6)
+    assert track.u == pytest.approx(tables.commands[:, 1], abs=1e-9)
     assert not track.remarks
 
 
 @pytest.mark.slow
 def test_a_is_right_of_a_table_in_unix_seconds(tmp_path):
-    found = identify(csv_tracks(files(tmp_path, *PLAIN, since="1764000000.25")), None)
-    assert found.robots[0].a.value == pytest.approx(A, rel=0.01)
+    tracks = csv_tracks(write_drive(tmp_path, FORMS["Unix seconds"]))
+    (robot,) = identify(tracks, None).robots
+    assert robot.a.value == pytest.approx(A_RAD_S, rel=0.01)
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A table of commands that cannot be right, and what the error says."""
+
+    rows: str
+    message: str
+    header: str = PLAIN_COMMANDS
 
 
 REFUSED = {
-    "directions in degrees": (
-        PLAIN[0],
-        "time_s,direction_rad",
-        "0,0\n1,90\n",
-        "commands.csv, line 3: direction_rad: 90 is more than a whole turn",
+    "directions in degrees": Refused(
+        rows="0,0\n1,90\n",
+        message="commands.csv, line 3: direction_rad: 90 is more than a whole turn",
     ),
-    "another clock": (
-        *PLAIN,
-        "1000,0\n1001,1\n",
-        "commands.csv, 1000 to 1001 s: no time is among those of .*poses.csv, 0 to 11.9",
+    "another clock": Refused(
+        rows="1000,0\n1001,1\n",
+        message="commands.csv, 1000 to 1001 s: no time is among those of .*poses.csv, 0 to 11.9",
     ),
-    "no unit": (PLAIN[0], "time,direction_rad", "0,0\n1,1\n", "column time states no unit"),
-    "an unknown unit": (
-        PLAIN[0],
-        "time (fortnights),direction_rad",
-        "0,0\n1,1\n",
-        "column time \\(fortnights\\) is in fortnights",
+    "no unit": Refused(
+        header="time,direction_rad",
+        rows="0,0\n1,1\n",
+        message="column time states no unit",
     ),
-    "decimal commas": (*PLAIN, "0,5,1,2\n", "line 2: has 4 entries, the header has 2"),
-    "quoted decimal commas": (*PLAIN, '0,"1,5"\n', "direction_rad: '1,5' is not a number"),
-    "no header": (PLAIN[0], "0,0", "1,1\n", "has no header"),
-    "a column twice": (PLAIN[0], "time_s,direction_rad,time_s", "0,0,0\n", "two columns time_s"),
-    "a null character": (*PLAIN, "0,0\n1,\0\n", "line 3: is not a CSV file"),
-    "words": (*PLAIN, "0,0\n1,north\n", "line 3: direction_rad: 'north' is not a number"),
-    "an unknown time": (*PLAIN, "0,0\nNaN,1\n", "line 3: time_s: states no number"),
-    "nothing sent": (*PLAIN, "0,\n1,NaN\n", "states no direction"),
-    "no rows": (*PLAIN, "", "has no rows"),
+    "an unknown unit": Refused(
+        header="time (fortnights),direction_rad",
+        rows="0,0\n1,1\n",
+        message="column time \\(fortnights\\) is in fortnights",
+    ),
+    "decimal commas": Refused("0,5,1,2\n", "line 2: has 4 entries, the header has 2"),
+    "quoted decimal commas": Refused('0,"1,5"\n', "direction_rad: '1,5' is not a number"),
+    "no header": Refused(header="0,0", rows="1,1\n", message="has no header"),
+    "a column twice": Refused(
+        header="time_s,direction_rad,time_s", rows="0,0,0\n", message="two columns time_s"
+    ),
+    "a null character": Refused("0,0\n1,\0\n", "line 3: is not a CSV file"),
+    "words": Refused("0,0\n1,north\n", "line 3: direction_rad: 'north' is not a number"),
+    "an unknown time": Refused("0,0\nNaN,1\n", "line 3: time_s: states no number"),
+    "nothing sent": Refused("0,\n1,NaN\n", "states no direction"),
+    "no rows": Refused("", "has no rows"),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_right_is_refused(tmp_path, case):
-    poses, header, rows, says = REFUSED[case]
-    paths = files(tmp_path, poses, "time_s,direction_rad")
-    paths[1].write_text(f"{header}\n{rows}")
-    with pytest.raises(UsageError, match=says) as error:
-        csv_tracks(paths)
+    refused = REFUSED[case]
+    poses, commands = write_drive(tmp_path)
+    commands.write_text(f"{refused.header}\n{refused.rows}")
+    with pytest.raises(UsageError, match=refused.message) as error:
+        csv_tracks([poses, commands])
     assert ("decimal comma" in str(error.value)) == ("decimal comma" in case)
 
 
-@pytest.mark.parametrize("degrees", [True, False])
-def test_headings_beyond_a_turn_are_degrees_or_whole_turns_by_the_motion(tmp_path, degrees):
-    paths = files(tmp_path, *PLAIN)
-    lines = [PLAIN[0]]
-    for time, x, y, heading in driven()[0]:
-        written = math.degrees(heading) if degrees else heading + 2 * math.pi
-        lines.append(f"{time},green,{x},{y},{written}")
+def write_headings(folder, heading_of):
+    """Write the drive with other headings [rad]; return both paths."""
+    paths = write_drive(folder)
+    lines = [PLAIN_POSES]
+    for time_s, x, y, heading in drive().poses:
+        lines.append(f"{time_s},green,{x},{y},{heading_of(heading)}")
     paths[0].write_text("\n".join([*lines, ""]))
-    if degrees:
-        with pytest.raises(UsageError, match=r"a heading of .* is more than a whole turn"):
-            csv_tracks(paths)
-    else:
-        assert csv_tracks(paths)[0].valid.all()
+    return paths
+
+
+def test_headings_beyond_a_turn_that_turn_more_than_the_motion_are_degrees(tmp_path):
+    paths = write_headings(tmp_path, math.degrees)
+    with pytest.raises(UsageError, match=r"a heading of .* is more than a whole turn"):
+        csv_tracks(paths)
+
+
+def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path):
+    paths = write_headings(tmp_path, lambda heading: heading + 2 * math.pi)
+    (track,) = csv_tracks(paths)
+    assert track.valid.all()
 
 
 @pytest.mark.parametrize(
-    ("times", "says"),
+    ("rows", "says"),
     [
         ("0,0\n1,1\n", "covers 2 s of the"),
         ("0,0\n1500,1\n3000,2\n", "only 1 of the 3 times .* are they in s"),
     ],
 )
-def test_spans_that_hardly_meet_are_said(tmp_path, times, says):
-    paths = files(tmp_path, *PLAIN)
-    paths[1].write_text(f"{PLAIN[1]}\n{times}")
-    (track,) = csv_tracks(paths)
+def test_spans_that_hardly_meet_are_said(tmp_path, rows, says):
+    poses, commands = write_drive(tmp_path)
+    commands.write_text(f"{PLAIN_COMMANDS}\n{rows}")
+    (track,) = csv_tracks([poses, commands])
     (remark,) = track.remarks
-    assert pytest.approx(track.time[-1], abs=0.1) == 12
+    assert track.time[-1] == pytest.approx(DRIVE_S, abs=0.1)
     assert re.search(says, remark)
 
 
-@pytest.mark.parametrize("table", ["poses", "directions", "speeds"])
-def test_times_that_fall_are_refused(tmp_path, table):
-    """Regression: rows were sorted, and a countdown gave the prior's a without a word."""
-    paths = files(tmp_path, *PLAIN)
-    if table == "speeds":
-        paths[1].write_text("time_s,v_mm_s,w_rad_s\n0,180,1\n2,180,2\n")
-    falling = paths[table != "poses"]
-    header, first, second, *rest = falling.read_text().splitlines()
-    falling.write_text("\n".join([header, second, first, *rest, ""]))
-    with pytest.raises(UsageError, match=rf"{falling.name}, line 3: the time is earlier"):
-        csv_tracks(paths)
+def exchange_two_rows(path):
+    """Write the second row of a table before the first."""
+    header, first, second, *others = path.read_text().splitlines()
+    path.write_text("\n".join([header, second, first, *others, ""]))
+
+
+def test_times_of_poses_that_fall_are_refused(tmp_path):
+    poses, commands = write_drive(tmp_path)
+    exchange_two_rows(poses)
+    with pytest.raises(UsageError, match=r"poses.csv, line 3: the time is earlier"):
+        csv_tracks([poses, commands])
 
 
 @pytest.mark.parametrize(
-    ("factor", "says"),
+    "table",
+    ["time_s,direction_rad\n0,0.5\n2,1.5\n", "time_s,v_mm_s,w_rad_s\n0,180,1\n2,180,2\n"],
+    ids=["directions", "speeds"],
+)
+def test_times_of_commands_that_fall_are_refused(tmp_path, table):
+    """Regression: rows were sorted, and a countdown gave the prior's a without a word."""
+    poses, commands = write_drive(tmp_path)
+    commands.write_text(table)
+    exchange_two_rows(commands)
+    with pytest.raises(UsageError, match=r"commands.csv, line 3: the time is earlier"):
+        csv_tracks([poses, commands])
+
+
+@pytest.mark.parametrize(
+    ("units_per_s", "says"),
     [
-        (RATE_HZ, "robots turn at its times if these are numbers of pictures"),
+        (FRAME_RATE_HZ, "robots turn at its times if these are numbers of pictures"),
         (1e3, "robots turn at its times if these are milliseconds"),
         (1 / 60, "robots turn at its times if these are minutes"),
     ],
 )
-def test_times_of_another_unit_are_refused_by_how_robots_turn(tmp_path, factor, says):
+def test_times_of_another_unit_are_refused_by_how_robots_turn(tmp_path, units_per_s, says):
     """Regression: a was .4 to .9 of the true one."""
-    paths = files(tmp_path, *PLAIN)
-    sent = driven()[1]
-    rows = "".join(f"{factor * time!r},{direction!r}\n" for time, direction in sent.tolist())
-    paths[1].write_text(f"{PLAIN[1]}\n{rows}")
+    poses, commands = write_drive(tmp_path)
+    other_unit = Form(units_per_s=units_per_s)  # which the header does not say
+    write_table(commands, other_unit, PLAIN_COMMANDS, drive().commands)
     with pytest.raises(UsageError, match=rf"commands\.csv: {says}"):
-        csv_tracks(paths)
+        csv_tracks([poses, commands])
 
 
-def mirrored(folder: Path) -> list[Path]:
-    """Poses whose y and headings are reversed, and the directions that robots turned by."""
-    paths = files(folder, *PLAIN)
-    rows = "".join(f"{t!r},green,{x!r},{-y!r},{-h!r}\n" for t, x, y, h in driven()[0].tolist())
-    paths[0].write_text(f"{PLAIN[0]}\n{rows}")
-    return paths
+def write_mirrored_drive(folder):
+    """Write poses whose y and headings are reversed, and the directions that robots turned by."""
+    poses, commands = write_drive(folder)
+    mirrored = drive().poses * (1, 1, -1, -1)
+    write_table(poses, PLAIN, PLAIN_POSES, mirrored, robot="green")
+    return poses, commands
 
 
 def test_a_mirrored_picture_is_refused_by_how_robots_turn(tmp_path):
     """Regression: poses agree with their headings, and a was wrong without a word."""
     with pytest.raises(UsageError, match=r"robots turn right where .*commands\.csv turns left"):
-        csv_tracks(mirrored(tmp_path))
+        csv_tracks(write_mirrored_drive(tmp_path))
 
 
 def test_a_direction_that_never_changes_shows_no_side(tmp_path):
-    paths = mirrored(tmp_path)
-    paths[1].write_text(f"{PLAIN[1]}\n0,0.5\n5,0.5\n11,0.5\n")
-    assert not csv_tracks(paths)[0].remarks
+    poses, commands = write_mirrored_drive(tmp_path)
+    commands.write_text(f"{PLAIN_COMMANDS}\n0,0.5\n5,0.5\n11,0.5\n")
+    (track,) = csv_tracks([poses, commands])
+    assert not track.remarks
 
 
 def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path):
     """Regression: `identify` refused the steps.csv of `export`, whose last row has none."""
-    paths = files(tmp_path, *PLAIN)
-    with paths[1].open("a") as file:
+    poses, commands = write_drive(tmp_path)
+    with commands.open("a") as file:
         file.write("11.5,\n")
-    (track,) = csv_tracks(paths)
-    assert track.sent.tolist() == driven()[1][:, 0].tolist()
+    (track,) = csv_tracks([poses, commands])
+    assert track.sent.tolist() == drive().commands[:, 0].tolist()

@@ -24,6 +24,8 @@ from tetractl.view.terminal.replay_screen import step_line
 
 pytestmark = pytest.mark.slow
 
+TIME_LIMIT_S = 8.2
+STEPS = 41  # in that time, one every 0.2 s
 WHEELS = {"drive": {"rate": 40, "lag": 0.04}, "type": "sim"}
 CELLS = {"type": "sim", "lost_commands": 0.2, "heading_noise": 0.1}
 
@@ -32,7 +34,7 @@ CELLS = {"type": "sim", "lost_commands": 0.2, "heading_noise": 0.1}
 def path(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     data = THREE_M3PI | {
-        "controller": {"type": "ensemble", "time_limit": 8.2},
+        "controller": {"type": "ensemble", "time_limit": TIME_LIMIT_S},
         "plant": request.param,
         "wheels": {"radius": 40},
     }
@@ -51,20 +53,24 @@ def test_some_commands_switch_the_field_off_and_only_the_last_stops(log):
     assert not all(off)
     assert [step.plan.action == FieldOff() for step in log.steps] == off
     assert [step.plan.direction is None for step in log.steps] == off
-    assert [one.stops for one in log.commands] == [False] * (len(log.commands) - 1) + [True]
-    assert log.stop is log.commands[-1]
+    *earlier, last = log.commands
+    assert not any(command.stops for command in earlier)
+    assert last.stops
+    assert log.stop is last
     assert log.began_ns == log.commands[0].sent_ns
 
 
 def test_it_is_verified_whole(path):
-    found = verify(path)
-    assert (found.problems, found.checked) == ((), 41)
+    verification = verify(path)
+    assert verification.problems == ()
+    assert verification.checked == STEPS
 
 
 def test_tables_and_arrays_hold_no_direction_then(log):
     off = [step.command.action == FieldOff() for step in log.steps]
-    found, _ = of_log(Path(log.log), ("steps",))
-    assert [u is None for u in found["steps"].as_dict()["direction_rad"]] == off
+    tables, _ = of_log(Path(log.log), ("steps",))
+    directions = tables["steps"].as_dict()["direction_rad"]
+    assert [direction is None for direction in directions] == off
     assert np.isnan(to_arrays(log).direction).tolist() == off
 
 

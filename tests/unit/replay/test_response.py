@@ -10,76 +10,119 @@ from tetractl.replay.identification.response import respond, response_table
 from tetractl.replay.identification.tracks import Track
 
 TRUE = {
-    "dead_time": 0.12,
+    "dead_time": 0.12,  # [s], as both lags
     "turning_lag": 0.08,
     "speed_lag": 0.15,
     "turning_gain": 0.93,
     "speed_gain": 1.04,
-    "veer": 0.0004,
-    "heading_walk": 0.02,
-    "way_walk": 2.0,
+    "veer": 0.0004,  # [rad/mm]
+    "heading_walk": 0.02,  # [rad/sqrt(s)]
+    "way_walk": 2.0,  # [mm/sqrt(s)]
 }
-NOISE = (0.3, 0.003)  # of measured positions [mm] and headings [rad]
-FINE, SECONDS = 0.005, 30.0
+POSITION_NOISE_MM = 0.3
+HEADING_NOISE_RAD = 0.003
+TRACK_S = 30.0
+COMMAND_PERIOD_S = 0.05
+COMMANDS_PER_TWIST = 10
+STEP_S = 0.005  # of the integration
+STEPS_PER_FRAME = 4  # thus 50 frames a second
 
 
-def track(seed):
-    """Return a robot's track: commands at about 20 Hz, frames at 50."""
-    rng = np.random.default_rng(seed)
-    count = round(SECONDS / 0.05)
-    sent = np.arange(count) * 0.05 + rng.uniform(0, 0.01, count)
-    twists = np.repeat(rng.uniform((40, -1.5), (160, 1.5), (count // 10, 2)), 10, axis=0)
-    t = np.arange(0.0, SECONDS, FINE)
-    last = np.searchsorted(sent, t + FINE / 2 - TRUE["dead_time"], side="right") - 1
-    drop = np.exp(-FINE / np.array([TRUE["speed_lag"], TRUE["turning_lag"]]))
-    steps = rng.standard_normal((len(t), 2)) * (TRUE["way_walk"], TRUE["heading_walk"]) * FINE**0.5
-    path, pose, follows = np.empty((len(t), 3)), np.zeros(3), twists[0]
-    for k, command in enumerate(twists[np.maximum(last, 0)]):
+def random_twists(rng, count):
+    """Speeds [mm/s] and turning rates [rad/s] (count, 2) that stay for some commands."""
+    twists = rng.uniform((40, -1.5), (160, 1.5), (count // COMMANDS_PER_TWIST, 2))
+    return np.repeat(twists, COMMANDS_PER_TWIST, axis=0)
+
+
+def true_path(rng, times, sent, twists):
+    """The poses (M, 3) at these times of a robot that is sent twists at the times `sent`.
+
+    Its twist follows the one that acts with two lags; speed and turning rate are then multiplied by
+    their gains, it veers with its speed, and both walk at random.
+    """
+    acting = np.searchsorted(sent, times + STEP_S / 2 - TRUE["dead_time"], side="right") - 1
+    lags = np.array([TRUE["speed_lag"], TRUE["turning_lag"]])
+    remaining = np.exp(-STEP_S / lags)
+    walks = np.array([TRUE["way_walk"], TRUE["heading_walk"]]) * np.sqrt(STEP_S)
+    random_steps = rng.standard_normal((len(times), 2)) * walks
+    path = np.empty((len(times), 3))
+    pose = np.zeros(3)
+    twist = twists[0]
+    for k, command in enumerate(twists[np.maximum(acting, 0)]):
         path[k] = pose
-        before, follows = follows, command + (follows - command) * drop
-        p, q = (before + follows) / 2
-        turned = TRUE["turning_gain"] * q + TRUE["veer"] * p
-        way, turn = steps[k] + FINE * np.array([TRUE["speed_gain"] * p, turned])
+        next_twist = command + (twist - command) * remaining
+        speed, rate = (twist + next_twist) / 2
+        twist = next_twist
+        way = STEP_S * TRUE["speed_gain"] * speed + random_steps[k, 0]
+        turn_rate = TRUE["turning_gain"] * rate + TRUE["veer"] * speed
+        turn = STEP_S * turn_rate + random_steps[k, 1]
         middle = pose[2] + turn / 2
         pose = pose + np.array([way * np.cos(middle), way * np.sin(middle), turn])
-    seen = path[::4] + rng.standard_normal((len(t[::4]), 3)) * (NOISE[0], *NOISE)
-    valid = np.ones((len(seen), 1), dtype=bool)
-    driven = {"sent": sent, "u": np.full(count, np.nan), "twists": twists[:, None]}
+    return path
+
+
+def track_of_one_robot(seed):
+    """Commands at about 20 Hz, noisy frames at 50."""
+    rng = np.random.default_rng(seed)
+    count = round(TRACK_S / COMMAND_PERIOD_S)
+    sent = np.arange(count) * COMMAND_PERIOD_S + rng.uniform(0, 0.01, count)
+    twists = random_twists(rng, count)
+    times = np.arange(0.0, TRACK_S, STEP_S)
+    path = true_path(rng, times, sent, twists)[::STEPS_PER_FRAME]
+    noise = (POSITION_NOISE_MM, POSITION_NOISE_MM, HEADING_NOISE_RAD)
+    poses = path + rng.standard_normal(path.shape) * noise
     return Track(
-        "a test", "test", "mm", ("one",), t[::4], seen[:, None], valid, until=60.0, **driven
+        source="a test",
+        origin="test",
+        unit="mm",
+        names=("one",),
+        time=times[::STEPS_PER_FRAME],
+        poses=poses[:, None],
+        valid=np.ones((len(poses), 1), dtype=bool),
+        until=60.0,
+        sent=sent,
+        u=np.full(count, np.nan),
+        twists=twists[:, None],
     )
 
 
 def test_gains_lags_and_dead_time_are_found_and_intervals_hold_them():
-    held = []
+    holds = []
     for seed in range(2):
-        (found,) = respond([track(seed)])
-        values = found.quantities
+        (response,) = respond([track_of_one_robot(seed)])
+        values = response.quantities
         for name, true in TRUE.items():
-            assert values[name].value == pytest.approx(true, rel=0.25, abs=2e-4), (seed, name)
-            held.append(values[name].low <= true <= values[name].high)
+            value = values[name]
+            assert value.value == pytest.approx(true, rel=0.25, abs=2e-4), (seed, name)
+            holds.append(value.low <= true <= value.high)
         assert values["turning_gain"].value == pytest.approx(TRUE["turning_gain"], rel=0.02)
-    assert np.mean(held) >= 0.8, held
+    assert np.mean(holds) >= 0.8, holds
+
+
+def width(interval):
+    return interval.high - interval.low
 
 
 def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
-    one, other = track(4), track(5)
-    (whole,) = respond([one, other])
-    assert (whole.intervals, whole.left_out) == (pytest.approx(2 * SECONDS / 0.1, rel=0.02), 0)
-    width = whole.dead_time.high - whole.dead_time.low
-    one.poses[1000:1005] += (300.0, 0.0, 1.0)
-    (found,) = respond([one, other])
-    assert found.left_out == 2
-    (_, column) = response_table([found], "", "mm").columns
-    assert column.values[-1] == f"2 of {found.intervals + 2}"
-    assert found.dead_time.high - found.dead_time.low < 1.1 * width
+    disturbed = track_of_one_robot(4)
+    clean = track_of_one_robot(5)
+    (pooled,) = respond([disturbed, clean])
+    assert pooled.intervals == pytest.approx(2 * TRACK_S / 0.1, rel=0.02)  # of 0.1 s
+    assert pooled.left_out == 0
+    disturbed.poses[1000:1005] += (300.0, 0.0, 1.0)
+    (response,) = respond([disturbed, clean])
+    assert response.left_out == 2  # to the other body and back
+    (_, column) = response_table([response], "", "mm").columns
+    assert column.values[-1] == f"2 of {response.intervals + 2}"
+    assert width(response.dead_time) < 1.1 * width(pooled.dead_time)
 
 
 @pytest.mark.parametrize(
-    ("lag", "said"),
+    ("other_lag_s", "note"),
     [(0.09, "the lag of turning for a spec: lab.lag=0.08"), (0.2, "no single lag fits all")],
 )
-def test_a_lag_for_a_spec_is_said_if_it_fits_all_robots(lag, said):
-    (one,) = respond([track(6)])
-    other = replace(one, turning_lag=SampleInterval(lag, lag - 0.01, lag + 0.01))
-    assert said in response_table([one, other], "", "mm").note
+def test_a_lag_for_a_spec_is_said_if_it_fits_all_robots(other_lag_s, note):
+    (response,) = respond([track_of_one_robot(6)])
+    lag = SampleInterval(other_lag_s, other_lag_s - 0.01, other_lag_s + 0.01)
+    of_other_robot = replace(response, turning_lag=lag)
+    assert note in response_table([response, of_other_robot], "", "mm").note

@@ -21,8 +21,15 @@ def test_a_simulation_is_noticed_to_be_tampered_with_anywhere(tmp_path):
 @pytest.mark.parametrize("in_order", [True, False])
 def test_a_log_that_another_program_wrote_anew_is_no_failure(tmp_path, in_order):
     log = sim_log(tmp_path, SHORT)
-    found = verify(rewritten(log, tmp_path / "again.mcap", in_order, chunk_size=5000))
-    assert (found.problems, found.rewritten[:4]) == ((), "mcap")
-    assert bool(found.notes) != in_order  # on the digest, which is of another order
-    shorter = rewrite(scan(log), tmp_path / "changed.mcap", stating(scan(log), RUN, seed=8))
-    assert verify(rewritten(shorter, tmp_path / "changed-again.mcap", in_order)).problems
+    again = verify(rewritten(log, tmp_path / "again.mcap", in_order, chunk_size=5000))
+    assert again.problems == ()
+    assert again.rewritten.startswith("mcap")
+    assert bool(again.notes) != in_order  # on the digest, which is of another order
+
+
+@pytest.mark.parametrize("in_order", [True, False])
+def test_a_log_that_another_program_wrote_anew_is_still_checked(tmp_path, in_order):
+    contents = scan(sim_log(tmp_path, SHORT))
+    other_seed = stating(contents, RUN, seed=8)
+    changed = rewrite(contents, tmp_path / "changed.mcap", other_seed)
+    assert verify(rewritten(changed, tmp_path / "changed-again.mcap", in_order)).problems

@@ -3,7 +3,8 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ from support.mutate import of_host, rewrite, stating, with_entry
 from support.paths import ROOT
 from support.trials import three_robots
 
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Verdict
-from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.experiment.controller import ALONE
@@ -85,10 +86,14 @@ SETTINGS = {
 }
 
 
-def run(folder, sets, trial=1, interrupt=None):
+TRIAL = 1
+
+
+def run(folder, sets, interrupt=None):
+    """Run one trial of the spec with these settings; return the path of its log."""
     spec = parse_spec(SPEC, "quick.yaml", sets)
-    run_trial(spec, folder, trial, interrupt=interrupt)
-    return log_path(folder, trial)
+    run_trial(spec, folder, TRIAL, interrupt=interrupt)
+    return log_path(folder, TRIAL)
 
 
 @pytest.fixture(scope="module")
@@ -103,26 +108,31 @@ def contents(log):
 
 @pytest.mark.parametrize("sets", SETTINGS.values(), ids=SETTINGS.keys())
 def test_every_decision_comes_out_with_the_same_bits(tmp_path, sets):
-    found = verify(run(tmp_path, sets))
-    assert found.problems == ()
-    assert (found.method, found.elsewhere) == (Method.RECOMPUTED, ())
-    ended = "controller.deadline=0.001" in sets
-    assert found.notes == ("the trial is not run again: a deadline ended a search",) * ended
-    assert found.checked == found.steps > 0
-    log = read_trial(tmp_path / "trial-001.mcap")
-    assert recompute(log, search_again=False).difference is None
+    path = run(tmp_path, sets)
+    verification = verify(path)
+    assert verification.problems == ()
+    assert verification.method is Method.RECOMPUTED
+    assert verification.elsewhere == ()
+    assert verification.checked == verification.steps > 0
+    if "controller.deadline=0.001" in sets:
+        note = "the trial is not run again: a deadline ended a search"
+        assert verification.notes == (note,)
+    else:
+        assert verification.notes == ()
+    assert recompute(read_trial(path), search_again=False).difference is None
 
 
-class Late:
-    """A clock that is past every deadline after so many looks at it."""
+class LateClock:
+    """Stands for the clock that searches look at: past every deadline after so many looks."""
 
     wrap = staticmethod(ALONE.wrap)
 
     def __init__(self, looks):
-        self.looks, self.time = looks, 0
+        self.looks = looks
+        self.time = 0
 
     def __call__(self):
-        self.time += 10**9 // self.looks
+        self.time += SECOND // self.looks
         return self.time
 
 
@@ -133,11 +143,14 @@ class Late:
 )
 @pytest.mark.parametrize("looks", [1, 2, 4, 9, 20])
 def test_what_a_deadline_cut_short_comes_out_too(tmp_path, monkeypatch, swarm, looks):
-    monkeypatch.setattr("tetractl.run.checked_controller.WorkClock", lambda: Late(looks))
+    monkeypatch.setattr("tetractl.run.checked_controller.WorkClock", lambda: LateClock(looks))
     sets = [MPC.format(12, swarm), "controller.deadline=0.5", "controller.estimate=false"]
     path = run(tmp_path, sets)
-    stopped = [s.stopped for step in read_trial(path).steps for s in step.plan.searches]
-    assert "deadline" in stopped or looks > 4 or len(read_trial(path).steps[1].plan.searches) < 3
+    steps = read_trial(path).steps
+    searches = [search for step in steps for search in step.plan.searches]
+    cut_short = any(search.stopped == "deadline" for search in searches)
+    searches_left_out = len(steps[1].plan.searches) < 3
+    assert cut_short or searches_left_out or looks > 4
     assert verify(path).problems == ()
 
 
@@ -145,80 +158,108 @@ def test_an_interrupted_trial_comes_out_as_far_as_it_went(tmp_path):
     interrupt = Interrupt()
     interrupt.request()
     path = run(tmp_path, [], interrupt=interrupt)
-    found = verify(path)
-    assert read_trial(path).start.trial == 1
-    assert (found.problems, found.checked) == ((), 1)
+    assert read_trial(path).start.trial == TRIAL
+    verification = verify(path)
+    assert verification.problems == ()
+    assert verification.checked == 1
 
 
 def test_a_torn_log_is_checked_up_to_the_tear(tmp_path, log):
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(log.read_bytes()[:-6000])
-    found = verify(torn)
-    assert 0 < found.checked == found.steps
-    assert {problem.field for problem in found.problems} == {"damage"}
+    verification = verify(torn)
+    assert 0 < verification.checked == verification.steps
+    assert {problem.field for problem in verification.problems} == {"damage"}
 
 
-def noticed(path):
-    try:
-        return not verify(path).ok
-    except LogError:  # it does not even fit together
-        return True
+def index_of_step(contents, k):
+    """Which message of the log is that of control step k."""
+    steps = [i for i, entry in enumerate(contents.entries) if entry.topic == STEP]
+    return steps[k]
 
 
 def test_the_first_step_and_field_that_differ_are_named(tmp_path, contents):
-    steps = [i for i, entry in enumerate(contents.entries) if entry.topic == STEP]
     place = ("searches", 1, "history", 3)
-    found = verify(with_entry(contents, tmp_path / "changed.mcap", steps[2], place))
-    assert found.checked == 2
-    assert (found.problems[0].step, found.problems[0].field) == (2, "searches.1.history.3")
+    step_2 = index_of_step(contents, 2)
+    verification = verify(with_entry(contents, tmp_path / "changed.mcap", step_2, place))
+    assert verification.checked == 2
+    first = verification.problems[0]
+    assert first.step == 2
+    assert first.field == "searches.1.history.3"
 
 
-def elsewhere(contents):
+def on_another_processor(contents):
+    """The message of the host with another processor, to be given to `rewrite`."""
     return of_host(contents, cpu="another")
 
 
 def test_on_another_processor_equal_bits_still_count(tmp_path, contents):
-    found = verify(rewrite(contents, tmp_path / "other.mcap", elsewhere(contents)))
-    assert (found.method, found.problems) == (Method.RECOMPUTED, ())
-    assert found.elsewhere == (
-        f"cpu: another on the log's host, {provenance.host()['cpu']} on this one",
-    )
+    elsewhere = rewrite(contents, tmp_path / "elsewhere.mcap", on_another_processor(contents))
+    verification = verify(elsewhere)
+    assert verification.method is Method.RECOMPUTED
+    assert verification.problems == ()
+    cpu = provenance.host()["cpu"]
+    assert verification.elsewhere == (f"cpu: another on the log's host, {cpu} on this one",)
 
 
-def test_on_another_processor_the_costs_have_to_agree(tmp_path, contents, monkeypatch):
-    """A last bit that differs is arithmetic there; a cost that does not fit its plan is not."""
-    steps = [i for i, entry in enumerate(contents.entries) if entry.topic == STEP]
-    place = ("searches", 1, "history", 0)  # of no consequence to any cost
-    changed = scan(with_entry(contents, tmp_path / "changed.mcap", steps[1], place))
-    assert verify(tmp_path / "changed.mcap").problems
-    found = verify(rewrite(changed, tmp_path / "there.mcap", elsewhere(changed)))
-    assert (found.method, found.problems) == (Method.REEVALUATED, ())
-    for place, change in (
+@dataclass(frozen=True)
+class ChangedLogs:
+    """A log with one number of step 1 changed, and the same as if another processor wrote it."""
+
+    of_this_processor: Path
+    of_another: Path
+
+
+def with_step_1_changed(tmp_path, contents, place):
+    step_1 = index_of_step(contents, 1)
+    path = with_entry(contents, tmp_path / "changed.mcap", step_1, place)
+    changed = scan(path)
+    elsewhere = rewrite(changed, tmp_path / "elsewhere.mcap", on_another_processor(changed))
+    return ChangedLogs(path, elsewhere)
+
+
+def test_on_another_processor_a_last_bit_of_no_consequence_may_differ(tmp_path, contents):
+    """Arithmetic differs there; no cost depends on the first entry of a history."""
+    logs = with_step_1_changed(tmp_path, contents, ("searches", 1, "history", 0))
+    assert verify(logs.of_this_processor).problems
+    verification = verify(logs.of_another)
+    assert verification.method is Method.REEVALUATED
+    assert verification.problems == ()
+
+
+@pytest.mark.parametrize(
+    ("place", "change"),
+    [
         (("searches", 1, "signals", 0), 1e-8),
         (("searches", 0, "cost"), 1e-8),
         (("path_x", 3), 1e-3),
         (("cost",), 1e-8),
-    ):
-        monkeypatch.setattr(mutate, "CHANGE", change)
-        name = tmp_path / f"{'-'.join(map(str, place))}.mcap"
-        changed = scan(with_entry(contents, name, steps[1], place))
-        found = verify(rewrite(changed, name.with_suffix(".there.mcap"), elsewhere(changed)))
-        assert found.method == Method.REEVALUATED
-        assert found.problems[0].step == 1
+    ],
+)
+def test_on_another_processor_the_costs_have_to_agree(
+    tmp_path, contents, monkeypatch, place, change
+):
+    """A cost that does not fit its plan is no matter of arithmetic."""
+    monkeypatch.setattr(mutate, "CHANGE", change)
+    logs = with_step_1_changed(tmp_path, contents, place)
+    verification = verify(logs.of_another)
+    assert verification.method is Method.REEVALUATED
+    assert verification.problems[0].step == 1
 
 
 @pytest.mark.parametrize("outcome", ["aborted", "interrupted"])
 def test_an_outcome_is_not_changed_with_all_that_says_it(tmp_path, contents, outcome):
     """Regression: a bad trial could be taken out of the means so."""
 
-    last = [entry for entry in contents.entries if entry.topic == LOG][-1]
-    note = Log.FromString(last.data)
-    note.message = note.message.replace("steps max", f"{outcome} (why)")
-    said = {last: last._replace(data=note.SerializeToString())}
-    said |= stating(contents, RESULT, outcome=outcome, reason="why")
-    found = verify(rewrite(contents, tmp_path / "changed.mcap", said))
-    assert found.problems[0].field == "outcome"
-    assert "the controller decides 'steps max'" in found.problems[0].message
+    last_entry = contents.by_topic[LOG][-1]
+    last_note = Log.FromString(last_entry.data)
+    last_note.message = last_note.message.replace("steps max", f"{outcome} (why)")
+    replaced = {last_entry: last_entry._replace(data=last_note.SerializeToString())}
+    replaced |= stating(contents, RESULT, outcome=outcome, reason="why")
+    verification = verify(rewrite(contents, tmp_path / "changed.mcap", replaced))
+    first = verification.problems[0]
+    assert first.field == "outcome"
+    assert "the controller decides 'steps max'" in first.message
 
 
 DIFFERENT = """
@@ -250,99 +291,124 @@ def test_a_log_of_other_instruction_sets_is_honest(tmp_path, settings, key):
         env=os.environ | settings | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"},
         check=True,
     )
-    found = verify(log_path(tmp_path, 1))
-    assert found.problems == ()
-    assert [line.split(":")[0] for line in found.elsewhere] == [key]
+    verification = verify(log_path(tmp_path, TRIAL))
+    assert verification.problems == ()
+    assert [line.split(":")[0] for line in verification.elsewhere] == [key]
 
 
 def test_the_time_that_verifying_takes_is_bounded(log):
-    ticks = iter(range(0, 100_000, 4))
-    found = recompute(read_trial(log), search_again=True, cpu=lambda: next(ticks))
-    assert found.difference is not None
-    assert "not computed again: the rest takes over 15 s" in found.difference.message
+    """By a clock that is 4 s later at each look."""
+    ticks_s = iter(range(0, 100_000, 4))
+    decisions = recompute(read_trial(log), search_again=True, cpu=lambda: next(ticks_s))
+    assert decisions.difference is not None
+    assert "not computed again: the rest takes over 15 s" in decisions.difference.message
 
 
 def test_on_another_processor_a_history_has_to_fall(tmp_path, contents):
-    entry = next(e for e in contents.entries if e.topic == STEP)
+    entry = contents.by_topic[STEP][0]
     step = ControllerStep.FromString(entry.data)
     step.searches[0].history[0] = step.searches[0].cost - 1.0
-    changed = {entry: entry._replace(data=step.SerializeToString())} | elsewhere(contents)
-    found = verify(rewrite(contents, tmp_path / "changed.mcap", changed))
-    assert found.problems[0].field == "searches.0.history"
+    replaced = {entry: entry._replace(data=step.SerializeToString())}
+    replaced |= on_another_processor(contents)
+    verification = verify(rewrite(contents, tmp_path / "changed.mcap", replaced))
+    assert verification.problems[0].field == "searches.0.history"
 
 
 def test_on_another_processor_the_errors_have_to_follow_from_the_poses(tmp_path, contents):
-    changed = elsewhere(contents) | stating(contents, RESULT, total_error=1.0)
-    found = verify(rewrite(contents, tmp_path / "changed.mcap", changed))
-    assert [one.field for one in found.problems] == ["result.total_error"]
-    assert found.notes == ("the trial is not run again: another host, or other code, wrote it",)
+    replaced = on_another_processor(contents) | stating(contents, RESULT, total_error=1.0)
+    verification = verify(rewrite(contents, tmp_path / "changed.mcap", replaced))
+    assert [problem.field for problem in verification.problems] == ["result.total_error"]
+    note = "the trial is not run again: another host, or other code, wrote it"
+    assert verification.notes == (note,)
 
 
 def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     """Regression, found by benchmarks/fuzz.py: reading a trial does not decode it."""
-    entry = next(e for e in contents.entries if e.topic == "/tf")
-    spoilt = {entry: entry._replace(data=entry.data[:-3])}
-    found = verify(rewrite(contents, tmp_path / "changed.mcap", spoilt))
-    assert [str(one) for one in found.problems] == [
-        "trial: /tf[0]: not a valid message of its channel"
-    ]
+    entry = contents.by_topic["/tf"][0]
+    torn = {entry: entry._replace(data=entry.data[:-3])}
+    (problem,) = verify(rewrite(contents, tmp_path / "changed.mcap", torn)).problems
+    assert str(problem) == "trial: /tf[0]: not a valid message of its channel"
+
+
+def fields_that_differ(log, result):
+    return {difference.field for difference in lab_differences(log, result)}
 
 
 def test_a_wall_that_a_path_logged_in_the_lab_crosses_was_entered(tmp_path):
-    made = random_trials.trial(simulated=False)
-    clear = replace(made.result.verdict, entered=(False,) * 3, clearance=(0.0,) * 3)
-    log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))
-    found = lab_differences(log, replace(log.result, verdict=clear))
-    assert any(problem.field.startswith("result.entered") for problem in found)
+    lab_trial = random_trials.trial(simulated=False)
+    clear = replace(lab_trial.result.verdict, entered=(False,) * 3, clearance=(0.0,) * 3)
+    log = read_trial(random_trials.write(lab_trial, tmp_path / "trial.mcap"))
+    fields = fields_that_differ(log, replace(log.result, verdict=clear))
+    assert any(field.startswith("result.entered") for field in fields)
 
 
 @pytest.mark.parametrize(("row", "agrees"), [(-1, True), (-20, False)])
 def test_cells_whose_pictures_ended_before_the_stop_have_the_last_poses(tmp_path, row, agrees):
     """The stop comes 0.8 s after the last frame: 0.5 s until the trial aborts, and repeats."""
     log = lab_log(tmp_path, lost(0, 100), 40.0, "no", 0.001)
-    stop = replace(log.stop, sent_ns=1_790_000_000)
-    result = replace(
-        log.result,
-        outcome=Outcome.ABORTED,
-        verdict=replace(log.result.verdict, final=Poses.of(log.mocap[row])),
-    )
-    found = {one.field for one in lab_differences(replace(log, stop=stop), result)}
-    assert ("result.final" not in found) == agrees
+    log = replace(log, stop=replace(log.stop, sent_ns=1_790_000_000))
+    verdict = replace(log.result.verdict, final=Poses.of(log.mocap[row]))
+    result = replace(log.result, outcome=Outcome.ABORTED, verdict=verdict)
+    assert ("result.final" not in fields_that_differ(log, result)) == agrees
 
 
-def test_a_trial_whose_end_was_torn_by_an_error_may_state_no_final_poses(tmp_path):
+@pytest.fixture
+def log_of_robots_at_rest(tmp_path):
+    return lab_log(tmp_path, lost(0, 100), 0.0, "yes", 0.001)
+
+
+UNKNOWN = Verdict.unknown(3)
+
+
+def test_a_trial_whose_end_was_torn_by_an_error_may_state_no_final_poses(log_of_robots_at_rest):
     """Regression: an error while the robots came to rest left a log that `verify` called false."""
-    log = lab_log(tmp_path, lost(0, 100), 0.0, "yes", 0.001)
-    untold = Verdict.unknown(3)
-    for outcome, verdict, said in (
-        (Outcome.ABORTED, untold, set()),
-        (Outcome.ARRIVED, untold, {"result.final"}),
-        (Outcome.ABORTED, replace(untold, final=Poses.of(log.mocap[-1] + 1)), {"result.final"}),
-    ):
-        result = replace(log.result, outcome=outcome, verdict=verdict)
-        found = {one.field for one in lab_differences(log, result)}
-        assert {one for one in found if one == "result.final"} == said
+    log = log_of_robots_at_rest
+    aborted = replace(log.result, outcome=Outcome.ABORTED, verdict=UNKNOWN)
+    assert "result.final" not in fields_that_differ(log, aborted)
+
+
+def test_a_trial_whose_robots_arrived_states_final_poses(log_of_robots_at_rest):
+    log = log_of_robots_at_rest
+    arrived = replace(log.result, outcome=Outcome.ARRIVED, verdict=UNKNOWN)
+    assert "result.final" in fields_that_differ(log, arrived)
+
+
+def test_final_poses_that_an_aborted_trial_states_are_compared(log_of_robots_at_rest):
+    log = log_of_robots_at_rest
+    wrong_poses = replace(UNKNOWN, final=Poses.of(log.mocap[-1] + 1))
+    aborted = replace(log.result, outcome=Outcome.ABORTED, verdict=wrong_poses)
+    assert "result.final" in fields_that_differ(log, aborted)
+
+
+def without_result_and_a_frame(lost_parts):
+    """A log without its result, whose camera lost the frame after number 30."""
+    log = three_robots()
+    numbers = np.where(np.arange(len(log.frames)) > 30, log.frames + 1, log.frames)
+    return replace(log, frames=numbers, result=None, damage=Damage((), lost_parts))
 
 
 def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
-    whole = three_robots()
-    numbers = whole.frames + (np.arange(len(whole.frames)) > 30)
-    ended = replace(whole, frames=numbers, result=None, damage=Damage((), ("the result",)))
-    assert first_steps(ended) == list(whole.steps)
-    torn = replace(ended, damage=Damage((), ("a chunk", "the result")))
+    log = without_result_and_a_frame(("the result",))
+    assert first_steps(log) == list(log.steps)
+
+
+def test_frames_that_may_be_in_a_lost_chunk_end_the_check():
+    torn = without_result_and_a_frame(("a chunk", "the result"))
     assert len(first_steps(torn)) == 2
 
 
 def test_no_step_after_a_gap_is_a_first_step():
     """Regression: one whose number was that of its place was, where a number was repeated."""
-    whole = three_robots()
-    first, second, third, *_ = whole.steps
-    assert first_steps(replace(whole, steps=(first, third, replace(second, k=2)))) == [first]
+    log = three_robots()
+    first, second, third, *_ = log.steps
+    with_gap = replace(log, steps=(first, third, replace(second, k=2)))
+    assert first_steps(with_gap) == [first]
 
 
 def test_no_step_of_a_seed_that_has_no_trial_counts_as_checked():
-    whole = three_robots()
-    decisions = recompute(replace(whole, start=replace(whole.start, seed=-1)), search_again=False)
+    log = three_robots()
+    impossible = replace(log, start=replace(log.start, seed=-1))
+    decisions = recompute(impossible, search_again=False)
     assert decisions.agreeing == 0
     assert decisions.difference is not None
     assert decisions.difference.field == "seed"

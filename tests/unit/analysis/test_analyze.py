@@ -16,6 +16,7 @@ from tetractl.view.figures.analysis import analysis_figure
 
 pytestmark = pytest.mark.slow
 
+A_RAD_S = (6, 4, 3)  # of green, blue and red
 SETUP = experiment().setup
 CONTROLLER = {
     "type": "mpc",
@@ -27,99 +28,157 @@ CONTROLLER = {
 NOISE = {"type": "sim", "a_error": 0.05, "heading_noise": 0.05}
 
 
-def of(a=(6, 4, 3), **changes):
-    robots = [robot | {"a": value} for robot, value in zip(THREE_M3PI["robots"], a, strict=False)]
-    given = {"robots": robots, "controller": CONTROLLER, "plant": NOISE} | changes
-    return analyze(experiment(**given), plans=2)
+def analysis_of(a=A_RAD_S, **changes):
+    """The analysis, by two plans, of the first robots of the paper with these rates [rad/s]."""
+    robots = [robot | {"a": rate} for robot, rate in zip(THREE_M3PI["robots"], a, strict=False)]
+    fields = {"robots": robots, "controller": CONTROLLER, "plant": NOISE} | changes
+    return analyze(experiment(**fields), plans=2)
 
 
-def test_the_smallest_gap_and_robots_spaced_anew():
-    alike = most_alike(SETUP)
-    assert alike.gap == pytest.approx(1 / 3)
-    assert (SETUP.names[alike.low], SETUP.names[alike.high]) == ("red", "blue")
-    spaced = respaced(SETUP, 0.1)
-    assert np.argsort(spaced.a).tolist() == np.argsort(SETUP.a).tolist()
-    assert np.diff(np.sort(np.log(spaced.a))) == pytest.approx(np.log(1.1))
-    assert np.log(spaced.a).mean() == pytest.approx(np.log(SETUP.a).mean())
+@pytest.fixture(scope="module")
+def analysis_of_three():
+    return analysis_of()
+
+
+@pytest.fixture(scope="module")
+def analysis_of_one():
+    return analysis_of(a=(6,))
+
+
+@pytest.fixture(scope="module")
+def analysis_without_plan():
+    """The horizon is too short to reach the targets."""
+    return analysis_of(controller=CONTROLLER | {"horizon_max": 12})
+
+
+def test_the_smallest_gap_is_of_the_two_robots_that_are_most_alike():
+    pair = most_alike(SETUP)
+    assert pair.gap == pytest.approx(4 / 3 - 1)
+    assert SETUP.names[pair.low] == "red"
+    assert SETUP.names[pair.high] == "blue"
+
+
+def test_robots_spaced_anew_keep_their_order_and_their_mean():
+    before = np.log(SETUP.a)
+    after = np.log(respaced(SETUP, 0.1).a)
+    assert np.array_equal(np.argsort(after), np.argsort(before))
+    gaps = np.diff(np.sort(after))
+    assert gaps == pytest.approx(np.log(1.1))
+    assert after.mean() == pytest.approx(before.mean())
+
+
+def change_to(a, error):
+    """A change of the a of one robot from 4 [rad/s] that leaves this error [mm]."""
+    return Change(robot="r", old=4, new=a, error=error)
+
+
+SMALL_CHANGE = change_to(4.6, error=10.5)
+CHANGES = [SMALL_CHANGE, change_to(6, error=10), change_to(4.2, error=19)]
+IMPOSSIBLE = change_to(4.1, error=np.nan)  # no plan reaches
 
 
 def test_of_changes_about_as_good_the_smallest_is_advised():
-    changes = [Change("r", 4, 4.6, 10.5), Change("r", 4, 6, 10), Change("r", 4, 4.2, 19)]
-    assert best_change(changes, 20.0) is changes[0]
-    assert best_change(changes, 12.0) is None
+    assert best_change(CHANGES, 20.0) is SMALL_CHANGE
+
+
+def test_no_change_is_advised_where_none_makes_much_better():
+    assert best_change(CHANGES, 12.0) is None
     assert best_change([], 12.0) is None
-    impossible = Change("r", 4, 4.1, np.nan)
-    assert best_change([impossible, *changes], np.nan) is changes[0]
-    assert best_change([impossible], np.nan) is None
+
+
+def test_where_no_plan_reaches_any_change_that_has_one_is_better():
+    assert best_change([IMPOSSIBLE, *CHANGES], np.nan) is SMALL_CHANGE
+    assert best_change([IMPOSSIBLE], np.nan) is None
 
 
 def test_alike_robots_are_found_and_a_better_a_is_advised():
-    found = of(a=(6, 3.1, 3))
-    assert found.looked
-    assert found.alike == ("red", "blue")
-    change = found.change
+    analysis = analysis_of(a=(6, 3.1, 3))
+    assert analysis.looked
+    assert analysis.alike == ("red", "blue")
+    change = analysis.change
     assert change is not None
-    assert change.robot in found.alike
-    assert change.error < 0.8 * found.steering.error
-    assert f"change a of {change.robot} from {change.old:g} to {change.new:g}" in advice(found)
+    assert change.robot in analysis.alike
+    assert change.error < 0.8 * analysis.steering.error
+    assert f"change a of {change.robot} from {change.old:g} to {change.new:g}" in advice(analysis)
 
 
-def test_robots_more_apart_and_fewer_are_easier():
-    found = of()
-    assert not found.looked
-    assert found.change is None
-    by_gap, by_count = dict(found.by_gap), dict(found.by_count)
-    assert np.isfinite(by_gap[0.5])
-    assert not by_gap[0.02] < 5 * by_gap[0.5]  # hardly a plan for robots as alike as that, or none
-    assert by_count[1] < by_count[3] == found.steering.error
-    here = found.steering
-    assert (np.diff(here.singular) <= 0).all()
-    assert here.weakest.sum() == pytest.approx(1)
-    assert here.shortest is not None
-    assert (here.open_loop > here.errors).all()
+def test_robots_that_differ_are_advised_no_change(analysis_of_three):
+    assert not analysis_of_three.looked
+    assert analysis_of_three.change is None
 
 
-def test_where_no_plan_reaches_there_are_no_millimetres():
-    found = of(controller=CONTROLLER | {"horizon_max": 12})
-    assert found.steering is None
-    shown = [list(table.rows) for table in tables(found)]
-    assert ("plans that reach", "0 of 2, to 48 mm") in shown[0]
-    assert ("fewest signals that reach", NO_PLAN) in shown[0]
-    assert [row[1] for row in shown[-1]] == [NO_PLAN] * 3
-    assert advice(found).startswith(f"advice: {NO_PLAN}")
-    items = as_json(found)
-    assert (items["mean_total_error"], items["plans_that_reach"]) == (None, 0)
+def test_robots_more_apart_are_easier(analysis_of_three):
+    error_by_gap = dict(analysis_of_three.by_gap)
+    assert np.isfinite(error_by_gap[0.5])
+    # hardly a plan for robots as alike as 2 %, or none: NaN
+    assert not error_by_gap[0.02] < 5 * error_by_gap[0.5]
+
+
+def test_fewer_robots_are_easier(analysis_of_three):
+    error_by_count = dict(analysis_of_three.by_count)
+    assert error_by_count[1] < error_by_count[3]
+    assert error_by_count[3] == analysis_of_three.steering.error
+
+
+def test_the_steering_says_how_well_the_robots_can_be_corrected(analysis_of_three):
+    steering = analysis_of_three.steering
+    assert (np.diff(steering.singular) <= 0).all()
+    assert steering.weakest.sum() == pytest.approx(1)
+    assert steering.shortest is not None
+    assert (steering.open_loop > steering.errors).all()
+
+
+def test_where_no_plan_reaches_the_tables_have_no_millimetres(analysis_without_plan):
+    assert analysis_without_plan.steering is None
+    first, *_, last = tables(analysis_without_plan)
+    rows = dict(first.rows)
+    assert rows["plans that reach"] == "0 of 2, to 48 mm"
+    assert rows["fewest signals that reach"] == NO_PLAN
+    assert [row[1] for row in last.rows] == [NO_PLAN] * 3
+    assert advice(analysis_without_plan).startswith(f"advice: {NO_PLAN}")
+
+
+def test_where_no_plan_reaches_json_has_no_number(analysis_without_plan):
+    items = as_json(analysis_without_plan)
+    assert items["mean_total_error"] is None
+    assert items["plans_that_reach"] == 0
     assert "NaN" not in json_text(items)
+
+
+def test_where_no_plan_reaches_nothing_is_drawn(analysis_without_plan):
     with pytest.raises(UsageError, match=NO_PLAN):
-        analysis_figure(found)
+        analysis_figure(analysis_without_plan)
 
 
-def test_one_robot_has_no_map():
-    found = of(a=(6,))
-    assert (found.alike, found.by_gap, found.looked) == (None, (), False)
-    assert len(as_json(found)["robots"]) == 1
-    assert advice(found).startswith("advice: none is needed")
-    assert len(tables(found)) == 3
+def test_one_robot_has_no_map(analysis_of_one):
+    assert analysis_of_one.alike is None
+    assert analysis_of_one.by_gap == ()
+    assert analysis_of_one.looked is False
+    assert len(as_json(analysis_of_one)["robots"]) == 1
+    assert advice(analysis_of_one).startswith("advice: none is needed")
+    assert len(tables(analysis_of_one)) == 3
 
 
 def test_more_noise_is_more_error():
-    quiet, loud = (of(a=(6,), plant={"type": "sim", "heading_noise": walk}) for walk in (0.01, 0.2))
+    quiet = analysis_of(a=(6,), plant={"type": "sim", "heading_noise": 0.01})
+    loud = analysis_of(a=(6,), plant={"type": "sim", "heading_noise": 0.2})
     assert loud.steering.error > 5 * quiet.steering.error
 
 
-def test_what_the_plant_has_beside_the_noise_is_said():
-    found = of(a=(6,), plant=NOISE | {"dead_time": 0.1, "lost_commands": 0.1})
-    assert found.left_out == ("dead_time", "lost_commands")
-    assert "without dead_time, lost_commands" in dict(tables(found)[0].rows)["noise assumed"]
+def test_what_the_plant_has_besides_the_noise_is_said():
+    analysis = analysis_of(a=(6,), plant=NOISE | {"dead_time": 0.1, "lost_commands": 0.1})
+    assert analysis.left_out == ("dead_time", "lost_commands")
+    rows = dict(tables(analysis)[0].rows)
+    assert "without dead_time, lost_commands" in rows["noise assumed"]
 
 
 def test_any_controller_is_analysed_by_multistart():
     section = planner(experiment(controller={"type": "ensemble", "period": 0.25}))
     assert isinstance(section.optimizer, Multistart)
     assert section.period == 0.25
-    own = planner(experiment())  # of the particle swarm
-    assert isinstance(own.optimizer, Multistart)
-    assert own.motion == experiment().controller.motion
+    of_swarm = planner(experiment())
+    assert isinstance(of_swarm.optimizer, Multistart)
+    assert of_swarm.motion == experiment().controller.motion
 
 
 def test_no_deadline_ends_a_search_however_busy_the_machine_is(monkeypatch):
@@ -132,7 +191,8 @@ def test_no_deadline_ends_a_search_however_busy_the_machine_is(monkeypatch):
 
     monkeypatch.setattr(RecommendedMpc, "build", watched_build)
     spec = experiment(controller=CONTROLLER)
-    assert len(list(plans(planner(spec), spec.setup, seed=0, count=2))) == 2
+    two_plans = list(plans(planner(spec), spec.setup, seed=0, count=2))
+    assert len(two_plans) == 2
     before_ns = [host.timer() for host in hosts]
     after_ns = [host.timer() for host in hosts]
     assert len(hosts) == 2
@@ -144,5 +204,5 @@ def test_robots_that_start_within_a_margin_are_steered_out_of_it(adaptive):
     """As the controller does: 4 mm from the edge, with a margin of 50."""
     robot = THREE_M3PI["robots"][1] | {"start": [604, 1200]}
     collision = {"margin": 50, "adaptive": adaptive}
-    found = of(a=(6,), robots=[robot], controller=CONTROLLER | {"collision": collision})
-    assert found.steering is not None
+    controller = CONTROLLER | {"collision": collision}
+    assert analysis_of(robots=[robot], controller=controller).steering is not None

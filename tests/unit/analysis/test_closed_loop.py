@@ -1,6 +1,6 @@
 """The closed loop of a plan, linearised: against simulations of the same noise."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from support.problems import problem, world
 from support.trials import experiment
 
 from tetractl.analysis.closed_loop import (
+    Linear,
     Noise,
     end_covariance,
     information,
@@ -16,74 +17,111 @@ from tetractl.analysis.closed_loop import (
     linearise,
     mean_errors,
 )
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Floats
 from tetractl.model.motion.exact import step
 
+ROBOTS = 3
 FINE = 10  # steps of the simulation in a control period
-QUIET = Noise(0.0, 0.0, 0.0, 0.0, 0.0)
+QUIET = Noise(a=0.0, speed=0.0, walk=0.0, position=0.0, heading=0.0)
 
 
-def plan(seed=4, length=30):
-    posed = problem(world(seed, model="exact"))
-    rng = np.random.default_rng(seed)
-    signals = np.cumsum(rng.uniform(-0.4, 0.4, length))
-    return posed, signals, linearise(posed, signals)
+@dataclass(frozen=True)
+class Plan:
+    """Random signals [rad] for robots at random poses, and the plan linearised."""
+
+    problem: Problem
+    signals: Floats
+    linear: Linear
 
 
-def test_without_noise_the_ends_are_the_planned_ones():
-    _, _, linear = plan()
-    assert not end_covariance(linear, QUIET).any()
-    assert mean_errors(np.zeros((6, 6)), linear.miss) == pytest.approx(linear.miss)
+@pytest.fixture
+def plan():
+    random_problem = problem(world(4, ROBOTS, model="exact"))
+    changes = np.random.default_rng(4).uniform(-0.4, 0.4, 30)
+    signals = np.cumsum(changes)
+    return Plan(random_problem, signals, linearise(random_problem, signals))
 
 
-def drive(posed, signals, a, speed, walk, rng):
-    """Ends (M, 2N) of robots with a and speed (M, N), whose headings walk finely."""
-    x, y, heading = (np.broadcast_to(p, a.shape) for p in posed.poses.array().T)
-    for u in np.repeat(signals, FINE):
-        t = posed.period / FINE
-        x, y, heading = step(x, y, heading, np.array(u), a, speed, t)
-        heading = heading + walk * np.sqrt(t) * rng.standard_normal(a.shape)
+def test_without_noise_the_ends_are_the_planned_ones(plan):
+    assert not end_covariance(plan.linear, QUIET).any()
+    no_covariance = np.zeros((2 * ROBOTS, 2 * ROBOTS))
+    assert mean_errors(no_covariance, plan.linear.miss) == pytest.approx(plan.linear.miss)
+
+
+def simulated_ends(plan, rng, a_factor=1.0, speed_factor=1.0, walk=0.0):
+    """Ends (M, 2N) of M drives of robots whose a and speed are off by factors (M, N), and whose
+    headings walk finely."""
+    drives = (4000, ROBOTS)
+    a = plan.problem.a * np.broadcast_to(a_factor, drives)
+    speed = plan.problem.speed * np.broadcast_to(speed_factor, drives)
+    step_s = plan.problem.period / FINE
+    x, y, heading = (np.broadcast_to(start, drives) for start in plan.problem.poses.array().T)
+    for direction in np.repeat(plan.signals, FINE):
+        x, y, heading = step(x, y, heading, np.array(direction), a, speed, step_s)
+        heading = heading + walk * np.sqrt(step_s) * rng.standard_normal(drives)
     return np.stack([x, y], axis=-1).reshape(len(a), -1)
 
 
-@pytest.mark.parametrize(("which", "size"), [("a", 0.01), ("speed", 0.01), ("walk", 0.01)])
-def test_errors_without_feedback_are_those_of_simulated_robots(which, size):
-    posed, signals, linear = plan()
+def assert_deviations_agree(plan, noise, ends):
+    covariance = end_covariance(plan.linear, noise, corrects=False)
+    deviations = np.sqrt(np.diag(covariance))
+    assert deviations == pytest.approx(np.std(ends, axis=0), rel=0.1, abs=0.01)
+
+
+def test_errors_of_a_without_feedback_are_those_of_simulated_robots(plan):
     rng = np.random.default_rng(1)
-    factor = 1 + size * rng.standard_normal((4000, 3))
-    a = posed.a * (factor if which == "a" else np.ones_like(factor))
-    speed = posed.speed * (factor if which == "speed" else np.ones_like(factor))
-    ends = drive(posed, signals, a, speed, size if which == "walk" else 0.0, rng)
-    found = end_covariance(linear, replace(QUIET, **{which: size}), corrects=False)
-    assert np.sqrt(np.diag(found)) == pytest.approx(np.std(ends, axis=0), rel=0.1, abs=0.01)
+    factor = 1 + 0.01 * rng.standard_normal((4000, ROBOTS))
+    ends = simulated_ends(plan, rng, a_factor=factor)
+    assert_deviations_agree(plan, replace(QUIET, a=0.01), ends)
 
 
-def test_feedback_and_identification_lower_the_error():
-    _, _, linear = plan()
-    noise = Noise(0.05, 0.05, 0.05, 0.5, 0.005)
-    sums = [
-        mean_errors(end_covariance(linear, noise, *how), linear.miss * 0).sum()
-        for how in ((False, False), (True, False), (True, True))
-    ]
-    assert sums[0] > sums[1] > sums[2] > 0
+def test_errors_of_speed_without_feedback_are_those_of_simulated_robots(plan):
+    rng = np.random.default_rng(1)
+    factor = 1 + 0.01 * rng.standard_normal((4000, ROBOTS))
+    ends = simulated_ends(plan, rng, speed_factor=factor)
+    assert_deviations_agree(plan, replace(QUIET, speed=0.01), ends)
 
 
-def test_a_turn_is_known_as_well_as_the_two_headings_measured_about_it():
-    _, _, linear = plan()
-    errors = np.diff(np.random.default_rng(2).normal(0, 0.1, (2, 100_000)), axis=0)
-    of_a = information(linear, replace(QUIET, heading=0.1), 5)[:3]
-    assert of_a == pytest.approx(linear.turn_by_a[5] ** 2 / errors.var(), rel=0.02)
+def test_headings_that_walk_without_feedback_end_as_those_of_simulated_robots(plan):
+    ends = simulated_ends(plan, np.random.default_rng(1), walk=0.01)
+    assert_deviations_agree(plan, replace(QUIET, walk=0.01), ends)
 
 
-def test_the_mean_length_of_a_normal_vector():
+def test_feedback_and_identification_lower_the_error(plan):
+    noise = Noise(a=0.05, speed=0.05, walk=0.05, position=0.5, heading=0.005)
+
+    def error(corrects, identifies):
+        covariance = end_covariance(plan.linear, noise, corrects, identifies)
+        return mean_errors(covariance, np.zeros(ROBOTS)).sum()
+
+    open_loop = error(corrects=False, identifies=False)
+    feedback = error(corrects=True, identifies=False)
+    identification = error(corrects=True, identifies=True)
+    assert open_loop > feedback > identification > 0
+
+
+def test_a_turn_is_known_as_well_as_the_two_headings_measured_about_it(plan):
+    """The information on ln a is (d turn / d ln a)^2 over the variance of the turn measured."""
+    heading_errors = np.random.default_rng(2).normal(0, 0.1, (2, 100_000))
+    turn_errors = np.diff(heading_errors, axis=0)
+    on_a = information(plan.linear, replace(QUIET, heading=0.1), 5)[:ROBOTS]
+    assert on_a == pytest.approx(plan.linear.turn_by_a[5] ** 2 / turn_errors.var(), rel=0.02)
+
+
+def test_the_mean_length_of_a_normal_vector_is_that_of_many_drawn():
     rng = np.random.default_rng(3)
     root = rng.normal(size=(2, 2))
-    covariance = np.zeros((4, 4))
-    covariance[:2, :2] = root @ root.T
-    covariance[2:, 2:] = np.diag([4.0, 0.0])
-    drawn = (root @ rng.standard_normal((2, 200_000))).T
-    ours = mean_errors(covariance, np.zeros(2))
-    assert ours[0] == pytest.approx(np.hypot(*drawn.T).mean(), rel=0.01)
-    assert ours[1] == pytest.approx(2 * np.sqrt(2 / np.pi))
+    drawn = root @ rng.standard_normal((2, 200_000))
+    (mean_length,) = mean_errors(root @ root.T, np.zeros(1))
+    assert mean_length == pytest.approx(np.hypot(*drawn).mean(), rel=0.01)
+
+
+def test_the_mean_length_of_a_normal_vector_along_one_axis_is_that_of_a_half_normal():
+    """sqrt(2/pi) times its standard deviation."""
+    deviation = 2.0
+    (mean_length,) = mean_errors(np.diag([deviation**2, 0.0]), np.zeros(1))
+    assert mean_length == pytest.approx(deviation * np.sqrt(2 / np.pi))
 
 
 def test_the_noise_is_the_plants():
@@ -96,14 +134,18 @@ def test_the_noise_is_the_plants():
         "disturbances": [{"type": "wobble", "radius": 8, "frequency": 1.5}],
     }
     spec = experiment(plant=plant)
-    found = Noise.of(spec.plant)
-    drawn = [np.log(sim(spec, seed).a / spec.setup.a) for seed in range(400)]
-    assert found.a == pytest.approx(np.std(np.expm1(drawn)), rel=0.1)
-    assert (found.speed, found.walk, found.position, found.heading) == (0, 0.1, 2, 0.02)
+    noise = Noise.of(spec.plant)
+    relative_errors = [sim(spec, seed).a / spec.setup.a - 1 for seed in range(400)]
+    assert noise.a == pytest.approx(np.std(relative_errors), rel=0.1)
+    assert noise.speed == 0
+    assert noise.walk == 0.1
+    assert noise.position == 2
+    assert noise.heading == 0.02
     assert left_out(spec.plant) == ("dead_time", "disturbances")
 
 
-def test_robots_that_stand_have_no_error():
-    posed, signals, _ = plan()
-    still = linearise(replace(posed, speed=np.zeros(3)), signals)
-    assert not mean_errors(end_covariance(still, Noise(0.1, 0.1, 0.1, 0.0, 0.0)), np.zeros(3)).any()
+def test_robots_that_stand_have_no_error(plan):
+    still = linearise(replace(plan.problem, speed=np.zeros(ROBOTS)), plan.signals)
+    noise = Noise(a=0.1, speed=0.1, walk=0.1, position=0.0, heading=0.0)
+    covariance = end_covariance(still, noise)
+    assert not mean_errors(covariance, np.zeros(ROBOTS)).any()

@@ -1,6 +1,6 @@
 """A plan linearised, against the ends of changed plans."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,59 +8,111 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.problems import problem, world
 
-from tetractl.analysis.closed_loop import linearise
+from tetractl.analysis.closed_loop import Linear, linearise
 from tetractl.control.cost import predict
-from tetractl.core.poses import Poses
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Floats, Poses
 
-STEP = 1e-6
-MOTIONS = ("euler", "arc", "exact")
-
-
-def case(seed, motion, length=9):
-    posed = replace(problem(world(seed, model=motion)), first_period=0.13)
-    return posed, np.random.default_rng(seed).uniform(-3, 3, length)
-
-
-def ends(posed, signals):
-    return predict(posed, signals)[-1, :, :2]
+SMALL = 1e-6  # change of signals [rad], headings [rad], and of ln a and ln speed
+FIRST_PERIOD_S = 0.13
+SIGNALS = 9
+seeds = st.integers(0, 10_000)
+motions = st.sampled_from(("euler", "arc", "exact"))
 
 
-@given(st.integers(0, 10_000), st.sampled_from(MOTIONS))
-def test_by_signal(seed, motion):
-    posed, signals = case(seed, motion)
-    ahead, behind = (
-        np.array([ends(posed, signals + way * one).ravel() for one in STEP * np.eye(len(signals))])
-        for way in (1, -1)
-    )
-    expected = (ahead - behind).T / (2 * STEP)
-    found = linearise(posed, signals).by_signal
-    assert found == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
+@dataclass(frozen=True)
+class Plan:
+    """Random signals [rad] for robots at random poses, and the plan linearised."""
+
+    problem: Problem
+    signals: Floats
+    linear: Linear
 
 
-@given(st.integers(0, 10_000), st.sampled_from(MOTIONS))
-def test_by_heading_a_and_speed(seed, motion):
-    posed, signals = case(seed, motion)
-    found = linearise(posed, signals)
-    p = posed.poses
-
-    def difference(change):
-        return (ends(change(STEP), signals) - ends(change(-STEP), signals)) / (2 * STEP)
-
-    turned = difference(lambda h: replace(posed, poses=Poses(p.x, p.y, p.heading + h)))
-    by_a = difference(lambda h: replace(posed, a=posed.a * (1 + h)))
-    by_speed = difference(lambda h: replace(posed, speed=posed.speed * (1 + h)))
-    for ours, expected in (
-        (found.by_heading[0], turned),
-        (found.by_a.sum(axis=0), by_a),
-        (found.by_speed.sum(axis=0), by_speed),
-    ):
-        assert ours == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
+def random_plan(seed, motion):
+    random_problem = replace(problem(world(seed, model=motion)), first_period=FIRST_PERIOD_S)
+    signals = np.random.default_rng(seed).uniform(-3, 3, SIGNALS)
+    return Plan(random_problem, signals, linearise(random_problem, signals))
 
 
-def test_miss_onward_and_times():
-    posed, signals = case(3, "exact")
-    found = linearise(posed, signals)
-    miss = np.hypot(*(ends(posed, signals) - posed.targets).T)
-    assert found.miss == pytest.approx(miss)
-    assert found.seconds.tolist() == [0.13, *[0.2] * 8]
-    assert np.hypot(*found.onward.reshape(-1, 2).T) == pytest.approx(0.2 * posed.speed)
+def ends(problem, signals):
+    """Where the robots end, (N, 2)."""
+    return predict(problem, signals)[-1, :, :2]
+
+
+def derivative(ends_after):
+    """The central difference of the ends after a change of this size."""
+    return (ends_after(SMALL) - ends_after(-SMALL)) / (2 * SMALL)
+
+
+def assert_agrees(ours, expected, relative):
+    assert ours == pytest.approx(expected, rel=relative, abs=relative * np.abs(expected).max())
+
+
+@given(seeds, motions)
+def test_ends_by_each_signal(seed, motion):
+    plan = random_plan(seed, motion)
+
+    def by_signal(k):
+        def ends_with(change):
+            signals = plan.signals.copy()
+            signals[k] += change
+            return ends(plan.problem, signals)
+
+        return derivative(ends_with).ravel()
+
+    columns = [by_signal(k) for k in range(SIGNALS)]
+    assert_agrees(plan.linear.by_signal, np.transpose(columns), 1e-6)
+
+
+@given(seeds, motions)
+def test_ends_by_heading(seed, motion):
+    plan = random_plan(seed, motion)
+    poses = plan.problem.poses
+
+    def ends_turned(angle):
+        turned = Poses(poses.x, poses.y, poses.heading + angle)
+        return ends(replace(plan.problem, poses=turned), plan.signals)
+
+    assert_agrees(plan.linear.by_heading[0], derivative(ends_turned), 1e-4)
+
+
+@given(seeds, motions)
+def test_ends_by_a(seed, motion):
+    plan = random_plan(seed, motion)
+
+    def ends_with(change):
+        a = plan.problem.a * (1 + change)
+        return ends(replace(plan.problem, a=a), plan.signals)
+
+    assert_agrees(plan.linear.by_a.sum(axis=0), derivative(ends_with), 1e-4)
+
+
+@given(seeds, motions)
+def test_ends_by_speed(seed, motion):
+    plan = random_plan(seed, motion)
+
+    def ends_with(change):
+        speed = plan.problem.speed * (1 + change)
+        return ends(replace(plan.problem, speed=speed), plan.signals)
+
+    assert_agrees(plan.linear.by_speed.sum(axis=0), derivative(ends_with), 1e-4)
+
+
+def test_the_plan_misses_by_the_distances_of_its_ends_to_the_targets():
+    plan = random_plan(3, "exact")
+    gaps = ends(plan.problem, plan.signals) - plan.problem.targets
+    assert plan.linear.miss == pytest.approx(np.linalg.norm(gaps, axis=1))
+
+
+def test_the_first_signal_has_a_period_of_its_own():
+    plan = random_plan(3, "exact")
+    later = [plan.problem.period] * (SIGNALS - 1)
+    assert plan.linear.seconds.tolist() == [FIRST_PERIOD_S, *later]
+
+
+def test_a_robot_goes_on_for_a_period_at_its_speed():
+    plan = random_plan(3, "exact")
+    onward = plan.linear.onward.reshape(-1, 2)
+    ways = plan.problem.period * plan.problem.speed
+    assert np.linalg.norm(onward, axis=1) == pytest.approx(ways)

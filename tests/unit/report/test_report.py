@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import random_trials as made
+from support import random_trials
 from support.trials import three_robots
 
 from tetractl.core.commands import Stop
@@ -25,9 +25,14 @@ from tetractl.view.style import svg
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
+    """Three random trials."""
     folder = tmp_path_factory.mktemp("logs")
-    trials = [made.trial(seed, steps=3, index=seed) for seed in range(3)]
-    return [read_trial(made.write(one, folder / f"{i}.mcap")) for i, one in enumerate(trials)]
+    read_logs = []
+    for seed in range(3):
+        trial = random_trials.trial(seed, steps=3, index=seed)
+        path = random_trials.write(trial, folder / f"{seed}.mcap")
+        read_logs.append(read_trial(path))
+    return read_logs
 
 
 def pictures(html):
@@ -37,68 +42,109 @@ def pictures(html):
 @pytest.mark.long
 @pytest.mark.slow  # draws
 def test_a_batch_is_drawn_as_plot_draws_it_though_little_of_it_is_kept(logs):
-    shown = of_batch("one & two", [lean(log) for log in logs])
-    assert pictures(shown) == [svg(draw("errors", logs))]
-    assert shown.count(": one &amp; two<") == 1
+    html = of_batch("one & two", [lean(log) for log in logs])
+    assert pictures(html) == [svg(draw("errors", logs))]
+    assert html.count(": one &amp; two<") == 1
+
+
+def test_one_trial_has_no_figure_of_a_batch(logs):
     assert of_batch("", logs[:1]) == ""
 
 
-def test_the_page_has_each_pose_plan_and_search(tmp_path):
-    log = read_trial(made.write(made.trial(3, steps=4), tmp_path / "t.mcap"))
-    setup = log.start.setup
-    size = max(setup.arena.width, setup.arena.height)
-    data = json.loads(zlib.decompress(b64decode(packed(trial_data(log, "t")))))
-    shown = [[np.nan if x is None else x for x in pose] for pose in data["frames"]["xy"][-1]]
-    seen = np.where(log.valid[-1, :, None], log.mocap[-1, :, :2], np.nan)
-    assert np.asarray(shown, dtype=float) == pytest.approx(seen, abs=1e-6 * size, nan_ok=True)
-    for step, plan, history in zip(log.steps, data["plan"], data["history"], strict=True):
-        assert np.array(plan) == pytest.approx(step.plan.path[..., :2], abs=1e-3 * size)
+def unpacked(text):
+    """What the page's script reads from the data packed into it."""
+    return json.loads(zlib.decompress(b64decode(text)))
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Of four control steps."""
+    trial = random_trials.trial(3, steps=4)
+    return read_trial(random_trials.write(trial, tmp_path / "t.mcap"))
+
+
+def arena_size(log):
+    arena = log.start.setup.arena
+    return max(arena.width, arena.height)
+
+
+def test_the_page_has_the_poses_that_were_measured(log):
+    data = unpacked(packed(trial_data(log, "t")))
+    last = np.array(data["frames"]["xy"][-1], dtype=float)  # None becomes NaN
+    measured = np.where(log.valid[-1, :, None], log.mocap[-1, :, :2], np.nan)
+    assert last == pytest.approx(measured, abs=1e-6 * arena_size(log), nan_ok=True)
+
+
+def test_the_page_has_each_plan_and_search(log):
+    data = unpacked(packed(trial_data(log, "t")))
+    for step, path, history in zip(log.steps, data["plan"], data["history"], strict=True):
+        assert np.array(path) == pytest.approx(step.plan.path[..., :2], abs=1e-3 * arena_size(log))
         assert history == pytest.approx(step.plan.search.history, rel=1e-3)
+
+
+def test_the_page_may_leave_out_plans(log):
     assert trial_data(log, "t", plans=False)["plan"] is None
 
 
-def test_the_player_ends_with_the_result_and_says_whether_it_is_measured():
+def test_the_player_ends_with_the_result():
     log = three_robots()
-    shown = trial_data(log, "t")
-    assert shown["final"]["errors"] == pytest.approx(log.result.robot_errors, abs=1e-3)
-    assert shown["final"]["known"] == "true"
-    assert shown["frames"]["t"][-1] <= shown["end"]
+    data = trial_data(log, "t")
+    assert data["final"]["errors"] == pytest.approx(log.result.robot_errors, abs=1e-3)
+    assert data["final"]["known"] == "true"
+    assert data["frames"]["t"][-1] <= data["end"]
+
+
+def test_the_result_of_a_lab_is_said_to_be_measured():
+    log = three_robots()
     lab = replace(log.start, plant=replace(log.start.plant, simulated=False))
     assert trial_data(replace(log, start=lab), "t")["final"]["known"] == "measured"
 
 
+def with_robots_at_rest(step):
+    plan = replace(step.plan, instead=Stop(), state=State.RESTING)
+    return replace(step, plan=plan, command=replace(step.command, action=Stop()))
+
+
 def test_robots_that_stand_follow_no_plan():
     log = three_robots()
-    plan = replace(log.steps[3].plan, instead=Stop(), state=State.RESTING)
-    command = replace(log.steps[3].command, action=Stop())
-    steps = (*log.steps[:3], replace(log.steps[3], plan=plan, command=command), *log.steps[4:])
-    log = replace(log, steps=steps)
-    shown = trial_data(log, "t")["steps"]
-    told = [shown[name][3] for name in ("u", "doing", "cost", "signals", "ended")]
-    assert told == [None, "standing", None, None, "–"]
+    steps = list(log.steps)
+    steps[3] = with_robots_at_rest(steps[3])
+    columns = trial_data(replace(log, steps=tuple(steps)), "t")["steps"]
+    assert columns["doing"][3] == "standing"
+    assert columns["u"][3] is None
+    assert columns["cost"][3] is None
+    assert columns["signals"][3] is None
+    assert columns["ended"][3] == "–"
 
 
-def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(logs, monkeypatch):
-    result = read_result(Path(logs[0].log))
-    trials = [
-        replace(
-            result,
-            log=f"t/{i}.mcap",
-            trial=i,
-            result=replace(result.result, total_error=float(i * 37 % 101), outcome=outcome),
-        )
-        for i in range(101)
-        for outcome in [Outcome.ABORTED if i % 50 == 7 else Outcome.ARRIVED]
-    ]
-    group = describe(Batch.of(trials))
-    kept = carried(group, 2)
-    assert len(kept) == 30 and kept == sorted(kept, key=lambda path: int(path.stem))
-    errors = {Path(t.log): t.result.total_error for t in trials if t.outcome.complete}
-    seen = sorted(errors[path] for path in kept if path in errors)
-    assert len(seen) == 28  # and both that were aborted
-    assert (seen[0], seen[-1]) == (min(errors.values()), max(errors.values()))
-    assert max(np.diff(seen)) <= 6
-    assert len(carried(group, 1000)) == 3
+@pytest.fixture
+def batch_of_101(logs):
+    """Trials with the errors 0 to 100, in a mixed order, of which 7 and 57 were aborted."""
+    trial = read_result(Path(logs[0].log))
+    trials = []
+    for i in range(101):
+        error = float(i * 37 % 101)
+        outcome = Outcome.ABORTED if i in (7, 57) else Outcome.ARRIVED
+        result = replace(trial.result, total_error=error, outcome=outcome)
+        trials.append(replace(trial, log=f"t/{i}.mcap", trial=i, result=result))
+    return describe(Batch.of(trials))
+
+
+def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(batch_of_101):
+    carried_logs = carried(batch_of_101, 2)
+    assert len(carried_logs) == 30
+    assert carried_logs == sorted(carried_logs, key=lambda path: int(path.stem))
+    complete = [trial for trial in batch_of_101.batch.trials if trial.outcome.complete]
+    errors = {Path(trial.log): trial.result.total_error for trial in complete}
+    carried_errors = sorted(errors[path] for path in carried_logs if path in errors)
+    assert len(carried_errors) == 30 - 2  # both that were aborted are carried too
+    assert carried_errors[0] == min(errors.values())
+    assert carried_errors[-1] == max(errors.values())
+    assert max(np.diff(carried_errors)) <= 6
+
+
+def test_a_page_of_very_many_batches_carries_three_trials_of_each(batch_of_101):
+    assert len(carried(batch_of_101, 1000)) == 3
 
 
 def test_what_is_not_finite_is_missing():

@@ -1,15 +1,26 @@
+"""The points of a study: grids, lists and draws from ranges."""
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tetractl.core.registries import SWEEPS
 from tetractl.study.sweep import Grid, Points, Random, Range, Sobol
 
 
+def drawn(sweep, seed=1):
+    """The points that a sweep draws, each with its entries by their paths."""
+    return sweep.draw(np.random.default_rng(seed))
+
+
+def plain(point):
+    """The values of a point, without where they are written."""
+    return {path: entry.value for path, entry in point.items()}
+
+
 def values(sweep, seed=1):
-    points = sweep.draw(np.random.default_rng(seed))
-    return [{path: one.value for path, one in point.items()} for point in points]
+    return [plain(point) for point in drawn(sweep, seed)]
 
 
 def test_every_kind_is_found_by_its_name():
@@ -17,65 +28,105 @@ def test_every_kind_is_found_by_its_name():
         assert SWEEPS.load(name).model_fields["type"].annotation.__args__ == (name,)
 
 
-def test_a_grid_is_every_combination_and_knows_where_each_value_is_written():
-    sweep = Grid(type="grid", fields={"x": (1, 2), "y": ("a", "b", "c")})
-    found = values(sweep)
-    assert found[:4] == [
+GRID = Grid(type="grid", fields={"x": (1, 2), "y": ("a", "b", "c")})
+LIST = Points(type="list", points=({"x": 1}, {"x": 2, "y": (1, 2)}))
+
+
+def test_a_grid_is_every_combination():
+    assert values(GRID) == [
         {"x": 1, "y": "a"},
         {"x": 1, "y": "b"},
         {"x": 1, "y": "c"},
         {"x": 2, "y": "a"},
+        {"x": 2, "y": "b"},
+        {"x": 2, "y": "c"},
     ]
-    assert len(found) == 6
-    last = sweep.draw(np.random.default_rng(1))[-1]
-    assert (last["x"].loc, last["y"].loc) == (("fields", "x", 1), ("fields", "y", 2))
+
+
+def test_a_grid_knows_where_each_value_is_written():
+    last = drawn(GRID)[-1]
+    assert last["x"].loc == ("fields", "x", 1)
+    assert last["y"].loc == ("fields", "y", 2)
 
 
 def test_a_list_keeps_its_points():
-    sweep = Points(type="list", points=({"x": 1}, {"x": 2, "y": (1, 2)}))
-    assert values(sweep) == [{"x": 1}, {"x": 2, "y": (1, 2)}]
-    assert sweep.draw(np.random.default_rng(1))[1]["y"].loc == ("points", 1, "y")
+    assert values(LIST) == [{"x": 1}, {"x": 2, "y": (1, 2)}]
 
 
-@pytest.mark.parametrize("kind", [Random, Sobol])
-def test_draws_repeat_and_more_of_them_leave_the_first_alone(kind):
-    fields = {"x": Range(low=0, high=1), "y": Range(low=1, high=100, scale="log")}
-    few, many = (kind(type=kind.__name__.lower(), count=n, fields=fields) for n in (5, 23))
-    assert values(few) == values(few) == values(many)[:5]
-    assert values(few) != values(few, seed=2)
+def test_a_list_knows_where_each_value_is_written():
+    assert drawn(LIST)[1]["y"].loc == ("points", 1, "y")
+
+
+FIELDS = {"x": Range(low=0, high=1), "y": Range(low=1, high=100, scale="log")}
+FEW_RANDOM = Random(type="random", count=5, fields=FIELDS)
+MANY_RANDOM = Random(type="random", count=23, fields=FIELDS)
+FEW_SOBOL = Sobol(type="sobol", count=5, fields=FIELDS)
+MANY_SOBOL = Sobol(type="sobol", count=23, fields=FIELDS)
+
+
+@pytest.mark.parametrize("sweep", [FEW_RANDOM, FEW_SOBOL], ids=["random", "sobol"])
+def test_draws_of_one_seed_repeat(sweep):
+    assert values(sweep) == values(sweep)
+    assert values(sweep) != values(sweep, seed=2)
+
+
+@pytest.mark.parametrize(
+    ("few", "many"),
+    [(FEW_RANDOM, MANY_RANDOM), (FEW_SOBOL, MANY_SOBOL)],
+    ids=["random", "sobol"],
+)
+def test_more_draws_leave_the_first_alone(few, many):
     assert len(values(many)) == 23
+    assert values(many)[:5] == values(few)
 
 
 def test_sobol_fills_each_axis_evenly():
     """Of 2^m points of the sequence each interval of 1/2^m holds one, in every field."""
     fields = {name: Range(low=0, high=1) for name in "xyz"}
-    found = values(Sobol(type="sobol", count=64, fields=fields))
+    points = values(Sobol(type="sobol", count=64, fields=fields))
     for name in "xyz":
-        assert sorted(int(point[name] * 64) for point in found) == list(range(64))
+        intervals = sorted(int(point[name] * 64) for point in points)
+        assert intervals == list(range(64))
+
+
+lows = st.floats(-1e6, 1e6)
+widths = st.floats(1e-3, 1e6)
+shares = st.floats(0, 1, exclude_max=True)
+
+
+@given(lows, widths, shares)
+def test_values_stay_in_their_range(low, width, share):
+    linear = Range(low=low, high=low + width)
+    assert linear.low <= linear.at(share) <= linear.high
+    assert linear.at(0.0) == pytest.approx(linear.low)
+
+
+@given(st.floats(1, 1e6), widths, shares)
+def test_values_stay_in_a_range_with_a_logarithmic_scale(low, width, share):
+    logarithmic = Range(low=low, high=low + width, scale="log")
+    assert logarithmic.low <= logarithmic.at(share) <= logarithmic.high
+    assert logarithmic.at(0.0) == pytest.approx(logarithmic.low)
 
 
 @given(
-    st.floats(-1e6, 1e6),
-    st.floats(1e-3, 1e6),
-    st.floats(0, 1, exclude_max=True),
-    st.booleans(),
-    st.booleans(),
+    st.integers(-1_000_000, 1_000_000),
+    st.integers(1, 1_000_000),
+    shares,
+    st.sampled_from(["linear", "log"]),
 )
-def test_values_stay_in_their_range(low, width, share, log, whole):
-    if log:
-        low = abs(low) + 1
-    if whole:
-        low, width = float(round(low)), float(max(round(width), 1))
-    range_ = Range(low=low, high=low + width, scale="log" if log else "linear", whole=whole)
-    value = range_.at(share)
-    assert range_.low <= value <= range_.high
-    assert not whole or isinstance(value, int)
-    assert range_.at(0.0) == pytest.approx(range_.low)
+def test_whole_numbers_stay_in_their_range(low, width, share, scale):
+    assume(scale == "linear" or low > 0)
+    whole_numbers = Range(low=low, high=low + width, scale=scale, whole=True)
+    value = whole_numbers.at(share)
+    assert isinstance(value, int)
+    assert whole_numbers.low <= value <= whole_numbers.high
+    assert whole_numbers.at(0.0) == whole_numbers.low
 
 
 def test_whole_numbers_are_drawn_alike_often():
-    found = [Range(low=2, high=5, whole=True).at(share) for share in np.arange(0, 1, 0.01)]
-    assert [found.count(n) for n in (2, 3, 4, 5)] == [25] * 4
+    two_to_five = Range(low=2, high=5, whole=True)
+    numbers = [two_to_five.at(share) for share in np.arange(0, 1, 0.01)]
+    assert [numbers.count(number) for number in (2, 3, 4, 5)] == [25, 25, 25, 25]
 
 
 @pytest.mark.parametrize(

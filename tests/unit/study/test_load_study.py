@@ -1,3 +1,5 @@
+"""Studies: their arms, and where problems of the study and of its base spec are reported."""
+
 # ruff: noqa: E501 (the lines printed are long)
 from pathlib import Path
 from unittest import mock
@@ -17,47 +19,74 @@ from tetractl.study.sweep import Range
 HEAD = "name: quick\nbase: spec.yaml\n"
 
 
-def problems(folder, study, spec=QUICK):
-    with pytest.raises(InvalidSpecError) as told:
-        load_study(write(folder, study, spec))
-    return [line.removeprefix(f"{folder}/") for line in told.value.lines()], told.value.hint
+def problem_of(folder, study, spec=QUICK):
+    """The error of a study and its base spec that cannot be used."""
+    path = write(folder, study, spec)
+    with pytest.raises(InvalidSpecError) as caught:
+        load_study(path)
+    return caught.value
+
+
+def lines_of(folder, error):
+    """What an error says, without the folder of the files."""
+    return [line.removeprefix(f"{folder}/") for line in error.lines()]
 
 
 def test_the_arms_are_every_point_with_every_controller(tmp_path):
     loaded = load_study(write(tmp_path, STUDY))
     assert [arm.name for arm in loaded.arms] == [
-        f"{who}-dead_time={time}-a={a}"
-        for who in ("many", "few") for time in ("0", "0.1") for a in ("3", "6")
-    ]  # fmt: skip
-    last = loaded.arms[-1]
+        "many-dead_time=0-a=3",
+        "many-dead_time=0-a=6",
+        "many-dead_time=0.1-a=3",
+        "many-dead_time=0.1-a=6",
+        "few-dead_time=0-a=3",
+        "few-dead_time=0-a=6",
+        "few-dead_time=0.1-a=3",
+        "few-dead_time=0.1-a=6",
+    ]
+    assert loaded.unit == "mm"
+    assert loaded.paths == ("plant.dead_time", "robots.r.a")
+
+
+def test_an_arm_has_the_spec_that_its_values_make_of_the_base(tmp_path):
+    last = load_study(write(tmp_path, STUDY)).arms[-1]
     assert last.values == {"plant.dead_time": 0.1, "robots.r.a": 6}
-    assert last.sets == (
-        "controller.optimizer.particles=5", "plant.dead_time=0.1", "robots.r.a=6"
-    )  # fmt: skip
-    experiment = last.spec.experiment
-    assert (experiment.plant.dead_time, experiment.robots[0].a) == (0.1, 6)
-    assert experiment.controller.optimizer.particles == 5
-    assert (experiment.trials.count, experiment.trials.seed) == (5, 7)
+    of_its_controller = "controller.optimizer.particles=5"
+    assert last.sets == (of_its_controller, "plant.dead_time=0.1", "robots.r.a=6")
     assert last.spec.text == QUICK
-    assert (loaded.unit, loaded.paths) == ("mm", ("plant.dead_time", "robots.r.a"))
+    experiment = last.spec.experiment
+    assert experiment.plant.dead_time == 0.1
+    assert experiment.robots[0].a == 6
+    assert experiment.controller.optimizer.particles == 5
+    assert experiment.trials.count == 5
+    assert experiment.trials.seed == 7
+
+
+def hashes_of(folder, study):
+    return [arm.hash for arm in load_study(write(folder, study)).arms]
 
 
 def test_the_number_of_trials_does_not_make_another_arm(tmp_path):
-    before = load_study(write(tmp_path, STUDY)).arms
-    after = load_study(write(tmp_path, STUDY.replace("count: 5", "count: 6"))).arms
-    seeds = load_study(write(tmp_path, STUDY.replace("seed: 7", "seed: 8"))).arms
-    assert [arm.hash for arm in before] == [arm.hash for arm in after]
-    assert not {arm.hash for arm in before} & {arm.hash for arm in seeds}
+    more_trials = STUDY.replace("count: 5", "count: 6")
+    assert hashes_of(tmp_path, more_trials) == hashes_of(tmp_path, STUDY)
+
+
+def test_the_seed_makes_another_arm(tmp_path):
+    hashes = hashes_of(tmp_path, STUDY)
+    of_other_seed = hashes_of(tmp_path, STUDY.replace("seed: 7", "seed: 8"))
+    assert set(of_other_seed).isdisjoint(hashes)
 
 
 def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
     (arm,) = load_study(write(tmp_path, HEAD)).arms
-    assert (arm.name, arm.controller, arm.sets) == ("base", "", ())
+    assert arm.name == "base"
+    assert arm.controller == ""
+    assert arm.sets == ()
     assert arm.spec.experiment.trials.count == 20
 
 
 @pytest.mark.parametrize(
-    ("study", "told"),
+    ("study", "lines"),
     [
         ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: path of the spec that every arm changes, relative to the study's file"]),
         ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml; did you mean 'spec.yaml' or 'study.yaml'?"]),
@@ -74,33 +103,39 @@ def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
         (HEAD + "trials: {count: 0}\n", ["study.yaml:3:17: trials.count: 0: must be at least 1"]),
     ],
 )  # fmt: skip
-def test_problems_are_told_at_their_place_in_the_study(tmp_path, study, told):
-    found, _ = problems(tmp_path, study)
-    assert found == [line.format(tmp_path) for line in told]
+def test_problems_are_reported_at_their_place_in_the_study(tmp_path, study, lines):
+    error = problem_of(tmp_path, study)
+    assert lines_of(tmp_path, error) == [line.format(tmp_path) for line in lines]
 
 
-def test_a_problem_of_the_base_is_told_at_its_place_there(tmp_path):
-    found, hint = problems(tmp_path, STUDY, QUICK.replace("speed: 200", "speed: -1"))
-    assert found == ["spec.yaml:3:72: robots.0.speed: -1: must be at least 0"]
-    found, hint = problems(tmp_path, STUDY, QUICK.replace("[300, 500]", "[3000, 500]"))
-    assert len(found) == 1
-    assert found[0].startswith("spec.yaml:3:")
-    assert "many-dead_time=0-a=3" in hint
+def test_a_problem_of_the_base_is_reported_at_its_place_there(tmp_path):
+    error = problem_of(tmp_path, STUDY, QUICK.replace("speed: 200", "speed: -1"))
+    line = "spec.yaml:3:72: robots.0.speed: -1: must be at least 0"
+    assert lines_of(tmp_path, error) == [line]
+
+
+def test_a_problem_of_the_base_that_one_arm_shows_names_that_arm(tmp_path):
+    outside = QUICK.replace("[300, 500]", "[3000, 500]")
+    error = problem_of(tmp_path, STUDY, outside)
+    (line,) = lines_of(tmp_path, error)
+    assert line.startswith("spec.yaml:3:")
+    assert "many-dead_time=0-a=3" in error.hint
 
 
 def test_a_lab_is_refused(tmp_path):
-    text = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
-    text = text.replace("plant: {type: sim, dead_time: 0.06}", "")
-    found, _ = problems(tmp_path, HEAD, text.replace("\nlab:\n", "\nplant:\n  type: lab\n"))
-    told = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
-    assert found == [f"study.yaml:2:7: base: spec.yaml: {told}"]
+    spec = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
+    without_plant = spec.replace("plant: {type: sim, dead_time: 0.06}", "")
+    lab = without_plant.replace("\nlab:\n", "\nplant:\n  type: lab\n")
+    error = problem_of(tmp_path, HEAD, lab)
+    why = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
+    assert lines_of(tmp_path, error) == [f"study.yaml:2:7: base: spec.yaml: {why}"]
 
 
-def test_names_that_several_arms_have_are_told_apart(tmp_path):
+def test_arms_whose_values_are_written_alike_have_names_that_differ(tmp_path):
     study = HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0.10000001, 0.1]}}\n"
-    one, two = (arm.name for arm in load_study(write(tmp_path, study)).arms)
-    assert one != two
-    assert one.startswith("dead_time=0.1-")
+    first, second = load_study(write(tmp_path, study)).arms
+    assert first.name != second.name
+    assert first.name.startswith("dead_time=0.1-")
 
 
 def test_the_shipped_studies_are_valid():
@@ -118,9 +153,10 @@ def test_the_committed_schema_is_that_of_the_models():
 
 def test_the_reference_names_every_field():
     page = (ROOT / "docs" / "reference" / "study.md").read_text("utf-8")
-    models = [Study, Range, *map(SWEEPS.load, SWEEPS.names())]
-    for field in {name for model in models for name in model.model_fields}:
-        assert f"`{field}`" in page, field
+    sweeps = [SWEEPS.load(name) for name in SWEEPS.names()]
+    for model in (Study, Range, *sweeps):
+        for field in model.model_fields:
+            assert f"`{field}`" in page, field
 
 
 def test_the_base_is_parsed_once_for_all_arms(tmp_path):

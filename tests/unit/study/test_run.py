@@ -1,3 +1,5 @@
+"""Runs of a study: which trials are run again, and what their logs and tables hold."""
+
 import pickle
 import shutil
 from dataclasses import replace
@@ -18,88 +20,110 @@ from tetractl.run.store import Store
 from tetractl.run.task import OtherCodeError, batch_tasks
 from tetractl.study.options import Logs
 
-ALL, NONE = Logs(float("inf"), True), Logs(0, False)
+ALL = Logs(float("inf"), failed=True)
+NONE = Logs(0, failed=False)
 ARM = "dead_time=0.1"
+OTHER_ARM = "dead_time=0"
+TRIALS = 3  # of each of these two arms of SMALL
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A folder with the small study and all it leaves in `out`, logs too; what it ran."""
-    folder = tmp_path_factory.mktemp("finished")
-    return folder, run(folder, SMALL, logs=ALL)
+def finished_folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("finished")
+
+
+@pytest.fixture(scope="module")
+def finished(finished_folder):
+    """What the small study ran, with all logs whole."""
+    return run(finished_folder, SMALL, logs=ALL)
 
 
 @pytest.fixture
-def done(tmp_path, finished):
-    """A copy of that folder."""
-    shutil.copytree(finished[0], tmp_path, dirs_exist_ok=True)
+def done(tmp_path, finished_folder, finished):
+    """A copy of its folder: the study and all that it left in `out`, logs too."""
+    shutil.copytree(finished_folder, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
-def logged(log):
-    """The digest of the trial in a log."""
-    return content_digest(log)
+def table_of(folder):
+    return (folder / "out" / "trials.csv").read_bytes()
 
 
-def digests(trials):
-    return {key: trial.digest for key, trial in trials.items()}
+def digests(ran):
+    return {key: trial.digest for key, trial in ran.finished.items()}
 
 
 def test_a_brief_log_has_the_result_and_the_digest_of_the_trial_run_by_itself(tmp_path):
     ran = run(tmp_path)
     arm = ran.loaded.arms[3]
     sets = [*arm.sets, "trials.count=5", "trials.seed=7"]
-    alone = parse_spec((tmp_path / "spec.yaml").read_text(), "spec.yaml", sets)
-    run_trial(alone, tmp_path, 2)
-    found = read_result(log_path(tmp_path, 2))
+    spec = parse_spec((tmp_path / "spec.yaml").read_text(), "spec.yaml", sets)
+    run_trial(spec, tmp_path, 2)
+    log = log_path(tmp_path, 2)
+    alone = read_result(log)
     brief = ran.finished[arm.name, 2]
-    assert brief.brief and not found.brief
-    assert brief.digest == logged(log_path(tmp_path, 2)) == logged(Path(brief.log))
-    assert brief.result.total_error == found.result.total_error
-    assert brief.warnings == found.warnings
-    assert brief.processor == found.processor != ""
+    assert brief.brief
+    assert not alone.brief
+    assert brief.digest == content_digest(log)
+    assert brief.digest == content_digest(Path(brief.log))
+    assert brief.result.total_error == alone.result.total_error
+    assert brief.warnings == alone.warnings
+    assert brief.processor == alone.processor != ""
+
+
+def without_what_may_differ(trial):
+    """A trial without where its log is, what only a whole one has, and what depends on time."""
+    result = replace(trial.result, solve_ns=(), verdict=None, deadline_misses=0)
+    return replace(trial, log="", brief=False, result=result)
 
 
 def test_a_brief_log_and_a_whole_one_give_the_same_result(finished, tmp_path):
-    whole, brief = finished[1].finished, run(tmp_path, SMALL, logs=NONE).finished
-    assert len(whole) == 6
-    for key, one in whole.items():
-        other, result = brief[key], one.result
-        same = replace(other.result, solve_ns=result.solve_ns, verdict=result.verdict)
-        assert replace(other, brief=False, result=same, log=one.log) == (
-            replace(one, result=replace(result, deadline_misses=same.deadline_misses))
-        )
+    brief_trials = run(tmp_path, SMALL, logs=NONE).finished
+    assert len(finished.finished) == 2 * TRIALS
+    for key, trial in finished.finished.items():
+        assert not trial.brief
+        assert without_what_may_differ(brief_trials[key]) == without_what_may_differ(trial)
 
 
-def test_a_brief_log_is_small_and_a_damaged_one_is_run_again(tmp_path):
+def test_a_brief_log_is_small(tmp_path):
+    log = Path(run(tmp_path, SMALL).finished[ARM, 1].log)
+    assert log.stat().st_size < 10_000
+
+
+def test_a_brief_log_that_is_damaged_is_run_again(tmp_path):
     ran = run(tmp_path, SMALL)
     log = Path(ran.finished[ARM, 1].log)
-    content = log.read_bytes()
-    assert len(content) < 10_000
-    log.write_bytes(content[:-200])
+    log.write_bytes(log.read_bytes()[:-200])
     again = run(tmp_path, SMALL)
     assert [task.key for task in again.tasks] == [(ARM, 1)]
-    assert digests(again.finished) == digests(ran.finished)
+    assert digests(again) == digests(ran)
 
 
 def test_trials_come_first_over_all_arms(finished):
-    ran = finished[1]
-    arms = [arm.name for arm in ran.loaded.arms]
-    assert ran.watcher.started == [(arm, trial) for trial in range(3) for arm in arms]
-    assert ran.watcher.endings[-1].left_s == 0
-    assert ran.counts == (6, 0, 0)
+    arms = [arm.name for arm in finished.loaded.arms]
+    assert finished.watcher.started == [(arm, trial) for trial in range(TRIALS) for arm in arms]
+    assert finished.watcher.endings[-1].left_s == 0
+    assert finished.counts == (2 * TRIALS, 0, 0)
 
 
-def test_trials_of_outdated_code_are_named_and_run_again_only_on_demand(done, monkeypatch):
-    table = (done / "out" / "trials.csv").read_bytes()
+def test_trials_of_outdated_code_are_named_and_stay(done, monkeypatch):
+    before = table_of(done)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
-    kept = run(done, SMALL, logs=ALL)
-    assert (len(kept.tasks), kept.outdated) == (0, {"dead_time=0": 3, ARM: 3})
-    again = run(done, SMALL, logs=ALL, rerun_outdated=True)
-    assert (len(again.tasks), again.outdated) == (6, {})
-    assert (done / "out" / "trials.csv").read_bytes() == table
-    names = {path.name for path in (done / "out" / ARM).glob("*attempt*")}
-    assert names == {f"trial-00{i}.attempt-1.mcap" for i in range(3)}
+    ran = run(done, SMALL, logs=ALL)
+    assert ran.tasks == []
+    assert ran.outdated == {OTHER_ARM: TRIALS, ARM: TRIALS}
+    assert table_of(done) == before
+
+
+def test_trials_of_outdated_code_are_run_again_on_demand(done, monkeypatch):
+    before = table_of(done)
+    monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
+    ran = run(done, SMALL, logs=ALL, rerun_outdated=True)
+    assert len(ran.tasks) == 2 * TRIALS
+    assert ran.outdated == {}
+    assert table_of(done) == before
+    set_aside = {path.name for path in (done / "out" / ARM).glob("*attempt*")}
+    assert set_aside == {f"trial-00{i}.attempt-1.mcap" for i in range(TRIALS)}
 
 
 def test_a_study_of_another_spec_is_not_mixed_in(done):
@@ -108,57 +132,66 @@ def test_a_study_of_another_spec_is_not_mixed_in(done):
 
 
 def test_more_trials_and_values_are_added_to_those_there_are(done):
-    more = SMALL.replace("count: 3", "count: 4").replace("[0, 0.1]", "[0, 0.05, 0.1]")
-    ran = run(done, more)
-    assert len(ran.tasks) == 3 * 4 - 2 * 3
-    assert len(ran.finished) == 12
+    four_trials = SMALL.replace("count: 3", "count: 4")
+    four_trials_three_arms = four_trials.replace("[0, 0.1]", "[0, 0.05, 0.1]")
+    ran = run(done, four_trials_three_arms)
+    assert len(ran.tasks) == 3 * 4 - 2 * TRIALS
+    assert len(ran.finished) == 3 * 4
 
 
 def test_trials_whose_logs_are_damaged_or_gone_are_run_again(done):
-    table = (done / "out" / "trials.csv").read_bytes()
+    before = table_of(done)
     log_path(done / "out" / ARM, 1).unlink()
     torn = log_path(done / "out" / ARM, 2)
     torn.write_bytes(torn.read_bytes()[:-300])
     ran = run(done, SMALL, logs=ALL)
     assert [task.key for task in ran.tasks] == [(ARM, 1), (ARM, 2)]
-    assert (done / "out" / "trials.csv").read_bytes() == table
+    assert table_of(done) == before
 
 
 def test_the_log_of_another_arm_is_refused(done):
-    other = log_path(done / "out" / "dead_time=0", 1)
-    log_path(done / "out" / ARM, 1).write_bytes(other.read_bytes())
+    foreign = log_path(done / "out" / OTHER_ARM, 1)
+    log_path(done / "out" / ARM, 1).write_bytes(foreign.read_bytes())
     with pytest.raises(UsageError, match=r"trial-001.mcap: was run with another spec or seed"):
         run(done, SMALL, logs=ALL)
 
 
-def test_an_arm_is_a_batch_and_a_batch_an_arm(done):
-    table = (done / "out" / "trials.csv").read_bytes()
-    loaded = run(done, SMALL).loaded
-    for arm in loaded.arms:
-        batch = Store.of_batch(done / "batches" / arm.name, arm.spec.experiment)
-        with batch.opened(resume=False):
-            tasks = batch_tasks(arm.spec, [0, 2])
-            run_batch(tasks, batch, Here(Interrupt()), Watcher(), fail_fast=True)
+def run_as_batch(folder, spec, trials):
+    """Run trials of a spec as a batch of their own in a folder."""
+    batch = Store.of_batch(folder, spec.experiment)
+    executor = Here(Interrupt())
+    with batch.opened(resume=False):
+        run_batch(batch_tasks(spec, trials), batch, executor, Watcher(), fail_fast=True)
+
+
+def test_batches_are_arms_of_a_study_that_lacks_their_other_trials(done, finished):
+    for arm in finished.loaded.arms:
+        run_as_batch(done / "batches" / arm.name, arm.spec, [0, 2])
     ran = run(done, SMALL, logs=ALL, out="batches")
-    assert sorted(task.trial for task in ran.tasks) == [1, 1]
+    assert sorted(task.key for task in ran.tasks) == [(OTHER_ARM, 1), (ARM, 1)]
     assert ran.outdated == {}
-    assert (done / "batches" / "trials.csv").read_bytes() == table
-    resumed = Store.of_batch(done / "out" / ARM, loaded.arms[1].spec.experiment)
-    resumed.read()
-    assert resumed.lacking == []
+    assert (done / "batches" / "trials.csv").read_bytes() == table_of(done)
+
+
+def test_an_arm_is_a_batch_that_can_be_resumed_and_not_overwritten(done, finished):
+    arm = finished.loaded.arms[1]
+    assert arm.name == ARM
+    batch = Store.of_batch(done / "out" / ARM, arm.spec.experiment)
+    batch.read()
+    assert batch.lacking == []
     with pytest.raises(UsageError, match="holds logs already"):
-        resumed.read(resume=False)
+        batch.read(resume=False)
 
 
 def test_a_trial_without_an_outcome_is_run_again_the_next_time(tmp_path, monkeypatch):
-    real = spec_trial.run_observed
+    run_observed = spec_trial.run_observed
 
-    def broken(writers, spec, trial, *more):
+    def run_unless_trial_1(writers, spec, trial, *more):
         if trial == 1:
             raise TetractlError("the disk is full")
-        return real(writers, spec, trial, *more)
+        return run_observed(writers, spec, trial, *more)
 
-    monkeypatch.setattr(spec_trial, "run_observed", broken)
+    monkeypatch.setattr(spec_trial, "run_observed", run_unless_trial_1)
     ran = run(tmp_path, SMALL)
     assert ran.counts == (4, 2, 0)
     assert {why for *_, why in ran.watcher.failures} == {"the disk is full"}
@@ -166,21 +199,30 @@ def test_a_trial_without_an_outcome_is_run_again_the_next_time(tmp_path, monkeyp
     assert len(run(tmp_path, SMALL).tasks) == 2
 
 
-@pytest.mark.parametrize(("logs", "kept"), [(ALL, 1), (NONE, 0)])
-def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(logs, kept, tmp_path):
+class InterruptingObserver:
+    """Stands for a user who interrupts a trial at its first step: observes all, asks then."""
+
+    def __init__(self, interrupt):
+        self._interrupt = interrupt
+
+    def __getattr__(self, event):
+        if event == "on_step":
+            return lambda *args: self._interrupt.request()
+        return lambda *args: None
+
+
+@pytest.mark.parametrize(("logs", "whole_logs"), [(ALL, 1), (NONE, 0)])
+def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(logs, whole_logs, tmp_path):
     interrupt = Interrupt()
-
-    class Stopper:
-        def __getattr__(self, name):
-            return lambda *args: name == "on_step" and interrupt.request()
-
-    ran = run(tmp_path, SMALL, logs=logs, executor=Here(interrupt, [Stopper()]))
+    executor = Here(interrupt, [InterruptingObserver(interrupt)])
+    ran = run(tmp_path, SMALL, logs=logs, executor=executor)
     assert ran.report.interrupted
-    assert (ran.counts, ran.finished) == ((1, 0, 5), {})
-    assert len([*tmp_path.rglob("trial-000.mcap")]) == kept
+    assert ran.counts == (1, 0, 5)
+    assert ran.finished == {}
+    assert len(list(tmp_path.rglob("trial-000.mcap"))) == whole_logs
     again = run(tmp_path, SMALL, logs=logs)
-    assert len(again.tasks) == 6
-    assert len([*tmp_path.rglob("trial-000.attempt-1.mcap")]) == kept
+    assert len(again.tasks) == 2 * TRIALS
+    assert len(list(tmp_path.rglob("trial-000.attempt-1.mcap"))) == whole_logs
 
 
 def test_an_aborted_trial_is_finished_only_for_the_code_that_aborts_it(tmp_path, monkeypatch):
@@ -201,5 +243,5 @@ def test_a_worker_with_other_code_ends_the_study(tmp_path, monkeypatch):
 def test_the_specs_of_tasks_are_those_of_the_arms(tmp_path):
     ran = run(tmp_path, SMALL)
     arms = {arm.name: arm for arm in ran.loaded.arms}
-    for each in ran.tasks:
-        assert pickle.loads(each.spec).experiment == arms[each.arm].spec.experiment
+    for arm_task in ran.tasks:
+        assert pickle.loads(arm_task.spec).experiment == arms[arm_task.arm].spec.experiment

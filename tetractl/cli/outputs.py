@@ -1,5 +1,7 @@
 """`tetractl plot`, `report`, `open` and `export`: write figures, a page or tables of logs."""
 
+from collections.abc import Container
+from enum import Enum
 from os.path import commonpath
 from pathlib import Path
 from typing import Annotated
@@ -10,10 +12,12 @@ from tetractl.core.children import open_in_browser
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.files import save_whole
 from tetractl.core.retired import refuse_retired
-from tetractl.core.table.table_files import table_files
+from tetractl.core.table.table_files import AddRows, table_files
 from tetractl.log.read.find import find_logs
 
-TRAJECTORY, VIDEO = "trajectory", "video"
+TRAJECTORY = "trajectory"
+"""The figure that `plot` draws by default."""
+VIDEO = "video"
 Page = Annotated[Path, out_option("FILE", "HTML file to write; an existing file is overwritten.")]
 
 
@@ -50,22 +54,21 @@ def plot(
     from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save
 
-    if kind not in (None, VIDEO):
-        check_kind(kind)  # before the logs are read
-    logs = find_logs(logs)
     if kind == VIDEO:
-        return _video(logs, out)
-    kind = kind or TRAJECTORY
-    check_kind(kind)
-    path = out or _default_name(logs, kind)
+        return _video(find_logs(logs), out)
+    figure = kind or TRAJECTORY
+    check_kind(figure)  # before the logs are read
+    log_paths = find_logs(logs)
+    path = out or _default_name(log_paths, figure)
     file_format(path)
-    trials = [ui.open_trial(log) for log in logs]
-    save(draw(kind, trials), path)
+    trials = [ui.open_trial(log) for log in log_paths]
+    save(draw(figure, trials), path)
     print(printable(str(path)))
     return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
 
 
 def _video(logs: list[Path], out: Path | None) -> int:
+    """Write the video of one trial, and print the name of its file; return the exit code."""
     from tetractl.view.video import check_file, write_video
 
     if len(logs) > 1:
@@ -82,6 +85,7 @@ def _video(logs: list[Path], out: Path | None) -> int:
 
 
 def _default_name(logs: list[Path], kind: str) -> Path:
+    """Return the picture's name: after the log, or after the folder that all logs are in."""
     common = Path(commonpath([log.absolute().parent for log in logs]))
     name = logs[0].name if len(logs) == 1 else common.name or "trials"
     return Path(f"{name.partition('.mcap')[0]}-{kind}.png")
@@ -102,9 +106,7 @@ def report(
     """
     from tetractl.report import page
 
-    if not out.parent.is_dir():  # checked before the logs are read
-        raise UsageError(f"{out}: there is no folder {out.parent}")
-
+    ui.require_folder_of(out)
     with ui.progress("Reading logs") as on_log:
         html, unread = page.report(logs, title, on_log)
     save_whole(out, html.encode())
@@ -148,31 +150,46 @@ def export(
 
     Example: tetractl export logs/three-m3pi -o tables
     """
+    table_paths = _table_paths(out, table)
+    log_paths = find_logs(logs)
+    with table_files(table_paths) as add_rows, ui.progress("Reading logs") as on_log:
+        conditions: list[_LogCondition] = []
+        for number, path in enumerate(log_paths):
+            on_log(number, len(log_paths))
+            conditions.append(_add_log(path, table_paths, add_rows))
+        if all(condition is _LogCondition.UNREADABLE for condition in conditions):
+            raise LogError("none of the logs can be read")
+    for path in table_paths.values():
+        print(printable(str(path)))
+    whole = all(condition is _LogCondition.WHOLE for condition in conditions)
+    return Exit.DONE if whole else Exit.FAILED
+
+
+class _LogCondition(Enum):
+    """How much of a log is in the tables."""
+
+    WHOLE = "all of it"
+    DAMAGED = "what could be read of it"
+    UNREADABLE = "nothing"
+
+
+def _add_log(path: Path, wanted: Container[str], add_rows: AddRows) -> _LogCondition:
+    """Add the rows of a log to the `wanted` tables; print on stderr what is wrong with it."""
     from tetractl.results.trial_tables import of_log
 
-    paths = _files(out, table)
-    found, unread, damaged = find_logs(logs), 0, 0
-    with table_files(paths) as add, ui.progress("Reading logs") as on_log:
-        for number, path in enumerate(found):
-            on_log(number, len(found))
-            try:
-                added, damage = of_log(path, paths)
-            except LogError as error:
-                ui.tell(f"warning: {error.message}")
-                unread += 1
-                continue
-            ui.warn_of_damage(str(path), damage)
-            damaged += damage is not None
-            for name, rows in added.items():
-                add(name, rows, str(path))
-    if unread == len(found):
-        raise LogError("none of the logs can be read")
-    print(*(printable(str(path)) for path in paths.values()), sep="\n")
-    return Exit.FAILED if unread or damaged else Exit.DONE
+    try:
+        rows_of, damage = of_log(path, wanted)
+    except LogError as error:
+        ui.tell(f"warning: {error.message}")
+        return _LogCondition.UNREADABLE
+    ui.warn_of_damage(str(path), damage)
+    for name, rows in rows_of.items():
+        add_rows(name, rows, str(path))
+    return _LogCondition.WHOLE if damage is None else _LogCondition.DAMAGED
 
 
-def _files(out: Path, table: str | None) -> dict[str, Path]:
-    """Return the file of each table."""
+def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
+    """Return the file of each table to write: of all tables in the folder `out`, or of one."""
     from tetractl.results.trial_tables import TABLES
 
     if table is not None and table not in TABLES:
@@ -180,6 +197,8 @@ def _files(out: Path, table: str | None) -> dict[str, Path]:
     ending = out.suffix.lower().removeprefix(".")
     refuse_retired("export", ending)
     if ending != "csv" or out.is_dir():
+        if out.exists() and not out.is_dir():
+            raise UsageError(f"{out}: not a folder", "name another with --out")
         names = TABLES if table is None else (table,)
         return {name: out / f"{name}.csv" for name in names}
     if table is None:

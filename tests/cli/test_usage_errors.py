@@ -82,8 +82,10 @@ export logs -o x.csv | one file holds one table
 export logs -o x --table no | there is no table 'no'
 export logs -o x --format csv | No such option: --format | tables are CSV
 export logs -o x.parquet --table steps | 'parquet' is no longer there | tables are CSV; in Python
+export logs -o picture.png | picture.png: not a folder | name another with --out
 export missing -o x | missing: no such file or folder
 identify | LOG
+identify logs -o no/found.yaml | no/found.yaml: there is no folder no
 identify logs --yes | No such option
 run lab.yaml --plant lab | there is no terminal at which to ask | add --yes
 design spec.yaml | 'design' is no longer there | run any trials
@@ -101,6 +103,9 @@ kinds --check tetractl.experiment.controller:Square | Square: there is no check 
 lab stop | give either a SPEC or --port
 lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab
+lab check lab.yaml --plant sim | --plant sim: has no camera and no actuator | give lab or
+lab calibrate lab.yaml --plant sim | --plant sim: has no camera and no actuator | give lab or
+lab calibrate lab.yaml --yes -o no/found.yaml | no/found.yaml: there is no folder no
 lab calibrate lab.yaml | robots would move
 lab calibrate lab.yaml --robot pink --yes | has no such robot
 init Käse | 'Käse' cannot be the name of an experiment | use up to 64 characters: a to z, A to Z

@@ -1,7 +1,7 @@
 """`tetractl lab`: checks, calibrates, surveys, stops or emulates a lab."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from json import dumps
@@ -41,25 +41,22 @@ def check(
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
-    from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import read_document
     from tetractl.lab.preflight import look_over
-    from tetractl.view.terminal import findings
+    from tetractl.view.terminal.findings import preflight_items, print_findings
 
-    document = read_document(spec)
-    loaded = load_document(document, settings_on(document, sets or [], plant))
-    experiment = on_plant(loaded, plant).experiment
+    experiment = _experiment_on(spec, sets, plant)
     rig = ui.rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
     with interrupted_once(robots=True):
-        found = look_over(rig)
+        preflight = look_over(rig)
     if as_json:
-        print(dumps(findings.as_json(found), indent=2, allow_nan=False))
+        print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:
-        findings.print_findings(found)
-    return Exit.DONE if found.ready and (yes or _agreed(found.questions)) else Exit.FAILED
+        print_findings(preflight)
+    if not preflight.ready:
+        return Exit.FAILED
+    return Exit.DONE if yes or _agreed(preflight.questions) else Exit.FAILED
 
 
 def _agreed(questions: Sequence[str]) -> bool:
@@ -88,23 +85,29 @@ def stop(
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
-    if (spec is None) == (port is None):
-        raise UsageError("give either a SPEC or --port")
-
-    if spec is not None:
-        lab, experiment = _lab(spec, sets)
-        stop_all = partial(lab.actuator.stop_all, experiment.setup, lab.clock())
-    else:
-        from tetractl.core.clock import MonotonicClock
-        from tetractl.lab.actuators.m3pi import broadcast as m3pi
-
-        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud), MonotonicClock())
+    stop_all = _stops(spec, sets, port, baud)
     try:
         typer.echo(stop_all())
     except PortHeldError as held:
         stop_beside(held.port, partial(stop_all, alone=False), typer.echo)
-        typer.echo(stop_all())
+        typer.echo(stop_all())  # once more, now that no other program can drive the robots
     return Exit.DONE
+
+
+def _stops(
+    spec: Path | None, sets: list[str] | None, port: str | None, baud: int
+) -> Callable[..., str]:
+    """Return what stops every robot and returns a line about it: the actuator of a spec's lab, or
+    an m3pi radio at a port."""
+    if spec is not None and port is None:
+        lab, experiment = _real_lab(spec, sets)
+        return partial(lab.actuator.stop_all, experiment.setup, lab.clock())
+    if port is not None and spec is None:
+        from tetractl.core.clock import MonotonicClock
+        from tetractl.lab.actuators.m3pi import broadcast as m3pi
+
+        return partial(m3pi.stop_all, _xbee(port, baud), MonotonicClock())
+    raise UsageError("give either a SPEC or --port")
 
 
 def calibrate(
@@ -138,61 +141,84 @@ def calibrate(
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
+    ui.refuse_existing(out)
+    experiment = _experiment_on(spec, sets, plant)
+    names = _chosen_robots(robot, experiment.setup)
+    if experiment.plant.real_time:
+        _require_consent(names, yes)
+    return save_calibration(out, _calibrated(experiment, names, limit))
+
+
+def _chosen_robots(wanted: list[str] | None, setup: "Setup") -> list[str]:
+    """Return the names of the robots to calibrate: those of --robot, or all."""
+    for name in wanted or ():
+        if name not in setup.names:
+            raise UsageError(f"--robot {name}: the spec has no such robot")
+    return wanted or list(setup.names)
+
+
+def _require_consent(names: Sequence[str], yes: bool) -> None:
+    """Ask at the terminal whether robots may move, unless `yes`; raises if they may not."""
+    ui.require_confirmation(yes)
+    if not yes:
+        typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Continue?", abort=True)
+
+
+def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "Measured":
+    """Move the named robots, and return what was measured; a signal, or the terminal's space bar
+    or Esc, stops them."""
     from numpy.random import SeedSequence
 
     from tetractl.core.protocols import LabSupervision
-    from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import read_document
-    from tetractl.plant.lab_plant import RigSection
 
-    ui.refuse_existing(out)
-    document = read_document(spec)
-    loaded = load_document(document, settings_on(document, sets or [], plant))
-    experiment = on_plant(loaded, plant).experiment
-    lab, setup = experiment.plant, experiment.setup
-    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
-    names = robot or list(setup.names)
-    for name in names:
-        if name not in setup.names:
-            raise UsageError(f"--robot {name}: the spec has no such robot")
-    if lab.real_time:
-        ui.require_confirmation(yes)
-    if lab.real_time and not yes:
-        typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Continue?", abort=True)
+    lab = ui.rig_section(experiment)
     supervision = LabSupervision()
 
-    def rig(limits: "LabLimits", one: "Setup") -> "Rig":
-        own, seed = lab.model_copy(update={"limits": limits}), SeedSequence(experiment.trials.seed)
-        return own.rig(one, own.clock(), seed, supervision)
+    def rig_within(limits: "LabLimits", setup: "Setup") -> "Rig":
+        limited = lab.model_copy(update={"limits": limits})
+        seed = SeedSequence(experiment.trials.seed)
+        return limited.rig(setup, limited.clock(), seed, supervision)
 
     stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
             ui.tell(SAYS)
-        found = lab.actuator.calibrate(lab, rig, setup, names, limit, ui.tell)
-    return save_calibration(out, found)
+        calibrate_robots = lab.actuator.calibrate
+        return calibrate_robots(lab, rig_within, experiment.setup, names, limit, ui.tell)
 
 
-def save_calibration(out: Path, found: "Measured") -> int:
-    """Write a file for `lab.calibration`, and print what was found; return the exit code."""
+def save_calibration(out: Path, measured: "Measured") -> int:
+    """Write a file for `lab.calibration`, and print what was measured; return the exit code."""
     from tetractl.experiment.plants import Calibration
     from tetractl.experiment.yaml.core_yaml import dump
 
     calibration = Calibration(
         measured=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        emulated=", ".join(found.emulated) or None,
-        camera=dict(found.camera),
-        actuator=dict(found.actuator),
+        emulated=", ".join(measured.emulated) or None,
+        camera=dict(measured.camera),
+        actuator=dict(measured.actuator),
     )
-    save_whole(out, dump(calibration.model_dump(mode="json", exclude_none=True)).encode())
-    print(*found.lines, sep="\n")
-    whose = f", of an emulated {' and '.join(found.emulated)}" if found.emulated else ""
+    values = calibration.model_dump(mode="json", exclude_none=True)
+    save_whole(out, dump(values).encode())
+    print(*measured.lines, sep="\n")
+    whose = f", of an emulated {' and '.join(measured.emulated)}" if measured.emulated else ""
     ui.tell(f"wrote {out}{whose}; name it in the spec: lab.calibration")
     return Exit.DONE
 
 
-def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
+def _experiment_on(spec: Path, sets: list[str] | None, plant: str) -> "Experiment":
+    """Return a spec's experiment in its lab, real or, as `plant` says, emulated."""
+    from tetractl.experiment.load import load_document
+    from tetractl.experiment.plants import on_plant, settings_on
+    from tetractl.experiment.yaml.document import read_document
+
+    document = read_document(spec)
+    loaded = load_document(document, settings_on(document, sets or [], plant))
+    return on_plant(loaded, plant).experiment
+
+
+def _real_lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
+    """Return the real lab of a spec, and the experiment in it."""
     from tetractl.experiment.plants import lab_of, on_plant
 
     loaded = ui.load(spec, sets)
@@ -201,6 +227,7 @@ def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
 
 
 def _xbee(port: str, baud: int) -> "XbeeSection":
+    """Return the radio that --port and --baud describe; UsageError for a wrong value."""
     from pydantic import ValidationError
 
     from tetractl.experiment.explain import words
@@ -209,6 +236,6 @@ def _xbee(port: str, baud: int) -> "XbeeSection":
     try:
         return XbeeSection.model_validate({"port": port, "baud": baud})
     except ValidationError as error:
-        details = error.errors()[0]
-        message = words(details, details["input"])
-        raise UsageError(f"--{details['loc'][0]}: {message}") from None
+        problem = error.errors()[0]
+        message = words(problem, problem["input"])
+        raise UsageError(f"--{problem['loc'][0]}: {message}") from None

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tetractl.experiment.yaml.settings import SpecSetting
     from tetractl.lab.rig import Rig
     from tetractl.log.read.trial_log import Damage, TrialLog
+    from tetractl.plant.lab_plant import RigSection
     from tetractl.run.plausibility import PlacedWarning
 
 
@@ -53,14 +54,14 @@ def warn(
     """
     from tetractl.run.plausibility import find_warnings
 
-    found = find_warnings(loaded, settings or [])
-    tell(*(f"warning: {warning}" for warning in found))
-    if strict and found:
-        count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
+    warnings = find_warnings(loaded, settings or [])
+    tell(*(f"warning: {warning}" for warning in warnings))
+    if strict and warnings:
+        count = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
         raise UsageError(
             f"the spec has {count}, and --strict treats warnings as errors; nothing was run"
         )
-    return found
+    return warnings
 
 
 def open_trial(path: Path) -> "TrialLog":
@@ -91,14 +92,23 @@ def tell_of_earlier_rows(folder: Path, name: str) -> None:
         )
 
 
+def rig_section(experiment: "Experiment") -> "RigSection":
+    """Return the experiment's plant, which must be a lab, real or emulated."""
+    from tetractl.plant.lab_plant import RigSection
+
+    lab = experiment.plant
+    if not isinstance(lab, RigSection):
+        raise UsageError(
+            f"--plant {lab.type}: has no camera and no actuator", "give lab or emulated"
+        )
+    return lab
+
+
 def rig_of(experiment: "Experiment") -> "Rig":
     """Return the rig of an experiment's lab, real or emulated, for a command without a trial."""
     from numpy.random import SeedSequence
 
-    from tetractl.plant.lab_plant import RigSection
-
-    lab = experiment.plant
-    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
+    lab = rig_section(experiment)
     seed = SeedSequence(experiment.trials.seed)
     return lab.rig(experiment.setup, lab.clock(), seed, chosen=experiment.open)
 
@@ -114,10 +124,21 @@ def require_confirmation(yes: bool) -> None:
 
 
 def refuse_existing(out: Path | None, folder: bool = False) -> None:
-    """Raise UsageError if the output exists already; with `folder`, an empty folder may exist."""
-    empty = folder and out is not None and out.is_dir() and not any(out.iterdir())
-    if out is not None and out.exists() and not empty:
+    """Raise UsageError if the output exists already, or the folder of a file does not; with
+    `folder`, the output is a folder, which may exist if it is empty."""
+    if out is None:
+        return
+    empty = folder and out.is_dir() and not any(out.iterdir())
+    if out.exists() and not empty:
         raise UsageError(f"{out}: exists already", "name another with --out")
+    if not folder:
+        require_folder_of(out)
+
+
+def require_folder_of(out: Path) -> None:
+    """Raise UsageError if the folder of an output file is missing: before the work, not after."""
+    if not out.parent.is_dir():
+        raise UsageError(f"{out}: there is no folder {out.parent}")
 
 
 @contextmanager

@@ -12,11 +12,11 @@ from tetractl.lab.preflight import Preflight
 ANSWERS = {True: "yes", False: "no", None: "n/a"}
 
 
-def robots_table(found: Preflight) -> Table:
+def robots_table(preflight: Preflight) -> Table:
     """Return a table with one row per robot: its distance and turn from the start in the spec
     (none if the robot is not tracked), its battery, and whether it answers.
     """
-    robots = found.robots
+    robots = preflight.robots
     return Table(
         "Robots",
         (
@@ -43,24 +43,24 @@ def _or(unknown: str, form: str) -> Callable[[Any], str]:
     return lambda value: unknown if value is None else form.format(value)
 
 
-def print_findings(found: Preflight) -> None:
+def print_findings(preflight: Preflight) -> None:
     """Print a table of the robots, the camera's rates and delays, warnings and problems."""
     console = Console()
-    print_tables([robots_table(found)], console)
-    rate = "unknown" if found.camera_rate_hz is None else f"{found.camera_rate_hz:.1f} Hz"
+    print_tables([robots_table(preflight)], console)
+    rate = "unknown" if preflight.camera_rate_hz is None else f"{preflight.camera_rate_hz:.1f} Hz"
     lines = [f"camera: {rate}"]
-    if found.latency_ms is not None:
-        median, most = found.latency_ms
+    if preflight.latency_ms is not None:
+        median, most = preflight.latency_ms
         lines.append(f"age of frames on arrival: {median:.1f} ms, at most {most:.1f} ms")
-    lines += [f"{name}: {value}" for name, value in found.facts.items()]
-    lines += [f"warning: {line}" for line in found.all_warnings]
-    lines += [f"problem: {line}" for line in (*found.all_problems, *found.misplaced)]
-    lines.append("ready" if found.ready else "not ready")
+    lines += [f"{name}: {value}" for name, value in preflight.facts.items()]
+    lines += [f"warning: {line}" for line in preflight.all_warnings]
+    lines += [f"problem: {line}" for line in (*preflight.all_problems, *preflight.misplaced)]
+    lines.append("ready" if preflight.ready else "not ready")
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def as_json(found: Preflight) -> dict[str, Any]:
+def preflight_items(preflight: Preflight) -> dict[str, Any]:
     """Return the result of the preflight as data for JSON."""
     robots = [
         {
@@ -73,16 +73,16 @@ def as_json(found: Preflight) -> dict[str, Any]:
             "battery_v": robot.status.battery_v,
             "charge": robot.status.charge,
         }
-        for robot in found.robots
+        for robot in preflight.robots
     ]
-    latency = found.latency_ms
+    latency = preflight.latency_ms
     return {
-        "ready": found.ready,
-        "problems": [*found.all_problems, *found.misplaced],
-        "warnings": list(found.all_warnings),
-        "questions": list(found.questions),
-        "camera_rate_hz": found.camera_rate_hz,
+        "ready": preflight.ready,
+        "problems": [*preflight.all_problems, *preflight.misplaced],
+        "warnings": list(preflight.all_warnings),
+        "questions": list(preflight.questions),
+        "camera_rate_hz": preflight.camera_rate_hz,
         "latency_ms": None if latency is None else {"p50": latency[0], "max": latency[1]},
         "robots": robots,
-        "facts": dict(found.facts),
+        "facts": dict(preflight.facts),
     }

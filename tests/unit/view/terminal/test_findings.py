@@ -4,7 +4,7 @@ import pytest
 
 from tetractl.core.commands import RobotStatus
 from tetractl.lab.preflight import Preflight, RobotFinding
-from tetractl.view.terminal.findings import as_json, print_findings, robots_table
+from tetractl.view.terminal.findings import preflight_items, print_findings, robots_table
 
 pytestmark = pytest.mark.slow
 
@@ -28,5 +28,5 @@ def test_everything_found_is_printed_and_is_in_the_json(capsys):
     for line in ("camera: 119.9 Hz", "server: Motive", "warning: dusty", "problem: no radio"):
         assert line in lines
     assert lines[-1] == "not ready"
-    document = as_json(FOUND)
+    document = preflight_items(FOUND)
     assert (document["ready"], document["robots"][0]["off_mm"]) == (False, 3.4)

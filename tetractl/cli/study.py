@@ -1,7 +1,9 @@
 """`tetractl study`: runs arms of trials with the same seeds, on this machine or a cluster."""
 
 import os
-from contextlib import nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,10 +16,15 @@ from tetractl.core.table.terminal_table import print_tables
 from tetractl.run.interrupt import Interrupt, leave_on_signals
 
 if TYPE_CHECKING:
+    from tetractl.run.executors import Executor
     from tetractl.run.store import Store
+    from tetractl.run.task import Task
     from tetractl.study.load_study import LoadedStudy
 
 STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
+"""Printed by the handler of the first signal."""
+ARMS_NAMED = 4
+"""Most arms that the notice of outdated trials names."""
 
 
 def study(
@@ -61,56 +68,102 @@ def study(
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
-    from rich.console import Console
-
-    from tetractl.run.batch import run_batch
-    from tetractl.run.cluster import Cluster
-    from tetractl.run.executors import on_this_machine
     from tetractl.study import options
     from tetractl.study.load_study import load_study
-    from tetractl.view.terminal.progress import StudyProgress
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
-    rule = options.Logs.parse(logs)
+    whole_logs = options.Logs.parse(logs)
     loaded = load_study(file)
     folder = out or Path("logs") / loaded.study.name
     ui.tell_of_earlier_rows(folder, "trials.jsonl")
     store = loaded.store(folder)
     if dry_run:
         store.read()
-        tasks, _ = options.lacking(loaded, store, rule, rerun_outdated)
+        tasks, _ = options.lacking(loaded, store, whole_logs, rerun_outdated)
         print_tables([options.dry_run(loaded, folder, tasks)])
         return Exit.DONE
     with store.opened():
-        tasks, outdated = options.lacking(loaded, store, rule, rerun_outdated)
-        if outdated:
-            named = [f"{name} ({n})" for name, n in outdated.items()]
-            more = f" and {len(named[4:])} more arms" if named[4:] else ""
-            ui.tell(
-                f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
-                f" {', '.join(named[:4])}{more}; run them again with --rerun-outdated"
-            )
-        interrupt = Interrupt(notice_of_signals(STOPPING))
-        if cluster is None and tasks:
-            options.warm_up_arms(loaded, partial(ui.announce_compiling, quiet))
-        found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        here = on_this_machine(jobs or found or 1, len(tasks), interrupt)
-        leave_on_signals(Exit.INTERRUPTED)
-        with Cluster(cluster, interrupt) if cluster is not None else nullcontext(here) as executor:
-            if not quiet:
-                arms, count = len(loaded.arms), loaded.study.trials.count
-                ui.tell(
-                    f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of"
-                    f" {arms * count} to run, {executor.workers} at a time"
-                )
-            shown = StudyProgress(Console(stderr=True), len(tasks), quiet)
-            with interrupt.watch(), shown as progress:
-                run_batch(tasks, store, executor, progress, fail_fast)
-        return _conclude(loaded, store, interrupt.requested)
+        tasks, outdated = options.lacking(loaded, store, whole_logs, rerun_outdated)
+        _tell_of_outdated(outdated)
+        how = _How(jobs, cluster, fail_fast, quiet)
+        interrupted = _run_tasks(loaded, store, tasks, how)
+        return _conclude(loaded, store, interrupted)
 
 
-def _conclude(loaded: "LoadedStudy", store: "Store", stopped: bool) -> int:
+@dataclass(frozen=True, slots=True)
+class _How:
+    """How the trials of a study are run: the options of these names."""
+
+    jobs: int | None
+    cluster: str | None
+    fail_fast: bool
+    quiet: bool
+
+
+def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
+    """Print how many trials of each arm are kept although another version of the code ran them."""
+    if not outdated:
+        return
+    names = [f"{arm} ({count})" for arm, count in outdated.items()]
+    unnamed = len(names) - ARMS_NAMED
+    more = f" and {unnamed} more arms" if unnamed > 0 else ""
+    ui.tell(
+        f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
+        f" {', '.join(names[:ARMS_NAMED])}{more}; run them again with --rerun-outdated"
+    )
+
+
+def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", how: _How) -> bool:
+    """Run trials with their progress on stderr; return whether a signal asked to stop."""
+    from rich.console import Console
+
+    from tetractl.run.batch import run_batch
+    from tetractl.study.options import warm_up_arms
+    from tetractl.view.terminal.progress import StudyProgress
+
+    interrupt = Interrupt(notice_of_signals(STOPPING))
+    if how.cluster is None and tasks:
+        warm_up_arms(loaded, partial(ui.announce_compiling, how.quiet))
+    chosen = _executor(how, len(tasks), interrupt)
+    leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive outside of `watch`
+    with chosen as executor:
+        if not how.quiet:
+            _tell_plan(loaded, len(tasks), executor.workers)
+        display = StudyProgress(Console(stderr=True), len(tasks), how.quiet)
+        with interrupt.watch(), display as progress:
+            run_batch(tasks, store, executor, progress, how.fail_fast)
+    return interrupt.requested
+
+
+def _executor(how: _How, count: int, interrupt: Interrupt) -> "AbstractContextManager[Executor]":
+    """Return what runs `count` trials: a cluster, or processes of this machine."""
+    from tetractl.run.cluster import Cluster
+    from tetractl.run.executors import on_this_machine
+
+    if how.cluster is not None:
+        return Cluster(how.cluster, interrupt)
+    return nullcontext(on_this_machine(how.jobs or _processors(), count, interrupt))
+
+
+def _processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # Linux only
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _tell_plan(loaded: "LoadedStudy", to_run: int, workers: int) -> None:
+    """Print how many trials will run, and how many at a time."""
+    arms = len(loaded.arms)
+    count = loaded.study.trials.count
+    ui.tell(
+        f"{loaded.study.name}: {arms} arms of {count} trials, {to_run} of {arms * count} to run,"
+        f" {workers} at a time"
+    )
+
+
+def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:
     """Write tables and figures; print the errors and the number of missing trials; return the exit
     code.
     """
@@ -123,12 +176,13 @@ def _conclude(loaded: "LoadedStudy", store: "Store", stopped: bool) -> int:
         print_tables([arms_table(loaded, store)])
         print(*paths, sep="\n")
     wanted = len(loaded.arms) * loaded.study.trials.count
-    lacking, aborted = wanted - len(finished), sum(not t.outcome.complete for t in finished)
+    lacking = wanted - len(finished)
+    aborted = sum(not trial.outcome.complete for trial in finished)
     if aborted:
         ui.tell(f"{aborted} trials aborted")
     if lacking > 0:
         ui.tell(f"{lacking} of {wanted} trials are missing; continue with the same command")
-    if stopped:
+    if interrupted:
         ui.tell("interrupted")
         return Exit.INTERRUPTED
     return Exit.FAILED if lacking > 0 or aborted else Exit.DONE

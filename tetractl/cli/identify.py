@@ -1,5 +1,7 @@
 """`tetractl identify`: turning rate, speed, heading bias, dead time and noise from logs."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +13,8 @@ from tetractl.core.files import save_whole
 from tetractl.log.read.find import find_logs
 
 if TYPE_CHECKING:
+    from tetractl.core.poses import Floats
+    from tetractl.log.read.trial_log import TrialLog
     from tetractl.replay.identification.identify import IdentifiedRobots
     from tetractl.replay.identification.tracks import Track
 
@@ -48,41 +52,70 @@ def identify(
     Example: tetractl identify tables/poses.csv tables/steps.csv
     """
     from tetractl.replay.identification.csv_tracks import csv_tracks
-    from tetractl.replay.identification.identify import identify as found_in
-    from tetractl.replay.identification.tracks import track_of, wheels_of
+    from tetractl.replay.identification.identify import identify as identify_robots
 
     ui.refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
         raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
-    tracks: list[Track] = csv_tracks(tables) if tables else []
-    tell_remarks(tracks)
-    if tables and tracks[0].twists.size:
-        return _show_response(tracks, out, as_json)
     if tables:
-        show_found(found_in(tracks, None, None), out, as_json)
-        return Exit.DONE
-    expected, dead_time, damaged = None, 0.0, False
-    for path in find_logs(logs):
-        log = ui.open_trial(path)
-        damaged |= log.damage is not None
-        if not any(command.direction is not None for command in log.commands):
+        data = _LogData(csv_tracks(tables))
+        tell_remarks(data.tracks)
+        wheels = data.tracks[0].twists.size > 0
+    else:
+        data = _log_data(find_logs(logs), wheels)
+    if wheels:
+        _show_response(data.tracks, out, as_json)
+    else:
+        show_found(identify_robots(data.tracks, data.expected_a, data.dead_time_s), out, as_json)
+    return Exit.FAILED if data.damaged else Exit.DONE
+
+
+@dataclass(frozen=True, slots=True)
+class _LogData:
+    """What is known of the robots: their tracks, and what the first log's spec says, if any."""
+
+    tracks: "list[Track]"
+    expected_a: "Floats | None" = None
+    """The spec's turning rate a of each robot [rad/s]."""
+    dead_time_s: float | None = None
+    """The dead time that the controller was given."""
+    damaged: bool = False
+    """Whether a log is damaged."""
+
+
+def _log_data(paths: Sequence[Path], wheels: bool) -> _LogData:
+    """Read the logs in which directions were sent; UsageError if there is none.
+
+    With `wheels`, the tracks hold the speeds of wheels that were sent, not the directions.
+    """
+    from tetractl.replay.identification.tracks import track_of, wheels_of
+
+    first: TrialLog | None = None
+    tracks: list[Track] = []
+    damaged = False
+    for path in paths:
+        trial = ui.open_trial(path)
+        if trial.damage is not None:
+            damaged = True
+        if not any(command.direction is not None for command in trial.commands):
             ui.tell(f"warning: {path}: no direction was sent in this log")
             continue
-        tracks.append(wheels_of(log) if wheels else track_of(log))
-        if expected is None:
-            expected, dead_time = log.start.setup.a, log.experiment.controller.dead_time
-    if not tracks:
+        tracks.append(wheels_of(trial) if wheels else track_of(trial))
+        if first is None:
+            first = trial
+    if first is None:
         raise UsageError("no direction was sent in any of the logs")
-    if wheels:
-        done = _show_response(tracks, out, as_json)
-        return Exit.FAILED if damaged else done
-    show_found(found_in(tracks, expected, dead_time), out, as_json)
-    return Exit.FAILED if damaged else Exit.DONE
+    return _LogData(
+        tracks=tracks,
+        expected_a=first.start.setup.a,
+        dead_time_s=first.experiment.controller.dead_time,
+        damaged=damaged,
+    )
 
 
-def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> int:
-    """Print how robots follow speeds and turning rates; return the exit code."""
+def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> None:
+    """Print how robots follow speeds and turning rates; UsageError if a file is named for it."""
     from tetractl.replay.identification.response import respond, response_table
     from tetractl.replay.identification.tracks import require_same
 
@@ -92,11 +125,11 @@ def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> in
             hint="put the lag that is printed into the spec, as lab.lag",
         )
     require_same(tracks)
-    found = respond(tracks)
+    responses = respond(tracks)
+    commands = sum(len(track.sent) for track in tracks)
     origin = ", ".join(dict.fromkeys(track.origin for track in tracks))
-    title = f"{sum(len(track.sent) for track in tracks)} commands: {origin}; 95 % intervals"
-    ui.show(as_json, found, [response_table(found, title, tracks[0].unit)])
-    return Exit.DONE
+    title = f"{commands} commands: {origin}; 95 % intervals"
+    ui.show(as_json, responses, [response_table(responses, title, tracks[0].unit)])
 
 
 def tell_remarks(tracks: "list[Track]") -> None:
@@ -105,16 +138,17 @@ def tell_remarks(tracks: "list[Track]") -> None:
         ui.tell(*(f"warning: {remark}" for remark in track.remarks))
 
 
-def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
+def show_found(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.replay.identification.identify import identified, stated, tables
 
-    found = stated(found)
-    ui.show(as_json, found, tables(found))
-    if out is not None:
-        when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        data = identified(found, when).model_dump(mode="json", exclude_none=True)
-        save_whole(out, dump(data).encode())
-        if not as_json:
-            print(f"wrote {out}; name it in the spec: identified: {out.name}")
+    shown_robots = stated(robots)
+    ui.show(as_json, shown_robots, tables(shown_robots))
+    if out is None:
+        return
+    when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    section = identified(shown_robots, when).model_dump(mode="json", exclude_none=True)
+    save_whole(out, dump(section).encode())
+    if not as_json:
+        print(f"wrote {out}; name it in the spec: identified: {out.name}")

@@ -1,6 +1,7 @@
 """`tetractl kinds`: lists the kinds that a spec, study, table, figure or emulated lab can name."""
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,9 @@ from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.table.table_files import json_text
 
 if TYPE_CHECKING:
-    from tetractl.core.registry import Kind
+    from tetractl.core.registry import Kind, Registry
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.testing import Finding
 
 
 def kinds(
@@ -51,84 +54,167 @@ def kinds(
     return _list(as_json) if check is None else _check(check, spec, sets or [], as_json)
 
 
-def _list(as_json: bool) -> int:
-    from tetractl.core.registries import all_registries
-    from tetractl.core.registry import PluginError
-    from tetractl.experiment.packages import BRINGS, missing
+@dataclass(frozen=True, slots=True)
+class _ListedKind:
+    """A line of the list: a kind, and what is wrong with it.
 
-    problems: dict[Kind, str] = {}
-    broken: list[str] = []
+    `lacks` names a module that the kind needs and that is not installed; `broken` says why an
+    installed kind cannot be used at all.
+    """
+
+    registry: "Registry"
+    kind: "Kind"
+    lacks: str = ""
+    broken: str = ""
+
+    @property
+    def problem(self) -> str:
+        """What is wrong, "" for nothing."""
+        return f"needs {self.lacks}, which is not installed" if self.lacks else self.broken
+
+
+def _list(as_json: bool) -> int:
+    """Print all kinds; return the exit code."""
+    from tetractl.core.registries import all_registries
+
     registries = all_registries()
-    rows = [(registry, kind) for registry in registries for kind in registry.kinds()]
-    for registry, kind in rows:
-        try:
-            registry.load(kind.name)
-        except (PluginError, ModuleNotFoundError) as error:
-            cause = error.__cause__ if isinstance(error, PluginError) else error
-            module = cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
-            lacks = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
-            if lacks and kind.package in ("", *BRINGS.values()):
-                problems[kind] = f"needs {module}, which is not installed"
-            else:  # of another's package, each problem is an error
-                problems[kind] = error.message if isinstance(error, PluginError) else str(error)
-                broken.append(problems[kind])
+    listed = [_loaded(registry, kind) for registry in registries for kind in registry.kinds()]
+    broken = [row.broken for row in listed if row.broken]
     if as_json:
-        listed = [
-            {
-                "seam": registry.what,
-                "type": kind.name,
-                "package": kind.package or None,
-                "version": kind.version or None,
-                "code": kind.code,
-                "problem": problems.get(kind),
-            }
-            for registry, kind in rows
-        ]
-        print(json_text({"kinds": listed}))
+        print(json_text({"kinds": [_items(row) for row in listed]}))
     else:
-        for registry, kind in rows:
-            package = f"{kind.package} {kind.version}" if kind.package else _home(kind)
-            line = f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}"
-            print(f"{line}  [{problems[kind]}]" if kind in problems else line)
+        for row in listed:
+            print(_line(row))
         for registry in registries:
-            for name, package in sorted(missing(registry.group, registry.names())):
-                print(f"{registry.what:<17} {name:<19} {package:<22} [not installed]")
+            _print_not_installed(registry)
         ui.tell(*(f"error: {problem}" for problem in broken))
     return Exit.USAGE if broken else Exit.DONE
 
 
+def _loaded(registry: "Registry", kind: "Kind") -> _ListedKind:
+    """Load a kind, and return it with what is wrong with it.
+
+    That a module is not installed is no error in a package of ours; in another's, each problem is.
+    """
+    from tetractl.core.registry import PluginError
+    from tetractl.experiment.packages import BRINGS
+
+    try:
+        registry.load(kind.name)
+    except (PluginError, ModuleNotFoundError) as error:
+        module = _missing_module(error)
+        outside = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
+        if outside and kind.package in ("", *BRINGS.values()):
+            return _ListedKind(registry, kind, lacks=module)
+        message = error.message if isinstance(error, PluginError) else str(error)
+        return _ListedKind(registry, kind, broken=message)
+    return _ListedKind(registry, kind)
+
+
+def _missing_module(error: Exception) -> str:
+    """Return the name of the module for lack of which a kind cannot be loaded, "" if that is not
+    why."""
+    cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
+    return cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
+
+
+def _items(row: _ListedKind) -> dict[str, str | None]:
+    """Return a kind as data for JSON."""
+    kind = row.kind
+    return {
+        "seam": row.registry.what,
+        "type": kind.name,
+        "package": kind.package or None,
+        "version": kind.version or None,
+        "code": kind.code,
+        "problem": row.problem or None,
+    }
+
+
+def _line(row: _ListedKind) -> str:
+    """Return a kind as a line of the list."""
+    kind = row.kind
+    package = f"{kind.package} {kind.version}" if kind.package else _home(kind)
+    line = _columns(row.registry, kind.name, package, kind.code)
+    return f"{line}  [{row.problem}]" if row.problem else line
+
+
+def _print_not_installed(registry: "Registry") -> None:
+    """Print the kinds of a registry that packages of ours bring which are not installed."""
+    from tetractl.experiment.packages import missing
+
+    for name, package in sorted(missing(registry.group, registry.names())):
+        print(_columns(registry, name, package, "[not installed]"))
+
+
+def _columns(registry: "Registry", name: str, package: str, rest: str) -> str:
+    return f"{registry.what:<17} {name:<19} {package:<22} {rest}"
+
+
 def _home(kind: "Kind") -> str:
+    """Return where a kind without a package entry is: in tetractl, or in one of its packages."""
     top = kind.code.partition(".")[0]
     return "built in" if top == "tetractl" else f"built in {top.replace('_', '-')}"
 
 
+# ---- --check ----
+
+
 def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
-    from tetractl.cli.specs import template
-    from tetractl.experiment.base import with_tuples
-    from tetractl.experiment.load import parse_spec
-    from tetractl.experiment.yaml.document import parse_value
+    """Check the kind that `code` names, and print each finding; return the exit code."""
     from tetractl.testing import check_kind
 
     sys.path.append("")  # modules in this folder, but in place of no other
+    fields = _fields(sets)
+    experiment = _experiment(spec)
+    if spec is not None:
+        fields = _fields_of_lab(experiment, code) | fields
+    findings = list(check_kind(code, fields, experiment.setup))
+    wrong = [finding for finding in findings if finding.problem]
+    if as_json:
+        print(json_text({"code": code, "ok": not wrong, "findings": findings}))
+    else:
+        for finding in findings:
+            print(printable(_finding_line(finding)))
+        print(f"{code}: {len(wrong)} of {len(findings)} checks failed")
+    return Exit.FAILED if wrong else Exit.DONE
+
+
+def _fields(sets: list[str]) -> dict[str, Any]:
+    """Return the fields that --set gives, by name."""
+    from tetractl.experiment.base import with_tuples
+    from tetractl.experiment.yaml.document import parse_value
+
     fields: dict[str, Any] = {}
     for setting in sets:
         name, equals, text = setting.partition("=")
         if not equals:
             raise UsageError(f"--set {setting}: must be FIELD=VALUE")
         fields[name] = with_tuples(parse_value(text, printable(f"--set {setting}"), (name,)))
-    text = template("check", "check")
-    loaded = parse_spec(text, "check") if spec is None else ui.load(spec, None)
-    lab = loaded.experiment.lab if spec else None
-    for section in (lab.camera, lab.actuator) if lab else ():
-        if code == f"{type(section).__module__}:{type(section).__qualname__}":
-            fields = dict(section) | fields
-    found = list(check_kind(code, fields, loaded.experiment.setup))
-    wrong = [finding for finding in found if finding.problem]
-    if as_json:
-        print(json_text({"code": code, "ok": not wrong, "findings": found}))
-    else:
-        for one in found:
-            line = f"WRONG  {one.what}: {one.problem}" if one.problem else f"ok     {one.what}"
-            print(printable(line))
-        print(f"{code}: {len(wrong)} of {len(found)} checks failed")
-    return Exit.FAILED if wrong else Exit.DONE
+    return fields
+
+
+def _experiment(spec: Path | None) -> "Experiment":
+    """Return the experiment whose robots and arena are used: a spec's, or that of `init`."""
+    from tetractl.cli.specs import template
+    from tetractl.experiment.load import parse_spec
+
+    if spec is not None:
+        return ui.load(spec, None).experiment
+    return parse_spec(template("check", "check"), "check").experiment
+
+
+def _fields_of_lab(experiment: "Experiment", code: str) -> dict[str, Any]:
+    """Return the fields of the lab's camera or actuator if `code` names its kind, else none."""
+    lab = experiment.lab
+    if lab is not None:
+        for section in (lab.camera, lab.actuator):
+            if code == f"{type(section).__module__}:{type(section).__qualname__}":
+                return dict(section)
+    return {}
+
+
+def _finding_line(finding: "Finding") -> str:
+    if finding.problem:
+        return f"WRONG  {finding.what}: {finding.problem}"
+    return f"ok     {finding.what}"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def reproduce(
     papers: Annotated[list[str] | None, argument("[PAPER]...", "The papers, by name.")] = None,
-    every: Annotated[bool, switch("Reproduce all papers.", "--all")] = False,
+    all_papers: Annotated[bool, switch("Reproduce all papers.", "--all")] = False,
     trials: Annotated[
         int | None, option("N", "Number of trials of each kind. [20, or the paper's]", min=1)
     ] = None,
@@ -41,7 +41,7 @@ def reproduce(
     from tetractl.reproduce.paper import Paper, items, table
     from tetractl.reproduce.trials import run_arms
 
-    names = PAPERS.names() if every else papers or []
+    names = PAPERS.names() if all_papers else papers or []
     _check_known(names)
     if not names and not as_json:
         print(*PAPERS.names(), sep="\n")

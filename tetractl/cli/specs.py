@@ -1,7 +1,7 @@
 """`tetractl init`, `validate`, `warm` and `schema`: commands about specs; nothing is run."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from tetractl.experiment.packages import not_installed
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
+    from tetractl.run.plausibility import PlacedWarning
 
 NAMED = ("base", "identified")
 """Fields of a spec that name another file, relative to the spec's folder."""
@@ -46,20 +47,19 @@ def example_files(name: str) -> dict[str, str]:
             f"there is no example '{name}'{did_you_mean(name, list(files))}",
             f"the examples are {', '.join([*single, *folders])}",
         )
-    names = {file.resolve(): other for other, file in files.items()}
+    example_at = {file.resolve(): example for example, file in files.items()}
     texts: dict[str, str] = {}
     to_read = [name]
     while to_read:
         example = to_read.pop()
+        if f"{example}.yaml" in texts:
+            continue
         file = files[example].resolve()
         text = read_text(file)
         texts[f"{example}.yaml"] = text
-        data = parse_document(text, str(file)).data
-        for key in NAMED:
-            if key in data:
-                named = names[(file.parent / data[key]).resolve()]
-                if f"{named}.yaml" not in texts:
-                    to_read.append(named)
+        fields = parse_document(text, str(file)).data
+        named_files = [file.parent / fields[key] for key in NAMED if key in fields]
+        to_read += [example_at[named.resolve()] for named in named_files]
     return texts
 
 
@@ -198,23 +198,27 @@ class _Checked:
 
 def _check(path: Path, sets: list[str] | None) -> _Checked:
     """Check a spec, or a study and the specs of its arms; print its warnings."""
-    from tetractl.analysis.reach import reach
-    from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError
-    from tetractl.model.bounds import least_total_error
-    from tetractl.run.plausibility import CheckContext
     from tetractl.study.load_study import is_study
 
-    shown = printable(str(path))
+    file = printable(str(path))
     try:
         if not sets and is_study(path):
-            return _check_study(path, shown)
+            return _check_study(path, file)
         loaded = ui.load(path, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
-        return _Checked({"path": shown, "ok": False, "problems": problems}, error.lines())
-    experiment = loaded.experiment
-    warnings = ui.warn(loaded, sets)
+        return _Checked({"path": file, "ok": False, "problems": problems}, error.lines())
+    return _valid(file, loaded.experiment, ui.warn(loaded, sets))
+
+
+def _valid(file: str, experiment: "Experiment", warnings: "Sequence[PlacedWarning]") -> _Checked:
+    """Return what is said of a valid spec."""
+    from tetractl.analysis.reach import reach
+    from tetractl.experiment.load import spec_hash
+    from tetractl.model.bounds import least_total_error
+    from tetractl.run.plausibility import CheckContext
+
     summary = {
         "name": experiment.name,
         "robots": len(experiment.robots),
@@ -223,13 +227,14 @@ def _check(path: Path, sets: list[str] | None) -> _Checked:
         "plant": experiment.plant.type,
         "trials": experiment.trials.count,
     }
-    line = f"{shown}: ok: {', '.join(f'{key} {value}' for key, value in summary.items())}"
+    counts = ", ".join(f"{key} {value}" for key, value in summary.items())
+    line = f"{file}: ok: {counts}"
     context = CheckContext(experiment)
     reached = reach(experiment)
     if reached:
         line += f", reach {reached}"
     fields = {
-        "path": shown,
+        "path": file,
         "ok": True,
         **summary,
         "hash": spec_hash(experiment),
@@ -240,7 +245,7 @@ def _check(path: Path, sets: list[str] | None) -> _Checked:
     return _Checked(fields, [line])
 
 
-def _check_study(path: Path, shown: str) -> _Checked:
+def _check_study(path: Path, file: str) -> _Checked:
     """Check a study and the spec of each arm; each warning is printed once."""
     from tetractl.run.plausibility import find_warnings
     from tetractl.study.load_study import load_study
@@ -256,14 +261,14 @@ def _check_study(path: Path, shown: str) -> _Checked:
     }
     ui.tell(*(f"warning: {text}" for text in warnings))
     fields = {
-        "path": shown,
+        "path": file,
         "ok": True,
         "name": name,
         "arms": arms,
         "trials": trials,
         "warnings": [asdict(warning) for warning in warnings.values()],
     }
-    line = f"{shown}: ok: study {name}, arms {arms}, trials {trials} each"
+    line = f"{file}: ok: study {name}, arms {arms}, trials {trials} each"
     return _Checked(fields, [line])
 
 

@@ -68,46 +68,48 @@ def stats(
 
     for path in paths:
         ui.tell_of_earlier_rows(Path(path), "trials.jsonl")
-    listed = sources(paths)
+    batches = sources(paths)
     if plot:
         from tetractl.view.style import file_format
 
         file_format(plot)  # checked before the logs are read
-    listed += [one_source(against)] if against else []
-    groups = _described(listed)
-    found = contrast(groups[:-1], groups[-1]) if against else contrast(groups)
-    show(found, "json" if as_json else form, full)
+    if against:
+        *described, baseline = _described([*batches, one_source(against)])
+        comparison = contrast(described, baseline)
+    else:
+        comparison = contrast(_described(batches))
+    show(comparison, "json" if as_json else form, full)
     if plot:
         from tetractl.view.figures.batch import batch_figure
         from tetractl.view.style import save
 
-        save(batch_figure(found.groups), plot)
+        save(batch_figure(comparison.groups), plot)
         ui.tell(f"wrote {plot}")
-    return Exit.DONE if found.whole else Exit.FAILED
+    return Exit.DONE if comparison.whole else Exit.FAILED
 
 
-def show(found: "BatchComparison", form: str, full: bool = False) -> None:
+def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
     """Print batches and their comparisons to stdout, as a table in short or in `full`."""
     from tetractl.results.as_json import comparison_items
     from tetractl.results.tables import data_table, summary, tables
 
-    shown = tables if full else summary
+    tables_of = tables if full else summary
     if form == "table":
-        print_tables(shown(found))
+        print_tables(tables_of(comparison))
     elif form == "json":
-        print(json_text(comparison_items(found)), flush=True)
+        print(json_text(comparison_items(comparison)), flush=True)
     elif form == "csv":
-        print(csv_text(data_table(found)), end="")
+        print(csv_text(data_table(comparison)), end="")
     else:
-        print(TEXTS[form](shown(found)))
+        print(TEXTS[form](tables_of(comparison)))
 
 
-def _described(listed: "Sequence[Source]") -> "list[BatchStatistics]":
+def _described(batches: "Sequence[Source]") -> "list[BatchStatistics]":
     """Read and describe batches; print damaged logs and rows on stderr."""
     from tetractl.results.describe import describe
 
-    groups = []
-    for source in listed:
+    described: list[BatchStatistics] = []
+    for source in batches:
         with ui.progress("Reading logs") as on_log:
             batch = source.read(on_log)
         for trial in batch.trials:
@@ -116,8 +118,8 @@ def _described(listed: "Sequence[Source]") -> "list[BatchStatistics]":
         ui.tell(*(f"damaged: {log.log}: {log.problem}" for log in batch.lost))
         if not batch.trials and not batch.attempts:
             raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")
-        groups.append(describe(batch, source.name))
-    return groups
+        described.append(describe(batch, source.name))
+    return described
 
 
 def analyze(
@@ -148,7 +150,7 @@ def analyze(
     """
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items
-    from tetractl.analysis.analyze import analyze as found_of
+    from tetractl.analysis.analyze import analyze as predict
 
     if out:
         from tetractl.view.style import file_format
@@ -156,16 +158,16 @@ def analyze(
         file_format(out)  # checked before the search, which takes some seconds
     experiment = ui.load(spec, sets).experiment
     with ui.progress("Planning") as planned:
-        found = found_of(experiment, plans, planned)
+        analysis = predict(experiment, plans, planned)
     if as_json or form == "json":
-        print(json_text(items(found)))
+        print(json_text(items(analysis)))
     else:
-        print_tables(tables(found))
-        print(printable(advice(found)), flush=True)
+        print_tables(tables(analysis))
+        print(printable(advice(analysis)), flush=True)
     if out:
         from tetractl.view.figures.analysis import analysis_figure
         from tetractl.view.style import save
 
-        save(analysis_figure(found), out)
+        save(analysis_figure(analysis), out)
         ui.tell(f"wrote {out}")
     return Exit.DONE

@@ -62,20 +62,21 @@ class PluginWords:
     """
 
     def __init__(self) -> None:
-        self._begun = dict[str, str]()  # of each plug-in, the line that it has not ended
+        self._unended = dict[str, str]()  # of each plug-in, the line that it has not ended
         self._shown = 0
 
     def add(self, who: str, text: str) -> None:
         """Show the lines that a text of a plug-in ends."""
-        *lines, rest = (self._begun.get(who, "") + text).split("\n")
-        self._begun[who] = rest[:LINE_BYTES]
+        *lines, rest = (self._unended.get(who, "") + text).split("\n")
+        self._unended[who] = rest[:LINE_BYTES]
         for line in lines:
             self._show(who, line)
 
     def end(self) -> None:
         """Show the lines that were not ended."""
-        begun, self._begun = self._begun, {}
-        for who, line in begun.items():
+        lines = self._unended
+        self._unended = {}  # first, since a thread of a plug-in may print meanwhile
+        for who, line in lines.items():
             self._show(who, line)
 
     def _show(self, who: str, line: str) -> None:
@@ -97,7 +98,8 @@ class MarkedStream(io.TextIOWrapper):
 
     def write(self, text: str, /) -> int:
         """Write a text, or pass it on."""
-        if who := _speaker(sys._getframe(1)):
+        who = _speaker(sys._getframe(1))
+        if who:
             WORDS.add(who, text)
             return len(text)
         return super().write(text)

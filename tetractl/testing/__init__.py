@@ -62,36 +62,36 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
     UsageError if the object cannot be imported or is something else.
     """
     try:
-        found = resolve_name(code)
+        kind = resolve_name(code)
     except Exception as error:
         raise UsageError(f"{code}: cannot be imported: {type(error).__name__}: {error}") from None
-    if isinstance(found, Motion):
-        return _guarded(partial(check_motion, found))
-    if isinstance(found, type) and issubclass(found, Model) and issubclass(found, Checked):
-        return _guarded(lambda: _section(code, found, fields).checked())
+    if isinstance(kind, Motion):
+        return _guarded(partial(check_motion, kind))
+    if isinstance(kind, type) and issubclass(kind, Model) and issubclass(kind, Checked):
+        return _guarded(lambda: _section(code, kind, fields).checked())
     for base, check in CHECKS.items():
-        if isinstance(found, type) and issubclass(found, base):
-            return _guarded(partial(check, _section(code, found, fields), setup))
-    kinds = ", ".join(kind.__name__ for kind in CHECKS)
+        if isinstance(kind, type) and issubclass(kind, base):
+            return _guarded(partial(check, _section(code, kind, fields), setup))
+    with_a_check = ", ".join(base.__name__ for base in CHECKS)
     raise UsageError(
-        f"{code}: there is no check for this kind", f"kinds with a check: {kinds} and Motion"
+        f"{code}: there is no check for this kind",
+        f"kinds with a check: {with_a_check} and Motion",
     )
 
 
 def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
-    named = kind.model_fields["type"].annotation
-    options = get_args(named)
-    if len(options) != 1:
+    """Return a section of a kind with the fields given; UsageError if they are wrong."""
+    names = get_args(kind.model_fields["type"].annotation)
+    if len(names) != 1:
         raise UsageError(f"{code}: the field `type` must be a Literal with one name")
     try:
-        return kind.model_validate({"type": options[0], **fields})
+        return kind.model_validate({"type": names[0], **fields})
     except ValidationError as error:
         details = error.errors()[0]
-        where = ".".join(map(str, details["loc"]))
+        field = ".".join(map(str, details["loc"]))
         text = words(details, details["input"])
-        raise UsageError(
-            f"{code}: {where}: {text}", f"give the value by --set {where}=VALUE"
-        ) from None
+        hint = f"give the value by --set {field}=VALUE"
+        raise UsageError(f"{code}: {field}: {text}", hint) from None
 
 
 def _guarded(check: Callable[[], Findings]) -> Findings:
@@ -101,5 +101,6 @@ def _guarded(check: Callable[[], Findings]) -> Findings:
     except UsageError:
         raise
     except Exception as error:
-        at = extract_tb(error.__traceback__)[-1]
-        yield Finding("runs", f"{at.filename}:{at.lineno}: {type(error).__name__}: {error}")
+        line = extract_tb(error.__traceback__)[-1]
+        problem = f"{line.filename}:{line.lineno}: {type(error).__name__}: {error}"
+        yield Finding("runs", problem)

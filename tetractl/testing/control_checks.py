@@ -24,7 +24,15 @@ from tetractl.run.checked_controller import CheckedController
 from tetractl.testing.finding import SEED, Finding, Findings, near, random_watched, same, true
 
 STEPS_MAX = 3
+"""Number of control periods of a simulation before its time limit."""
+LENGTHS = (1, 12)
+"""Numbers of signals that are searched for, from nothing and from a warm start."""
+EXTRA_EVALUATIONS = 5
+"""Evaluations beyond the least number in the budget of a search."""
+SIGNAL_MAX = math.pi + 1e-12
+"""Largest magnitude of a signal, rounded [rad]."""
 CLOCKS = {"time", "perf_counter", "monotonic", "process_time", "now", "utcnow", "today"}
+"""Functions that read a clock, which a controller must not call."""
 
 
 def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
@@ -35,9 +43,10 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
         obstacle_weight=1000.0, swept=True,
     )  # fmt: skip
     rng = np.random.default_rng(SEED)
-    for length in (1, 12):
-        for start in (None, rng.uniform(-math.pi, math.pi, length)):
-            yield from _check_search(optimizer, problem, length, start)
+    for length in LENGTHS:
+        warm = rng.uniform(-math.pi, math.pi, length)
+        yield from _check_search(optimizer, problem, length, None)
+        yield from _check_search(optimizer, problem, length, warm)
 
 
 def _check_search(
@@ -69,7 +78,7 @@ def _check_search(
     if most is not None:
         text = f"{what}evaluations: at most evaluations_max"
         yield true(text, search.evaluations <= most, str(search.evaluations))
-    budget = optimizer.evaluations_min + 5
+    budget = optimizer.evaluations_min + EXTRA_EVALUATIONS
     spent = optimizer.search(problem, length, start, SEED, Limits(budget)).evaluations
     yield true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
 
@@ -124,10 +133,11 @@ class Play:
     def _called(self, frame: Any, event: str, called: Any) -> None:
         """Note each call of a clock by the section's package."""
         module = frame.f_globals.get("__name__", "")  # code that was generated has none
-        if event == "c_call" and module.partition(".")[0] == self._package:
-            clock = called.__name__.removesuffix("_ns") in CLOCKS
-            if clock and "time" in repr(called.__self__):
-                self.clocks.add(f"line {frame.f_lineno} calls {called.__name__}")
+        if event != "c_call" or module.partition(".")[0] != self._package:
+            return
+        name = called.__name__
+        if name.removesuffix("_ns") in CLOCKS and "time" in repr(called.__self__):
+            self.clocks.add(f"line {frame.f_lineno} calls {name}")
 
 
 def check_controller(section: ControllerSection, setup: Setup) -> Findings:
@@ -157,9 +167,10 @@ def _check_plans(
     plans: list[Plan], section: ControllerSection, setup: Setup, first: Floats
 ) -> Findings:
     """Check each plan, and that the first one begins at the poses `first` (N, 3)."""
-    yield true("plan: path is finite", [np.isfinite(plan.path).all() for plan in plans])
-    inside = [np.abs(plan.signals).max(initial=0.0) <= math.pi + 1e-12 for plan in plans]
-    yield true("plan: signals from -pi to pi", inside)
+    finite = [np.isfinite(plan.path).all() for plan in plans]
+    yield true("plan: path is finite", finite)
+    largest = [np.abs(plan.signals).max(initial=0.0) for plan in plans]
+    yield true("plan: signals from -pi to pi", np.array(largest) <= SIGNAL_MAX)
     yield true("plan: signals of the chosen search", [_chosen(plan) for plan in plans])
     consistent = [_consistent(search) for plan in plans for search in plan.searches]
     yield true("searches: signals, history and cost fit together", consistent)
@@ -167,8 +178,9 @@ def _check_plans(
         path = plans[0].path
         size = max(plans[0].target_cost, 1e-9)
         yield near("plan: path from the observed poses", path[0], first, 1.0)
-        ends = np.hypot(*(path[-1, :, :2] - setup.targets).T).sum()
-        yield near("plan: target_cost of the path's end", plans[0].target_cost, ends, size)
+        to_targets = path[-1, :, :2] - setup.targets
+        distance = np.hypot(to_targets[:, 0], to_targets[:, 1]).sum()
+        yield near("plan: target_cost of the path's end", plans[0].target_cost, distance, size)
     fields = [section.switches_field or not isinstance(plan.instead, FieldOff) for plan in plans]
     yield true("plan: FieldOff only with switches_field", fields)
 
@@ -184,8 +196,10 @@ def _check_ends(play: Play, section: ControllerSection, setup: Setup) -> Finding
     for share, arrived in ((0.95, True), (1.05, False)):
         aside = np.array([share * section.arrival_tolerance, 0.0])
         poses = Poses.of(np.column_stack([setup.targets + aside, np.ones(robots)]))
-        observation = Observation(0, 0, 0, poses, np.ones(robots, dtype=np.bool_))
-        ended = section.build(setup, SEED).plan(observation) is Outcome.ARRIVED
+        all_seen = np.ones(robots, dtype=np.bool_)
+        controller = section.build(setup, SEED)
+        decision = controller.plan(Observation(0, 0, 0, poses, all_seen))
+        ended = decision is Outcome.ARRIVED
         what = "ends the trial" if arrived else "a robot further off has not arrived"
         yield true(f"arrival_tolerance: {what}", ended == arrived)
 
@@ -197,8 +211,9 @@ def _chosen(plan: Plan) -> bool:
 def _consistent(search: Search) -> bool:
     """Return whether the record of a search agrees with itself."""
     history = np.asarray(search.history)
+    falls = bool(np.isfinite(history).all() and np.all(np.diff(history) <= 0))
     return (
-        bool(np.isfinite(history).all() and np.all(np.diff(history) <= 0))
+        falls
         and bool(search.cost == history[-1] >= 0)
         and isinstance(search.stopped, StopReason)
         and search.evaluations >= 1

@@ -1,5 +1,11 @@
 """Checks of a camera and an actuator: of a real device those with which no robot moves, of an
 emulated one all that the lab relies on.
+
+    check_camera      building, opening, ten frames, health, leaving
+                      before a scene also: frames show it; a robot that is hidden has no pose
+    check_actuator    building; then, of emulated robots, `_SteeringChecks`: steering, a stop, a
+                      turn, one robot held, an emergency stop, and a device that is gone
+                      without them only what is sent, to ports behind which there is nothing
 """
 
 import math
@@ -27,7 +33,29 @@ from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
 from tetractl.testing.finding import Finding, Findings, near, true
 
-EMULATED_S = 120.0  # in which an emulated device must do what it shall, on a host that is busy
+EMULATED_S = 120.0
+"""Time in which an emulated device must do what it shall, on a host that is busy [s]."""
+REAL_S = 5.0
+"""Time in which frames of a real camera must come [s]."""
+FRAMES = 10
+"""Number of frames that are examined."""
+LEFT_NS = SECOND // 20
+"""Time after which a camera that was left must have no new frame [ns]."""
+PLACE_M = 0.005
+"""Largest distance between a pose and the true one [m]."""
+HEADING = 0.05
+"""Largest difference between a heading and the true one [rad]."""
+HEIGHT_M = 0.06
+"""Height of the body of a robot on the floor [m], within a range of `HEIGHT_BAND_M`."""
+HEIGHT_BAND_M = 0.05
+TILT_MAX = 0.2
+"""Largest tilt of a robot on the floor [rad]."""
+TURNING = 0.2
+"""Largest difference of a turning rate from that of equation (3), over the largest rate."""
+SPEED = 0.1
+"""Largest relative difference of a speed from the spec's."""
+DIRECTION = 0.5
+"""Direction in which robots are steered where any would do [rad]."""
 
 
 @dataclass(frozen=True)
@@ -58,14 +86,16 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
     """Check that a camera can be built and, if it can be opened, that its frames are valid; before
     a `scene` also that they show it.
     """
-    woken: list[None] = []
+    calls: list[None] = []
     clock = scene.clock if scene else MonotonicClock()
 
+    def wake() -> None:
+        calls.append(None)
+
     def build() -> Camera:
-        given = setup, clock, lambda: woken.append(None)
         if scene is None or scene.ports is None:
-            return section.build(*given)
-        return resolve_name(section.device)(section, *given, scene.ports)
+            return section.build(setup, clock, wake)
+        return resolve_name(section.device)(section, setup, clock, wake, scene.ports)
 
     camera = build()
     yield _members("camera", camera, Camera)
@@ -77,71 +107,90 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
             return
         yield true("__enter__: returns the camera", entered is camera)
         camera.frames()  # while it connects, it may not know its clock yet
-        before = len(woken)
-        found = _frames(camera, clock, EMULATED_S if scene else 5.0)
-        now, calls = clock.now(), len(woken) - before
-        if len(found) < 2:
-            yield Finding("frames: at least 2", f"{len(found)} in {now / SECOND:.0f} s")
+        before = len(calls)
+        frames = _next_frames(camera, clock, EMULATED_S if scene else REAL_S)
+        now_ns = clock.now()
+        woken = len(calls) - before
+        if len(frames) < 2:
+            yield Finding("frames: at least 2", f"{len(frames)} in {now_ns / SECOND:.0f} s")
             return
-        numbers, times = [one.number for one in found], [one.sampled_ns for one in found]
-        yield true("frames: numbers rise", numbers == sorted(set(numbers)), str(numbers))
-        yield true("frames: times rise", times == sorted(times), str(times))
-        due = [one.sampled_ns <= one.received_ns <= now for one in found]
-        yield true("frames: received after their exposure", due)
-        count = [len(one.poses) for one in found]
-        yield true("frames: one pose per robot", np.equal(count, len(setup.names)), f"{count}")
-        yield true("wake: after each frame", calls >= len(found) - 1, f"{calls} of {len(found)}")
+        yield from _check_frames(frames, now_ns, len(setup.names))
+        enough = woken >= len(frames) - 1
+        yield true("wake: after each frame", enough, f"{woken} of {len(frames)}")
         yield from _check_health(camera, healthy=scene is not None)
         if scene is not None:
-            yield from _check_scene(camera, setup, scene, found)
+            yield from _check_scene(camera, setup, scene, frames)
     if scene is not None:
         camera.frames()
-        clock.sleep_until(clock.now() + SECOND // 20)
+        clock.sleep_until(clock.now() + LEFT_NS)
         yield true("__exit__: no frame comes afterwards", camera.frames() == [])
         yield from _check_leaving(camera, build())
 
 
-def _frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
+def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
     """Return the next ten frames, at most those that come in a time [s]."""
-    found: list[CameraFrame] = []
+    frames: list[CameraFrame] = []
 
     def enough() -> bool:
-        found.extend(camera.frames())
-        return len(found) >= 10
+        frames.extend(camera.frames())
+        return len(frames) >= FRAMES
 
     wait_for(clock, enough, patience_s)
-    return found
+    return frames
+
+
+def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> Findings:
+    """Check the order of frames that have come by `now_ns`, and their number of poses."""
+    numbers = [frame.number for frame in frames]
+    times = [frame.sampled_ns for frame in frames]
+    yield true("frames: numbers rise", numbers == sorted(set(numbers)), str(numbers))
+    yield true("frames: times rise", times == sorted(times), str(times))
+    in_order = [frame.sampled_ns <= frame.received_ns <= now_ns for frame in frames]
+    yield true("frames: received after their exposure", in_order)
+    poses = [len(frame.poses) for frame in frames]
+    yield true("frames: one pose per robot", np.equal(poses, robots), f"{poses}")
 
 
 def _check_scene(
-    camera: Camera, setup: Setup, scene: SeenRobots, found: Sequence[CameraFrame]
+    camera: Camera, setup: Setup, scene: SeenRobots, frames: Sequence[CameraFrame]
 ) -> Findings:
-    healthy = [one.fault == "" and one.strangers == () for one in found]
+    """Check that frames show a scene, and what they show after a robot is hidden."""
+    healthy = [frame.fault == "" and frame.strangers == () for frame in frames]
     yield true("frames: neither a fault nor a stranger", healthy)
     yield true("damaged: 0", camera.damaged == 0, str(camera.damaged))
-    seen, true_poses = [pose for pose in found[-1].poses if pose is not None], scene.poses()
-    yield true("poses: of every robot", len(seen) == len(setup.names))
-    if len(seen) < len(setup.names):
+    poses = [pose for pose in frames[-1].poses if pose is not None]
+    true_poses = scene.poses()
+    yield true("poses: of every robot", len(poses) == len(setup.names))
+    if len(poses) < len(setup.names):
         return
-    shown = np.array([(pose.x, pose.y, pose.heading) for pose in seen])
-    gaps = np.hypot(*(shown - true_poses)[:, :2].T) * setup.metres
-    turned = np.remainder(shown[:, 2] - true_poses[:, 2] + math.pi, math.tau) - math.pi
-    # within 5 mm and 0.05 rad
-    yield near("poses: in the spec's coordinates", gaps, 0.0, 1.0, 0.005)
-    yield near("poses: headings of the robots", turned, 0.0, 1.0, 0.05)
-    heights = [pose.height * setup.metres for pose in seen if pose.height is not None]
-    yield near("poses: height of the body on the floor", [0.06, *heights], 0.06, 1.0, 0.05)
-    tilted = [pose.tilt is None or 0.0 <= pose.tilt < 0.2 for pose in seen]
-    yield true("poses: tilt of a robot on the floor", tilted)
+    yield from _check_poses(poses, true_poses, setup.metres)
     scene.hide(setup.names[0])
-    last: list[CameraFrame] = []
+    last = frames[-1]
 
     def hidden() -> bool:
-        last[:] = camera.frames()[-1:] or last
-        return bool(last) and last[0].poses[0] is None
+        nonlocal last
+        for frame in camera.frames():
+            last = frame
+        return last.poses[0] is None
 
     yield true("poses: None for a robot out of sight", wait_for(scene.clock, hidden, EMULATED_S))
-    yield true("poses: those of the others go on", [pose is not None for pose in last[0].poses[1:]])
+    others_go_on = [pose is not None for pose in last.poses[1:]]
+    yield true("poses: those of the others go on", others_go_on)
+
+
+def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> Findings:
+    """Check the poses of robots against the true ones (N, 3), in lengths of `metres`."""
+    shown = np.array([(pose.x, pose.y, pose.heading) for pose in poses])
+    differences = shown - true_poses
+    gaps_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
+    turned = np.remainder(differences[:, 2] + math.pi, math.tau) - math.pi
+    yield near("poses: in the spec's coordinates", gaps_m, 0.0, 1.0, PLACE_M)
+    yield near("poses: headings of the robots", turned, 0.0, 1.0, HEADING)
+    heights_m = [pose.height * metres for pose in poses if pose.height is not None]
+    what = "poses: height of the body on the floor"
+    yield near(what, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
+    upright = [pose.tilt is None or 0.0 <= pose.tilt < TILT_MAX for pose in poses]
+    yield true("poses: tilt of a robot on the floor", upright)
 
 
 def check_actuator(
@@ -151,23 +200,22 @@ def check_actuator(
     Without them, an actuator with a field `port`, or of an `OwnSection`, sends to ports behind
     which there is nothing.
     """
-    wrong = [
-        f"{'.'.join(map(str, loc))} {text}".strip() for loc, text in section.contradictions(setup)
-    ]
-    yield Finding("section: fits the spec's robots", "; ".join(wrong))
+    wrong = "; ".join(_contradictions(section, setup))
+    yield Finding("section: fits the spec's robots", wrong)
     if wrong:
         return
-    clock, ports = (robots.clock, robots.ports) if robots else (MonotonicClock(), None)
+    clock = robots.clock if robots else MonotonicClock()
 
     def build() -> Actuator:
-        if ports is None:
+        if robots is None or robots.ports is None:
             return section.build(setup, clock)
-        return resolve_name(section.device)(section, setup, clock, ports)
+        return resolve_name(section.device)(section, setup, clock, robots.ports)
 
     actuator = build()
     yield _members("actuator", actuator, Actuator)
+    period_ns = actuator.period_ns
     halts = actuator.halts
-    yield Finding("period_ns: above 0", "" if actuator.period_ns > 0 else f"{actuator.period_ns}")
+    yield Finding("period_ns: above 0", "" if period_ns > 0 else f"{period_ns}")
     yield Finding("halts: true or false", "" if isinstance(halts, bool) else repr(halts))
     yield Finding("failure: None before the device is opened", actuator.failure or "")
     if robots is None:
@@ -175,42 +223,61 @@ def check_actuator(
         return
     with actuator as entered:
         yield true("__enter__: returns the actuator", entered is actuator)
-        statuses = actuator.poll(1.0)
-        asked = len(statuses) == len(setup.names) and not any(one.problems for one in statuses)
-        yield true("poll: a status of each robot, without problems", asked)
+        yield true("poll: a status of each robot, without problems", _all_well(actuator, setup))
         yield from _check_health(actuator, healthy=True)
         yield true("poll, check: nothing moves", not any(robots.moves()))
-        yield from _Steered(actuator, section, setup, robots).check()
+        yield from _SteeringChecks(actuator, section, setup, robots).check()
     yield from _check_leaving(actuator, build())
+
+
+def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
+    """Return what of a section does not fit the robots, with the field first."""
+    texts: list[str] = []
+    for loc, text in section.contradictions(setup):
+        field = ".".join(map(str, loc))
+        texts.append(f"{field} {text}".strip())
+    return texts
+
+
+def _all_well(actuator: Actuator, setup: Setup) -> bool:
+    """Return whether each robot answers, and none with problems."""
+    statuses = actuator.poll(1.0)
+    problems = any(status.problems for status in statuses)
+    return len(statuses) == len(setup.names) and not problems
 
 
 def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
     """Steer and stop by an actuator whose port is a pseudo-terminal, which takes what it sends, or
     robots at ports of their own that take everything."""
-    clock = MonotonicClock()
+    nobody = MovedRobots(MonotonicClock(), list, None)
     if isinstance(section, OwnSection):
-        with resolve_name(section.device)(section, setup, clock, _Nowhere) as actuator:
-            yield from _Steered(actuator, section, setup, MovedRobots(clock, list, None)).sent()
+        with resolve_name(section.device)(section, setup, nobody.clock, _Nowhere) as actuator:
+            yield from _SteeringChecks(actuator, section, setup, nobody).check_sent()
         return
     if not isinstance(section, OnPort) or type(section.port) is not str:  # but that of a network
         yield Finding("send: not called, as the section has no field `port` for a serial port")
         return
-    ours, theirs = os.openpty()
-    import tty  # not on Windows
-
-    tty.setraw(theirs)
-    Thread(target=_swallow, args=(ours,), daemon=True).start()
-    fake = section.model_copy(update={"port": os.ttyname(theirs)})
     with ExitStack() as stack:
-        stack.callback(os.close, theirs)
+        to_nowhere = section.model_copy(update={"port": _pseudo_terminal(stack)})
         try:
-            actuator = stack.enter_context(fake.build(setup, clock))
+            actuator = stack.enter_context(to_nowhere.build(setup, nobody.clock))
         except AbortError as error:
             yield Finding(
                 f"send: not called, as a port without a device is refused ({error.message})"
             )
             return
-        yield from _Steered(actuator, section, setup, MovedRobots(clock, list, None)).sent()
+        yield from _SteeringChecks(actuator, section, setup, nobody).check_sent()
+
+
+def _pseudo_terminal(stack: ExitStack) -> str:
+    """Return the name of a port that takes everything, until the stack closes it."""
+    import tty  # not on Windows
+
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    Thread(target=_swallow, args=(ours,), daemon=True).start()
+    stack.callback(os.close, theirs)
+    return os.ttyname(theirs)
 
 
 def _swallow(port: int) -> None:
@@ -231,8 +298,8 @@ class _Nowhere(SerialPort):
         return self._clock.now()
 
 
-class _Steered:
-    """An actuator that is open, and the robots it moves."""
+class _SteeringChecks:
+    """Checks of an actuator that is open, by the robots it moves."""
 
     def __init__(
         self,
@@ -243,123 +310,145 @@ class _Steered:
     ) -> None:
         checks_of: ChecksOf = resolve_name(section.checks)
         self.together = checks_of(guard_rules(setup, LabLimits())).together
-        self.actuator, self.setup, self.robots = actuator, setup, robots
+        self.actuator = actuator
+        self.setup = setup
+        self.robots = robots
         self.poses = [Pose(*map(float, row)) for row in setup.starts.array()]
         self.all = (True,) * len(self.poses)
-
-    def steer(self, direction: float, moving: Sequence[bool], first: bool = True) -> Transmission:
-        """Steer, with the first robot tracked or not, and let a period pass."""
-        clock = self.robots.clock
-        clock.sleep_until(clock.now() + self.actuator.period_ns)
-        poses = [self.poses[0] if first else None, *self.poses[1:]]
-        return self.actuator.send(Steer(direction), poses, moving, clock.now())
-
-    def wait(self, moving: Callable[[], bool]) -> bool:
-        """Wait until robots move as they should; return whether they do."""
-        return wait_for(self.robots.clock, moving, EMULATED_S)
-
-    def resting(self) -> bool:
-        """Whether all robots stand still."""
-        return not any(self.robots.moves())
-
-    def turning(self, what: str, turning: Floats, towards: float) -> Finding:
-        """Check the turning rates [rad/s] towards a direction [rad] by the paper's equation (3)."""
-        setup = self.setup
-        wished = rates(setup.starts.heading, towards, setup.a, setup.speed)[2]
-        return near(what, turning, wished, float(self.setup.a.max()), 0.2)
-
-    def sent(self) -> Findings:
-        """Steer, and check what was sent; then stop."""
-        clock, speed = self.robots.clock, self.setup.speed
-        for direction in (0.0, 1.5, -2.5, 0.5):
-            sent = self.steer(direction, self.all)
-            yield self.turning("steer: robots turn towards the direction", sent.turning, direction)
-        yield true("steer: action, robots", (sent.action, sent.moving) == (Steer(0.5), self.all))
-        yield true("steer: sent now", 0 <= clock.now() - sent.sent_ns <= SECOND)
-        yield near("steer: speeds of the spec", sent.speed, speed, speed, 0.1)
-        wheels = [each is None or each.shape == speed.shape for each in (sent.left, sent.right)]
-        outputs = all(isinstance(value, float) for value in sent.outputs.values())
-        yield true("steer: wheels (N,) or None; outputs are numbers", all(wheels) and outputs)
-        sent = self.steer(0.5, (self.together, *self.all[1:]), first=False)
-        finite = np.isfinite([sent.speed, sent.turning]).all()
-        yield true("steer: past a robot that is not tracked", finite)
-        yield true("steer: then stop", self.actuator.stop().action == Stop())
 
     def check(self) -> Findings:
         """Steer, stop, turn, hold, stop in an emergency, and lose the device."""
         actuator = self.actuator
-        yield from self.sent()
-        self.steer(0.5, self.all)
-        moved = self.wait(lambda: all(self.robots.moves()))
+        yield from self.check_sent()
+        self._steer(DIRECTION, self.all)
+        moved = self._wait(lambda: all(self.robots.moves()))
         yield true("steer: robots move", moved)
-        yield from self.stopped("stop", actuator.stop())
-        yield from self.turned()
+        yield from self._check_stop("stop", actuator.stop())
+        yield from self._check_turn()
         if not self.together:
-            clock = self.robots.clock
-            clock.sleep_until(clock.now() + actuator.period_ns)  # so that the turn has begun
-            actuator.stop()
-            self.wait(self.resting)
-            sent = self.steer(0.5, (False, *self.all[1:]))
-            held = not (sent.moving[0] or sent.speed[0] or sent.turning[0])
-            held &= self.wait(lambda: all(self.robots.moves()[1:])) and not self.robots.moves()[0]
-            yield true("moving: one robot is held, the others move", held)
-        yield from self.stopped("emergency stop", actuator.stop(emergency=True))
+            yield self._check_held()
+        yield from self._check_stop("emergency stop", actuator.stop(emergency=True))
         yield true("failure: None", actuator.failure is None)
         if self.robots.unplug is None:
             yield Finding("failure: not checked, as nothing tells that the device is gone")
             return
         self.robots.unplug()
-        yield true("failure: a device that is gone", self.wait(self.failed))
-        for name, call in (("steer", lambda: self.steer(0.5, self.all)), ("stop", actuator.stop)):
-            try:
-                call()
-                yield Finding(f"{name}: AbortError when the device is gone", "none is raised")
-            except AbortError:
-                yield Finding(f"{name}: AbortError when the device is gone")
+        yield true("failure: a device that is gone", self._wait(self._failed))
+        yield _check_aborts("steer", lambda: self._steer(DIRECTION, self.all))
+        yield _check_aborts("stop", actuator.stop)
 
-    def stopped(self, name: str, stop: Transmission) -> Findings:
+    def check_sent(self) -> Findings:
+        """Steer, and check what was sent; then stop."""
+        speed = self.setup.speed
+        for direction in (0.0, 1.5, -2.5, DIRECTION):
+            sent = self._steer(direction, self.all)
+            yield self._check_turning("steer: robots turn towards the direction", sent, direction)
+        # of the last one
+        as_asked = sent.action == Steer(DIRECTION) and sent.moving == self.all
+        yield true("steer: action, robots", as_asked)
+        age_ns = self.robots.clock.now() - sent.sent_ns
+        yield true("steer: sent now", 0 <= age_ns <= SECOND)
+        yield near("steer: speeds of the spec", sent.speed, speed, speed, SPEED)
+        wheels = [wheel for wheel in (sent.left, sent.right) if wheel is not None]
+        of_each = all(wheel.shape == speed.shape for wheel in wheels)
+        numbers = all(isinstance(value, float) for value in sent.outputs.values())
+        yield true("steer: wheels (N,) or None; outputs are numbers", of_each and numbers)
+        sent = self._steer(DIRECTION, (self.together, *self.all[1:]), first_tracked=False)
+        finite = np.isfinite([sent.speed, sent.turning]).all()
+        yield true("steer: past a robot that is not tracked", finite)
+        yield true("steer: then stop", self.actuator.stop().action == Stop())
+
+    def _check_turning(self, what: str, sent: Transmission, towards: float) -> Finding:
+        """Check the turning rates [rad/s] towards a direction [rad] by the paper's equation (3)."""
+        setup = self.setup
+        _, _, turning = rates(setup.starts.heading, towards, setup.a, setup.speed)
+        return near(what, sent.turning, turning, float(setup.a.max()), TURNING)
+
+    def _check_stop(self, name: str, stop: Transmission) -> Findings:
         """Check a stop."""
         yield true(f"{name}: says that it stops", stop.action == Stop())
         if self.actuator.halts:
-            still = not (any(stop.moving) or stop.speed.any() or stop.turning.any())
-            yield true(f"{name}: robots stand still", still and self.wait(self.resting))
+            rests = not (any(stop.moving) or stop.speed.any() or stop.turning.any())
+            yield true(f"{name}: robots stand still", rests and self._wait(self._resting))
 
-    def turned(self) -> Findings:
+    def _check_turn(self) -> Findings:
         """Check that robots that halt turn on the spot, and that others cannot."""
+        turn = Turn(1.5)
         try:
-            sent = self.actuator.send(Turn(1.5), self.poses, self.all, self.robots.clock.now())
+            sent = self.actuator.send(turn, self.poses, self.all, self.robots.clock.now())
         except AbortError as error:
-            odd = self.actuator.halts or "on the spot" not in error.message
-            yield Finding("turn: robots that halt, no others", error.message if odd else "")
+            unfounded = self.actuator.halts or "on the spot" not in error.message
+            problem = error.message if unfounded else ""
+            yield Finding("turn: robots that halt, no others", problem)
             return
-        said = (sent.action, sent.moving) == (Turn(1.5), self.all)
-        yield true("turn: robots that halt, no others", said and self.actuator.halts)
-        yield true("turn: on the spot", np.abs(sent.speed).max() < 0.1 * self.setup.speed.min())
-        yield self.turning("turn: towards the direction", sent.turning, 1.5)
+        as_asked = sent.action == turn and sent.moving == self.all
+        yield true("turn: robots that halt, no others", as_asked and self.actuator.halts)
+        fastest = np.abs(sent.speed).max()
+        yield true("turn: on the spot", fastest < SPEED * self.setup.speed.min())
+        yield self._check_turning("turn: towards the direction", sent, turn.facing)
 
-    def failed(self) -> bool:
+    def _check_held(self) -> Finding:
+        """Check that one robot can be held while the others move."""
+        clock = self.robots.clock
+        clock.sleep_until(clock.now() + self.actuator.period_ns)  # so that the turn has begun
+        self.actuator.stop()
+        self._wait(self._resting)
+        sent = self._steer(DIRECTION, (False, *self.all[1:]))
+        held = not (sent.moving[0] or sent.speed[0] or sent.turning[0])
+        others_move = self._wait(lambda: all(self.robots.moves()[1:]))
+        stands = others_move and not self.robots.moves()[0]
+        return true("moving: one robot is held, the others move", held and stands)
+
+    def _steer(
+        self, direction: float, moving: Sequence[bool], first_tracked: bool = True
+    ) -> Transmission:
+        """Steer, with the first robot tracked or not, and let a period pass."""
+        clock = self.robots.clock
+        clock.sleep_until(clock.now() + self.actuator.period_ns)
+        poses = [self.poses[0] if first_tracked else None, *self.poses[1:]]
+        return self.actuator.send(Steer(direction), poses, moving, clock.now())
+
+    def _wait(self, moving: Callable[[], bool]) -> bool:
+        """Wait until robots move as they should; return whether they do."""
+        return wait_for(self.robots.clock, moving, EMULATED_S)
+
+    def _resting(self) -> bool:
+        """Whether all robots stand still."""
+        return not any(self.robots.moves())
+
+    def _failed(self) -> bool:
         """Whether the device says that it failed, which it may find out by sending."""
         if self.actuator.failure is None:
             with suppress(AbortError):
-                self.steer(0.5, self.all)
+                self._steer(DIRECTION, self.all)
         return self.actuator.failure is not None
 
 
+def _check_aborts(name: str, call: Callable[[], object]) -> Finding:
+    """Check that a call of a device that is gone raises AbortError."""
+    what = f"{name}: AbortError when the device is gone"
+    try:
+        call()
+    except AbortError:
+        return Finding(what)
+    return Finding(what, "none is raised")
+
+
 def _check_health(device: Device, healthy: bool) -> Findings:
-    found: list[Health] = [device.check(), device.check()]  # as often as it is asked
-    facts = all(isinstance(value, str) for one in found for value in one.facts.values())
-    yield true("check: facts are text", facts)
+    """Check what a device says of itself, which it is asked twice, as it may be."""
+    reports: list[Health] = [device.check(), device.check()]
+    facts = [fact for health in reports for fact in health.facts.values()]
+    yield true("check: facts are text", all(isinstance(fact, str) for fact in facts))
     if healthy:
-        yield Finding(
-            "check: no problems", "; ".join(text for one in found for text in one.problems)
-        )
+        problems = [problem for health in reports for problem in health.problems]
+        yield Finding("check: no problems", "; ".join(problems))
 
 
-def _check_leaving(left: Device, unopened: Device) -> Findings:
+def _check_leaving(closed: Device, unopened: Device) -> Findings:
     """Leave a device once more that was left, and one twice that was never entered."""
     what = "__exit__: may be called again, and before __enter__"
     try:
-        for device in (left, unopened, unopened):
+        for device in (closed, unopened, unopened):
             device.__exit__(None, None, None)
     except Exception as error:
         yield Finding(what, f"{type(error).__name__}: {error}")
@@ -368,7 +457,9 @@ def _check_leaving(left: Device, unopened: Device) -> Findings:
 
 
 def _members(what: str, device: Device, protocol: type) -> Finding:
-    names = {name for base in protocol.__mro__ for name in vars(base) if not name.startswith("_")}
-    names |= {"__enter__", "__exit__"}
-    lacking = ", ".join(sorted(name for name in names if not hasattr(device, name)))
+    """Check that a device has all members of a protocol."""
+    members = [name for base in protocol.__mro__ for name in vars(base)]
+    public = {name for name in members if not name.startswith("_")}
+    needed = public | {"__enter__", "__exit__"}
+    lacking = ", ".join(sorted(name for name in needed if not hasattr(device, name)))
     return Finding(f"{what}: all members", f"lacks {lacking}" if lacking else "")

@@ -1,19 +1,24 @@
 """Checks of a disturbance, each method called as the plant does."""
 
 from collections.abc import Callable
-from dataclasses import astuple, is_dataclass
+from dataclasses import astuple, dataclass, is_dataclass
 from typing import Any
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
 from tetractl.testing.finding import SEED, Finding, Findings, random_watched, same, true
 
 FRAME_NS = SECOND // 60
+"""Time between two frames [ns]."""
+FRAMES = 180
+"""Number of frames in a check: 3 s."""
+FRAMES_OF_PERIOD = 12
+"""Number of frames in a control period, 0.2 s."""
 FITS = {
     "parameters": "finite, not below 0, (N,)",
     "placed": "finite",
@@ -24,81 +29,108 @@ FITS = {
     "measured": "finite where valid",
     "received": "not before the exposure; None only with loses_frames",
 }
+"""What the result of each method must be; `_fits` tells whether it is."""
 
 
-def _fits(method: str, section: DisturbanceSection, given: Any, found: Any) -> Any:
-    """Return whether a method's result is what `FITS` says."""
-    match method:
-        case "planning_s":
-            return 0 <= found <= section.planning_max_s
-        case "received":
-            return section.loses_frames if found is None else found >= given[0]
-        case "sent":
-            late = (found.due_ns + (found.late_ns or 0)) >= given[0].sent_ns
-            return np.all(late) and np.all(found.reached <= given[0].reached)
-        case "measured":
-            found = found[0].array()[found[1]]
-        case "parameters" | "varied" if np.shape(found) != np.shape(given[:2]) or np.min(found) < 0:
-            return False
-        case "moved" if given[2] == 0 and (_flat(found) != _flat(given[0])).any():
-            return False
-    return np.isfinite(_flat(found)).all()
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A call of a method: whether the result is what `FITS` says, whether the arguments are
+    unchanged, and the numbers in the result."""
 
-
-def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[tuple[Any, bool, Floats]]]:
-    """Call the methods that a disturbance overrides as the plant does, for 3 s.
-
-    Returns by method, for each call: whether the result fits, whether the arguments are unchanged,
-    and the numbers in the result.
-    """
-    disturbance = section.build(setup, np.random.default_rng(SEED))
-    calls: dict[str, list[tuple[Any, bool, Floats]]] = {}
-
-    def call(bound: Callable[..., Any], *given: Any) -> Any:
-        method = bound.__name__
-        if not overriding([disturbance], method):
-            return None
-        before = _flat(given)
-        found = bound(*given)
-        kept = np.array_equal(before, _flat(given), equal_nan=True)
-        row = _fits(method, section, given, found), kept, _flat(found)
-        calls.setdefault(method, []).append(row)
-        return found
-
-    every = np.ones(len(setup.names), dtype=np.bool_)
-    a, speed = call(disturbance.parameters, setup.a.copy(), setup.speed.copy()) or (
-        setup.a,
-        setup.speed,
-    )
-    poses = Poses.of(setup.starts.array())
-    poses = call(disturbance.placed, poses) or poses
-    for k in range(180):
-        now, passed_ns, moving = k * FRAME_NS, (k > 0) * FRAME_NS, np.full(every.size, float(k > 0))
-        poses = call(disturbance.moved, poses, moving, passed_ns / SECOND, now / SECOND) or poses
-        call(disturbance.varied, a.copy(), speed.copy(), now / SECOND)
-        call(disturbance.measured, poses, every.copy(), now / SECOND)
-        call(disturbance.received, now, now + FRAME_NS)
-        if k % 12 == 0:  # once in a control period
-            call(disturbance.planning_s, now / SECOND)
-            wheels = np.ones((2, every.size))
-            call(
-                disturbance.sent,
-                DelayedCommand(now, now, Steer(0.5), every, None, poses.heading.copy(), wheels),
-            )
-    return calls
+    fits: bool
+    unchanged: bool
+    numbers: Floats
 
 
 def check_disturbance(section: DisturbanceSection, setup: Setup) -> Findings:
     """Check the results of each method, and that the seed alone determines them."""
     with random_watched() as used:
-        calls, again = _calls(section, setup), _calls(section, setup)
+        calls = _calls(section, setup)
+        calls_again = _calls(section, setup)
     yield Finding("methods: at least one", "" if calls else "overrides none")
-    for method, found in calls.items():
-        fit, kept, numbers = zip(*found, strict=True)
-        yield true(f"{method}: {FITS[method]}", fit)
-        yield true(f"{method}: arguments unchanged", kept, "changed")
-        yield same(f"{method}: same seed, same results", numbers, [one[2] for one in again[method]])
+    for method, of_method in calls.items():
+        numbers = [call.numbers for call in of_method]
+        numbers_again = [call.numbers for call in calls_again[method]]
+        yield true(f"{method}: {FITS[method]}", [call.fits for call in of_method])
+        unchanged = [call.unchanged for call in of_method]
+        yield true(f"{method}: arguments unchanged", unchanged, "changed")
+        yield same(f"{method}: same seed, same results", numbers, numbers_again)
     yield Finding("random numbers: from rng", " and ".join(used))
+
+
+def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
+    """Call the methods that a disturbance overrides as the plant does, for `FRAMES` frames; return
+    the calls of each method."""
+    disturbance = section.build(setup, np.random.default_rng(SEED))
+    calls: dict[str, list[Call]] = {}
+
+    def call(bound: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a method, None if it is not overridden, and record the call."""
+        method = bound.__name__
+        if not overriding([disturbance], method):
+            return None
+        before = _flat(arguments)
+        result = bound(*arguments)
+        unchanged = np.array_equal(before, _flat(arguments), equal_nan=True)
+        fits = bool(_fits(method, section, arguments, result))
+        calls.setdefault(method, []).append(Call(fits, unchanged, _flat(result)))
+        return result
+
+    robots = len(setup.names)
+    all_robots = np.ones(robots, dtype=np.bool_)
+    parameters = call(disturbance.parameters, setup.a.copy(), setup.speed.copy())
+    a, speed = parameters or (setup.a, setup.speed)
+    poses = Poses.of(setup.starts.array())
+    poses = call(disturbance.placed, poses) or poses
+    for k in range(FRAMES):
+        now_ns = k * FRAME_NS
+        now_s = now_ns / SECOND
+        passed_s = 0.0 if k == 0 else FRAME_NS / SECOND
+        moving = np.full(robots, 0.0 if k == 0 else 1.0)
+        poses = call(disturbance.moved, poses, moving, passed_s, now_s) or poses
+        call(disturbance.varied, a.copy(), speed.copy(), now_s)
+        call(disturbance.measured, poses, all_robots.copy(), now_s)
+        call(disturbance.received, now_ns, now_ns + FRAME_NS)
+        if k % FRAMES_OF_PERIOD == 0:
+            call(disturbance.planning_s, now_s)
+            call(disturbance.sent, _command(now_ns, poses, all_robots))
+    return calls
+
+
+def _command(now_ns: int, poses: Poses, reached: Bools) -> DelayedCommand:
+    """Return a command that is sent, and due, now."""
+    wheels = np.ones((2, len(reached)))
+    return DelayedCommand(now_ns, now_ns, Steer(0.5), reached, None, poses.heading.copy(), wheels)
+
+
+def _fits(method: str, section: DisturbanceSection, arguments: Any, result: Any) -> Any:
+    """Return whether a method's result is what `FITS` says."""
+    match method:
+        case "planning_s":
+            return 0 <= result <= section.planning_max_s
+        case "received":
+            exposed_ns = arguments[0]
+            return section.loses_frames if result is None else result >= exposed_ns
+        case "sent":
+            command = arguments[0]
+            due_ns = result.due_ns + (result.late_ns or 0)
+            in_time = np.all(due_ns >= command.sent_ns)
+            return in_time and np.all(result.reached <= command.reached)
+        case "measured":
+            poses, valid = result
+            return _finite(poses.array()[valid])
+        case "parameters" | "varied":
+            fit = np.shape(result) == np.shape(arguments[:2]) and np.min(result) >= 0
+            return fit and _finite(result)
+        case "moved":
+            poses, _, passed_s, _ = arguments
+            strays = passed_s == 0 and (_flat(result) != _flat(poses)).any()
+            return not strays and _finite(result)
+    return _finite(result)
+
+
+def _finite(value: Any) -> bool:
+    return bool(np.isfinite(_flat(value)).all())
 
 
 def _flat(value: Any) -> Floats:

@@ -3,11 +3,12 @@ corners can be drawn, and do not cross.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import meet, turn
 from tetractl.experiment.shape_section import ShapeSection
@@ -15,106 +16,211 @@ from tetractl.model.motion.exact import rates
 from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
 from tetractl.testing.finding import COUNT, NEAR, SEED, Finding, Findings, near, same, true
 
-STEP = 1e-6  # step of a central difference [rad]
+STEP = 1e-6
+"""Step of a central difference: of an angle [rad], or relative of a parameter."""
+SLOPE = 1e-4
+"""Relative error up to which a derivative is a central difference."""
+STEP_S = 0.2
+"""Duration of a step [s]."""
+TURNED = 1.0
+"""Angle by which headings and signals are turned together [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cases:
+    """COUNT random robots, each with its signal: positions [length unit], headings and signals u
+    [rad], turning rates a [rad/s] and speeds v [length unit/s]. `reach` is how far each may move in
+    a step [length unit]."""
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    u: Floats
+    a: Floats
+    v: Floats
+
+    @property
+    def reach(self) -> Floats:
+        """How far each robot may move in a step [length unit]."""
+        return self.v * STEP_S
+
+    @property
+    def parameters(self) -> Floats:
+        """PARAMETERS (COUNT, 2)."""
+        return np.column_stack([self.a, self.v])
+
+    def moved(self, motion: Motion, turned: float = 0.0, seconds: float = STEP_S) -> XYHeading:
+        """Return the poses after a step, of headings and signals turned by an angle [rad]."""
+        heading = self.heading + turned
+        return motion.step(self.x, self.y, heading, self.u + turned, self.a, self.v, seconds)
+
+    def distance(self, poses: XYHeading) -> Floats:
+        """Return how far each robot has moved [length unit]."""
+        return np.hypot(poses[0] - self.x, poses[1] - self.y)
+
+
+def _random_cases() -> Cases:
+    rng = np.random.default_rng(SEED)
+    x, y = rng.uniform(-500, 500, (2, COUNT))
+    heading, u = rng.uniform(-math.pi, math.pi, (2, COUNT))
+    a = rng.uniform(0.5, 6, COUNT)
+    v = rng.uniform(10, 300, COUNT)
+    return Cases(x, y, heading, u, a, v)
 
 
 def check_motion(motion: Motion) -> Findings:
     """Check the NumPy step, the plant's `hold`, the compiled step and its derivatives."""
-    rng = np.random.default_rng(SEED)
-    x, y = rng.uniform(-500, 500, (2, COUNT))
-    heading, u = rng.uniform(-math.pi, math.pi, (2, COUNT))
-    a, v, t = rng.uniform(0.5, 6, COUNT), rng.uniform(10, 300, COUNT), 0.2
-    case = (x, y, heading, u, a, v)
-    moved = motion.step(*case, t)
+    cases = _random_cases()
+    moved = cases.moved(motion)
+    yield from _check_step(motion, cases, moved)
+    yield from _check_hold(motion, cases, moved)
+    yield from _check_advance(motion.lanes, cases, moved)
+    yield from _check_derivatives(motion, cases, moved)
+
+
+def _check_step(motion: Motion, cases: Cases, moved: XYHeading) -> Findings:
+    """Check the NumPy step, by which the robots `moved`."""
     yield true("step: finite", np.isfinite(moved), "a pose is not finite")
-    yield same("step: repeats exactly", moved, motion.step(*case, t))
-    gone = np.hypot(moved[0] - x, moved[1] - y)
-    yield true("step: moves by <= v t", gone <= v * t * (1 + NEAR), "a robot moves further")
-    still = motion.step(*case, 0.0)
-    yield near("step: keeps x, y if t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
-    turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
-    angle = np.arctan2(moved[1] - y, moved[0] - x) + 1.0
-    yield near("step: turns with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
-    held = Held(u, rates(heading, u, a, v)[2], heading, np.ones(COUNT))
-    whole = np.full(COUNT, t)
-    driven = motion.hold(x, y, heading, held, a, v, whole)
-    for name, one, other in zip("xy", driven, moved, strict=False):
-        yield near(f"hold: same {name} as step", one, other, v * t)
-    resting = Held(u, 0 * u, heading, np.zeros(COUNT))
-    stood = motion.hold(x, y, heading, resting, a, 0 * v, whole)
-    yield near("hold: does not move a stopped robot", np.hypot(stood[0] - x, stood[1] - y), 0, v)
-    compiled = motion.lanes
-    yield from _check_advance(compiled, case, moved, t)
-    yield from _check_derivatives(motion, compiled, case, moved, t)
+    yield same("step: repeats exactly", moved, cases.moved(motion))
+    distance = cases.distance(moved)
+    in_reach = distance <= cases.reach * (1 + NEAR)
+    yield true("step: moves by <= v t", in_reach, "a robot moves further")
+    in_no_time = cases.moved(motion, seconds=0.0)
+    yield near("step: keeps x, y if t = 0", cases.distance(in_no_time), 0.0, cases.reach)
+    turned = cases.moved(motion, turned=TURNED)
+    towards = np.arctan2(moved[1] - cases.y, moved[0] - cases.x) + TURNED
+    dx = distance * np.cos(towards)
+    yield near("step: turns with heading and u", turned[0] - cases.x, dx, cases.reach)
 
 
-def _check_advance(compiled: Any, case: Any, moved: Any, t: float) -> Findings:
-    x, y, heading, u, a, v = case
-    constants = compiled.of(np.column_stack([a, v]), t)
+def _check_hold(motion: Motion, cases: Cases, moved: XYHeading) -> Findings:
+    """Check that the plant's robots move as by the step, and do not while they stand."""
+    _, _, turning = rates(cases.heading, cases.u, cases.a, cases.v)
+    seconds = np.full(COUNT, STEP_S)
+    driving = Held(cases.u, turning, cases.heading, np.ones(COUNT))
+    driven = motion.hold(cases.x, cases.y, cases.heading, driving, cases.a, cases.v, seconds)
+    yield near("hold: same x as step", driven[0], moved[0], cases.reach)
+    yield near("hold: same y as step", driven[1], moved[1], cases.reach)
+    standing = Held(cases.u, 0 * cases.u, cases.heading, np.zeros(COUNT))
+    stood = motion.hold(cases.x, cases.y, cases.heading, standing, cases.a, 0 * cases.v, seconds)
+    yield near("hold: does not move a stopped robot", cases.distance(stood), 0, cases.v)
+
+
+def _check_advance(compiled: Any, cases: Cases, moved: XYHeading) -> Findings:
+    """Check that the compiled step is the NumPy step."""
+    constants = compiled.of(cases.parameters, STEP_S)
     if constants.rows.shape != (COUNT, constants.size):
         yield Finding("advance: rows", f"have shape {constants.rows.shape}, not (N, size)")
         return
-    found = []
+    states = [_advanced(constants, cases, i) for i in range(COUNT)]
+    x, y, cos_heading, sin_heading = np.array(states, dtype=float).T
+    yield near("advance: same x as step", x, moved[0], cases.reach)
+    yield near("advance: same y as step", y, moved[1], cases.reach)
+    yield near("advance: same cos(heading) as step", cos_heading, np.cos(moved[2]), 1.0)
+    yield near("advance: same sin(heading) as step", sin_heading, np.sin(moved[2]), 1.0)
+
+
+def _advanced(constants: Any, cases: Cases, i: int) -> tuple[float, float, float, float]:
+    """Return x, y, cos and sin of the heading of a robot after all pieces of the compiled step."""
+    cos_u = math.cos(cases.u[i])
+    sin_u = math.sin(cases.u[i])
+    heading = cases.heading[i]
+    state = (cases.x[i], cases.y[i], math.cos(heading), math.sin(heading))
+    for _ in range(constants.pieces):
+        state = constants.advance(*state, cos_u, sin_u, constants.rows[i])
+    return state
+
+
+def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> Findings:
+    """Check the compiled step with derivatives against the NumPy step and its differences."""
+    step, *derivatives = _differentiated(motion.lanes, cases)
+    turned = _wrapped(moved[2] - cases.heading)
+    yield near("differentiate: same dx as step", step[0], moved[0] - cases.x, cases.reach)
+    yield near("differentiate: same dy as step", step[1], moved[1] - cases.y, cases.reach)
+    yield near("differentiate: same dheading as step", _wrapped(step[2] - turned), 0.0, 1.0)
+    of_parameters = [
+        f"d(ln {parameter.name})" if parameter.positive else f"d{parameter.name}"
+        for parameter in PARAMETERS
+    ]
+    variables = ("dheading", "du", *of_parameters)
+    for k, derivative in enumerate(derivatives):
+        shift = STEP / 2 * np.eye(len(variables))[k]
+        above = _shifted(motion, cases, shift)
+        below = _shifted(motion, cases, -shift)
+        scales = {"dx": cases.reach, "dy": cases.reach, "heading'": 1.0}
+        for axis, (name, scale) in enumerate(scales.items()):
+            slope = (above[axis] - below[axis]) / STEP
+            what = f"differentiate: d({name})/{variables[k]}"
+            yield near(what, derivative[axis], slope, scale, SLOPE)
+
+
+def _differentiated(compiled: Any, cases: Cases) -> Floats:
+    """Return (4, 3, COUNT): dx, dy, dheading of the compiled step, and their derivatives by the
+    heading, by u and by each of PARAMETERS."""
+    rows: list[Any] = []
     for i in range(COUNT):
-        state = (x[i], y[i], math.cos(heading[i]), math.sin(heading[i]))
-        for _ in range(constants.pieces):
-            state = constants.advance(*state, math.cos(u[i]), math.sin(u[i]), constants.rows[i])
-        found.append(state)
-    ends = np.array(found, dtype=float).T
-    yield near("advance: same x as step", ends[0], moved[0], v * t)
-    yield near("advance: same y as step", ends[1], moved[1], v * t)
-    yield near("advance: same cos(heading) as step", ends[2], np.cos(moved[2]), 1.0)
-    yield near("advance: same sin(heading) as step", ends[3], np.sin(moved[2]), 1.0)
+        cos_heading = np.cos(cases.heading[i])
+        sin_heading = np.sin(cases.heading[i])
+        cos_u = np.cos(cases.u[i])
+        sin_u = np.sin(cases.u[i])
+        step, by_heading, by_u, by_parameters = compiled.differentiate(
+            cos_heading, sin_heading, cos_u, sin_u, cases.parameters[i], STEP_S
+        )
+        rows.append((step, by_heading, by_u, *by_parameters))
+    return np.array(rows).transpose(1, 2, 0)
 
 
-def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: float) -> Findings:
-    x, y, heading, u, a, v = case
-    cos_sin = (np.cos(heading), np.sin(heading), np.cos(u), np.sin(u))
-    cases = zip(*cos_sin, np.column_stack([a, v]), strict=True)
-    answers = [compiled.differentiate(*one, t) for one in cases]
-    found = np.array([(step, heading, u, *more) for step, heading, u, more in answers]).T
-    change = np.remainder(moved[2] - heading + math.pi, math.tau) - math.pi
-    (dx, *by_x), (dy, *by_y), (turned, *by_turn) = found
-    turn = np.remainder(turned - change + math.pi, math.tau) - math.pi
-    yield near("differentiate: same dx as step", dx, moved[0] - x, v * t)
-    yield near("differentiate: same dy as step", dy, moved[1] - y, v * t)
-    yield near("differentiate: same dheading as step", turn, 0.0, 1.0)
-    names = [f"d(ln {each.name})" if each.positive else f"d{each.name}" for each in PARAMETERS]
+def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
+    """Return the step of cases whose heading, u and each of PARAMETERS are shifted."""
+    heading = cases.heading + shift[0]
+    u = cases.u + shift[1]
+    parameters: list[Floats] = []
+    for parameter, values, by in zip(PARAMETERS, (cases.a, cases.v), shift[2:], strict=True):
+        parameters.append(values * math.exp(by) if parameter.positive else values + by)
+    a, v = parameters
+    return motion.step(cases.x, cases.y, heading, u, a, v, STEP_S)
 
-    def moves(shift: Floats) -> XYHeading:
-        pairs = zip(PARAMETERS, (a, v), shift[2:], strict=True)
-        own = [one * math.exp(by) if each.positive else one + by for each, one, by in pairs]
-        return motion.step(x, y, heading + shift[0], u + shift[1], own[0], own[1], t)
 
-    for k, by in enumerate(("dheading", "du", *names)):
-        shift = STEP / 2 * np.eye(2 + len(names))[k]
-        ends = zip(moves(shift), moves(-shift), (by_x, by_y, by_turn), strict=True)
-        scales = {"dx": v * t, "dy": v * t, "heading'": 1.0}
-        for (name, scale), (one, other, ours) in zip(scales.items(), ends, strict=True):
-            slope = (one - other) / STEP
-            yield near(f"differentiate: d({name})/{by}", ours[k], slope, scale, 1e-4)
+def _wrapped(angle: Floats) -> Floats:
+    """Return angles between -pi and pi [rad]."""
+    return np.remainder(angle + math.pi, math.tau) - math.pi
 
 
 def check_shape(section: ShapeSection, setup: Setup) -> Findings:
     """Check the corners and the radius of a shape; everything else is derived from them."""
     shape = section.shape()
-    corners, count = shape.corners, len(shape.corners)
+    corners = shape.corners
+    count = len(corners)
     right = corners.shape == (count, 2) and count > 0 and bool(np.isfinite(corners).all())
     yield true("corners: an array (K, 2) of finite numbers", right, "is something else")
     yield true("radius: finite, at least 0", 0 <= shape.radius < np.inf, f"is {shape.radius}")
     if not right:
         return
+    yield true("corners: edges do not cross", ~_crossed(corners), "two edges cross or touch")
     ends = np.roll(corners, -1, axis=0)
-    i, j = np.triu_indices(count, 2)
-    apart = (j - i) % count < count - 1  # edges that do not share a corner
-    crossed = meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & apart
-    yield true("corners: edges do not cross", ~crossed, "two edges cross or touch")
-    left = turn(*corners.T, *ends.T, *np.roll(ends, -1, axis=0).T) >= 0
-    yield true("corners: convex if there is a radius", left | (shape.radius == 0), "turns right")
+    onward = np.roll(ends, -1, axis=0)
+    anticlockwise = turn(*corners.T, *ends.T, *onward.T) >= 0
+    convex = anticlockwise | (shape.radius == 0)
+    yield true("corners: convex if there is a radius", convex, "turns right")
     outline = shape.outline()
-    rolled = np.roll(outline, -1, axis=0)
-    area = 0.5 * float(np.sum(outline[:, 0] * rolled[:, 1] - rolled[:, 0] * outline[:, 1]))
-    yield true("outline: anticlockwise", area > 0, "encloses no area, or runs clockwise")
+    clockwise = "encloses no area, or runs clockwise"
+    yield true("outline: anticlockwise", _area(outline) > 0, clockwise)
     size = float(np.ptp(outline, axis=0).max())
     gap = shape.distance(*outline.T)
     yield near("outline: corners at distance 0", gap, 0.0, size)
+
+
+def _crossed(corners: Floats) -> Bools:
+    """Return for each two edges between corners (K, 2) whether they cross; those that share a
+    corner do not."""
+    count = len(corners)
+    ends = np.roll(corners, -1, axis=0)
+    i, j = np.triu_indices(count, 2)
+    apart = (j - i) % count < count - 1
+    return meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & apart
+
+
+def _area(outline: Floats) -> float:
+    """Return the area within an outline (K, 2), above 0 if it runs anticlockwise."""
+    onward = np.roll(outline, -1, axis=0)
+    return 0.5 * float(np.sum(outline[:, 0] * onward[:, 1] - onward[:, 0] * outline[:, 1]))

@@ -6,6 +6,7 @@ from support.marked_robots import install
 from support.mutate import with_entry
 from support.paths import ROOT
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
@@ -35,30 +36,43 @@ LISTED = """robots:
 
 MARKED = "robots: {marks: [[800, 800], [1900, 900], [1500, 2100]]}\n"
 
-GOES_ON = LossRule(0.3, False, dead=True)
+GOES_ON = LossRule(0.3, replaced=False, dead=True)
 
 
-def seen(t, *valid):
+def seen(t, valid):
+    """What is seen at t [s] of robots of which these are `valid`."""
+    time_ns = round(t * SECOND)
     poses = Poses.of(np.zeros((len(valid), 3)))
-    return Observation(0, round(t * 1e9), round(t * 1e9), poses, np.array(valid, dtype=bool))
+    return Observation(0, time_ns, time_ns, poses, np.array(valid))
+
+
+VALID = {  # by the time [s]: the first robot is not seen for up to 0.3 s before 0.5 s
+    0.0: (False, True),
+    0.2: (True, True),
+    0.4: (False, False),
+    0.49: (False, True),
+    0.5: (True, True),
+    0.6: (True, True),
+}
 
 
 @pytest.mark.parametrize(
     ("rule", "lost", "times", "others"),
     [
-        (None, [0, 0], [0, 0], []),
-        (LossRule(0.3, False), [1, 0], [1, 0], []),
-        (LossRule(0.3, True), [0, 0], [1, 0], [(0.5, 0)]),
+        (None, [False, False], [0, 0], []),
+        (LossRule(0.3, replaced=False), [True, False], [1, 0], []),
+        (LossRule(0.3, replaced=True), [False, False], [1, 0], [(0.5, 0)]),
     ],
 )
 def test_a_robot_is_lost_after_a_while_for_good_or_until_another_is_there(
     rule, lost, times, others
 ):
     losses = Losses(rule, np.ones(2))
-    rows = [(0.0, 0, 1), (0.2, 1, 1), (0.4, 0, 0), (0.49, 0, 1), (0.5, 1, 1), (0.6, 1, 1)]
-    back = [(t, i) for t, *valid in rows for i in losses.see(seen(t, *valid))]
-    assert back == others
-    assert losses.lost.tolist() == list(map(bool, lost))
+    replaced = []
+    for t, valid in VALID.items():
+        replaced += [(t, robot) for robot in losses.see(seen(t, valid))]
+    assert replaced == others
+    assert losses.lost.tolist() == lost
     assert losses.times.tolist() == times
 
 
@@ -66,12 +80,14 @@ def driven(way_s, until_s=20.0, rule=GOES_ON):
     """The losses after robots of 100 mm/s have driven so far in the time t, way_s(t) (N,) [s]; seen
     at 120 Hz with a noise of 0.3 mm."""
     random = np.random.default_rng(1)
-    losses = Losses(rule, np.full(len(way_s(0.0)), 100.0))
+    robots = len(way_s(0.0))
+    losses = Losses(rule, np.full(robots, 100.0))
     for k in range(round(120 * until_s)):
-        way = 100 * np.array(way_s(k / 120)) + random.normal(0, 0.3, len(losses.left))
+        t = k / 120
+        way = 100 * np.array(way_s(t)) + random.normal(0, 0.3, robots)
         poses = Poses(way, 0 * way, 0 * way)
-        present = np.ones(len(way), dtype=bool)
-        losses.see(Observation(k, round(k / 120 * 1e9), 0, poses, present))
+        present = np.ones(robots, dtype=bool)
+        losses.see(Observation(k, round(t * SECOND), 0, poses, present))
     return losses
 
 
@@ -80,49 +96,60 @@ def stands(t, begin, end):
     return t - min(max(t - begin, 0.0), end - begin)
 
 
-@pytest.mark.parametrize(
-    ("way_s", "dead"),
-    [
-        (lambda t: (stands(t, 3, 99), t, t), [1, 0, 0]),
-        (lambda t: (stands(t, 3, 99), t, stands(t, 9, 99)), [1, 0, 1]),
-        (lambda t: (stands(t, 3, 5), t, stands(t, 3, 7)), [0, 0, 0]),  # they stick, for up to 4 s
-        (lambda t: (stands(t, 3, 99),) * 3, [0, 0, 0]),  # the radio is silent
-        (lambda t: (stands(t, 3, 99), stands(t, 7, 99), stands(t, 7, 99)), [0, 0, 0]),  # a hold
-        (lambda t: (0.2 * t, t, 2 * t), [0, 0, 0]),  # slow, and fast
-    ],
-)
-def test_one_that_stands_while_another_drives_is_dead(way_s, dead):
+NOBODY = [False, False, False]
+STANDING = [
+    (lambda t: (stands(t, 3, 99), t, t), [True, False, False]),
+    (lambda t: (stands(t, 3, 99), t, stands(t, 9, 99)), [True, False, True]),
+    (lambda t: (stands(t, 3, 5), t, stands(t, 3, 7)), NOBODY),  # they stick, for up to 4 s
+    (lambda t: (stands(t, 3, 99),) * 3, NOBODY),  # the radio is silent
+    (lambda t: (stands(t, 3, 99), stands(t, 7, 99), stands(t, 7, 99)), NOBODY),  # a hold
+    (lambda t: (0.2 * t, t, 2 * t), NOBODY),  # slow, and fast
+]
+
+
+@pytest.mark.parametrize(("way_s", "dead"), STANDING)
+def test_one_that_stands_while_another_drives_is_dead_and_lost(way_s, dead):
     losses = driven(way_s)
-    assert losses.dead.tolist() == losses.lost.tolist() == [bool(is_dead) for is_dead in dead]
-    assert losses.times.tolist() == dead
-    ends = driven(way_s, rule=LossRule(0.3, False, dead=True, ends=True))
-    assert ends.dead.tolist() == losses.dead.tolist()
-    assert not ends.lost.any()
-    without_rule = driven(way_s, rule=None)
-    assert without_rule.dead.tolist() == losses.dead.tolist()
-    assert not without_rule.lost.any()
+    assert losses.dead.tolist() == dead
+    assert losses.lost.tolist() == dead
+    assert losses.times.tolist() == [int(is_dead) for is_dead in dead]
+
+
+@pytest.mark.parametrize(("way_s", "dead"), STANDING)
+@pytest.mark.parametrize("rule", [LossRule(0.3, replaced=False, dead=True, ends=True), None])
+def test_one_that_is_dead_is_not_lost_where_that_ends_the_trial_or_no_rule_holds(rule, way_s, dead):
+    losses = driven(way_s, rule=rule)
+    assert losses.dead.tolist() == dead
+    assert not losses.lost.any()
+
+
+BLUE_STANDS = "blue does not move while others drive"
+
+
+def with_sticking_blue(on_lost):
+    """The spec of a trial in which blue sticks for good."""
+    sticking = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]"
+    settings = [sticking, "trials.seed=2", f"on_lost={on_lost}"]
+    return load_spec(ROOT / "experiments/three_m3pi.yaml", settings)
 
 
 @pytest.mark.long
-def test_a_trial_ends_or_goes_on_without_a_robot_that_does_not_move(tmp_path):
-    """Blue sticks for good after 4 s: the others reach their targets without it."""
-    sets = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]", "trials.seed=2"
-    ended, at_end = (
-        load_spec(ROOT / "experiments/three_m3pi.yaml", [*sets, f"on_lost={on_lost}"])
-        for on_lost in ("stop", "drop")
-    )
-    said = "blue does not move while others drive"
-    result = run_trial(ended, tmp_path)
+def test_a_trial_is_ended_by_a_robot_that_does_not_move(tmp_path):
+    result = run_trial(with_sticking_blue("stop"), tmp_path)
     assert (result.outcome, result.lost) == (Outcome.ABORTED, ())
-    assert result.reason == said
+    assert result.reason == BLUE_STANDS
     assert verify(log_path(tmp_path, 0)).problems == ()
-    (tmp_path / "drop").mkdir()
-    result = run_trial(at_end, tmp_path / "drop")
-    path = log_path(tmp_path / "drop", 0)
+
+
+@pytest.mark.long
+def test_a_trial_goes_on_without_a_robot_that_does_not_move(tmp_path):
+    """Blue sticks for good after 4 s: the others reach their targets without it."""
+    result = run_trial(with_sticking_blue("drop"), tmp_path)
+    path = log_path(tmp_path, 0)
     log = read_trial(path)
     assert result.lost == log.tour.lost == (0, 1, 0)
     assert max(result.robot_errors[0], result.robot_errors[2]) < 10
-    assert f"{said}: the trial goes on without" in [note.text for note in log.notes]
+    assert f"{BLUE_STANDS}: the trial goes on without" in [note.text for note in log.notes]
     assert verify(path).problems == ()
 
 

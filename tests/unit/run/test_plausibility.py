@@ -166,8 +166,9 @@ robots:
 
 
 def test_robots_at_one_place_are_told():
-    warnings = [str(w) for w in find_warnings(parse_spec(SAME, "s")) if "stand there" in str(w)]
-    assert [line.partition(": both")[0] for line in warnings] == [
+    warnings = list(map(str, find_warnings(parse_spec(SAME, "s"))))
+    of_places = [line for line in warnings if "stand there" in line]
+    assert [line.partition(": both")[0] for line in of_places] == [
         "s:7:26: robots.2.start: [10, 10]: is 0 mm from the start of one",
         "s:7:44: robots.2.target: [90, 90]: is 0 mm from the target of one",
     ]

@@ -226,11 +226,16 @@ def test_a_course_that_is_closed_closes_its_plant_even_if_robots_cannot_be_stopp
 
 
 class MuteError(Exception):
+    """Stands for an error without a text."""
+
     def __str__(self):
         raise ValueError("no text")
 
 
-@pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), MuteError()])
+NOT_OURS = [SystemExit(0), GeneratorExit(), MuteError()]
+
+
+@pytest.mark.parametrize("error", NOT_OURS)
 def test_robots_stop_whatever_a_controller_raises(error):
     fakes = bench()
     fakes.fail_at("plan", 2, error)

@@ -1,3 +1,5 @@
+"""Tasks of a batch: one trial each, with the log that is asked for."""
+
 from dataclasses import replace
 
 import pytest
@@ -30,10 +32,10 @@ def test_a_trial_in_the_lab_is_not_run_a_second_time_for_its_log(monkeypatch, tm
 
 @pytest.mark.parametrize("log", [LogKind.WHOLE, LogKind.BRIEF])
 def test_who_supervises_a_task_supervises_its_plant_whatever_its_log(log, monkeypatch, tmp_path):
-    asked = []
+    supervisions = []
 
     def fail(spec, clock, seed, supervision):
-        asked.append(supervision)
+        supervisions.append(supervision)
         raise ValueError("no plant")
 
     monkeypatch.setattr(spec_trial, "_spec_and_plant", fail)
@@ -42,4 +44,4 @@ def test_who_supervises_a_task_supervises_its_plant_whatever_its_log(log, monkey
     supervision = LabSupervision()
     with pytest.raises(ValueError, match="no plant"):
         run_task(task, tmp_path, Interrupt(), (), supervision)
-    assert asked == [supervision]
+    assert supervisions == [supervision]

@@ -66,12 +66,17 @@ def test_robots_pass_way_points_and_stay_circling_or_standing(wheels, least, tmp
         assert [problem.field for problem in verify(forged).problems] == [f"/result[0].{field}.0"]
 
 
-def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():
-    def frame(number, x, valid=True, truth=None):
-        poses = Poses(np.array([x]), np.zeros(1), np.zeros(1))
-        observation = Observation(number, number, number, poses, np.array([valid]))
-        true = None if truth is None else Poses(np.array([truth]), np.zeros(1), np.zeros(1))
-        return Sample(observation, true)
+def test_the_time_inside_is_the_share_of_the_frames_of_the_hold_in_which_a_robot_is_near():
+    """One robot, at x of each frame and y = 0, is to pass (5, 0) and then to hold within 1 mm of
+    (0, 0). It passes at x = 4. The hold is frames 3 to 6: it is near in 3 and, in truth, in 6, but
+    too far in 4, and in 5 not tracked, which counts as outside."""
+
+    def at(x):
+        return Poses.of(np.array([[x, 0.0, 0.0]]))
+
+    def frame(number, x, valid=True, true_x=None):
+        observation = Observation(number, number, number, at(x), np.array([valid]))
+        return Sample(observation, None if true_x is None else at(true_x))
 
     legs = np.array([[[5.0, 0.0]], [[0.0, 0.0]]])
     measure = TourMeasure(legs, HoldTask(1.0, 9.0), None, np.ones(1))
@@ -80,8 +85,9 @@ def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():
     measure.step(1, frame(2, 4.0).observation)
     assert measure.inside == ()
     measure.step(2, frame(3, 0.0).observation)
-    measure.add([frame(2, 0.0), frame(3, 0.0), frame(4, 3.0), frame(5, 0.0, valid=False)])
-    measure.add([frame(6, 9.0, truth=0.5), frame(7, 0.0)], until_ns=6)
+    measure.add([frame(2, 0.0), frame(3, 0.0)])
+    measure.add([frame(4, 3.0), frame(5, 0.0, valid=False)])
+    measure.add([frame(6, 9.0, true_x=0.5), frame(7, 0.0)], until_ns=6)
     assert measure.passed == (1.0,)
     assert measure.inside == (2 / 4,)
 

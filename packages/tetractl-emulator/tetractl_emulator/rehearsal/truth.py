@@ -229,6 +229,15 @@ class Truth:
         return np.clip(next_s - self.commanded_s, 0.0, self.watchdog_s)
 
     @cached_property
+    def undriven_s(self) -> Floats:
+        """Time at the exposures since a command drove any robot (T,); infinite before the first."""
+        driving = np.array([any(self.drives(command)) for command in self.commands], dtype=bool)
+        ends_s = self.commanded_s[driving] + self.acting_s[driving]
+        begun = np.searchsorted(self.commanded_s[driving], self.times_s, side="right")
+        last_end_s = np.append(-np.inf, ends_s)[begun]
+        return np.maximum(self.times_s - last_end_s, 0.0)
+
+    @cached_property
     def undirected_s(self) -> Floats:
         """How long before each command (C,) the log has the controller's last direction; 0 before
         the first, without a log, and after the last in a log that was broken off.

@@ -88,6 +88,7 @@ SEEN_SELDOM = [
     truth_at(1.0 + k / 60, unseen=(200.0, 10.0, 10.0) if k % 5 else (10.0, 10.0, 10.0))
     for k in range(300)
 ]
+DRIVEN_AT_TIMES = [command(1.0 + k / 5, 20 * (k % 2 == 0)) for k in range(23)]
 
 
 @pytest.mark.parametrize(
@@ -98,7 +99,8 @@ SEEN_SELDOM = [
         ([*GOOD, command(2.1, 20, unseen=(10.0, 10.0, 260.0))], False),  # one that stands
         ([*GOOD, command(2.1, 20, unseen=(10.0, 10.0, 460.0))], True),
         ([*RUN, command(1.0, 20, unseen=(60.0, 10.0, 10.0)), END], True),  # until its watchdog
-        ([*RUN, *SEEN_SELDOM, at(5.5, "end"), truth_at(6.5)], True),
+        ([*RUN, *SEEN_SELDOM, *DRIVEN_AT_TIMES, at(5.5, "end"), truth_at(6.5)], True),
+        ([*RUN, *SEEN_SELDOM, at(5.5, "end"), truth_at(6.5)], False),  # all stand meanwhile
     ],
 )
 def test_no_robot_is_driven_blind(events, wrong):

@@ -5,7 +5,7 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    ("shown", "printed"),
+    ("on_page", "printed"),
     [
         ("", "whatever"),
         ("wrote a.png\n", "wrote a.png\n"),
@@ -17,12 +17,12 @@ import pytest
         ("(a) [b] $HOME \\d\n", "(a) [b] $HOME \\d\n"),
     ],
 )
-def test_what_agrees(shown, printed):
-    assert console.agrees(shown, printed, exact=True)
+def test_what_agrees(on_page, printed):
+    assert console.agrees(on_page, printed, exact=True)
 
 
 @pytest.mark.parametrize(
-    ("shown", "printed"),
+    ("on_page", "printed"),
     [
         ("wrote a.png\n", "wrote b.png\n"),
         ("entered 0 of 20\n", "entered 1 of 20\n"),
@@ -33,8 +33,8 @@ def test_what_agrees(shown, printed):
         ("wrote\n", ""),
     ],
 )
-def test_what_does_not(shown, printed):
-    assert not console.agrees(shown, printed, exact=True)
+def test_what_does_not(on_page, printed):
+    assert not console.agrees(on_page, printed, exact=True)
 
 
 WORDS = "trial of: sequence completed, total error mm, steps"
@@ -77,21 +77,28 @@ rm -rf /nothing/of/this/is/run
 """
 
 
-def test_a_page_is_run_in_one_folder_and_mended():
-    (cat, printed, _), (_, _, failed), (_, one, _) = console.run(PAGE.format("one"))
-    assert (cat.command, printed, failed, one) == (
-        "cat note.txt | \\\n    head -1",
-        "one\n",
-        1,
-        "1\n",
-    )
+def test_a_page_is_run_in_one_folder():
+    cat, false, echo = console.run(PAGE.format("one"))
+    example, printed, _ = cat
+    assert example.command == "cat note.txt | \\\n    head -1"
+    assert printed == "one\n"
+    _, _, exit_code = false
+    assert exit_code == 1
+    _, printed, _ = echo
+    assert printed == "1\n"
+
+
+def test_a_page_with_another_output_is_mended_and_says_where():
     mended = console.mended(PAGE.format("wrong"))
     assert mended == PAGE.format("one") + NOTE.format(console.here())
     assert console.printed_on(mended) == console.here()
     assert console.mended(mended) == mended
-    dotted = PAGE.format("o...")
-    for page in (dotted, dotted + NOTE.format(console.here())):
-        assert console.mended(page) == page
+
+
+@pytest.mark.parametrize("note", ["", NOTE.format(console.here())])
+def test_a_page_that_agrees_stays_as_it_is(note):
+    page = PAGE.format("o...") + note
+    assert console.mended(page) == page
 
 
 def test_what_a_page_leaves_out_stays_left_out():
@@ -104,8 +111,8 @@ mean 8
 solve time ... ms, 2 of 4
 ```
 """
-    shown = console.mended(page).splitlines()[2:-3]
-    assert shown == [
+    output = console.mended(page).splitlines()[2:-3]
+    assert output == [
         "trial 1 took ... ms",
         "...",
         "trial 4 took ... ms",

@@ -10,71 +10,102 @@ from support.paths import ROOT
 from tetractl.experiment.load import load_spec
 
 EXPERIMENTS = ROOT / "experiments"
-HOUSES = (ROOT / "tetractl", *(ROOT / "packages").glob("*/tetractl_*"))
-NAMED_AFTER = (  # a command's module after what it runs, a kernel's after what it compiles, a
-    # figure's and a disturbance's after the name that a user writes
-    "cli",
-    "control/kernels",
-    "view/figures",
-    "plant/disturbances",
+PACKAGES = (ROOT / "tetractl", *(ROOT / "packages").glob("*/tetractl_*"))
+NAMED_AFTER = ("cli", "control/kernels", "view/figures", "plant/disturbances")
+"""Folders whose modules have the name of something else: a command's module that of what it runs, a
+kernel's of what it compiles, a figure's and a disturbance's the one that a user writes."""
+PARTS = {"actuator", "calibrate", "camera", "check", "core", "registries", "section", "side"}
+"""Modules that each device has."""
+FOLDERS = (
+    "tetractl",
+    "packages",
+    "tools",
+    "docs",
+    "tests",
+    "benchmarks",
+    "experiments",
+    "examples",
 )
-PARTS = {
-    "actuator",
-    "calibrate",
-    "camera",
-    "check",
-    "core",
-    "registries",
-    "section",
-    "side",
-}  # of each device
+
+
+def modules(package):
+    return sorted(package.rglob("*.py"))
+
+
+def from_root(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+def public_classes(path):
+    tree = ast.parse(path.read_text("utf-8"))
+    names = [node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    return [name for name in names if not name.startswith("_")]
+
+
+def repeated(places):
+    """The names that occur in several places, with these."""
+    return {name: paths for name, paths in places.items() if len(paths) > 1}
 
 
 def test_a_class_has_a_name_of_its_own():
     places = defaultdict(list)
-    for path in (path for house in HOUSES for path in house.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                places[node.name].append(path.relative_to(ROOT).as_posix())
-    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+    for package in PACKAGES:
+        for path in modules(package):
+            for name in public_classes(path):
+                places[name].append(from_root(path))
+    assert repeated(places) == {}
 
 
 def test_a_module_has_a_name_of_its_own():
     places = defaultdict(list)
-    for root, path in ((house, path) for house in HOUSES for path in house.rglob("*.py")):
-        room = path.parent.relative_to(root).as_posix()
-        if room not in NAMED_AFTER and path.stem not in {"__init__", *PARTS}:
-            places[path.stem].append(path.relative_to(ROOT).as_posix())
-    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+    for package in PACKAGES:
+        for path in modules(package):
+            folder = path.parent.relative_to(package).as_posix()
+            if folder not in NAMED_AFTER and path.stem not in {"__init__", *PARTS}:
+                places[path.stem].append(from_root(path))
+    assert repeated(places) == {}
 
 
 def test_a_film_is_a_recording_that_track_follows_and_a_video_shows_a_trial():
-    pages = [ROOT / "docs/how-to" / page for page in ("replay-and-plot.md", "share.md")]
-    said = {
-        path.relative_to(ROOT).as_posix()
-        for path in (*(ROOT / "tetractl").rglob("*.py"), *pages)
-        if "film" in path.name + path.read_text("utf-8").lower()
+    how_to = ROOT / "docs/how-to"
+    paths = [*modules(ROOT / "tetractl"), how_to / "replay-and-plot.md", how_to / "share.md"]
+    naming_films = {
+        from_root(path)
+        for path in paths
+        if "film" in path.name or "film" in path.read_text("utf-8").lower()
     }
-    assert said <= {f"tetractl/log/{name}.py" for name in ("format/channels", "read/raw_log")}
+    of_tracked_films = {"tetractl/log/format/channels.py", "tetractl/log/read/raw_log.py"}
+    assert naming_films <= of_tracked_films
+
+
+def shipped(name):
+    return load_spec(EXPERIMENTS / f"{name}.yaml").experiment
 
 
 def test_both_controllers_run_on_one_bench():
-    ours, published = (
-        load_spec(EXPERIMENTS / f"{name}.yaml").experiment
-        for name in ("three_m3pi_bench", "three_m3pi_paper_bench")
-    )
+    ours = shipped("three_m3pi_bench")
+    published = shipped("three_m3pi_paper_bench")
     assert ours.plant == published.plant
     assert ours.robots == published.robots
-    paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
-    assert published.controller == paper.controller
+    assert published.controller == shipped("three_m3pi_paper").controller
+
+
+def folders_by_layer():
+    """The folders of tetractl in the order of the import contract, by its layers."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    contract = settings["tool"]["importlinter"]["contracts"][0]
+    layers = []
+    for layer in contract["layers"]:
+        folders = [name for name in layer.split(" | ") if (ROOT / "tetractl" / name).is_dir()]
+        if folders:
+            layers.append(folders)
+    return layers
 
 
 def test_packages_are_listed_in_the_order_of_imports():
-    contract = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    layers = [layer.split(" | ") for layer in contract["contracts"][0]["layers"]]
-    packages = [[p for p in layer if (ROOT / "tetractl" / p).is_dir()] for layer in layers]
-    text = " ".join((ROOT / "CONTRIBUTING.md").read_text().split())
-    assert "; ".join(", ".join(f"`{p}`" for p in layer) for layer in packages if layer) in text
+    layers = [", ".join(f"`{name}`" for name in layer) for layer in folders_by_layer()]
+    words = (ROOT / "CONTRIBUTING.md").read_text().split()
+    assert "; ".join(layers) in " ".join(words)
 
 
 def test_the_page_for_contributors_is_read_in_ten_minutes():
@@ -87,18 +118,15 @@ def test_the_page_for_contributors_is_read_in_ten_minutes():
 
 
 def test_every_file_that_the_page_for_contributors_names_exists():
-    said = re.findall(r"`([\w./-]+(?:\.\w+|/))`", (ROOT / "CONTRIBUTING.md").read_text())
-    roots = (
-        "tetractl",
-        "packages",
-        "tools",
-        "docs",
-        "tests",
-        "benchmarks",
-        "experiments",
-        "examples",
-    )
-    there = {f"/{one.relative_to(ROOT)}" for root in roots for one in (ROOT / root).rglob("*")}
-    there |= {f"/{root}" for root in roots}
-    lost = {name for name in said if not any(p.endswith(f"/{name.strip('/')}") for p in there)}
-    assert lost == set()
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    named = re.findall(r"`([\w./-]+(?:\.\w+|/))`", text)
+    existing = set()
+    for folder in FOLDERS:
+        existing.add(f"/{folder}")
+        existing.update(f"/{from_root(path)}" for path in (ROOT / folder).rglob("*"))
+
+    def exists(name):
+        return any(path.endswith(f"/{name.strip('/')}") for path in existing)
+
+    assert named
+    assert [name for name in named if not exists(name)] == []

@@ -1,16 +1,23 @@
-from support import random_trials as made
+"""What a run that is served sends to viewers, and when."""
+
+import pytest
+from support import random_trials
 
 from tetractl.core.commands import Command, Note, Steer
 from tetractl.log.format import channels
 from tetractl.log.read.salvage import scan
 from tetractl.serve.live import ServedRun
 
+STEPS = 4
+FRAME_TOPICS = {"/frames", "/tf"}
 
-class Server:
-    """Keeps what is sent since the last jump."""
+
+class RecordingServer:
+    """Stands for the server of viewers: keeps the entries sent to them since the last jump."""
 
     def __init__(self, watched=True):
-        self.watched, self.sent = watched, []
+        self.watched = watched
+        self.sent = []
 
     def jump(self, time_ns, entries):
         self.sent = [*entries]
@@ -25,58 +32,80 @@ class Server:
         pass
 
 
-class Wall:
-    """A clock that only notes until when somebody wanted to sleep."""
+class RecordingClock:
+    """Stands for the clock on the wall: it stands still, and keeps until when it was to sleep."""
 
     def __init__(self):
-        self.time, self.slept = 1000, []
+        self.time = 1000
+        self.slept_until = []
 
     def now(self):
         return self.time
 
     def sleep_until(self, when):
-        self.slept.append(when)
+        self.slept_until.append(when)
 
 
-def run(trial, server, wall):
+def serve(trial, server, wall):
+    """Serve a trial with a command between two steps and a note."""
     observer = ServedRun(server, wall)
     observer.on_start(trial.start)
     trial.give_rounds(observer)
     observer.on_command(Command(Steer(0.5), 7, (True,) * 3))
     observer.on_note(Note(8, "info", "a note"))
     observer.on_stop(trial.stop, trial.result)
-    return server
 
 
-def test_every_message_of_the_log_is_sent(tmp_path):
-    for simulated in (True, False):
-        trial = made.trial(3, steps=4, simulated=simulated)
-        sent = run(trial, Server(), Wall()).sent
-        logged = scan(made.write(trial, tmp_path / f"{simulated}.mcap")).entries
-        frames = {"/frames", "/tf"}  # each by itself, in the log those of a chunk together
-        of_file = {channels.HOST, channels.HOST_END, channels.DIGESTS}
-        logged = [entry for entry in logged if entry.topic not in frames | of_file]
-        extra = [one for one in sent if one.topic not in frames and one not in logged]
-        assert [entry.topic for entry in extra] == ["/commands", "/log"]
-        assert [entry for entry in sent if entry in logged] == logged
-        for topic in frames:
-            assert [entry.topic for entry in sent].count(topic) == len(trial.samples)
+def sent_entries(trial, watched=True):
+    server = RecordingServer(watched)
+    serve(trial, server, RecordingClock())
+    return server.sent
 
 
-def test_a_simulation_is_slowed_to_the_wall_and_the_lab_is_not():
-    trial = made.trial(3, steps=2)
-    wall = Wall()
-    run(trial, Server(), wall)
-    assert wall.slept == [1000 + one.observation.received_ns for one in trial.samples]
-    wall = Wall()
-    run(made.trial(3, steps=2, simulated=False), Server(), wall)
-    assert wall.slept == []
+def count(entries, topic):
+    return [entry.topic for entry in entries].count(topic)
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_every_message_of_the_log_is_sent(tmp_path, simulated):
+    """But for those of frames, which the log has by chunks, and of the file itself."""
+    trial = random_trials.trial(3, steps=STEPS, simulated=simulated)
+    sent = sent_entries(trial)
+    written = scan(random_trials.write(trial, tmp_path / "trial.mcap")).entries
+    not_compared = FRAME_TOPICS | {channels.HOST, channels.HOST_END, channels.DIGESTS}
+    logged = [entry for entry in written if entry.topic not in not_compared]
+    assert [entry for entry in sent if entry in logged] == logged
+    others = [entry for entry in sent if entry not in logged]
+    of_serve = [entry.topic for entry in others if entry.topic not in FRAME_TOPICS]
+    assert of_serve == ["/commands", "/log"]
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_every_frame_is_sent_by_itself(simulated):
+    trial = random_trials.trial(3, steps=STEPS, simulated=simulated)
+    sent = sent_entries(trial)
+    for topic in FRAME_TOPICS:
+        assert count(sent, topic) == len(trial.samples)
+
+
+def test_a_simulation_is_slowed_to_the_wall():
+    trial = random_trials.trial(3, steps=2)
+    wall = RecordingClock()
+    serve(trial, RecordingServer(), wall)
+    received = [sample.observation.received_ns for sample in trial.samples]
+    assert wall.slept_until == [1000 + received_ns for received_ns in received]
+
+
+def test_a_lab_is_not_slowed():
+    wall = RecordingClock()
+    serve(random_trials.trial(3, steps=2, simulated=False), RecordingServer(), wall)
+    assert wall.slept_until == []
 
 
 def test_while_nobody_looks_only_the_newest_poses_are_encoded():
-    trial = made.trial(3, steps=4)
-    sent = run(trial, Server(watched=False), Wall()).sent
-    times = [entry.publish_ns for entry in sent if entry.topic == "/frames"]
-    start = trial.start.start_unix_ns
-    assert times == [start + samples[-1].observation.sampled_ns for samples, _ in trial.rounds]
-    assert [entry.topic for entry in sent].count("/controller/step") == 4
+    trial = random_trials.trial(3, steps=STEPS)
+    sent = sent_entries(trial, watched=False)
+    newest = [samples[-1].observation.sampled_ns for samples, _ in trial.rounds]
+    published = [entry.publish_ns for entry in sent if entry.topic == "/frames"]
+    assert published == [trial.start.start_unix_ns + sampled_ns for sampled_ns in newest]
+    assert count(sent, "/controller/step") == STEPS

@@ -6,8 +6,8 @@ from urllib.parse import urlsplit
 
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from support import random_trials as made
-from support.viewer import PATIENCE_S, PROTOCOL, Viewer, deaf
+from support import random_trials
+from support.viewer import PATIENCE_S, PROTOCOL, SUBSCRIPTIONS_FROM, Viewer, deaf
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
@@ -36,134 +36,181 @@ def server():
 
 
 def frame(number, size=2000):
+    """A message of frames whose log time is so many nanoseconds after the start."""
     return Entry(FRAMES, START_NS + number, START_NS, b"%8d" % number + bytes(size))
 
 
-def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
-    log = scan(made.write(made.trial(1, steps=1), tmp_path / "trial.mcap"))
+def is_of(topic):
+    """Whether what came is a message of this topic, or a time."""
+    return lambda message: message[0] == topic
+
+
+def is_of_time(topic, log_ns):
+    return lambda message: message[:2] == (topic, log_ns)
+
+
+def numbers(viewer, topic):
+    """The log times of all that came of a topic, in nanoseconds after the start."""
+    return [log_ns - START_NS for name, log_ns, _ in viewer.all if name == topic]
+
+
+def files_by_name(schema):
+    return {file.name: file for file in FileDescriptorSet.FromString(schema).file}
+
+
+def test_a_server_says_what_it_is_and_that_it_has_a_time(server):
     with Viewer(server.url) as viewer:
         assert viewer.info["name"] == "test"
         assert viewer.info["capabilities"] == ["time"]
+
+
+def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
+    trial = random_trials.trial(1, steps=1)
+    log = scan(random_trials.write(trial, tmp_path / "trial.mcap"))
+    with Viewer(server.url) as viewer:
         assert log.channels.keys() <= viewer.channels.keys() == CHANNELS.keys()
         for topic, (channel, schema) in log.channels.items():
-            shown = viewer.channels[topic]
+            advertised = viewer.channels[topic]
             assert schema
-            assert shown["schemaName"] == schema.name
-            assert shown["encoding"] == channel.message_encoding == "protobuf"
-            files = FileDescriptorSet.FromString(viewer.schema(topic)).file
-            logged = FileDescriptorSet.FromString(schema.data).file
-            assert {f.name: f for f in files} == {f.name: f for f in logged}
+            assert advertised["schemaName"] == schema.name
+            assert advertised["encoding"] == channel.message_encoding == "protobuf"
+            assert files_by_name(viewer.schema(topic)) == files_by_name(schema.data)
 
 
 def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
-    trial = made.trial(1, steps=2)
+    trial = random_trials.trial(1, steps=2)
     observer = ServedRun(server.viewers, MonotonicClock())
     observer.on_start(trial.start)
     observer.on_samples(trial.samples)
     with Viewer(server.url) as viewer:
         viewer.subscribe(SCENE, TRANSFORMS)
         _, scene = viewer.message(SCENE)
-        named = [entity.id for entity in scene.entities]
-        assert named[:3] == ["arena", "obstacle/0", "obstacle/1"]
-        at_ns, poses = viewer.message(TRANSFORMS)
-        last = trial.samples[-1].observation.received_ns
-        assert at_ns == trial.start.start_unix_ns + last
+        entities = [entity.id for entity in scene.entities]
+        assert entities[:3] == ["arena", "obstacle/0", "obstacle/1"]
+        log_ns, poses = viewer.message(TRANSFORMS)
+        last_received_ns = trial.samples[-1].observation.received_ns
+        assert log_ns == trial.start.start_unix_ns + last_received_ns
         assert poses.transforms[0].child_frame_id == "robot/robot 0"
-        viewer.seen(lambda got: got == ("time", at_ns, b""))
+        assert viewer.seen(is_of_time("time", log_ns)) == ("time", log_ns, b"")
 
 
 def test_lines_of_text_are_not_sent_twice(server):
     server.viewers.messages([Entry(LOG, START_NS, START_NS, b""), frame(1)])
     with Viewer(server.url) as viewer:
         viewer.subscribe(LOG, FRAMES)
-        viewer.until(lambda got: got[0] == FRAMES)
-        assert LOG not in [got[0] for got in viewer.all]
+        viewer.until(is_of(FRAMES))
+        assert LOG not in [topic for topic, *_ in viewer.all]
 
 
 def test_the_time_never_runs_back_but_by_a_jump(server):
     with Viewer(server.url) as viewer:
+        server.viewers.messages([frame(1)])
+        viewer.subscribe(FRAMES).until(is_of(FRAMES))
+        viewer.all.clear()
+        for number in (3, 2, 4):
+            server.viewers.messages([frame(number)])
+        # not to 1, whose time may have been still to come
+        server.viewers.jump(START_NS, [frame(0)])
+        viewer.seen(is_of_time("time", START_NS))
+        viewer.seen(is_of_time(FRAMES, START_NS))  # which waits in another queue
+        assert numbers(viewer, "time")[-3:] == [3, 4, 0]
+        assert numbers(viewer, FRAMES) == [3, 2, 4, 0]
+
+
+def test_viewers_watch_once_one_has_subscribed(server):
+    with Viewer(server.url) as viewer:
         assert not server.viewers.watched
         server.viewers.messages([frame(1)])
-        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+        viewer.subscribe(FRAMES).until(is_of(FRAMES))
         assert server.viewers.watched
-        viewer.all.clear()
-        server.viewers.messages([frame(3), frame(2), frame(4)])
-        server.viewers.jump(
-            START_NS, [frame(0)]
-        )  # not to 1, whose time may have been still to come
-        for last in ("time", FRAMES):  # they wait in two queues
-            viewer.seen(lambda got, last=last: got[:2] == (last, START_NS))
-        sent = {
-            kind: [got[1] - START_NS for got in viewer.all if got[0] == kind]
-            for kind in ("time", FRAMES)
-        }
-        assert sent["time"][-3:] == [3, 4, 0]
-        assert sent[FRAMES] == [3, 2, 4, 0]
 
 
 def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
     server = Live()
+    frames = 3 * BACKLOG  # far more than its queue and sockets hold
     with deaf(server.url, len(CHANNELS)) as stuck:
         with Viewer(server.url) as viewer:
             server.viewers.messages([frame(0)])
-            viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+            viewer.subscribe(FRAMES).until(is_of(FRAMES))
             viewer.all.clear()
-            for first in range(0, 3 * BACKLOG, 512):  # far more than its queue and sockets hold
-                server.viewers.messages([frame(first + i, 8000) for i in range(512)])
-                viewer.until(lambda got, last=first + 511: got[:2] == (FRAMES, START_NS + last))
-            got = [one[1] - START_NS for one in viewer.all if one[0] == FRAMES]
-            assert got == list(range(3 * BACKLOG))
+            for first in range(0, frames, 512):
+                batch = [frame(number, 8000) for number in range(first, first + 512)]
+                server.viewers.messages(batch)
+                viewer.until(is_of_time(FRAMES, START_NS + first + 511))
+            assert numbers(viewer, FRAMES) == list(range(frames))
         server.close()
         assert stuck.recv(1)
 
 
-def knock(url, netloc=None, path=None, origin=None):
-    """Ask for a connection as a page or a program might; return the status of the answer."""
-    where = urlsplit(url)
-    asked = where._replace(netloc=netloc or where.netloc, path=where.path if path is None else path)
-    door = socket.create_connection((where.hostname, where.port))
+ACCEPTED = 101
+REFUSED = 403
+
+
+def knock(url, origin=None):
+    """Ask for a connection as a page of `origin` or a program might; return the answer's status."""
+    return knock_at(url, url, origin)
+
+
+def knock_at(url, address, origin=None):
+    """The same at the host and port of `url`, with another address in the request."""
+    place = urlsplit(url)
+    door = socket.create_connection((place.hostname, place.port))
     try:
         with connect(
-            asked.geturl(), sock=door, origin=origin, subprotocols=[PROTOCOL], close_timeout=0.1
+            address, sock=door, origin=origin, subprotocols=[PROTOCOL], close_timeout=0.1
         ) as client:
             assert client.recv(timeout=PATIENCE_S)
-            return 101
+            return ACCEPTED
     except InvalidStatus as error:
         assert b"serverInfo" not in error.response.body
         return error.response.status_code
 
 
-PAGES = {
-    403: [
-        *("https://evil.example", "http://evil.example:8080", "http://localhost.evil.example"),
-        *("http://127.0.0.1@evil.example", "null"),
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "https://evil.example",
+        "http://evil.example:8080",
+        "http://localhost.evil.example",
+        "http://127.0.0.1@evil.example",
+        "null",
         "http://lichtblick.example:8080",
     ],
-    101: [
-        *(None, "https://app.foxglove.dev", "http://localhost:8080", "http://127.0.0.1:9000"),
-        "file://",
-    ],
-}
-
-
-@pytest.mark.parametrize(("status", "pages"), PAGES.items())
-def test_pages_of_other_sites_are_refused_even_with_the_token(status, pages):
-    with Live() as server:
-        assert [knock(server.url, origin=page) for page in pages] == [status] * len(pages)
-
-
-def test_other_names_of_this_machine_and_other_tokens_are_refused(server):
-    port, token = server.port, urlsplit(server.url).path
-    for host in ("evil.example", "192.168.1.7", "127.0.0.1.evil.example"):
-        assert knock(server.url, f"{host}:{port}") == 403
-    assert knock(server.url, "localhost:1") == 403
-    assert knock(server.url, f"localhost:{port}") == 101
-    for path in ("", "/", "/" + "A" * 16, token[:-1], token + "A", token.upper() + "x"):
-        assert knock(server.url, path=path) == 403
+)
+def test_pages_of_other_sites_are_refused_even_with_the_token(server, origin):
+    assert knock(server.url, origin) == REFUSED
 
 
 @pytest.mark.parametrize(
-    "said",
+    "origin",
+    [
+        None,
+        "https://app.foxglove.dev",
+        "http://localhost:8080",
+        "http://127.0.0.1:9000",
+        "file://",
+    ],
+)
+def test_programs_and_pages_of_viewers_are_accepted(server, origin):
+    assert knock(server.url, origin) == ACCEPTED
+
+
+def test_other_names_of_this_machine_are_refused(server):
+    token = urlsplit(server.url).path
+    for host in ("evil.example", "192.168.1.7", "127.0.0.1.evil.example"):
+        assert knock_at(server.url, f"ws://{host}:{server.port}{token}") == REFUSED
+    assert knock_at(server.url, f"ws://localhost:1{token}") == REFUSED
+    assert knock_at(server.url, f"ws://localhost:{server.port}{token}") == ACCEPTED
+
+
+def test_other_tokens_are_refused(server):
+    token = urlsplit(server.url).path
+    for path in ("", "/", "/" + "A" * 16, token[:-1], token + "A", token.upper() + "x"):
+        assert knock_at(server.url, f"ws://127.0.0.1:{server.port}{path}") == REFUSED
+
+
+@pytest.mark.parametrize(
+    "wrong",
     [
         "no JSON",
         "[" * 60000,
@@ -177,13 +224,13 @@ def test_other_names_of_this_machine_and_other_tokens_are_refused(server):
         bytes(1 << 17),
     ],
 )
-def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
-    with Live() as server, Viewer(server.url) as other:
+def test_what_a_client_says_wrong_ends_its_connection_and_no_other(wrong, capfd):
+    with Live() as server, Viewer(server.url) as bystander:
         with Viewer(server.url) as viewer, pytest.raises(ConnectionClosedError):
-            viewer.socket.send(said)
-            viewer.until(lambda got: False)
+            viewer.socket.send(wrong)
+            viewer.until(lambda message: False)
         server.viewers.messages([frame(1)])
-        other.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+        bystander.subscribe(FRAMES).until(is_of(FRAMES))
     assert capfd.readouterr().err == ""
 
 
@@ -191,22 +238,26 @@ def test_what_was_published_last_is_sent_before_the_end():
     server = Live()
     with Viewer(server.url) as viewer:
         server.viewers.messages([frame(0)])
-        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
+        viewer.subscribe(FRAMES).until(is_of(FRAMES))
         server.viewers.messages([frame(number) for number in range(1, 500)])
         server.close()
-        viewer.until(lambda got: got[:2] == (FRAMES, START_NS + 499))
+        viewer.until(is_of_time(FRAMES, START_NS + 499))
+
+
+def unsubscribe(viewer, topic):
+    subscription = SUBSCRIPTIONS_FROM + viewer.channels[topic]["id"]
+    viewer.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [subscription]}))
 
 
 def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
     with Viewer(server.url) as viewer:
         server.viewers.messages([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
-        viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
-        ended = [100 + viewer.channels[FRAMES]["id"]]
-        viewer.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": ended}))
-        viewer.subscribe(TRANSFORMS).until(lambda got: got[0] == TRANSFORMS)
+        viewer.subscribe(FRAMES).until(is_of(FRAMES))
+        unsubscribe(viewer, FRAMES)
+        viewer.subscribe(TRANSFORMS).until(is_of(TRANSFORMS))
         server.viewers.messages([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
-        viewer.until(lambda got: got[:2] == (TRANSFORMS, START_NS + 3))
-        assert [got[1] - START_NS for got in viewer.all if got[0] == FRAMES] == [1]
+        viewer.until(is_of_time(TRANSFORMS, START_NS + 3))
+        assert numbers(viewer, FRAMES) == [1]
 
 
 def test_a_port_in_use_is_a_mistake_of_the_user(server):
@@ -216,32 +267,40 @@ def test_a_port_in_use_is_a_mistake_of_the_user(server):
 
 def test_each_server_has_its_own_token(server):
     assert server.url.startswith("ws://127.0.0.1:")
-    with Live() as other:
-        assert other.token != server.token
-        assert len(other.token) >= 16
+    with Live() as second:
+        assert second.token != server.token
+        assert len(second.token) >= 16
 
 
-def answered(server, request):
+def status_of(server, request):
+    """How the answer to a request begins, empty if the connection was closed without one."""
     with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as door:
         door.sendall(f"{request}\r\nConnection: close\r\n\r\n".encode())
-        return door.makefile("rb").read()[:13]
+        return door.makefile("rb").read()[: len("HTTP/1.1 400 ")]
 
 
-ODD = (
+STRANGE = (
     "GET * HTTP/1.1",
     "GET http://[ HTTP/1.1",
     "GET /%ff%00 HTTP/1.1",
     "GET / HTTP/1.1\r\nOrigin: http://[",
     "OPTIONS * HTTP/1.1",
     "POST / HTTP/1.1",
+    "GET /{token} HTTP/1.1",
+    "GET /{token}/x HTTP/1.1",
 )
 
 
-def test_nothing_else_is_served_and_a_strange_request_prints_nothing(server, capfd):
+@pytest.mark.parametrize("request_line", STRANGE)
+def test_nothing_else_is_served_and_a_strange_request_prints_nothing(server, capfd, request_line):
     """Regression: a traceback on the operator's terminal."""
-    for line in (*ODD, f"GET /{server.token} HTTP/1.1", f"GET /{server.token}/x HTTP/1.1"):
-        said = answered(server, f"{line}\r\nHost: 127.0.0.1:{server.port}")
-        assert said in (b"", b"HTTP/1.1 400 ", b"HTTP/1.1 403 ", b"HTTP/1.1 426 "), line
-    said = answered(server, "GET / HTTP/1.1\r\nUpgrade: websocket\r\nOrigin: http://[")
-    assert said in (b"", b"HTTP/1.1 403 ")
+    line = request_line.format(token=server.token)
+    status = status_of(server, f"{line}\r\nHost: 127.0.0.1:{server.port}")
+    assert status in (b"", b"HTTP/1.1 400 ", b"HTTP/1.1 403 ", b"HTTP/1.1 426 ")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_strange_request_for_a_connection_prints_nothing(server, capfd):
+    status = status_of(server, "GET / HTTP/1.1\r\nUpgrade: websocket\r\nOrigin: http://[")
+    assert status in (b"", b"HTTP/1.1 403 ")
     assert capfd.readouterr() == ("", "")

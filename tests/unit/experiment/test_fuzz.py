@@ -19,8 +19,14 @@ WRITTEN = (ROOT / "experiments" / "three_m3pi.yaml").read_text("utf-8")
 DATA = parse_document(WRITTEN, "three_m3pi.yaml").data
 
 WORDS = ["paper", "relative", "circle", "sim", "mpc", "stand", "mm", "green"]
-SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
-SCALARS |= st.sampled_from(WORDS)
+SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=8),
+    st.sampled_from(WORDS),
+)
 KEYS = st.text(max_size=8) | st.sampled_from(
     ["type", "name", "robots", "arena", "start", "target", "a", "controller", "swarm", "stop", "0"]
 )
@@ -31,26 +37,40 @@ TREES = st.recursive(
 )
 
 
+def keys_of(holder):
+    """The keys of a mapping or the indices of a list."""
+    if isinstance(holder, dict):
+        return list(holder)
+    return list(range(len(holder)))
+
+
+def some_value(draw, data):
+    """A mapping or list somewhere in the data and one of its keys; None for the key if it is empty.
+
+    The way down ends at a value that holds no others, and at any other as often as not.
+    """
+    holder = data
+    while keys_of(holder):
+        key = draw(st.sampled_from(keys_of(holder)))
+        value = holder[key]
+        if not isinstance(value, dict | list) or draw(st.booleans()):
+            return holder, key
+        holder = value
+    return holder, None
+
+
 @st.composite
 def mutated(draw):
     """Return the data of a good spec with some values replaced or dropped."""
     data = copy.deepcopy(DATA)
     for _ in range(draw(st.integers(1, 3))):
-        holder = data
-        while True:
-            keys = list(holder) if isinstance(holder, dict) else list(range(len(holder)))
-            if not keys:
-                break
-            key = draw(st.sampled_from(keys))
-            inner = holder[key]
-            if isinstance(inner, dict | list) and draw(st.booleans()):
-                holder = inner
-                continue
-            if draw(st.booleans()):
-                holder[key] = draw(TREES)
-            else:
-                del holder[key]
-            break
+        holder, key = some_value(draw, data)
+        if key is None:
+            continue
+        if draw(st.booleans()):
+            holder[key] = draw(TREES)
+        else:
+            del holder[key]
     return data
 
 
@@ -59,7 +79,11 @@ def test_any_change_to_a_good_spec(data):
     spec_text(dump(data))
 
 
-@given(st.text(max_size=30) | st.builds("{}={}".format, KEYS, TREES), st.sampled_from(["", "0."]))
+WITH_PATHS = st.builds("{}={}".format, KEYS, TREES)
+SETTINGS = st.text(max_size=30) | WITH_PATHS
+
+
+@given(SETTINGS, st.sampled_from(["", "0."]))
 def test_any_setting(setting, step):
     spec_text(WRITTEN, setting, f"robots.{step}{setting}")
 

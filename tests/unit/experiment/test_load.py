@@ -1,3 +1,5 @@
+"""Specs: each problem is one line at its place, and what is loaded is what was written."""
+
 import hashlib
 import itertools
 import json
@@ -147,8 +149,9 @@ type: target, cost: 5 -> type: 3
 @pytest.mark.parametrize("case", re.findall(r"(.*) -> (.*)\n  (.*)\n", joined(PROBLEMS)))
 def test_each_problem_is_one_line_at_its_place(case):
     old, new, line = case
-    (found,) = problems(changed(*(text.replace("\\n", "\n") for text in (old, new))))
-    assert line in found
+    text = changed(old.replace("\\n", "\n"), new.replace("\\n", "\n"))
+    (problem,) = problems(text)
+    assert line in problem
 
 
 def test_obstacles_that_reach_into_the_arena_are_fine():
@@ -169,8 +172,7 @@ robots:
 trials: {count: 2.5}
 controler: {}
 """
-    found = problems(text)
-    assert [line.split(": ")[:2] for line in found] == [
+    assert [line.split(": ")[:2] for line in problems(text)] == [
         ["s.yaml:2:1", "name"],
         ["s.yaml:3:17", "units.length"],
         ["s.yaml:6:42", "robots.0.target"],
@@ -182,23 +184,29 @@ controler: {}
     ]
 
 
+WITHOUT_ROBOTS = "name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\n"
+
+
 def test_a_list_of_bad_entries_is_not_called_too_short():
-    found = problems("name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\nrobots: [3]\n")
-    assert found == ["s.yaml:3:10: robots.0: 3: must be a mapping of keys to values"]
-    (empty,) = problems("name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\nrobots: []\n")
-    assert empty == "s.yaml:3:9: robots: []: must have at least 1 entries"
+    (problem,) = problems(WITHOUT_ROBOTS + "robots: [3]\n")
+    assert problem == "s.yaml:3:10: robots.0: 3: must be a mapping of keys to values"
+
+
+def test_an_empty_list_is_called_too_short():
+    (problem,) = problems(WITHOUT_ROBOTS + "robots: []\n")
+    assert problem == "s.yaml:3:9: robots: []: must have at least 1 entries"
 
 
 def test_thousands_of_problems_are_cut_short():
-    text = GOOD + "".join(f"key{i}: 1\n" for i in range(500))
-    found = problems(text)
-    assert len(found) == 101
-    assert found[-1] == "s.yaml: and more; fix these first"
+    unknown_keys = "".join(f"key{i}: 1\n" for i in range(500))
+    *first_hundred, last = problems(GOOD + unknown_keys)
+    assert len(first_hundred) == 100
+    assert last == "s.yaml: and more; fix these first"
 
 
 def test_control_characters_are_not_printed():
-    (found,) = problems(GOOD + '"\\e[31m\\n": 1\n')
-    assert "\\x1b[31m\\n: unknown key" in found
+    (problem,) = problems(GOOD + '"\\e[31m\\n": 1\n')
+    assert "\\x1b[31m\\n: unknown key" in problem
 
 
 SETTINGS = """
@@ -243,9 +251,9 @@ controller.first_plan.side=3
 
 @pytest.mark.parametrize(("setting", "line"), re.findall(r"(.*)\n  (.*)\n", joined(SETTINGS)))
 def test_problems_of_settings_name_the_setting(setting, line):
-    (found,) = problems(GOOD, setting)
-    assert found.startswith(f"--set {setting}: ")
-    assert line in found
+    (problem,) = problems(GOOD, setting)
+    assert problem.startswith(f"--set {setting}: ")
+    assert line in problem
 
 
 @pytest.mark.parametrize(
@@ -262,8 +270,8 @@ def test_problems_of_settings_name_the_setting(setting, line):
     ],
 )
 def test_what_would_not_fit_into_memory_is_refused(setting, message):
-    (found,) = problems(GOOD, setting)
-    assert message in found
+    (problem,) = problems(GOOD, setting)
+    assert message in problem
 
 
 def test_settings_replace_values():
@@ -293,20 +301,31 @@ def test_a_setting_mends_a_bad_value_of_the_file():
 
 
 def test_problems_of_the_file_and_of_settings_come_together():
-    found = problems(changed("a: 3", "a: -3"), "trials.count=x", "nonsense")
-    assert [line.split(": ")[0] for line in found] == [
+    lines = problems(changed("a: 3", "a: -3"), "trials.count=x", "nonsense")
+    assert [line.split(": ")[0] for line in lines] == [
         "s.yaml:4:55",
         "--set nonsense",
         "--set trials.count=x",
     ]
 
 
-@pytest.mark.parametrize(("estimate", "dead_time"), [("false", 0.13), ("true", 0.1)])
-def test_an_identified_dead_time_counts_from_the_frame_where_none_is_estimated(estimate, dead_time):
+@pytest.mark.parametrize(
+    ("estimate", "dead_time_s"), [("false", 0.1 + 0.03), ("true", 0.1)], ids=["given", "estimated"]
+)
+def test_an_identified_dead_time_counts_from_the_frame_where_none_is_estimated(
+    estimate, dead_time_s
+):
     document = parse_document(f"{GOOD}  estimate: {estimate}\n", "s.yaml")
-    known = {"dead_time": IdentifiedValue(value=0.1), "frame_age": 0.03, "robots": {}}
-    merge(document, Identified(identified="", origin="lab", unit="mm", **known), "found.yaml")
-    assert document.data["controller"]["dead_time"] == pytest.approx(dead_time)
+    identified = Identified(
+        identified="",
+        origin="lab",
+        unit="mm",
+        dead_time=IdentifiedValue(value=0.1),
+        frame_age=0.03,
+        robots={},
+    )
+    merge(document, identified, "found.yaml")
+    assert document.data["controller"]["dead_time"] == pytest.approx(dead_time_s)
 
 
 def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):
@@ -314,7 +333,8 @@ def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):
     path.write_bytes(GOOD.replace("\n", "\r\n").encode())
     loaded = load_spec(path, ["trials.count=3"])
     assert loaded.text == GOOD.replace("\n", "\r\n")
-    assert (loaded.name, loaded.path) == ("s.yaml", path)
+    assert loaded.name == "s.yaml"
+    assert loaded.path == path
     assert loaded.experiment == parse_spec(GOOD, "s.yaml", ["trials.count=3"]).experiment
 
 
@@ -354,84 +374,115 @@ def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_controller_and_
     assert ours.model_copy(update=same) == paper
 
 
-def test_the_hash_follows_the_experiment_and_not_its_text():
-    base = spec_hash(parse_spec(GOOD, "s.yaml").experiment)
-    assert len(base) == 64
-    same = "# a comment\n" + GOOD.replace("a: 3", "a: 3.0") + "trials: {seed: 1, count: 20}\n"
-    assert spec_hash(parse_spec(same, "other.yaml").experiment) == base
-    zeros = [parse_spec(GOOD, "s.yaml", [f"arena.left={zero}"]).experiment for zero in (0.0, -0.0)]
-    assert spec_hash(zeros[0]) == spec_hash(zeros[1]) == base
-    for setting in ("trials.seed=2", "robots.0.a=3.0000001", "controller.optimizer.stop.cost=6"):
-        assert spec_hash(parse_spec(GOOD, "s.yaml", [setting]).experiment) != base
+def hash_of(text, *sets):
+    return spec_hash(parse_spec(text, "s.yaml", sets).experiment)
 
 
-def test_files_are_attached_by_names_that_a_log_has_not_already():
-    one = attach((), Path("a/robots.yaml"), "one")
-    assert dict(attach(one, Path("b/cameras.yaml"), "two")) == {
-        "robots.yaml": "one",
-        "cameras.yaml": "two",
-    }
-    assert {
-        channels.SPEC,
-        channels.RESOLVED_SPEC,
-        channels.ENVIRONMENT,
-        channels.LAYOUT,
-    } == OWN_FILES
-    for name in ("robots.yaml", *OWN_FILES):
-        with pytest.raises(SpecError, match=f"b/{name}: every log already has a file named {name}"):
-            attach(one, Path("b") / name, "two")
+def test_the_hash_is_one_of_sha_256():
+    assert re.fullmatch("[0-9a-f]{64}", hash_of(GOOD))
+
+
+def test_the_hash_does_not_follow_how_a_spec_is_written():
+    with_defaults = GOOD.replace("a: 3", "a: 3.0") + "trials: {seed: 1, count: 20}\n"
+    assert hash_of("# a comment\n" + with_defaults) == hash_of(GOOD)
+    assert hash_of(GOOD, "arena.left=0.0") == hash_of(GOOD)
+    assert hash_of(GOOD, "arena.left=-0.0") == hash_of(GOOD)
+
+
+@pytest.mark.parametrize(
+    "setting", ["trials.seed=2", "robots.0.a=3.0000001", "controller.optimizer.stop.cost=6"]
+)
+def test_the_hash_follows_the_experiment(setting):
+    assert hash_of(GOOD, setting) != hash_of(GOOD)
+
+
+def test_files_of_several_folders_are_attached_by_their_names():
+    robots = attach((), Path("a/robots.yaml"), "text of robots")
+    two_files = attach(robots, Path("b/cameras.yaml"), "text of cameras")
+    assert dict(two_files) == {"robots.yaml": "text of robots", "cameras.yaml": "text of cameras"}
+
+
+def test_the_files_that_every_log_has_are_those_of_its_channels():
+    of_channels = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT, channels.LAYOUT}
+    assert of_channels == OWN_FILES
+
+
+@pytest.mark.parametrize("name", ["robots.yaml", *sorted(OWN_FILES)])
+def test_a_file_with_the_name_of_one_there_is_cannot_be_attached(name):
+    robots = attach((), Path("a/robots.yaml"), "text of robots")
+    with pytest.raises(SpecError, match=f"b/{name}: every log already has a file named {name}"):
+        attach(robots, Path("b") / name, "another text")
+
+
+def with_free_targets(starts, targets):
+    """An experiment of robots, any of which may go to any target."""
+    robots = []
+    for i in range(len(starts)):
+        robot = {"name": f"r{i}", "start": starts[i].tolist(), "target": targets[i].tolist()}
+        robots.append(robot | {"a": 2 + i, "speed": 100})
+    return experiment(robots=robots, obstacles=[], assign="free")
+
+
+def sum_of_squares(starts, targets):
+    return np.square(starts - targets).sum()
+
+
+def in_some_order(points):
+    return sorted(points.tolist())
 
 
 def test_free_targets_are_dealt_out_by_the_least_squares_of_the_paths():
     rng = np.random.default_rng(4)
     for _ in range(5):
         starts, targets = rng.uniform(200, 1800, (2, 4, 2))
-        robots = [
-            {"name": f"r{i}", "start": s, "target": t, "a": 2 + i, "speed": 100}
-            for i, (s, t) in enumerate(zip(starts.tolist(), targets.tolist(), strict=True))
-        ]
-        found = experiment(robots=robots, obstacles=[], assign="free")
-        assert found.assign == "given"
-        dealt = found.setup.targets
-        assert sorted(dealt.tolist()) == sorted(targets.tolist())
-        least = min(
-            np.square(starts - targets[list(order)]).sum()
-            for order in itertools.permutations(range(4))
-        )
-        assert np.square(starts - dealt).sum() == pytest.approx(least)
-        assert type(found).model_validate(found.model_dump()) == found
+        dealt = with_free_targets(starts, targets).setup.targets
+        assert in_some_order(dealt) == in_some_order(targets)
+        orders = itertools.permutations(range(4))
+        least = min(sum_of_squares(starts, targets[list(order)]) for order in orders)
+        assert sum_of_squares(starts, dealt) == pytest.approx(least)
+
+
+def test_targets_that_were_dealt_out_are_given():
+    starts, targets = np.random.default_rng(4).uniform(200, 1800, (2, 4, 2))
+    dealt = with_free_targets(starts, targets)
+    assert dealt.assign == "given"
+    assert type(dealt).model_validate(dealt.model_dump()) == dealt
+
+
+def test_the_hash_of_a_log_is_that_of_its_experiment():
+    good = parse_spec(GOOD, "s.yaml").experiment
+    assert parse_written(resolved_yaml(good), "s.yaml").hash == spec_hash(good)
 
 
 def test_the_hash_of_an_earlier_log_is_that_of_the_keys_in_its_resolved_spec():
     """Regression: a field with a default that was added later failed `verify` of every log."""
-    found = parse_spec(GOOD, "s.yaml").experiment
-    today = resolved_yaml(found)
-    assert parse_written(today, "s.yaml").hash == spec_hash(found)
-    earlier = yaml.safe_load(today)
-    del earlier["plant"]["heading_noise"], earlier["robots"][0]["via"]
-    kept = parse_written(yaml.safe_dump(earlier), "s.yaml")
-    assert kept.experiment == found
-    assert kept.hash != spec_hash(found)
+    good = parse_spec(GOOD, "s.yaml").experiment
+    earlier = yaml.safe_load(resolved_yaml(good))
+    del earlier["plant"]["heading_noise"]
+    del earlier["robots"][0]["via"]
+    loaded = parse_written(yaml.safe_dump(earlier), "s.yaml")
+    assert loaded.experiment == good
+    assert loaded.hash != spec_hash(good)
     fields = json.dumps(earlier, sort_keys=True, separators=(",", ":"))
-    assert kept.hash == hashlib.sha256(fields.encode()).hexdigest()
+    assert loaded.hash == hashlib.sha256(fields.encode()).hexdigest()
 
 
-def test_the_number_of_an_option_stays_one_and_its_error_names_the_option():
+def test_the_number_of_an_option_stays_a_number():
     seeded = parse_spec(GOOD, "s.yaml", [FieldValue("trials.seed", 3, "--seed")])
     assert seeded.experiment.trials.seed == 3
+
+
+def test_an_error_of_an_option_names_the_option():
     with pytest.raises(InvalidSpecError) as caught:
         parse_spec(GOOD, "s.yaml", [FieldValue("trials.seed", -1, "--seed")])
     assert caught.value.message == "--seed -1: trials.seed: -1: must be at least 0"
 
 
 def test_a_valid_robot_is_not_validated_again_with_the_whole_spec():
-    text = changed("a: 4", "a: -4")
-    with (
-        mock.patch.object(Experiment, "model_validate", wraps=Experiment.model_validate) as whole,
-        pytest.raises(InvalidSpecError),
-    ):
-        parse_spec(text, "s.yaml")
-    (data,) = whole.call_args.args
+    validate = mock.patch.object(Experiment, "model_validate", wraps=Experiment.model_validate)
+    with validate as of_whole_spec, pytest.raises(InvalidSpecError):
+        parse_spec(changed("a: 4", "a: -4"), "s.yaml")
+    (data,) = of_whole_spec.call_args.args
     assert [isinstance(robot, Robot) for robot in data["robots"]] == [True, False]
     assert [obstacle.type for obstacle in data["obstacles"]] == ["rectangle", "circle"]
 

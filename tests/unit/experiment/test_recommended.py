@@ -8,35 +8,63 @@ from tetractl.cli.specs import template
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
-SHIPPED = {
-    path.relative_to(ROOT / "experiments").as_posix(): path.read_text(encoding="utf-8")
-    for folder in ("benchmark", "studies/bases")
-    for path in sorted((ROOT / "experiments" / folder).glob("*.yaml"))
-} | {path.name: path.read_text(encoding="utf-8") for path in FILES}
+EXPERIMENTS = ROOT / "experiments"
+
+
+def shipped_specs():
+    """The texts of all specs in the repository: examples by their names, others by their paths."""
+    paths = {path.name: path for path in FILES}
+    for folder in ("benchmark", "studies/bases"):
+        for path in sorted((EXPERIMENTS / folder).glob("*.yaml")):
+            paths[f"{folder}/{path.name}"] = path
+    return {name: path.read_text(encoding="utf-8") for name, path in paths.items()}
+
+
 WRITTEN = {
-    f"init: {kind}": template("new", "new.yaml", kind == "lab") for kind in ("robots", "lab")
+    "init: robots": template("new", "new.yaml", lab=False),
+    "init: lab": template("new", "new.yaml", lab=True),
 }
-SPECS = {name: parse_spec(text, name).experiment for name, text in (SHIPPED | WRITTEN).items()}
+TEXTS = shipped_specs() | WRITTEN
+SPECS = {name: parse_spec(text, name).experiment for name, text in TEXTS.items()}
 OURS = [name for name, spec in SPECS.items() if spec.controller.type == "mpc"]
 OF_THE_LAB = {
-    *("dead_time", "time_limit", "horizon_max", "accept_error", "prior"),
-    *("obstacle_weight", "collision.margin", "collision.radius", "collision.separation"),
-    *("optimizer.tolerance", "optimizer.rounds"),
+    "dead_time",
+    "time_limit",
+    "horizon_max",
+    "accept_error",
+    "prior",
+    "obstacle_weight",
+    "collision.margin",
+    "collision.radius",
+    "collision.separation",
+    "optimizer.tolerance",
+    "optimizer.rounds",
 }
 """What depends on bodies, delays, distances and their unit, and on the number of robots."""
-ALSO = {  # whose printed numbers are from before these were the defaults
-    "tetrahymena_disturbed.yaml": {"collision.adaptive"},
-} | {name: {"collision.adaptive"} for name in OURS if name.startswith("benchmark/")}
-ALSO["benchmark/anywhere.yaml"] = {"collision.silence"}
 
 
-def different(one, other, path=""):
-    """The fields in which two sections differ."""
-    for field in type(one).model_fields:
-        ours, theirs = getattr(one, field), getattr(other, field)
-        if ours != theirs:
-            inside = field in ("collision", "optimizer")
-            yield from different(ours, theirs, f"{field}.") if inside else [path + field]
+def of_earlier_numbers(name):
+    """What a spec says because its printed numbers are from before this was the default."""
+    if name == "benchmark/anywhere.yaml":
+        return {"collision.silence"}
+    if name.startswith("benchmark/") or name == "tetrahymena_disturbed.yaml":
+        return {"collision.adaptive"}
+    return set()
+
+
+def differing_fields(section, default, prefix=""):
+    """The fields in which two sections of one type differ, those of inner sections with a dot."""
+    fields = set()
+    for field in type(section).model_fields:
+        stated = getattr(section, field)
+        by_default = getattr(default, field)
+        if stated == by_default:
+            continue
+        if field in ("collision", "optimizer"):
+            fields |= differing_fields(stated, by_default, f"{field}.")
+        else:
+            fields.add(prefix + field)
+    return fields
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -47,30 +75,46 @@ def test_a_spec_says_only_what_is_its_labs(name):
     text = f"name: s\narena: {{left: 0, bottom: 0, width: 9, height: 9}}\n{robots}{wheels}"
     period = [f"controller.period={spec.controller.period}"]
     default = parse_spec(text, "default.yaml", period).experiment.controller
-    assert set(different(spec.controller, default)) <= OF_THE_LAB | ALSO.get(name, set())
+    stated = differing_fields(spec.controller, default)
+    assert stated <= OF_THE_LAB | of_earlier_numbers(name)
 
 
 def test_the_published_controller_is_left_alone():
     assert "three_m3pi.yaml" in OURS
-    published = load_spec(ROOT / "experiments" / "three_m3pi_paper.yaml").experiment.controller
-    assert set(different(published, type(published)())) == {"time_limit"}
+    published = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment.controller
+    default = type(published)()
+    assert differing_fields(published, default) == {"time_limit"}
     assert published.time_limit == pytest.approx(101 * 0.2)  # of 1 + k_max steps
 
 
 LAB = WRITTEN["init: lab"]
 
 
-def test_defaults_follow_the_period_the_robots_and_their_bodies():
-    control = parse_spec(LAB, "lab.yaml").experiment.controller
-    assert (control.period, control.signal_periods, control.time_limit) == (0.05, 4, 160)
-    assert control.accept_error == 8.6  # of 380 mm/s
-    assert (control.collision.separation, control.arrival_tolerance) == (94, 0)
-    assert (control.collision.silence, control.collision.stop_before_collision) == (1, True)
-    slow = parse_spec(LAB, "lab.yaml", ["controller.period=0.2"]).experiment.controller
-    assert (slow.signal_periods, slow.accept_error) == (1, 34)
+def lab_controller(*sets):
+    return parse_spec(LAB, "lab.yaml", sets).experiment.controller
+
+
+def test_defaults_follow_the_robots_and_their_bodies():
+    controller = lab_controller()
+    assert controller.period == 0.05
+    assert controller.time_limit == 160
+    assert controller.arrival_tolerance == 0
+    assert controller.collision.separation == 94
+    assert controller.collision.silence == 1
+    assert controller.collision.stop_before_collision is True
+
+
+@pytest.mark.parametrize(
+    ("period_s", "signal_periods", "accept_error_mm"), [(0.05, 4, 8.6), (0.2, 1, 34)]
+)
+def test_defaults_follow_the_period(period_s, signal_periods, accept_error_mm):
+    """The fastest robot drives at 380 mm/s."""
+    controller = lab_controller(f"controller.period={period_s}")
+    assert controller.signal_periods == signal_periods
+    assert controller.accept_error == accept_error_mm
 
 
 def test_a_wrong_period_is_one_error():
     with pytest.raises(InvalidSpecError) as caught:
-        parse_spec(LAB, "lab.yaml", ["controller.period=x"])
+        lab_controller("controller.period=x")
     assert str(caught.value).count("\n") == 0

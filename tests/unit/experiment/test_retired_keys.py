@@ -11,9 +11,11 @@ arena: {left: 0, bottom: 0, width: 9, height: 9}
 robots: [{name: r, start: [1, 1], target: [2, 2], a: 1, speed: 1}]
 controller: {type: %s, steps_max: 300}
 """
+LIMITS = {"ensemble": "60.2", "mpc": "15.05"}
+"""The time limit of 301 steps [s], of 0.2 and of 0.05 s."""
 
 
-@pytest.mark.parametrize(("kind", "limit"), [("ensemble", "60.2"), ("mpc", "15.05")])
+@pytest.mark.parametrize(("kind", "limit"), LIMITS.items())
 def test_steps_of_an_earlier_spec_get_the_time_to_write(kind, limit):
     with pytest.raises(InvalidSpecError) as caught:
         parse_spec(SPEC % kind, "earlier.yaml")
@@ -23,13 +25,14 @@ def test_steps_of_an_earlier_spec_get_the_time_to_write(kind, limit):
 
 
 def test_steps_in_the_spec_of_an_earlier_log_are_a_time():
-    found = parse_written(SPEC % "mpc", "spec.yaml").experiment.controller
-    assert found.time_limit == pytest.approx(15.05)
+    controller = parse_written(SPEC % "mpc", "spec.yaml").experiment.controller
+    assert controller.time_limit == pytest.approx(301 * 0.05)
 
 
 def test_the_published_controller_counts_steps():
-    found = parse_spec(SPEC % "pso-mpc", "spec.yaml").experiment.controller
-    assert (found.steps_max, found.time_limit) == (300, pytest.approx(60.2))
+    controller = parse_spec(SPEC % "pso-mpc", "spec.yaml").experiment.controller
+    assert controller.steps_max == 300
+    assert controller.time_limit == pytest.approx(301 * 0.2)
 
 
 def test_an_intensity_of_an_earlier_spec_is_told_in_one_line():

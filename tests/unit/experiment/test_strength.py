@@ -18,21 +18,30 @@ robots:
 """
 
 
+def setup_of(*sets):
+    return parse_spec(SPEC, "x.yaml", sets).experiment.setup
+
+
 def test_a_is_alpha_times_the_strength():
-    setup = parse_spec(SPEC, "x.yaml").experiment.setup
+    setup = setup_of()
+    assert setup.strength == 2.0
+    assert setup.strength_unit == "mT"
     assert setup.a.tolist() == [0.74 * 2, 3]
-    assert (setup.strength, setup.strength_unit) == (2.0, "mT")
-    stronger = parse_spec(SPEC, "x.yaml", ["strength=11"]).experiment.setup
-    assert stronger.a.tolist() == [0.74 * 11, 3]
-    electric = parse_spec(SPEC, "x.yaml", ["robots.r.a={per_V_cm: 0.5}"]).experiment.setup
-    assert (electric.a[0], electric.strength_unit) == (1.0, "V/cm")
+    assert setup_of("strength=11").a.tolist() == [0.74 * 11, 3]
+
+
+def test_the_strength_of_an_electric_field_is_in_volts_per_centimetre():
+    setup = setup_of("robots.r.a={per_V_cm: 0.5}")
+    assert setup.a[0] == 0.5 * 2
+    assert setup.strength_unit == "V/cm"
 
 
 def test_what_is_resolved_loads_as_the_same_spec():
     loaded = parse_spec(SPEC, "x.yaml")
     assert "a: {per_mT: 0.74}" in loaded.resolved
     again = parse_spec(loaded.resolved, "again")
-    assert (again.experiment, again.hash) == (loaded.experiment, loaded.hash)
+    assert again.experiment == loaded.experiment
+    assert again.hash == loaded.hash
 
 
 def test_a_spec_without_a_strength_is_dumped_as_ever():
@@ -60,17 +69,29 @@ def test_what_cannot_be_is_one_clear_line(setting, says):
 
 
 def identified(strength):
-    one = {quantity: {"value": 4.0 if quantity == "a" else 1.0} for quantity in QUANTITIES}
-    robots = {"r": one, "s": one}
-    known = {"unit": "mm", "dead_time": {"value": 0.1}, "robots": robots, "strength": strength}
-    return Identified.model_validate({"identified": "", "origin": "lab", **known})
+    """Robots with a of 4 rad/s, identified from logs with this strength [mT]."""
+    values = {quantity: {"value": 1.0} for quantity in QUANTITIES} | {"a": {"value": 4.0}}
+    return Identified.model_validate(
+        {
+            "identified": "",
+            "origin": "lab",
+            "unit": "mm",
+            "dead_time": {"value": 0.1},
+            "robots": {"r": values, "s": values},
+            "strength": strength,
+        }
+    )
 
 
 def test_an_identified_rate_replaces_alpha_by_that_at_the_strength_of_its_logs():
     document = parse_document(SPEC, "x.yaml")
     merge(document, identified(8.0), "found.yaml")
-    assert [one["a"] for one in document.data["robots"]] == [{"per_mT": 0.5}, 4.0]
-    unknown = parse_document(SPEC, "x.yaml")
-    merge(unknown, identified(None), "found.yaml")
-    (problem,) = unknown.problems
+    rates = [robot["a"] for robot in document.data["robots"]]
+    assert rates == [{"per_mT": 4.0 / 8.0}, 4.0]
+
+
+def test_an_identified_rate_of_unknown_strength_cannot_replace_alpha():
+    document = parse_document(SPEC, "x.yaml")
+    merge(document, identified(None), "found.yaml")
+    (problem,) = document.problems
     assert "its logs state no strength" in str(problem)

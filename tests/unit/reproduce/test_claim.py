@@ -32,10 +32,12 @@ def test_a_mean_is_reached_or_missed_by_its_whole_interval(bound, verdict):
 
 
 def test_equal_values_count_as_a_point():
-    found = Within(20, 20).found(np.full(3, 11.0))
-    assert (found.low, found.high) == (11, 11)
-    assert Within(20, 20).verdict(np.full(3, 11.0)) is Fate.MISSED
-    assert Within(11, 11).verdict(np.full(3, 11.0)) is Fate.AGREES
+    equal = np.full(3, 11.0)
+    number = Within(20, 20).found(equal)
+    assert number.low == 11
+    assert number.high == 11
+    assert Within(20, 20).verdict(equal) is Fate.MISSED
+    assert Within(11, 11).verdict(equal) is Fate.AGREES
 
 
 @pytest.mark.parametrize(
@@ -60,8 +62,9 @@ def test_a_fact_as_often_as_stated_agrees():
 
 def test_a_published_mean_and_deviation_agree_within_their_own_uncertainty():
     """F = (322 / 225.1)^2 = 2.05 is below its bound 2.53 for two samples of 20."""
-    values = np.random.default_rng(1).normal(0, 1, 20)
-    values = 638.1 + 322.0 * (values - values.mean()) / values.std(ddof=1)
+    draws = np.random.default_rng(1).normal(0, 1, 20)
+    standardised = (draws - draws.mean()) / draws.std(ddof=1)
+    values = 638.1 + 322.0 * standardised
     assert SameDeviation(225.1, 20).verdict(values) is Fate.AGREES
     assert SameDeviation(225.1, 20).verdict(2 * values) is Fate.MISSED
     assert SameMean(648.6, 225.1, 20).verdict(values) is Fate.AGREES

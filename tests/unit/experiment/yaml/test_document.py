@@ -20,8 +20,9 @@ note: >
 
 
 def place(document, *loc):
-    found = document.values[loc]
-    return found.line, found.column, found.text
+    """The line, column and text of a value, None if it is a list, a mapping or a block."""
+    value = document.values[loc]
+    return value.line, value.column, value.text
 
 
 def test_every_value_has_its_place_and_text():

@@ -20,7 +20,9 @@ from tetractl.run.store import Store
 from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml, shown
 
 TRIALS = "trials.csv"
+"""Name of the table of what is repeatable."""
 TIMES = "times.csv"
+"""Name of the table of what differs from run to run."""
 HOST_COLUMNS = ("deadline_misses",)
 """Columns of `export` that differ between two runs of a trial; only `times.csv` has them."""
 LISTED = 100
@@ -78,6 +80,7 @@ def _exported(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _times(trial: ResultSummary) -> dict[str, Any]:
+    """Return the times that a trial's steps took [ms]."""
     solve_ms = [ns / MILLISECOND for ns in trial.result.solve_ns]
     return {
         "solve_mean_ms": sum(solve_ms) / len(solve_ms) if solve_ms else None,
@@ -92,10 +95,13 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     as one observation. If each trial counted separately, the interval would be too short.
     """
     errors = [_errors_by_number(store, arm) for arm in arms]
-    in_all = set.intersection(*(set(of_arm) for of_arm in errors))
-    means = [np.mean([of_arm[number] for of_arm in errors]) for number in sorted(in_all)]
+    in_all = set.intersection(*map(set, errors))
+    means: list[float] = []
+    for number in sorted(in_all):
+        over_arms = [of_arm[number] for of_arm in errors]
+        means.append(float(np.mean(over_arms)))
     bound = arms[0].spec.experiment.error_bound
-    return ArmErrors.of(value, shown(value), len(arms), np.array(means, dtype=float), bound)
+    return ArmErrors.of(value, shown(value), len(arms), np.array(means), bound)
 
 
 def _errors_by_number(store: Store, arm: Arm) -> dict[int, float]:

@@ -1,6 +1,13 @@
 """Loads a study's file and its arms, and reports all problems at once.
 
-An arm is the combination of one point of the sweep with one controller.
+An arm is the combination of one point of the sweep with one controller. In the order of a study's
+arms,
+
+    _combinations    yields each with its settings, which have locations in the study's file
+    _arm             loads the base spec with these settings, and checks it
+    _placed          tells a problem of that spec at the setting that causes it
+
+and then `_disagreements` looks for problems that concern several arms.
 """
 
 import json
@@ -36,6 +43,13 @@ from tetractl.run.task import code_of
 from tetractl.run.trial_limits import check
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
+MAX_ARMS = 100_000
+"""Largest number of arms of a study."""
+NAME_LENGTH = 100
+"""Largest length of the name of an arm's folder, far below the limit of file systems."""
+SWEEP_KEY = (0,)
+"""Spawn key of a sweep's random draws; the keys of trials have two numbers."""
+
 
 @dataclass(frozen=True, slots=True)
 class Arm:
@@ -61,11 +75,10 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
     """
     ends = [path.rpartition(".")[2] for path in values]
     paths = ends if len(set(ends)) == len(ends) else list(values)
-    words = [controller] * bool(controller)
+    words = [controller] if controller else []
     words += [f"{path}={shown(value)}" for path, value in zip(paths, values.values(), strict=True)]
-    # largest length of a folder's name, far below the limit of file systems
-    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))[:100]
-    return name.lstrip(".-") or "base"
+    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))
+    return name[:NAME_LENGTH].lstrip(".-") or "base"
 
 
 def shown(value: Any) -> str:
@@ -116,10 +129,6 @@ class Study(Model):
     """Number and seed of the trials of each arm; those of the base are ignored."""
 
 
-MAX_ARMS = 100_000
-SWEEP_KEY = (0,)  # spawn key of a sweep's random draws; the keys of trials have two numbers
-
-
 @dataclass(frozen=True, slots=True)
 class LoadedStudy:
     """A valid study with its arms, in the order in which tables list them."""
@@ -139,10 +148,10 @@ class LoadedStudy:
 
     def store(self, folder: Path) -> Store:
         """Return the store of the study, with the folder of each arm."""
-        return Store(
-            folder,
-            {arm.name: BatchFolder(folder / arm.name, arm.spec.experiment) for arm in self.arms},
-        )
+        batches = {
+            arm.name: BatchFolder(folder / arm.name, arm.spec.experiment) for arm in self.arms
+        }
+        return Store(folder, batches)
 
 
 @dataclass(frozen=True)
@@ -191,19 +200,30 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
     if isinstance(base.source, Path) and not base.source.exists():
         text = f"there is no such file: {printable(str(base.source))}{near_files(base.source)}"
         raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
-    arms, problems, hint = list[Arm](), dict[SpecProblem, None](), None
-    for controller, values, settings in _arms(study, document):
+    arms = _arms(study, base, document)
+    disagreements = list(dict.fromkeys(_disagreements(arms, document)))
+    if disagreements:
+        raise InvalidSpecError(disagreements)
+    return LoadedStudy(study, tuple(_with_unique_names(arms)))
+
+
+def _arms(study: Study, base: Base, document: Document) -> list[Arm]:
+    """Return all arms. InvalidSpecError has the problems of all of them, each once; its hint names
+    the first arm with a problem that its settings bring out in the base."""
+    arms: list[Arm] = []
+    problems: dict[SpecProblem, None] = {}
+    hint: str | None = None
+    for combination in _combinations(study, document):
         try:
-            arms.append(_arm(base, study, controller, values, settings, document))
+            arms.append(_arm(base, study, combination, document))
         except InvalidSpecError as error:
             problems |= dict.fromkeys(error.problems)
-            if settings and any(p.origin != document.origin for p in error.problems):
-                hint = hint or f"in the arm {arm_name(controller, values)} of {document.origin}"
-    if not problems:
-        problems = dict.fromkeys(_disagreements(arms, document))
+            in_base = any(problem.origin != document.origin for problem in error.problems)
+            if hint is None and combination.settings and in_base:
+                hint = f"in the arm {combination.name} of {document.origin}"
     if problems:
         raise InvalidSpecError(problems, hint)
-    return LoadedStudy(study, tuple(_with_unique_names(arms)))
+    return arms
 
 
 def is_study(path: Path) -> bool:
@@ -219,6 +239,7 @@ def study_schema() -> dict[str, Any]:
 
 
 def _study(document: Document) -> Study:
+    """Return the study of a document; InvalidSpecError also if it is a spec."""
     if "robots" in document.data and "base" not in document.data:
         origin = document.origin
         hint = f"run it with: tetractl run {origin}; a study names it as its 'base:'"
@@ -226,74 +247,120 @@ def _study(document: Document) -> Study:
     return validated(Study, document)
 
 
-_Placed = list[tuple[str, Loc]]  # settings, each with its location in the study
+@dataclass(frozen=True, slots=True)
+class PlacedSetting:
+    """A setting `path=value` of a spec, and its location in the study."""
+
+    text: str
+    loc: Loc
+
+    @classmethod
+    def of(cls, path: str, value: Any, loc: Loc) -> "PlacedSetting":
+        """Return the setting of a value at a path."""
+        return cls(f"{path}={as_yaml(value)}", loc)
 
 
-def _arms(study: Study, document: Document) -> Iterable[tuple[str, dict[str, Any], _Placed]]:
-    """Yield controller, swept values and settings of every arm."""
-    points: list[Mapping[str, Setting]] = [{}]
-    if study.sweep is not None:
-        seeds = np.random.SeedSequence(study.trials.seed, spawn_key=SWEEP_KEY)
-        points = study.sweep.draw(np.random.default_rng(seeds))
-    named = study.controllers or {"": {}}
-    if len(points) * len(named) > MAX_ARMS:
-        text = f"gives {len(points) * len(named)} arms; a study has at most {MAX_ARMS}"
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A controller, "" for none, and a point of the sweep: the `values` of the swept fields by
+    path. The `settings` are those of both, in the order in which they are set."""
+
+    controller: str
+    values: Mapping[str, Any]
+    settings: tuple[PlacedSetting, ...]
+
+    @property
+    def name(self) -> str:
+        """The name of the arm."""
+        return arm_name(self.controller, self.values)
+
+
+def _combinations(study: Study, document: Document) -> Iterable[Combination]:
+    """Yield each controller with each point of the sweep."""
+    points = _points(study)
+    controllers = study.controllers or {"": {}}
+    count = len(points) * len(controllers)
+    if count > MAX_ARMS:
+        text = f"gives {count} arms; a study has at most {MAX_ARMS}"
         raise InvalidSpecError([document.place(("sweep",)).problem(("sweep",), text)])
-    for controller, values in named.items():
-        chosen = [
-            (f"{path}={as_yaml(value)}", ("controllers", controller, path))
-            for path, value in values.items()
+    for controller, fields in controllers.items():
+        of_controller = [
+            PlacedSetting.of(path, value, ("controllers", controller, path))
+            for path, value in fields.items()
         ]
         for point in points:
-            swept = [
-                (f"{path}={as_yaml(one.value)}", ("sweep", *one.loc)) for path, one in point.items()
+            of_point = [
+                PlacedSetting.of(path, setting.value, ("sweep", *setting.loc))
+                for path, setting in point.items()
             ]
-            yield controller, {path: one.value for path, one in point.items()}, [*chosen, *swept]
+            values = {path: setting.value for path, setting in point.items()}
+            yield Combination(controller, values, (*of_controller, *of_point))
 
 
-def _arm(
-    base: Base,
-    study: Study,
-    controller: str,
-    values: Mapping[str, Any],
-    settings: _Placed,
-    document: Document,
-) -> Arm:
+def _points(study: Study) -> list[Mapping[str, Setting]]:
+    """Return the points of the sweep, drawn by the study's seed; without a sweep, one that sets
+    nothing."""
+    if study.sweep is None:
+        return [{}]
+    seeds = np.random.SeedSequence(study.trials.seed, spawn_key=SWEEP_KEY)
+    return study.sweep.draw(np.random.default_rng(seeds))
+
+
+def _arm(base: Base, study: Study, combination: Combination, document: Document) -> Arm:
     """Return one arm; InvalidSpecError with locations in the study if its settings are invalid."""
-    for setting, loc in settings:
-        if setting.partition("=")[0].split(".")[0] == "trials":
+    settings = combination.settings
+    for setting in settings:
+        path, _, _ = setting.text.partition("=")
+        if path.split(".")[0] == "trials":
             text = "cannot be swept; give count and seed in the study's 'trials:'"
-            raise InvalidSpecError([document.place(loc).problem(loc, text)])
-    sets = tuple(setting for setting, _ in settings)
+            place = document.place(setting.loc)
+            raise InvalidSpecError([place.problem(setting.loc, text)])
+    sets = tuple(setting.text for setting in settings)
     trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
     try:
         spec = base.load((*sets, *trials))
     except InvalidSpecError as error:
-        found = {f"--set {printable(setting, 200)}": loc for setting, loc in settings}
-        raise InvalidSpecError([_placed(p, found, document) for p in error.problems]) from None
+        locations = {f"--set {printable(setting.text, 200)}": setting.loc for setting in settings}
+        placed = [_placed(problem, locations, document) for problem in error.problems]
+        raise InvalidSpecError(placed) from None
+    _check_runs(spec, base, document)
+    return Arm(
+        name=combination.name,
+        controller=combination.controller,
+        values=combination.values,
+        sets=sets,
+        spec=spec,
+        hash=arm_hash(spec.experiment),
+        code=code_of(spec.experiment),
+    )
+
+
+def _check_runs(spec: LoadedSpec, base: Base, document: Document) -> None:
+    """Raise InvalidSpecError, at the study's base, if a study cannot run a spec."""
+    loc: Loc = ("base",)
     if not spec.experiment.plant.simulated:
-        loc: Loc = ("base",)
         text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
         raise InvalidSpecError([document.place(loc).problem(loc, text, base.named)])
     try:
         check(spec.experiment)
     except SpecError as error:
-        place = document.place(("base",))
-        raise InvalidSpecError([place.problem(("base",), error.message, base.named)]) from None
-    name, known_by = arm_name(controller, values), arm_hash(spec.experiment)
-    return Arm(name, controller, values, sets, spec, known_by, code_of(spec.experiment))
+        place = document.place(loc)
+        raise InvalidSpecError([place.problem(loc, error.message, base.named)]) from None
 
 
-def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:
-    """Return a problem of a spec, located in the study if a setting of the study causes it."""
-    loc = settings.get(problem.origin)
+def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Document) -> SpecProblem:
+    """Return a problem of a spec, located in the study if a setting of the study causes it:
+    `locations` are those of the settings by the origin that a problem names."""
+    loc = locations.get(problem.origin)
     if loc is None:
         return problem
-    place = document.place(loc)
-    path = str(loc[-1]) if not isinstance(loc[-1], int) else str(loc[-2])
-    inside = f"{problem.field}: " if problem.field not in ("", path) else ""
-    text = f"{inside}{problem.message}"
-    return replace(place.problem(loc, text, problem.value), field=dotted(loc))
+    in_list = isinstance(loc[-1], int)
+    path = str(loc[-2] if in_list else loc[-1])
+    text = problem.message
+    if problem.field not in ("", path):
+        text = f"{problem.field}: {text}"
+    located = document.place(loc).problem(loc, text, problem.value)
+    return replace(located, field=dotted(loc))
 
 
 def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]:
@@ -302,9 +369,9 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
     if len(units) > 1:
         text = f"has arms in {' and '.join(units)}, but a table has one length unit"
         yield document.place(("sweep",)).problem(("sweep",), text)
-    seen: dict[tuple[str, str], Arm] = {}
+    arm_of: dict[tuple[str, str], Arm] = {}
     for arm in arms:
-        twin = seen.setdefault((arm.controller, arm.hash), arm)
+        twin = arm_of.setdefault((arm.controller, arm.hash), arm)
         if twin is not arm:
             text = f"gives the arm {arm.name} twice, once as {twin.name}; keep one"
             yield document.place(("sweep",)).problem(("sweep",), text)

@@ -1,5 +1,6 @@
 """Selects the trials of a study that are run and the logs that are whole."""
 
+import math
 import pickle
 import re
 from collections import Counter
@@ -16,29 +17,35 @@ from tetractl.run.store import Store
 from tetractl.run.task import LogKind, Task
 from tetractl.study.load_study import LoadedStudy
 
+SAMPLE = re.compile(r"sample:([1-9]\d{0,6})")
+"""The rule `sample:N`."""
+
 
 @dataclass(frozen=True, slots=True)
 class Logs:
-    """Which logs are whole: those of the first `each` trials of every arm, and of failed trials.
-    The others are brief."""
+    """Which logs are whole: those of the first `whole_trials` trials of every arm and, if
+    `failed`, those of failed trials. The others are brief."""
 
-    each: float
+    whole_trials: float
     failed: bool
 
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the rule for `all`, `failed`, `sample:N` or `none`; UsageError otherwise."""
         if text == "all":
-            return cls(float("inf"), True)
-        if found := re.fullmatch(r"sample:([1-9]\d{0,6})", text):
-            return cls(int(found[1]), False)
-        if text in ("failed", "none"):
-            return cls(0, text == "failed")
-        raise UsageError(f"--logs {text}: must be all, failed, sample:N or none")
+            return cls(whole_trials=math.inf, failed=True)
+        if text == "failed":
+            return cls(whole_trials=0, failed=True)
+        if text == "none":
+            return cls(whole_trials=0, failed=False)
+        sample = SAMPLE.fullmatch(text)
+        if sample is None:
+            raise UsageError(f"--logs {text}: must be all, failed, sample:N or none")
+        return cls(whole_trials=int(sample[1]), failed=False)
 
     def kind(self, trial: int) -> LogKind:
         """Return which log a trial is to leave."""
-        if trial < self.each:
+        if trial < self.whole_trials:
             return LogKind.WHOLE
         return LogKind.WHOLE_IF_FAILED if self.failed else LogKind.BRIEF
 
@@ -47,7 +54,7 @@ def lacking(
     loaded: LoadedStudy, store: Store, logs: Logs, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
     """Return the tasks of trials that are not finished and, by arm, the number of outdated trials
-    kept.
+    that are kept as they are.
 
     A trial is outdated if another version of the code has run it; with `rerun_outdated`, the tasks
     of such trials are returned too. Tasks are ordered by trial number, so that all arms have about
@@ -55,15 +62,20 @@ def lacking(
     """
     count = loaded.study.trials.count
     tasks: list[Task] = []
-    kept: dict[str, int] = {}
+    outdated: dict[str, int] = {}
     for arm in loaded.arms:
         spec = pickle.dumps(arm.spec)
         batch = store.batches[arm.name]
-        trials = [*batch.lacking, *(batch.outdated if rerun_outdated else ())]
-        tasks += [Task(n, count, spec, arm.name, logs.kind(n), arm.code) for n in sorted(trials)]
-        if batch.outdated and not rerun_outdated:
-            kept[arm.name] = len(batch.outdated)
-    return sorted(tasks, key=lambda task: task.trial), kept
+        numbers = list(batch.lacking)
+        if rerun_outdated:
+            numbers += batch.outdated
+        elif batch.outdated:
+            outdated[arm.name] = len(batch.outdated)
+        tasks += [
+            Task(number, count, spec, arm.name, logs.kind(number), arm.code)
+            for number in sorted(numbers)
+        ]
+    return sorted(tasks, key=lambda task: task.trial), outdated
 
 
 def warm_up_arms(loaded: LoadedStudy, announce: Callable[[str], None]) -> None:
@@ -75,8 +87,8 @@ def warm_up_arms(loaded: LoadedStudy, announce: Callable[[str], None]) -> None:
 
 def dry_run(loaded: LoadedStudy, folder: Path, tasks: Sequence[Task]) -> Table:
     """Return a table of the arms: their differences from the base, and how many trials to run."""
-    left = Counter(task.arm for task in tasks)
-    rows = [(arm.name, ", ".join(arm.sets), str(left[arm.name])) for arm in loaded.arms]
+    to_run = Counter(task.arm for task in tasks)
+    rows = [(arm.name, ", ".join(arm.sets), str(to_run[arm.name])) for arm in loaded.arms]
     count = len(loaded.arms) * loaded.study.trials.count
     title = f"{loaded.study.name} as it would be run, {len(tasks)} of {count} trials into {folder}"
     return Table.of_texts(title, ("arm", "differs from the base in", "trials to run"), rows)

@@ -7,7 +7,7 @@ points drawn from ranges.
 import itertools
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -52,11 +52,13 @@ class Grid(Sweep):
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
         """Return every combination of the values."""
-        axes = [
-            [Setting(value, ("fields", path, i)) for i, value in enumerate(values)]
-            for path, values in self.fields.items()
-        ]
+        axes = [_axis(path, values) for path, values in self.fields.items()]
         return [dict(zip(self.fields, point, strict=True)) for point in itertools.product(*axes)]
+
+
+def _axis(path: str, values: Sequence[Any]) -> list[Setting]:
+    """Return the settings of a grid's field."""
+    return [Setting(value, ("fields", path, i)) for i, value in enumerate(values)]
 
 
 Point = Annotated[dict[FieldPath, Any], Field(min_length=1)]
@@ -71,10 +73,11 @@ class Points(Sweep):
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
         """Return the listed points in order."""
-        return [
-            {path: Setting(value, ("points", i, path)) for path, value in point.items()}
-            for i, point in enumerate(self.points)
-        ]
+        points: list[Mapping[str, Setting]] = []
+        for i, point in enumerate(self.points):
+            settings = {path: Setting(value, ("points", i, path)) for path, value in point.items()}
+            points.append(settings)
+        return points
 
 
 class Range(Model):
@@ -101,14 +104,19 @@ class Range(Model):
 
     def at(self, share: float) -> float:
         """Return the value at the fraction `share`, from 0 to below 1, of the range."""
-        low, high = self.low, self.high + self.whole
+        if self.whole:
+            # as many values round down to the highest number as to any other
+            value = self._between(self.low, self.high + 1, share)
+            return math.floor(min(max(value, self.low), self.high + 0.5))
+        value = self._between(self.low, self.high, share)
+        return min(max(value, self.low), self.high)
+
+    def _between(self, low: float, high: float, share: float) -> float:
+        """Return the value between two others, which rounding may exceed."""
         if self.scale == "log":
-            value = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
-        else:
-            value = low + share * (high - low)
-        # limited, since rounding may exceed the range
-        value = min(max(value, self.low), self.high + self.whole / 2)
-        return math.floor(value) if self.whole else value
+            log_low = math.log(low)
+            return math.exp(log_low + share * (math.log(high) - log_low))
+        return low + share * (high - low)
 
 
 class SampledSweep(Sweep):
@@ -125,13 +133,14 @@ class SampledSweep(Sweep):
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
         """Return `count` points drawn from the ranges."""
-        return [
-            {
-                path: Setting(range_.at(share), ("fields", path))
-                for (path, range_), share in zip(self.fields.items(), row, strict=True)
-            }
-            for row in self.shares(rng).tolist()
-        ]
+        return [self._point(shares) for shares in self.shares(rng).tolist()]
+
+    def _point(self, shares: Sequence[float]) -> Mapping[str, Setting]:
+        """Return the settings at one fraction of each field's range."""
+        settings: dict[str, Setting] = {}
+        for (path, range_), share in zip(self.fields.items(), shares, strict=True):
+            settings[path] = Setting(range_.at(share), ("fields", path))
+        return settings
 
 
 class Random(SampledSweep):
@@ -155,4 +164,5 @@ class Sobol(SampledSweep):
         from scipy.stats import qmc  # slow to import, and only needed here
 
         sequence = qmc.Sobol(len(self.fields), rng=rng)
-        return sequence.random_base2(math.ceil(math.log2(self.count)))[: self.count]
+        log2_count = math.ceil(math.log2(self.count))
+        return sequence.random_base2(log2_count)[: self.count]

@@ -217,6 +217,6 @@ def test_arms_have_names_that_fit_a_file_system(controller, values, name):
 
 def test_options_are_parsed():
     assert Logs.parse("sample:3") == Logs(3, failed=False)
-    assert Logs.parse("all").each == float("inf")
+    assert Logs.parse("all").whole_trials == float("inf")
     assert Logs.parse("failed") == Logs(0, failed=True)
     assert Logs.parse("none") == Logs(0, failed=False)

@@ -89,7 +89,8 @@ def _differences(
     elif isinstance(ours, np.ndarray):
         yield from _array_difference(ours, logged, tolerance, name)
     elif isinstance(ours, float):
-        if tolerance.differs(np.array(ours), np.array(float(logged))).any():
+        logged_number = np.array(float(logged))
+        if tolerance.differs(np.array(ours), logged_number).any():
             yield name, f"logged {logged!r}, computed {ours!r}"
     elif isinstance(ours, str | bytes | int | np.generic):
         if ours != logged:

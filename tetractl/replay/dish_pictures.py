@@ -1,7 +1,9 @@
 """Reads the microscope's pictures in a log, reduced for display, and their place in the dish."""
 
 import io
+import math
 from bisect import bisect_right
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
@@ -9,8 +11,26 @@ from PIL import Image
 from tetractl.core.poses import Floats, Grey
 from tetractl.log.read.trial_log import TrialLog
 
-SHOWN_SIDE = 720  # longer side of a picture as shown [px]
-PICTURES_MAX = 120  # largest number of pictures per trial in a report
+SHOWN_SIDE = 720
+"""Longer side of a picture as shown [px]."""
+PICTURES_MAX = 120
+"""Largest number of pictures per trial in a report."""
+LOGGED_SIDE_MAX = 8192
+"""Longest side of a picture in a log that is read [px]."""
+JPEG_QUALITY = 60
+"""Of the pictures in a report, from 1 to 100."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedPicture:
+    """A picture in grey levels, reduced for display; when it was taken, on the trial's clock [ns],
+    and its original width and height [px].
+    """
+
+    time_ns: int
+    grey: Image.Image
+    width: int
+    height: int
 
 
 class DishPictures:
@@ -23,15 +43,21 @@ class DishPictures:
 
     def __init__(self, log: TrialLog, most: int | None = None) -> None:
         camera = log.experiment.plant.microscope
-        found = log.pictures if camera else ()
-        every = 1 if most is None else max(1, -(-len(found) // most))
-        read = [(at, picture) for at, data in found[::every] if (picture := _small(data))]
-        self.times = [at for at, _ in read]
-        self._pictures = [picture for _, (picture, _) in read]
+        logged = log.pictures if camera is not None else ()
+        stride = 1 if most is None else max(1, math.ceil(len(logged) / most))
+        self._pictures: list[ReducedPicture] = []
+        for time_ns, data in logged[::stride]:
+            picture = _reduced(time_ns, data)
+            if picture is not None:
+                self._pictures.append(picture)
+        self.times = [picture.time_ns for picture in self._pictures]
         self.corners: Floats = np.zeros((3, 2))
-        if camera is not None and read:
-            (width, height), metres = read[0][1][1], log.start.setup.metres
-            ends = ((0.0, 0.0), (width * camera.um_px, 0.0), (0.0, height * camera.um_px))
+        if camera is not None and self._pictures:
+            first = self._pictures[0]
+            width_um = first.width * camera.um_px
+            height_um = first.height * camera.um_px
+            metres = log.start.setup.metres
+            ends = ((0.0, 0.0), (width_um, 0.0), (0.0, height_um))
             self.corners = np.array([camera.placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
@@ -42,27 +68,27 @@ class DishPictures:
 
     def grey(self, which: int) -> Grey:
         """Return the grey levels (height, width) of a picture, with the upper row first."""
-        return np.asarray(self._pictures[which])
+        return np.asarray(self._pictures[which].grey)
 
     def jpeg(self, which: int) -> bytes:
         """Return a picture as a JPEG file."""
         file = io.BytesIO()
-        self._pictures[which].save(file, "JPEG", quality=60)  # JPEG quality, 1 to 100
+        self._pictures[which].grey.save(file, "JPEG", quality=JPEG_QUALITY)
         return file.getvalue()
 
 
-def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
-    """Return a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side, and its original
-    width and height; None if it cannot be read.
+def _reduced(time_ns: int, data: bytes) -> ReducedPicture | None:
+    """Return a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side; None if it
+    cannot be read.
     """
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])
-        size = picture.size
-        if max(size) > 8192:  # longest side of a picture [px]
+        width, height = picture.size
+        if max(width, height) > LOGGED_SIDE_MAX:
             return None
         picture.draft("L", (SHOWN_SIDE, SHOWN_SIDE))
         grey = picture.convert("L")
         grey.thumbnail((SHOWN_SIDE, SHOWN_SIDE))
-        return grey, size
+        return ReducedPicture(time_ns, grey, width, height)
     except Exception:  # Pillow's exceptions for hostile bytes are not documented
         return None

@@ -2,7 +2,7 @@
 poses, distances to obstacles, duration, and how fast the robots turned by themselves.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,10 +19,13 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.path_check import check_path
 from tetractl.replay.comparison import Difference, first_difference
 
-DISTANCE_TOLERANCE = 1e-6  # of a least distance, relative
-STOP_REPEATED_NS = 500_000_000  # longest time from a stop's first repetition to its last
-# A lab trial's final poses must be those of one of this many last frames: once, logs had some more.
+DISTANCE_TOLERANCE = 1e-6
+"""Tolerance of a least distance, relative."""
+STOP_REPEATED_NS = 500_000_000
+"""Longest time from a stop's first repetition to its last [ns]."""
 LAST_FRAMES = 120
+"""A lab trial's final poses must be those of one of this many last frames: once, logs had some
+more."""
 
 
 def lab_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -41,8 +44,10 @@ def lab_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 def untold(verdict: Verdict) -> bool:
     """Return whether a verdict states nothing, as `Verdict.unknown`."""
-    told = any(verdict.entered) or bool(np.isfinite(verdict.clearance).any())
-    return not told and bool(np.isnan(verdict.final.array()).all())
+    if any(verdict.entered) or np.isfinite(verdict.clearance).any():
+        return False
+    final = verdict.final.array()
+    return bool(np.isnan(final).all())
 
 
 def error_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -57,8 +62,9 @@ def error_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         deadline_misses=result.deadline_misses,
         tour=log.tour,
     )
-    if found := first_difference(again, result, name="result"):
-        yield Difference(None, *found)
+    difference = first_difference(again, result, name="result")
+    if difference is not None:
+        yield Difference(None, *difference)
 
 
 def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Difference]:
@@ -68,22 +74,33 @@ def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Diffe
     distance must therefore lie between the least distance in all frames and the least distance in
     the evaluated frames.
     """
-    path, known = trial_path(log)
-    least = check_path(log.start.setup, path, known, verdict.final)
+    path, has_pose = trial_path(log)
+    in_all = check_path(log.start.setup, path, has_pose, verdict.final)
     since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     driven = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
-    most = check_path(log.start.setup, path[driven], known[driven], verdict.final)
-    for name in ("clearance", "edge", "apart"):
-        columns = (getattr(one, name) for one in (verdict, least, most))
-        for i, (stated, low, high) in enumerate(zip(*columns, strict=False)):
-            floor = low - DISTANCE_TOLERANCE * max(1.0, abs(low)) if np.isfinite(low) else -np.inf
-            if not (floor <= stated <= high + DISTANCE_TOLERANCE * max(1.0, abs(high))):
-                text = f"states {stated}, the frames show {low} to {high}"
-                yield Difference(None, f"result.{name}.{i}", text)
-    for i, (stated, touches) in enumerate(zip(verdict.entered, least.entered, strict=True)):
+    evaluated = check_path(log.start.setup, path[driven], has_pose[driven], verdict.final)
+    for name, stated, least, most in (
+        ("clearance", verdict.clearance, in_all.clearance, evaluated.clearance),
+        ("edge", verdict.edge, in_all.edge, evaluated.edge),
+        ("apart", verdict.apart, in_all.apart, evaluated.apart),
+    ):
+        yield from _distances(name, stated, least, most)
+    for i, (stated, touches) in enumerate(zip(verdict.entered, in_all.entered, strict=True)):
         if stated != touches:
             text = f"states {stated}, but the logged path gives {touches}"
             yield Difference(None, f"result.entered.{i}", text)
+
+
+def _distances(
+    name: str, stated: Sequence[float], least: Sequence[float], most: Sequence[float]
+) -> Iterator[Difference]:
+    """Check that each stated distance is within its least and its greatest possible value."""
+    for i, (distance, low, high) in enumerate(zip(stated, least, most, strict=False)):
+        floor = low - DISTANCE_TOLERANCE * max(1.0, abs(low)) if np.isfinite(low) else -np.inf
+        ceiling = high + DISTANCE_TOLERANCE * max(1.0, abs(high))
+        if not floor <= distance <= ceiling:
+            text = f"states {distance}, the frames show {low} to {high}"
+            yield Difference(None, f"result.{name}.{i}", text)
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
@@ -108,8 +125,11 @@ def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
         return True
     rows = log.mocap[-LAST_FRAMES:]
     if log.start.plant.facts.get(HALTS) == "no":
-        before = int(log.mocap_ns[log.mocap_ns <= stop.sent_ns].max(initial=0))
-        rows = log.mocap[log.mocap_ns >= min(stop.sent_ns - STOP_REPEATED_NS, before)]
+        before_stop = log.mocap_ns <= stop.sent_ns
+        last_before_ns = int(log.mocap_ns[before_stop].max(initial=0))
+        since_ns = min(stop.sent_ns - STOP_REPEATED_NS, last_before_ns)
+        may_be_last = log.mocap_ns >= since_ns
+        rows = log.mocap[may_be_last]
     ends = [np.ascontiguousarray(row).tobytes() for row in rows]
     return np.ascontiguousarray(final.array()).tobytes() in ends
 
@@ -144,7 +164,8 @@ def _turns(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
 def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the rates (N,) at which robots on wheels turn by themselves, and their standard errors
     [rad/s], as the guard states them at the end."""
-    lab, setup = log.experiment.plant, log.start.setup
+    lab = log.experiment.plant
+    setup = log.start.setup
     if not isinstance(lab, LabSection) or setup.wheel_radius is None:
         return (), ()
     guard = Guard(guard_rules(setup, lab.limits))
@@ -167,7 +188,8 @@ def _send(guard: Guard, command: Command, t_ns: int, track: float) -> None:
     elif guard.state is GuardState.READY:
         guard.start_run(t_ns)
     if command.left is not None and command.right is not None:
-        speed, turning = (command.left + command.right) / 2, (command.right - command.left) / track
+        speed = (command.left + command.right) / 2
+        turning = (command.right - command.left) / track
         guard.note_transmission(t_ns, speed.tolist(), turning.tolist())
 
 
@@ -177,11 +199,13 @@ def _frame(log: TrialLog, i: int) -> CameraFrame:
         Pose(*row) if valid else None
         for row, valid in zip(log.mocap[i].tolist(), log.valid[i], strict=True)
     )
-    own = log.exposed_ns[i] if (log.exposed_ns[i] != log.mocap_ns[i]).any() else ()
+    exposed_ns = log.exposed_ns[i].tolist()
+    if all(time_ns == log.mocap_ns[i] for time_ns in exposed_ns):
+        exposed_ns = []  # the frame's time is that of all poses
     return CameraFrame(
         int(log.frames[i]),
         int(log.mocap_ns[i]),
         int(log.received_ns[i]),
         poses,
-        exposed_ns=tuple(map(int, own)),
+        exposed_ns=tuple(exposed_ns),
     )

@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.clock import SECOND, Clock, seconds
+from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats, Integers
 from tetractl.core.setup import Setup
@@ -70,9 +70,11 @@ def end_ns(log: TrialLog) -> int:
     last_step_ns = log.steps[-1].command.sent_ns if log.steps else 0
     after = log.mocap_ns >= last_step_ns
     if log.result and not log.start.plant.simulated and after.any():
-        shown = _held(log.mocap, log.valid, log.start.setup.starts.array())[1:][after, :, :2]
-        gaps = np.abs(shown - log.result.verdict.final.xy).max(axis=(1, 2))
-        return int(log.mocap_ns[after][gaps == gaps.min()][-1])
+        held = _held(log.mocap, log.valid, log.start.setup.starts.array())[1:]
+        positions = held[after, :, :2]
+        gaps = np.abs(positions - log.result.verdict.final.xy).max(axis=(1, 2))
+        nearest = np.flatnonzero(gaps == gaps.min())
+        return int(log.mocap_ns[after][nearest[-1]])
     if log.stop:
         return max(last_step_ns, log.stop.sent_ns)
     if log.result:
@@ -92,7 +94,6 @@ class Recording:
         self.log = log
         self.step_ns = np.array([step.command.sent_ns for step in log.steps], dtype=np.int64)
         self.end_ns = end_ns(log)
-        self.began_ns = log.began_ns
         self.events = log.events
         self._event_s = [event.time_s for event in self.events]
         self.event_ns = np.array(sorted(note.t_ns for note in log.notes), dtype=np.int64)
@@ -101,6 +102,11 @@ class Recording:
         )
         self._trail = tracked(log.mocap, log.valid)
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
+
+    @property
+    def began_ns(self) -> int:
+        """The time of the first direction."""
+        return self.log.began_ns
 
     def at(self, time_ns: int) -> Moment:
         """Return the state of the trial at a time [ns]."""
@@ -125,7 +131,7 @@ class Recording:
 
     def elapsed_s(self, time_ns: int) -> float:
         """Return the time since the first direction [s] at a time of the trial's clock [ns]."""
-        return seconds(time_ns - self.began_ns)
+        return self.log.elapsed_s(time_ns)
 
 
 def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
@@ -153,6 +159,16 @@ class Playback(StrEnum):
     PAUSED = "paused"
     ENDED = "end"  # paused at the end of the span
     QUIT = "quit"
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """The trial's time at a time of the wall clock [ns], at the last change of rate, pause or
+    place.
+    """
+
+    trial_ns: int
+    wall_ns: int
 
 
 class Player:
@@ -183,15 +199,15 @@ class Player:
         self.rate = rate  # seconds of the trial per second
         self._wall = wall
         self._paused = paused
-        # the trial's time at a time of the wall, at the last change of rate, pause or jump
-        self._anchor = self.start_ns
-        self._anchor_wall = wall.now()
+        self._anchor = Anchor(self.start_ns, wall.now())
 
     @property
     def now(self) -> int:
         """Time of the trial [ns], within the span played."""
-        passed = 0 if self._paused else round(self.rate * (self._wall.now() - self._anchor_wall))
-        return min(self._anchor + passed, self.until_ns)
+        passed_ns = 0
+        if not self._paused:
+            passed_ns = round(self.rate * (self._wall.now() - self._anchor.wall_ns))
+        return min(self._anchor.trial_ns + passed_ns, self.until_ns)
 
     @property
     def state(self) -> Playback:
@@ -259,8 +275,7 @@ class Player:
         self._seek(time_ns)
 
     def _anchor_at(self, time_ns: int) -> None:
-        self._anchor = time_ns
-        self._anchor_wall = self._wall.now()
+        self._anchor = Anchor(time_ns, self._wall.now())
 
     def _after(self, times: Integers, otherwise: int) -> int:
         """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`."""
@@ -278,7 +293,8 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
 
     `start_s` and `until_s` count from the first direction; the log may begin before it.
     """
-    first_s, end_s = recording.elapsed_s(0), recording.elapsed_s(recording.end_ns)
+    first_s = recording.elapsed_s(0)
+    end_s = recording.elapsed_s(recording.end_ns)
     if not start_s >= first_s:
         begins = f"at {first_s:.4g}" if first_s else "with the first command, at 0"
         raise UsageError(f"--start {start_s:g} lies before the log, which begins {begins}")

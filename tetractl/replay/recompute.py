@@ -12,7 +12,7 @@ How a search of the controller is answered:
 
     recompute         begin(the step's logged searches), then lets the controller plan
     the controller    calls what it takes for its optimiser: _Repeated.search
-    _Repeated         passes on what was asked of which optimiser: LoggedSearches.search
+    _Repeated         passes on requests with their optimiser: LoggedSearches.search
     LoggedSearches    takes the next logged search, and has it answered: _answer
 """
 
@@ -60,8 +60,8 @@ class NoSearchError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """An optimiser, and what a controller asked of it: the arguments of `Optimizer.search`."""
+class SearchRequest:
+    """An optimiser, and what a controller wants of it: the arguments of `Optimizer.search`."""
 
     optimizer: OptimizerSection
     problem: Problem
@@ -78,13 +78,14 @@ class LoggedSearches:
     """Answers the searches of a controller with the logged ones of the present step, and evaluates
     each again: this is re-evaluation.
 
-    Call `begin` before each step. Then `asked` are the step's searches by their index in the log,
-    and `contradiction` is the field and text of the first that contradicts its problem or its
-    optimiser. The processor time, read from `cpu` [s], is limited to `seconds_limit`.
+    Call `begin` before each step. Then `requests` are what the controller wanted of the step's
+    searches, by their index in the log, and `contradiction` is the field and text of the first that
+    contradicts its problem or its optimiser. The processor time, read from `cpu` [s], is limited
+    to `seconds_limit`.
     """
 
     def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
-        self.asked: dict[int, Asked] = {}
+        self.requests: dict[int, SearchRequest] = {}
         self.contradiction: tuple[str, str] | None = None
         self._to_come: list[tuple[int, Search]] = []
         self._cpu = cpu
@@ -103,23 +104,23 @@ class LoggedSearches:
             if search.stopped != StopReason.FIXED
         ]
         self.contradiction = None
-        self.asked = {}
+        self.requests = {}
 
-    def search(self, asked: Asked) -> Search:
+    def search(self, request: SearchRequest) -> Search:
         """Answer a search of the controller; NoSearchError if the log has no other one,
         TooLongError beyond the limits."""
         if not self._to_come:
             raise NoSearchError
         index, logged = self._to_come.pop(0)
-        self.asked[index] = asked
-        return self._answer(asked, logged, f"searches.{index}")
+        self.requests[index] = request
+        return self._answer(request, logged, f"searches.{index}")
 
-    def _answer(self, asked: Asked, logged: Search, name: str) -> Search:
-        """Return the logged search; note how it contradicts what was asked."""
-        if logged.length != asked.length or len(logged.signals) != asked.length:
-            self._note(f"{name}.length", f"{logged.length}, not {asked.length}")
+    def _answer(self, request: SearchRequest, logged: Search, name: str) -> Search:
+        """Return the logged search; note how it contradicts the request."""
+        if logged.length != request.length or len(logged.signals) != request.length:
+            self._note(f"{name}.length", f"{logged.length}, not {request.length}")
             raise NoSearchError
-        for field, text in _contradictions(asked, logged, name):
+        for field, text in _contradictions(request, logged, name):
             self._note(field, text)
         return logged
 
@@ -156,19 +157,21 @@ class SearchesAgain(LoggedSearches):
         self._compiled = False
         self._until_s = math.inf  # until `_compile`
 
-    def _answer(self, asked: Asked, logged: Search, name: str) -> Search:
+    def _answer(self, request: SearchRequest, logged: Search, name: str) -> Search:
         if not self._compiled:
-            self._compile(asked)
+            self._compile(request)
         most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
-        limited = replace(asked.limits, expired=lambda spent: self.expired() or spent >= most)
-        search = asked.optimizer.search(asked.problem, asked.length, asked.warm, asked.key, limited)
+        limited = replace(request.limits, expired=lambda spent: self.expired() or spent >= most)
+        search = request.optimizer.search(
+            request.problem, request.length, request.warm, request.key, limited
+        )
         self.require_time()
         return search
 
-    def _compile(self, asked: Asked) -> None:
+    def _compile(self, request: SearchRequest) -> None:
         """Compile an optimiser by its shortest search; the time limit begins after it."""
-        least = Limits(asked.optimizer.evaluations_min)
-        asked.optimizer.search(asked.problem, 1, np.zeros(1), asked.key, least)
+        least = Limits(request.optimizer.evaluations_min)
+        request.optimizer.search(request.problem, 1, np.zeros(1), request.key, least)
         self._compiled = True
         self._until_s = self._cpu() + seconds_limit()
 
@@ -185,13 +188,15 @@ class _Repeated:
     ) -> Search:
         """Return the answer to a search; `warm` is copied, as the controller goes on using it."""
         start = None if warm is None else warm.copy()
-        return self.searches.search(Asked(self.optimizer, problem, length, start, key, limits))
+        return self.searches.search(
+            SearchRequest(self.optimizer, problem, length, start, key, limits)
+        )
 
 
-def _contradictions(asked: Asked, logged: Search, name: str) -> Iterator[tuple[str, str]]:
+def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterator[tuple[str, str]]:
     """Yield the field and text of each way in which a logged search contradicts its problem or its
     optimiser."""
-    problem = asked.problem
+    problem = request.problem
     cost = float(evaluate(problem, logged.signals[None]).total[0])
     tolerance = _tolerance(problem.poses.xy, problem.targets)
     difference = first_difference(cost, logged.cost, tolerance, f"{name}.cost")
@@ -200,8 +205,8 @@ def _contradictions(asked: Asked, logged: Search, name: str) -> Iterator[tuple[s
     history = logged.history
     if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
         yield f"{name}.history", "does not decrease to the stated cost"
-    warmed = asked.warm is not None
-    for field in asked.optimizer.contradictions(logged, warmed, asked.limits):
+    warmed = request.warm is not None
+    for field in request.optimizer.contradictions(logged, warmed, request.limits):
         value = getattr(logged, field)
         text = f"logged {value}, which contradicts its history and the spec's limits"
         yield f"{name}.{field}", text
@@ -396,7 +401,8 @@ def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
             pause_s = PAUSE_S if last.plan.pauses else 0.0
             wait_ns = round((log.experiment.controller.period + pause_s) * SECOND)
             due_ns = last.command.sent_ns + wait_ns
-        newest_first = newest_first[log.received_ns[newest_first] <= due_ns][:1]
+        in_time = log.received_ns[newest_first] <= due_ns
+        newest_first = newest_first[in_time][:1]
     return newest_first.tolist()
 
 
@@ -445,4 +451,5 @@ def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
 def _tolerance(xy: Floats, targets: Floats) -> Tolerance:
     """Return the tolerance of re-evaluation for N robots at `xy` (N, 2) with `targets` (N, 2)."""
     ends = np.abs(np.concatenate([xy, targets]))
-    return Tolerance(TOLERANCE, ROUNDING * float(ends.max(initial=1.0)) * len(targets))
+    largest = float(ends.max(initial=1.0))
+    return Tolerance(TOLERANCE, ROUNDING * largest * len(targets))

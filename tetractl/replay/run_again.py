@@ -50,7 +50,8 @@ class _Recorder:
 def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
     """Return why the trial of an undamaged log does not repeat here; "" if it does. `elsewhere` are
     the differences between its host and this one."""
-    plant, result = log.experiment.plant, log.result
+    plant = log.experiment.plant
+    result = log.result
     searches = (search for step in log.steps for search in step.plan.searches)
     if not (log.start.plant.simulated and plant.simulated) or plant.real_time or result is None:
         return "it is no simulation in virtual time"

@@ -16,7 +16,7 @@ from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.recompute import LoggedSearches, NoSearchError
+from tetractl.replay.recompute import LoggedSearches, NoSearchError, SearchRequest
 from tetractl.run.spec_trial import trial_seeds
 
 GRID = 61
@@ -54,41 +54,30 @@ class SwarmHistory:
     repeated: bool
 
 
-def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
+def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     """Run the chosen search of control step 0 again and return its swarm.
 
-    `shown` are the instants to keep as frames, each as a fraction of the iterations from 0 to 1.
+    `shares` are the instants to keep as frames, each as a fraction of the iterations from 0 to 1.
     Raises LogError for a search that was not by a particle swarm, has a single signal, does not
     follow from the log, or takes longer than `limits` allows.
     """
-    step = log.steps[0]
     searches = LoggedSearches()
-    searches.begin(step.plan.searches)
-    key, _ = trial_seeds(log.start.seed, log.start.trial)
-    with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
-        searches.controller(log, key).plan(step.observation)
-    asked = searches.asked.get(step.plan.chosen)
-    if step.k != 0 or asked is None:
-        raise LogError(
-            f"{log.log}: the first search of the trial cannot be run again",
-            "tetractl verify prints the difference",
-        )
-    section = asked.optimizer
-    problem = asked.problem
-    logged = step.plan.search
+    request = _first_request(log, searches)
+    section = request.optimizer
     if not isinstance(section, Pso):
         raise LogError(
             f"{log.log}: has no swarm: its optimiser is {section.type}",
             "run it with --set controller.optimizer.type=pso",
         )
-    if asked.length < 2:
+    if request.length < 2:
         raise LogError(f"{log.log}: the plan has one signal, but the figure needs two")
-    last = min(len(logged.history) - 1, section.iterations)
-    wanted = {round(share * last) for share in shown}
+    logged_costs = log.steps[0].plan.search.history
+    last = min(len(logged_costs) - 1, section.iterations)
+    wanted = {round(share * last) for share in shares}
     frames: list[Frame] = []
     path: list[Floats] = []
     costs: list[float] = []
-    swarm = section.swarm(problem, asked.length, asked.warm, asked.key)
+    swarm = section.swarm(request.problem, request.length, request.warm, request.key)
     for z in range(last + 1):
         if searches.expired():
             raise LogError(f"{log.log}: the first search of the trial takes too long to run again")
@@ -103,9 +92,27 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
         tuple(frames),
         np.array(path),
         swarm.u_lb[SEEN, 0],
-        _landscape(problem, swarm.best.signals),
-        bool(np.array_equal(costs, logged.history)),
+        _landscape(request.problem, swarm.best.signals),
+        bool(np.array_equal(costs, logged_costs)),
     )
+
+
+def _first_request(log: TrialLog, searches: LoggedSearches) -> SearchRequest:
+    """Return what the log's controller, which decides control step 0 again, wants of the chosen
+    search; LogError if it does not come to this search.
+    """
+    step = log.steps[0]
+    searches.begin(step.plan.searches)
+    key, _ = trial_seeds(log.start.seed, log.start.trial)
+    with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
+        searches.controller(log, key).plan(step.observation)
+    request = searches.requests.get(step.plan.chosen)
+    if step.k != 0 or request is None:
+        raise LogError(
+            f"{log.log}: the first search of the trial cannot be run again",
+            "tetractl verify prints the difference",
+        )
+    return request
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:

@@ -274,22 +274,21 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
     line.
     """
     used = provenance.plugins(packages(log.experiment))
-    here = provenance.host() | provenance.versions() | used
-    there = log.facts
+    these_facts = provenance.host() | provenance.versions() | used
     return tuple(
-        _difference(key, there.get(key), here.get(key))
+        _difference(key, log.facts.get(key), these_facts.get(key))
         for key in (*DECIDES_BITS, *used)
-        if here.get(key) != there.get(key)
+        if these_facts.get(key) != log.facts.get(key)
     )
 
 
-def _difference(key: str, there: str | None, here: str | None) -> str:
-    """Return a text on the fact `key`, which differs between the log's host (`there`) and this one
-    (`here`); of a list, only the words that differ.
+def _difference(key: str, logged: str | None, present: str | None) -> str:
+    """Return a text on the fact `key`, which differs between the log's host and this one; of a
+    list, only the words that differ.
     """
-    if there is not None and here is not None and key in provenance.LISTS:
-        words_there = set(there.split())
-        words_here = set(here.split())
-        there = " ".join(sorted(words_there - words_here)) or "no more"
-        here = " ".join(sorted(words_here - words_there)) or "no more"
-    return f"{key}: {there or 'unknown'} on the log's host, {here or 'unknown'} on this one"
+    if logged is not None and present is not None and key in provenance.LISTS:
+        logged_words = set(logged.split())
+        present_words = set(present.split())
+        logged = " ".join(sorted(logged_words - present_words)) or "no more"
+        present = " ".join(sorted(present_words - logged_words)) or "no more"
+    return f"{key}: {logged or 'unknown'} on the log's host, {present or 'unknown'} on this one"

@@ -13,10 +13,9 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification.fit import SampleInterval
+from tetractl.replay.identification.fit import FittedRobot, SampleInterval
 from tetractl.replay.identification.identify import (
     IdentifiedRobots,
-    RobotFound,
     identified,
     identify,
     stated,
@@ -191,7 +190,7 @@ INTERVAL = SampleInterval(0.0123, 0.01, 0.02)
 
 def identified_robot(name="one", misfits=()):
     """A robot all of whose values have the same interval."""
-    return RobotFound(
+    return FittedRobot(
         name=name,
         a=INTERVAL,
         speed=INTERVAL,
@@ -308,7 +307,7 @@ def test_robots_that_are_seen_at_times_of_their_own_have_one_dead_time():
     for robot, frames in ((1, 6), (2, 12)):  # by which its poses are older
         poses[frames:, robot] = track.poses[:-frames, robot]
         own_times[frames:, robot] = track.time[:-frames]
-    identification = identify([replace(track, poses=poses, own=own_times)], A_RAD_S)
+    identification = identify([replace(track, poses=poses, own_times=own_times)], A_RAD_S)
     assert identification.dead_time.value == pytest.approx(0.083, abs=1e-3)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.01)
     assert not any(robot.misfits for robot in identification.robots)

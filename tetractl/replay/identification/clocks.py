@@ -25,24 +25,24 @@ class Span:
         return f"{self.source}, {self.begin:.12g} to {self.end:.12g} s"
 
 
-def clock_remark(seen: Span, sent: Floats, commands: Span) -> str | None:
-    """Return what to say of commands that do not act in most of the time seen, or most of which do
-    not; `sent` (C,) are their times [s], in order. UsageError if none acts in it.
+def clock_remark(poses: Span, sent: Floats, commands: Span) -> str | None:
+    """Return what to say of commands that do not act in most of the time of the poses, or most of
+    which do not; `sent` (C,) are their times [s], in order. UsageError if none acts in it.
     """
-    covered = min(seen.end, commands.end) - max(seen.begin, commands.begin)
+    covered = min(poses.end, commands.end) - max(poses.begin, commands.begin)
     if covered <= 0:
         last = Span(commands.source, commands.begin, float(sent[-1]))
         raise UsageError(
-            f"{last}: no time is among those of {seen}",
+            f"{last}: no time is among those of {poses}",
             "both files need times of one clock",
         )
-    length = seen.end - seen.begin
-    within = int(np.count_nonzero((sent >= seen.begin) & (sent < seen.end)))
+    length = poses.end - poses.begin
+    within = int(np.count_nonzero((sent >= poses.begin) & (sent < poses.end)))
     if covered < COVERED * length:
-        return f"{commands.source} covers {covered:.3g} s of the {length:.3g} s of {seen.source}"
+        return f"{commands.source} covers {covered:.3g} s of the {length:.3g} s of {poses.source}"
     if within < WITHIN < len(sent):
         return (
             f"only {within} of the {len(sent)} times of {commands.source} is among the "
-            f"{length:.3g} s of {seen.source}: are they in s, as they say?"
+            f"{length:.3g} s of {poses.source}: are they in s, as they say?"
         )
     return None

@@ -38,7 +38,8 @@ from tetractl.replay.identification.sent_directions import (
 from tetractl.replay.identification.tracks import Track
 
 POSES_MAX = 2_000_000  # largest number of poses of a trial
-ROBOTS_MAX, TRIALS_MAX = 1000, 10_000
+ROBOTS_MAX = 1000
+TRIALS_MAX = 10_000
 """Largest numbers of robots and trials in CSV files."""
 ORIGIN = "CSV"
 WHEELS = ("v", "left", "right", "radius")
@@ -220,7 +221,8 @@ def _columns(path: Path, headers: Collection[str]) -> _Columns:
             observed = find_column(path, headers, ("observed",), SECONDS)
             lag = find_column(path, headers, ("lag",), SECONDS)
             return _DirectionColumns(path, time, sent, observed, lag)
-        speeds = {name: header for header in headers if (name := _speed_name(header))}
+        speeds = {_speed_name(header): header for header in headers}
+        speeds.pop("", None)  # columns that state no speed
         if speeds:
             return _speed_columns(path, headers, time, speeds)
         heading = find_column(path, headers, ("heading",), RADIANS)
@@ -262,14 +264,14 @@ def _position_columns(
     named = {name_and_unit(header): header for header in headers}
     for unit in LENGTHS:
         if ("x", unit) in named and ("y", unit) in named:
-            x, y = NumberColumn(named["x", unit]), NumberColumn(named["y", unit])
-            return unit, x, y
+            return unit, NumberColumn(named["x", unit]), NumberColumn(named["y", unit])
     raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
 
 
 def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Track:
     """Return the track of a trial, its times counted from its first pose."""
-    poses_path, commands_path = numbers.poses_path, numbers.commands_path
+    poses_path = numbers.poses_path
+    commands_path = numbers.commands_path
     if poses_path is None or commands_path is None:
         raise UsageError(
             f"{poses_path or commands_path}: both poses and commands are needed for each trial",
@@ -278,11 +280,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     rows = np.array(numbers.poses).reshape(-1, 5)
     begin = float(rows[:, 0].min())
     rows[:, 0] -= begin
-    brief = {
-        robot: number
-        for robot, number in numbers.robots.items()
-        if np.ptp(rows[rows[:, 1] == number, 0]) < shortest_s
-    }
+    brief = _brief_robots(numbers, rows, shortest_s)
     rows = rows[~np.isin(rows[:, 1], list(brief.values()))]
     names = tuple(robot for robot in numbers.robots if robot not in brief)
     if not names:
@@ -292,11 +290,10 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     sent = _twists(numbers, names, begin) if numbers.twists else _directions(numbers, begin)
     if not len(sent.when):
         raise UsageError(f"{commands_path}: states no direction")
-    gap = float(np.median(np.diff(sent.when))) if len(sent.when) > 1 else 0.0
-    until = float(sent.when[-1]) + gap
-    seen = Span(str(poses_path), begin, begin + float(time[-1]))
-    acts = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
-    remark = clock_remark(seen, begin + sent.when, acts)
+    until = float(sent.when[-1]) + _usual_gap(sent.when)
+    poses_span = Span(str(poses_path), begin, begin + float(time[-1]))
+    commands_span = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
+    remark = clock_remark(poses_span, begin + sent.when, commands_span)
     if not numbers.twists:
         directions = SentDirections(begin + sent.when, np.exp(1j * sent.u))
         _check_turning(poses_path, commands_path, begin + time, poses, directions)
@@ -319,6 +316,26 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     )
 
 
+def _brief_robots(numbers: _Numbers, rows: Floats, shortest_s: float) -> dict[str, int]:
+    """Return the robots that are seen for less than `shortest_s` [s], with their numbers in the
+    rows (R, 5) of time, robot, x, y and heading.
+    """
+    brief: dict[str, int] = {}
+    for robot, number in numbers.robots.items():
+        of_robot = rows[:, 1] == number
+        if np.ptp(rows[of_robot, 0]) < shortest_s:
+            brief[robot] = number
+    return brief
+
+
+def _usual_gap(times: Floats) -> float:
+    """Return the median time between increasing times, 0 for a single one."""
+    if len(times) < 2:
+        return 0.0
+    gaps = np.diff(times)
+    return float(np.median(gaps))
+
+
 def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools]:
     """Return times (M,), poses (M, N, 3) and which of these are known (M, N), of rows (R, 5) of
     time, robot, x, y and heading."""
@@ -338,11 +355,12 @@ def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
 
     Headings in radians may be beyond a turn, too: those of `tetractl export` count whole turns.
     """
-    known = valid[1:] & valid[:-1]
-    moved = np.where(known[..., None], np.diff(poses[..., :2], axis=0), 0.0)
-    heading = np.where(known, poses[:-1, :, 2], 0.0)
+    in_both = valid[1:] & valid[:-1]
+    moved = np.where(in_both[..., None], np.diff(poses[..., :2], axis=0), 0.0)
+    heading = np.where(in_both, poses[:-1, :, 2], 0.0)
     ahead = _ahead(moved, heading)
-    beyond = float(np.nanmax(np.abs(np.where(valid, poses[..., 2], 0.0))))
+    angles = np.abs(np.where(valid, poses[..., 2], 0.0))
+    beyond = float(np.nanmax(angles))
     problem = turn_problem(beyond)
     if problem is not None and _ahead(moved, np.radians(heading)) > ahead:
         said, hint = problem
@@ -350,7 +368,8 @@ def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
             f"{path}: a heading of {beyond:g} {said}", f"{hint}, or name the column heading_deg"
         )
     mirrored = _ahead(moved * (1, -1), heading)
-    if mirrored - ahead > MIRRORED * float(np.sum(np.hypot(*np.moveaxis(moved, -1, 0)))):
+    ways = np.hypot(moved[..., 0], moved[..., 1])
+    if mirrored - ahead > MIRRORED * float(ways.sum()):
         raise UsageError(
             f"{path}: robots move along their headings only with y reversed",
             "are y downwards and headings anticlockwise? reverse one of them",
@@ -359,20 +378,21 @@ def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
 
 def _ahead(moved: Floats, heading: Floats) -> float:
     """Return how far robots moved ahead, of their ways (M, N, 2) and headings (M, N) [rad]."""
-    return float(np.sum(moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)))
+    along_x = moved[..., 0] * np.cos(heading)
+    along_y = moved[..., 1] * np.sin(heading)
+    return float(np.sum(along_x + along_y))
 
 
 def _check_turning(
     poses_path: Path, commands_path: Path, time: Floats, poses: Floats, directions: SentDirections
 ) -> None:
     """Raise UsageError if robots turn by other directions than those they were sent."""
-    turned = list[TurnedCourse]()
+    turned: list[TurnedCourse] = []
     for headings in poses[..., 2].T:
-        known = np.isfinite(headings)
-        turned += courses_of_headings(time[known], headings[known])
-    picture_s = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        measured = np.isfinite(headings)
+        turned += courses_of_headings(time[measured], headings[measured])
     check_side(str(poses_path), str(commands_path), turned, directions)
-    check_times(str(commands_path), turned, directions, picture_s)
+    check_times(str(commands_path), turned, directions, _usual_gap(time))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ bias are widened by the ratio of the residuals' long-run deviation to their own,
 dead time by the greatest such ratio.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,7 @@ from tetractl.replay.identification.passes import (
     Belief,
     Passed,
     TrackFrames,
+    intervals_used,
     marginal,
     run,
 )
@@ -94,21 +95,25 @@ class SampleInterval:
 
 @dataclass(frozen=True, slots=True)
 class FittedRobot:
-    """The likeliest values of a robot with their 95 % intervals.
+    """The likeliest values of a robot with their 95 % intervals; lengths in the tracks' unit.
 
-    `a` [rad/s], `speed` [length unit/s] and `heading_bias` [rad]; standard deviations of measured
-    positions [length unit] and headings [rad], and of the heading's random walk [rad/sqrt(s)].
-    `lost` is the expected number of commands that it lost; `misfits` names the residuals that are
-    not white.
+    `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
+    `heading_noise` [rad] is the standard deviation of measured headings, `position_noise` [length
+    unit] that of measured positions along the path. `heading_walk` [rad/sqrt(s)] is the standard
+    deviation after one second of the heading's random walk. `lost` is the number of commands that
+    the robot probably lost, `intervals` the number of intervals used. `misfits` names the residuals
+    that the model does not explain, as they are not white.
     """
 
+    name: str
     a: SampleInterval
     speed: SampleInterval
     heading_bias: SampleInterval
     position_noise: SampleInterval
     heading_noise: SampleInterval
     heading_walk: SampleInterval
-    lost: float
+    lost: int
+    intervals: int
     misfits: tuple[str, ...]
 
 
@@ -117,18 +122,24 @@ class Fitted:
     """The likeliest values of all robots; they share the dead time [s]."""
 
     dead_time: SampleInterval
-    robots: list[FittedRobot]
+    robots: tuple[FittedRobot, ...]
 
 
-def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float | None) -> Fitted:
-    """Fit the parameters to the frames of some tracks, from expected turning rates a (N,) [rad/s],
-    speeds (N,) [length unit/s] and dead time [s], None if that is unknown.
+def fit(
+    frames: list[TrackFrames],
+    names: Sequence[str],
+    a: Floats,
+    speed: Floats,
+    dead_time: float | None,
+) -> Fitted:
+    """Fit the parameters to the frames of some tracks of N robots, from expected turning rates a
+    (N,) [rad/s], speeds (N,) [length unit/s] and dead time [s], None if that is unknown.
     """
     state = _Fit(frames, a, speed, dead_time)
     for _ in range(ROUNDS):
         state.fit_noise()
         state.fit_motion()
-    return state.result()
+    return state.result(names)
 
 
 def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
@@ -146,7 +157,8 @@ def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
 def _likeliest(passed: Passed) -> int:
     """Return the index of the likeliest dead time of a pass of robots with each of RATES."""
     by_rate = passed.likelihood.reshape(len(passed.likelihood), -1, len(RATES))
-    return int(by_rate.max(axis=2).sum(axis=1).argmax())
+    of_all_robots = by_rate.max(axis=2).sum(axis=1)
+    return int(of_all_robots.argmax())
 
 
 class _Fit:
@@ -173,7 +185,8 @@ class _Fit:
         )
         self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))
         self.noise_std = np.ones_like(self.noise)
-        self.mean = np.column_stack([np.log(a), np.log(speed), np.zeros(count)])
+        no_bias = np.zeros(count)
+        self.mean = np.column_stack([np.log(a), np.log(speed), no_bias])
         self.std = np.tile(FIRST_STD / WIDER, (count, 1))
         self.tau, self.mean, self.std = self._start(dead_time)
         self.tau_std = APART_S / 2
@@ -230,31 +243,35 @@ class _Fit:
         factors[:, ::2] = np.exp(noise[:, ::2])
         return self._unit[rows] * factors
 
-    def result(self) -> Fitted:
-        """Return the fit with its intervals."""
+    def result(self, names: Sequence[str]) -> Fitted:
+        """Return the fit of robots with these names, with its intervals."""
         watched = self.fit_motion(watched=True)
         speed = np.exp(self.mean[:, 1])
         resolved = np.stack([RESOLVED_S * speed, RESOLVED_S * speed, RESOLVED + 0 * speed], axis=1)
         misfits, wider = white(watched.residuals, resolved)
         motion = self._motion_intervals(wider)
         noise = self._noise_intervals()
-        robots = []
-        for robot in range(len(self.mean)):
-            a, speed_interval, heading_bias = motion[robot]
-            position_noise, _, heading_noise, heading_walk = noise[robot]
+        intervals = intervals_used(self.frames)
+        robots: list[FittedRobot] = []
+        for i, name in enumerate(names):
+            a, speed_interval, heading_bias = motion[i]
+            position_noise, _, heading_noise, heading_walk = noise[i]
             robots.append(
                 FittedRobot(
+                    name=name,
                     a=a,
                     speed=speed_interval,
                     heading_bias=heading_bias,
                     position_noise=position_noise,
                     heading_noise=heading_noise,
                     heading_walk=heading_walk,
-                    lost=float(watched.lost[robot]),
-                    misfits=tuple(misfits[robot]),
+                    lost=round(float(watched.lost[i])),
+                    intervals=int(intervals[i]),
+                    misfits=tuple(misfits[i]),
                 )
             )
-        return Fitted(self._dead_time_interval(wider.max()), robots)
+        dead_time = self._dead_time_interval(wider.max())
+        return Fitted(dead_time, tuple(robots))
 
     def _dead_time_interval(self, wider: float) -> SampleInterval:
         """Return the dead time with its interval, wider by a factor."""
@@ -288,10 +305,12 @@ class _Fit:
 
 def _intervals(values: Floats) -> list[list[SampleInterval]]:
     """Return the intervals of values (N, K, 3): each the value, its lower and its upper end."""
-    return [
-        [SampleInterval(value, low, high) for value, low, high in of_robot]
-        for of_robot in values.tolist()
-    ]
+    return [_intervals_of_robot(of_robot) for of_robot in values]
+
+
+def _intervals_of_robot(values: Floats) -> list[SampleInterval]:
+    """Return the intervals of values (K, 3)."""
+    return [SampleInterval(value, low, high) for value, low, high in values.tolist()]
 
 
 def white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]:
@@ -306,13 +325,13 @@ def white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]
     for robot in range(robots):
         for kind in range(kinds):
             series = residuals[:, robot, kind]
-            known = np.isfinite(series)
-            std = np.std(series[known])
+            is_residual = np.isfinite(series)
+            std = np.std(series[is_residual])
             if std < resolved[robot, kind]:
                 continue
             series = np.nan_to_num(np.clip(series, -CLIPPED * std, CLIPPED * std))
             correlations = _autocorrelations(series)
-            ljung_box = known.sum() * (correlations**2).sum()
+            ljung_box = is_residual.sum() * (correlations**2).sum()
             if chdtrc(LAGS, ljung_box) < level:
                 misfits[robot].append(RESIDUALS[kind])
                 ratio = np.sqrt(max(1 + 2 * correlations.sum(), 1.0))
@@ -337,7 +356,7 @@ SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])
 
 
 def newton_step(
-    likelihood: Callable[[Floats], Floats], at: Floats, prior_std: float
+    likelihood: Callable[[Floats], Floats], parameters: Floats, prior_std: float
 ) -> tuple[Floats, Floats]:
     """Return better parameters (N, P), and their standard deviations (N, P) by the curvature.
 
@@ -347,31 +366,32 @@ def newton_step(
 
     def score(changes: Floats) -> Floats:
         """Return ln of the posterior (N, V) after changes (N or 1, V, P) of the parameters."""
-        tried = at[:, None] + changes
+        tried = parameters[:, None] + changes
         scores = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
         return np.where(np.isfinite(scores), scores, UNLIKELY)
 
-    slope, curvature = _derivatives(score, at.shape[1])
+    slope, curvature = _derivatives(score, parameters.shape[1])
     value, vector = np.linalg.eigh(curvature)
     value = np.maximum(np.abs(value), prior_std**-2)  # a step uphill where the curve is hollow
     step = np.einsum("nij,nj,nkj,nk->ni", vector, 1 / value, vector, slope)
     step = np.clip(step, -STEP_MOST, STEP_MOST)
     best = score(SHARES[:, None] * step[:, None]).argmax(axis=1)
     std = np.sqrt(np.einsum("nij,nj->ni", vector**2, 1 / value))
-    return at + SHARES[best][:, None] * step, std
+    return parameters + SHARES[best][:, None] * step, std
 
 
 def _derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
     """Return the slope (N, P) of a score of P parameters and its negative curvature (N, P, P), from
     the score where they are, with each raised and lowered, and with each two raised."""
-    one = DIFFERENCE * np.eye(size)
+    raised = DIFFERENCE * np.eye(size)
     row, column = np.triu_indices(size, 1)
-    changes = np.vstack([np.zeros(size), one, -one, one[row] + one[column]])
-    base, up, down, both = np.split(score(changes[None]), (1, 1 + size, 1 + 2 * size), axis=1)
+    changes = np.vstack([np.zeros(size), raised, -raised, raised[row] + raised[column]])
+    scores = score(changes[None])
+    base, up, down, two_up = np.split(scores, (1, 1 + size, 1 + 2 * size), axis=1)
     slope = (up - down) / (2 * DIFFERENCE)
     curvature = np.zeros((len(base), size, size))
     curvature[:, range(size), range(size)] = (2 * base - up - down) / DIFFERENCE**2
-    mixed = (up[:, row] + up[:, column] - base - both) / DIFFERENCE**2
+    mixed = (up[:, row] + up[:, column] - base - two_up) / DIFFERENCE**2
     curvature[:, row, column] = mixed
     curvature[:, column, row] = mixed
     return slope, curvature

@@ -11,38 +11,14 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
-from tetractl.replay.identification.fit import HEADING, SampleInterval, fit
-from tetractl.replay.identification.passes import TrackFrames, speeds
+from tetractl.replay.identification.fit import HEADING, FittedRobot, SampleInterval, fit
+from tetractl.replay.identification.passes import TrackFrames, intervals_used, speeds
 from tetractl.replay.identification.tracks import Track, require_same
 
 INTERVALS_MIN = 20
 """Least number of intervals of a robot for a fit."""
 UNKNOWN_A = 3.0
 """Prior a if the log states no value [rad/s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class RobotFound:
-    """The identified values of one robot; lengths in the tracks' unit.
-
-    `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
-    `heading_noise` [rad] is the standard deviation of measured headings, `position_noise` [length
-    unit] that of measured positions along the path. `heading_walk` [rad/sqrt(s)] is the standard
-    deviation after one second of the heading's random walk. `lost` is the number of commands that
-    the robot probably lost, `intervals` the number of intervals used. `misfits` names the residuals
-    that the model does not explain.
-    """
-
-    name: str
-    a: SampleInterval
-    speed: SampleInterval
-    heading_bias: SampleInterval
-    position_noise: SampleInterval
-    heading_noise: SampleInterval
-    heading_walk: SampleInterval
-    lost: int
-    intervals: int
-    misfits: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +37,7 @@ class IdentifiedRobots:
     commands: int
     dead_time: SampleInterval
     frame_age: float | None
-    robots: tuple[RobotFound, ...]
+    robots: tuple[FittedRobot, ...]
     strength: float | None = None
     strength_unit: str = "mT"
     lag_unstated: bool = False
@@ -78,9 +54,8 @@ def identify(
     """
     require_same(tracks)
     frames = [TrackFrames.of(track) for track in tracks]
-    intervals = np.sum([track.used.sum(axis=0) for track in frames], axis=0)
     names = tracks[0].names
-    for name, count in zip(names, intervals, strict=True):
+    for name, count in zip(names, intervals_used(frames), strict=True):
         if count < INTERVALS_MIN:
             raise UsageError(
                 f"robot {name} drives in only {count} intervals between frames",
@@ -91,7 +66,7 @@ def identify(
     if not speed.all():
         still = names[int(np.argmin(speed))]
         raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
-    fitted = fit(frames, expected_a, speed, dead_time)
+    fitted = fit(frames, names, expected_a, speed, dead_time)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
@@ -100,21 +75,7 @@ def identify(
         commands=sum(len(track.u) for track in frames),
         dead_time=fitted.dead_time,
         frame_age=float(np.median(ages)) if ages else None,
-        robots=tuple(
-            RobotFound(
-                name=name,
-                a=robot.a,
-                speed=robot.speed,
-                heading_bias=robot.heading_bias,
-                position_noise=robot.position_noise,
-                heading_noise=robot.heading_noise,
-                heading_walk=robot.heading_walk,
-                lost=round(robot.lost),
-                intervals=int(count),
-                misfits=robot.misfits,
-            )
-            for name, robot, count in zip(names, fitted.robots, intervals, strict=True)
-        ),
+        robots=fitted.robots,
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
         lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
@@ -141,20 +102,22 @@ NO_INTERVAL = (
 _ABREAST = 3
 """Largest number of robots in one table."""
 DECIMALS_MAX = 6
+DECIMALS_OF_EXACT = 3
+"""Decimals of a value whose interval has no width, or no known end."""
 
 
-def stated(found: IdentifiedRobots) -> IdentifiedRobots:
+def stated(result: IdentifiedRobots) -> IdentifiedRobots:
     """Return the values as they are printed and written: without the ends of intervals that hold in
     fewer than 92 % of the logs of trials (docs/how-to/identify.md). A lag of wheels that nothing
     states gives the dead time wrong, which all robots share, and with it a and the bias of each.
     """
-    if not _may_lag(found):
-        return replace(found, robots=tuple(_without(robot, UNSTATED) for robot in found.robots))
-    robots = tuple(_without(robot, (*UNSTATED, *OF_HEADING)) for robot in found.robots)
-    return replace(found, dead_time=_bare(found.dead_time), robots=robots)
+    if not _may_lag(result):
+        return replace(result, robots=tuple(_without(robot, UNSTATED) for robot in result.robots))
+    robots = tuple(_without(robot, (*UNSTATED, *OF_HEADING)) for robot in result.robots)
+    return replace(result, dead_time=_bare(result.dead_time), robots=robots)
 
 
-def _without(robot: RobotFound, names: tuple[str, ...]) -> RobotFound:
+def _without(robot: FittedRobot, names: tuple[str, ...]) -> FittedRobot:
     """Return a robot without the intervals of some values."""
     return replace(robot, **{name: _bare(getattr(robot, name)) for name in names})
 
@@ -164,50 +127,67 @@ def _bare(interval: SampleInterval) -> SampleInterval:
     return SampleInterval(interval.value, math.nan, math.nan)
 
 
-def _may_lag(found: IdentifiedRobots) -> bool:
+def _may_lag(result: IdentifiedRobots) -> bool:
     """Return whether wheels may have a lag that nothing states: a heading does not fit without."""
-    return found.lag_unstated and any(HEADING in robot.misfits for robot in found.robots)
+    return result.lag_unstated and any(HEADING in robot.misfits for robot in result.robots)
 
 
-def identified(found: IdentifiedRobots, when: str) -> Identified:
+def identified(result: IdentifiedRobots, when: str) -> Identified:
     """Return the section `identified` of a spec; `when` is its date and time as text."""
     return Identified(
         identified=when,
-        origin=found.origin,
-        sources=found.sources,
-        unit=found.unit,
-        dead_time=_value(found.dead_time),
-        frame_age=found.frame_age or 0.0,
-        strength=found.strength,
-        robots={
-            robot.name: IdentifiedRobot(**{q: _value(getattr(robot, q)) for q in QUANTITIES})
-            for robot in found.robots
-        },
+        origin=result.origin,
+        sources=result.sources,
+        unit=result.unit,
+        dead_time=_value(result.dead_time),
+        frame_age=result.frame_age or 0.0,
+        strength=result.strength,
+        robots={robot.name: _identified_robot(robot) for robot in result.robots},
     )
 
 
-def tables(found: IdentifiedRobots) -> list[Table]:
+def _identified_robot(robot: FittedRobot) -> IdentifiedRobot:
+    """Return the values of a robot as a spec holds them."""
+    return IdentifiedRobot(
+        a=_value(robot.a),
+        speed=_value(robot.speed),
+        heading_bias=_value(robot.heading_bias),
+        position_noise=_value(robot.position_noise),
+        heading_noise=_value(robot.heading_noise),
+        heading_walk=_value(robot.heading_walk),
+    )
+
+
+def tables(result: IdentifiedRobots) -> list[Table]:
     """Return tables of each value with its 95 % interval; a row per value, a column per robot."""
-    logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
-    age = "" if found.frame_age is None else f"; frames are {found.frame_age:.4f} s old at sending"
-    labels = [
-        f"{name.replace('_', ' ')} [{unit.format(unit=found.unit)}]"
-        for name, unit in QUANTITIES.items()
-    ]
+    logs = "1 log" if len(result.sources) == 1 else f"{len(result.sources)} logs"
+    title = f"{logs}, {result.commands} directions: {result.origin}; 95 % intervals"
+    note = f"dead time from sending: {cell(result.dead_time)} s"
+    if result.frame_age is not None:
+        note += f"; frames are {result.frame_age:.4f} s old at sending"
+    note += f"\n{_fits(result)}"
+    labels = _labels(result)
+    abreast: list[Table] = []
+    for start in range(0, len(result.robots), _ABREAST):
+        robots = result.robots[start : start + _ABREAST]
+        columns = [Column(robot.name, _texts(robot, result.strength)) for robot in robots]
+        abreast.append(Table(title, (Column("quantity", labels), *columns), note))
+    return abreast
+
+
+def _labels(result: IdentifiedRobots) -> list[str]:
+    """Return the labels of the rows of `tables`."""
+    labels: list[str] = []
+    for name, unit in QUANTITIES.items():
+        quantity = name.replace("_", " ")
+        labels.append(f"{quantity} [{unit.format(unit=result.unit)}]")
     labels.append("lost")
-    if found.strength is not None:
-        labels.append(f"a per strength [rad/(s {found.strength_unit})]")
-    title = f"{logs}, {found.commands} directions: {found.origin}; 95 % intervals"
-    note = f"dead time from sending: {cell(found.dead_time)} s{age}\n{_fits(found)}"
-    shown = []
-    for start in range(0, len(found.robots), _ABREAST):
-        robots = found.robots[start : start + _ABREAST]
-        columns = [Column(robot.name, _texts(robot, found.strength)) for robot in robots]
-        shown.append(Table(title, (Column("quantity", labels), *columns), note))
-    return shown
+    if result.strength is not None:
+        labels.append(f"a per strength [rad/(s {result.strength_unit})]")
+    return labels
 
 
-def _texts(robot: RobotFound, strength: float | None) -> list[str]:
+def _texts(robot: FittedRobot, strength: float | None) -> list[str]:
     """Return the entries of a robot's column, for the labels of `tables`."""
     texts = [cell(getattr(robot, name)) for name in QUANTITIES]
     texts.append(str(robot.lost))
@@ -222,15 +202,15 @@ def _per(interval: SampleInterval, strength: float) -> SampleInterval:
     return SampleInterval(interval.value / by, interval.low / by, interval.high / by)
 
 
-def _fits(found: IdentifiedRobots) -> str:
+def _fits(result: IdentifiedRobots) -> str:
     """Return whether the model fits, as text."""
     misfits = [
-        f"{robot.name} ({', '.join(robot.misfits)})" for robot in found.robots if robot.misfits
+        f"{robot.name} ({', '.join(robot.misfits)})" for robot in result.robots if robot.misfits
     ]
     if not misfits:
         return "the model fits: residuals are not correlated in time"
     text = f"the model does not fit {'; '.join(misfits)}: residuals are correlated in time"
-    if _may_lag(found):
+    if _may_lag(result):
         text += f"\n{NO_INTERVAL}"
     return text
 
@@ -243,9 +223,10 @@ def cell(interval: SampleInterval) -> str:
         return f"{interval.value:.2g}"
     ends = (interval.low, interval.high)
     half_width = max((abs(end - interval.value) for end in ends if math.isfinite(end)), default=0.0)
-    digits = 3
+    digits = DECIMALS_OF_EXACT
     if half_width > 0:
-        digits = min(max(1 - math.floor(math.log10(half_width)), 0), DECIMALS_MAX)
+        first_digit = math.floor(math.log10(half_width))
+        digits = min(max(1 - first_digit, 0), DECIMALS_MAX)
     low, high = (f"{end:.{digits}f}" if math.isfinite(end) else "?" for end in ends)
     return f"{interval.value:.{digits}f} ({low} to {high})"
 

@@ -25,7 +25,7 @@ from tetractl.control.kernels.filter_state import (
     SentCommands,
 )
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Bools, Floats, wrap
+from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.model.motion.motion import PARAMETERS
 from tetractl.replay.identification.tracks import Track
 
@@ -141,7 +141,8 @@ def _last_used(time: Floats, used: Bools) -> Floats:
 def _hold(track: Track) -> tuple[float, float, float]:
     """Return the means over time of the first three powers of how long lagging wheels keep the rate
     of a heading [s, s2, s3]: the host sends them a new one with each command."""
-    apart_s = np.diff(track.sent[track.sent <= track.until])
+    before_end = track.sent <= track.until
+    apart_s = np.diff(track.sent[before_end])
     if track.lag == 0 or not apart_s.any():
         return 0.0, 0.0, 0.0
     return (
@@ -151,15 +152,20 @@ def _hold(track: Track) -> tuple[float, float, float]:
     )
 
 
+def intervals_used(tracks: Sequence[TrackFrames]) -> Integers:
+    """Return the number of intervals between frames in which each robot drives (N,)."""
+    return np.sum([track.used.sum(axis=0) for track in tracks], axis=0)
+
+
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
     """Return the median distance per time of each robot (N,) between frames [length unit/s]."""
     paces = []
     for track in tracks:
         way = np.diff(track.poses[..., :2], axis=0)
         apart = np.diff(track.time, axis=0)
-        known = track.used[1:] & (track.used | track.placed)[:-1] & (apart > 0)
+        measured = track.used[1:] & (track.used | track.placed)[:-1] & (apart > 0)
         pace = np.hypot(way[..., 0], way[..., 1]) / np.where(apart > 0, apart, 1.0)
-        paces.append(np.where(known, pace, np.nan))
+        paces.append(np.where(measured, pace, np.nan))
     return _usual(np.concatenate(paces))
 
 
@@ -275,8 +281,8 @@ def _run_track(
         both_times = np.stack([np.maximum(last, now - 2 * UNSEEN_S), now])
         both_poses[1] = poses[frame]
         both_valid[1] = used[frame]
-        both = PoseFrames(both_times, both_poses, both_valid)
-        likelihood += kernel.follow(bank, model, commands, both, False, apart_s)
+        frames = PoseFrames(both_times, both_poses, both_valid)
+        likelihood += kernel.follow(bank, model, commands, frames, False, apart_s)
         bank.noise_scale[...] = 1.0
         if placed[frame].any():
             kernel.place(bank, model, NO_COMMANDS, now, poses[frame], placed[frame])
@@ -352,7 +358,8 @@ def marginal(
     bend, slope, _ = np.polyfit(POINTS, likelihood, 2)
     best = -slope / (2 * bend) if bend < 0 else POINTS[likelihood.argmax()]
     best = float(np.clip(best, 2 * POINTS[0], 2 * POINTS[-1]))
-    factor = float(np.clip(np.sqrt(0.5 / max(-bend, 1e-9)), SHRINKS_TO, GROWS_TO))
+    width = np.sqrt(0.5 / max(-bend, 1e-9))
+    factor = float(np.clip(width, SHRINKS_TO, GROWS_TO))
     dead_time_std = min(tau_std * factor, UNKNOWN_S)
     rise, middle = np.polyfit(POINTS, passed.mean.reshape(len(POINTS), -1), 1)
     shape = belief.mean.shape

@@ -78,7 +78,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class RobotResponse:
-    """How one robot follows its commands; see the fields of `RobotFound` for the noise.
+    """How one robot follows its commands; see the fields of `FittedRobot` for the noise.
 
     `veer` [rad/length unit] is by how much it turns on its way though w is 0, `intervals` the
     number of steps used and `left_out` that of steps too far off. `misfits` names the motions whose
@@ -204,10 +204,12 @@ def _driven_track(track: Track, robot: int) -> _DrivenTrack:
     x, y, heading = track.poses[frames, robot].T
     heading = np.unwrap(heading)
     middle = (heading[1:] + heading[:-1]) / 2
+    along_x = np.diff(x) * np.cos(middle)
+    along_y = np.diff(y) * np.sin(middle)
     return _DrivenTrack(
         pose_s=times_s[frames],
         turned=np.diff(heading),
-        way=np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle),
+        way=along_x + along_y,
         sent_s=sent_s,
         commands=track.twists[commanded, robot],
     )

@@ -100,13 +100,13 @@ def turning_fit(turned: Sequence[TurnedCourse], field: FieldAt) -> TurningFit:
 
 
 def check_side(
-    seen: str, source: str, turned: Sequence[TurnedCourse], sent: SentDirections
+    poses_file: str, source: str, turned: Sequence[TurnedCourse], sent: SentDirections
 ) -> None:
-    """Raise UsageError if the robots of the file `seen` turn by the mirror image of the directions
-    of the file `source`."""
+    """Raise UsageError if the robots of the file `poses_file` turn by the mirror image of the
+    directions of the file `source`."""
     if _explains_far_more(turned, SentDirections(sent.times, sent.acts.conj()), sent):
         raise UsageError(
-            f"{seen}: robots turn right where {source} turns left",
+            f"{poses_file}: robots turn right where {source} turns left",
             "is the picture mirrored, or y downwards? reverse y and headings, or the directions",
         )
 
@@ -123,7 +123,7 @@ def check_times(
 
 
 def _explains_far_more(
-    turned: Sequence[TurnedCourse], other: SentDirections, stated: SentDirections
+    turned: Sequence[TurnedCourse], alternative: SentDirections, stated: SentDirections
 ) -> bool:
     """Return whether other directions explain enough of the turning, and those stated far less."""
     longest = _longest(turned)
@@ -131,7 +131,7 @@ def _explains_far_more(
         return False
     share = _best_share(longest, stated, EXPLAINED)
     enough = max(EXPLAINED, share / FAR_LESS)
-    return share < EXPLAINED and _best_share(longest, other, enough) >= enough
+    return share < EXPLAINED and _best_share(longest, alternative, enough) >= enough
 
 
 def _units(picture_s: float) -> Mapping[str, tuple[float, str]]:
@@ -147,7 +147,10 @@ def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
     """Return the COURSES_MAX longest courses, COURSE_S of each."""
     by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
     steps = round(COURSE_S / GRID_S)
-    return [TurnedCourse(one.times[:steps], one.angle[:steps]) for one in by_length[:COURSES_MAX]]
+    return [
+        TurnedCourse(course.times[:steps], course.angle[:steps])
+        for course in by_length[:COURSES_MAX]
+    ]
 
 
 def _best_share(turned: Sequence[TurnedCourse], sent: SentDirections, enough: float) -> float:

@@ -29,8 +29,8 @@ class Track:
     [s], which is 0 also of robots that are `on_wheels` whose lag nothing states. `strength` is that
     of the field in `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are
     speed [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent
-    none; without any, C is 0. `own` (M, N) are the times of robots' poses [s], `time` for all if it
-    is empty. `remarks` are lines for the user on the data.
+    none; without any, C is 0. `own_times` (M, N) are those of robots' poses [s], `time` for all if
+    it is empty. `remarks` are lines for the user on the data.
     """
 
     source: str
@@ -51,14 +51,14 @@ class Track:
     strength: float | None = None
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
-    own: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    own_times: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     remarks: tuple[str, ...] = ()
 
     @property
     def exposed(self) -> Floats:
         """The times of the poses (M, N) [s]."""
-        if self.own.size:
-            return self.own
+        if self.own_times.size:
+            return self.own_times
         return np.repeat(self.time[:, None], len(self.names), axis=1)
 
 
@@ -80,7 +80,7 @@ def track_of(log: TrialLog) -> Track:
         names=setup.names,
         time=log.mocap_ns / SECOND,
         poses=log.mocap,
-        own=log.exposed_ns / SECOND,
+        own_times=log.exposed_ns / SECOND,
         valid=log.valid & ~_paused(log)[:, None],
         sent=np.array([command.sent_ns for command in directed], dtype=float) / SECOND,
         u=np.array([command.direction for command in directed], dtype=float),
@@ -100,16 +100,17 @@ def wheels_of(log: TrialLog) -> Track:
     radius = log.start.setup.wheel_radius
     track = track_of(log)
     sent_ns: list[int] = []
-    left: list[Floats] = []
-    right: list[Floats] = []
+    left_speeds: list[Floats] = []
+    right_speeds: list[Floats] = []
     for command in log.commands:
         if command.left is not None and command.right is not None:
             sent_ns.append(command.sent_ns)
-            left.append(command.left)
-            right.append(command.right)
+            left_speeds.append(command.left)
+            right_speeds.append(command.right)
     if not sent_ns or radius is None:
         raise UsageError(f"{log.log}: has no speeds of wheels")
-    twists = np.stack(body_velocity(np.array(left), np.array(right), radius), axis=-1)
+    velocity = body_velocity(np.array(left_speeds), np.array(right_speeds), radius)
+    twists = np.stack(velocity, axis=-1)
     no_directions = np.full(len(sent_ns), math.nan)
     return replace(track, sent=np.array(sent_ns) / SECOND, u=no_directions, twists=twists)
 

@@ -55,9 +55,9 @@ class Watch:
 def batch(tmp_path_factory):
     folder = tmp_path_factory.mktemp("batch")
     results = {}
-    found = tetractl.run_batch(tetractl.parse_spec(SPEC), folder, on_result=results.__setitem__)
+    finished = tetractl.run_batch(tetractl.parse_spec(SPEC), folder, on_result=results.__setitem__)
     assert sorted(results) == [0, 1, 2]
-    return folder, found
+    return folder, finished
 
 
 @pytest.mark.long
@@ -76,14 +76,15 @@ def test_a_notebook(tmp_path, batch):
 
     folder, ours = batch
     theirs = tetractl.run_batch(spec, tmp_path / "theirs")
-    assert [len(found.trials) for found in (ours, tetractl.read_batch(folder), theirs)] == [3, 3, 3]
+    for of_batch in (ours, tetractl.read_batch(folder), theirs):
+        assert len(of_batch.trials) == 3
     summary = tetractl.summarise(ours)
     assert summary.counted == 3
-    comparison = tetractl.compare(summary, tetractl.summarise(theirs))
+    summary_of_theirs = tetractl.summarise(theirs)
+    comparison = tetractl.compare(summary, summary_of_theirs)
     (contrast,) = comparison.contrasts
-    assert contrast.difference.value == pytest.approx(
-        summary.total.mean - tetractl.summarise(theirs).total.mean
-    )
+    difference = summary.total.mean - summary_of_theirs.total.mean
+    assert contrast.difference.value == pytest.approx(difference)
     for data in (trial, [trial, logged], summary, comparison):
         tetractl.plot(data, file=tmp_path / "figure.png")
         assert (tmp_path / "figure.png").stat().st_size > 5000
@@ -110,10 +111,11 @@ def test_a_trial_that_is_kept_nowhere_is_the_one_of_the_batch(batch, tmp_path):
 
 
 def test_arrays_and_tables_hold_the_trial(batch):
-    folder, found = batch
+    folder, finished = batch
     trial = tetractl.read_log(folder / "trial-000.mcap")
     arrays = tetractl.to_arrays(trial)
-    frames, steps = len(trial.mocap_ns), len(trial.steps)
+    frames = len(trial.mocap_ns)
+    steps = len(trial.steps)
     assert arrays.poses.shape == arrays.truth.shape == (frames, 2, 3)
     assert arrays.distance.shape == arrays.valid.shape == (frames, 2)
     assert arrays.direction.shape == arrays.cost.shape == arrays.solve_ms.shape == (steps,)
@@ -125,12 +127,12 @@ def test_arrays_and_tables_hold_the_trial(batch):
     course = tetractl.to_dataframe(trial)
     assert isinstance(course, pandas.DataFrame)
     assert len(course) == 2 * frames
-    b = course[course.robot == "b"]
+    b = course.query("robot == 'b'")
     assert b.distance_mm.to_numpy().tobytes() == arrays.distance[:, 1].tobytes()
     assert b.true_y_mm.to_numpy().tobytes() == arrays.truth[:, 1, 1].tobytes()
-    ends = tetractl.to_dataframe(found)
+    ends = tetractl.to_dataframe(finished)
     assert list(ends.trial) == [0, 1, 2]
-    assert ends.total_error_mm.mean() == pytest.approx(tetractl.summarise(found).total.mean)
+    assert ends.total_error_mm.mean() == pytest.approx(tetractl.summarise(finished).total.mean)
 
 
 def test_without_pandas_one_line_says_so(batch, monkeypatch):
@@ -146,13 +148,13 @@ def test_a_batch_goes_on_where_it_stopped(batch, tmp_path):
     with pytest.raises(UsageError, match="holds logs already"):
         tetractl.run_batch(spec, tmp_path)
     run = []
-    found = tetractl.run_batch(
+    resumed = tetractl.run_batch(
         tetractl.parse_spec(SPEC), tmp_path, resume=True, on_result=lambda t, _: run.append(t)
     )
     assert run == [1, 2]
-    assert [t.result.total_error for t in found.trials] == [
-        t.result.total_error for t in batch[1].trials
-    ]
+    _, finished = batch
+    errors = [trial.result.total_error for trial in finished.trials]
+    assert [trial.result.total_error for trial in resumed.trials] == errors
 
 
 def test_what_cannot_be_run_is_refused(tmp_path):
@@ -265,8 +267,8 @@ def test_an_argument_of_another_type_is_refused_in_one_line(name):
 def test_folders_that_are_compared_have_their_own_names(tmp_path):
     for name in ("early", "late"):
         tetractl.run_trial(SPEC_DICT, folder=tmp_path / name)
-    found = tetractl.compare(tmp_path / "early", tmp_path / "late")
-    assert [group.name for group in found.groups] == ["early", "late"]
+    comparison = tetractl.compare(tmp_path / "early", tmp_path / "late")
+    assert [group.name for group in comparison.groups] == ["early", "late"]
 
 
 def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):

@@ -122,11 +122,11 @@ def test_failing_counts_as_the_greatest_error_whatever_was_collected():
 
 def test_an_observation_is_what_the_camera_measured():
     env = TrialEnv(SPEC)
-    seen, _ = env.reset(seed=1)
+    observation, _ = env.reset(seed=1)
     gap = 600 / 2000  # of the arena's longer side
-    np.testing.assert_allclose(seen, [gap, 0, 1, 0, 0, 0], atol=1e-6)
-    seen, *_ = env.step(np.array([0.0, 0.5]))
-    np.testing.assert_allclose(seen[4:], [0, 1], atol=1e-6)  # the last direction, up
+    np.testing.assert_allclose(observation, [gap, 0, 1, 0, 0, 0], atol=1e-6)
+    observation, *_ = env.step(np.array([0.0, 0.5]))
+    np.testing.assert_allclose(observation[4:], [0, 1], atol=1e-6)  # the last direction, up
 
 
 def test_a_seed_and_a_number_open_the_trial_of_the_benchmark():

@@ -56,14 +56,14 @@ def test_versions_move_together(project):
 
 @pytest.mark.parametrize("project", PROJECTS, ids=lambda path: path.parent.name)
 def test_what_a_package_brings_is_named_where_it_is_missing(project):
-    found = tomllib.loads(project.read_text())["project"]
+    metadata = tomllib.loads(project.read_text())["project"]
     for group in {group for group, _ in BRINGS}:
         brought = {
             name
-            for (of, name), package in BRINGS.items()
-            if (of, package) == (group, found["name"])
+            for (brought_group, name), package in BRINGS.items()
+            if (brought_group, package) == (group, metadata["name"])
         }
-        points = found["entry-points"].get(group, {})
+        points = metadata["entry-points"].get(group, {})
         if group == EXAMPLES.group and points:
             brings = {name.partition("/")[0] for name in _names(project.parent)}
             assert brought == brings and list(points.values()) == [f"{module(project)}:EXAMPLES"]
@@ -77,7 +77,8 @@ def module(project):
 
 def _names(package):
     (folder,) = package.glob("tetractl_*/examples")
-    return [path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml")]
+    paths = [path.relative_to(folder) for path in folder.rglob("*.yaml")]
+    return [path.with_suffix("").as_posix() for path in paths]
 
 
 ALL = """
@@ -92,8 +93,9 @@ COMMAND = "from tetractl.cli.app import run_app\nsys.argv[1:] = {!r}\nsys.exit(r
 def test_tests_of_the_core_need_no_package():
     """So that `pytest tests/unit` runs where the core alone is installed."""
     files = [*ROOT.glob("tests/**/*.py")]
-    own = {path.stem for path in ROOT.glob("tests/support/*.py")}
-    assert {one for path in files for one in TAKEN.findall(path.read_text("utf-8"))} <= own
+    of_the_core = {path.stem for path in ROOT.glob("tests/support/*.py")}
+    for path in files:
+        assert set(TAKEN.findall(path.read_text("utf-8"))) <= of_the_core, path
     imports = re.compile(
         r"^ *(from|import) (tetractl_(emulator|microscope|toio)|cv2|tifffile)", re.M
     )

@@ -55,11 +55,12 @@ def compiled(**methods):
 
 
 def scaled(row, place, factor):
-    def change(known):
+    def change(correct):
         def differentiate(*args):
-            found = np.array([*known.differentiate(*args)[:3]])
-            found[row, place] *= factor
-            return *found, known.differentiate(*args)[3]
+            *in_rows, by_parameters = correct.differentiate(*args)
+            derivatives = np.array(in_rows)
+            derivatives[row, place] *= factor
+            return *derivatives, by_parameters
 
         return differentiate
 
@@ -83,7 +84,7 @@ def northward(x, y, heading, u, a, v, t):
         (replace(EXACT, step=northward), "step: turns with heading and u"),
         (replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)), "hold: same x as step"),
         (
-            compiled(advance=lambda known: lambda x, y, c, s, cu, su, k: (x, y, c, s)),
+            compiled(advance=lambda correct: lambda x, y, c, s, cu, su, k: (x, y, c, s)),
             "advance: same x as step",
         ),
         (compiled(differentiate=scaled(0, 0, 1.01)), "differentiate: same dx as step"),
@@ -123,8 +124,8 @@ class Sketch(ShapeSection):
     ],
 )
 def test_what_is_wrong_with_a_shape_is_found(corners, radius, what):
-    found = wrong(check_shape(Sketch(corners=corners, radius=radius), SETUP))
-    assert any(one.startswith(what) for one in found)
+    problems = wrong(check_shape(Sketch(corners=corners, radius=radius), SETUP))
+    assert any(problem.startswith(what) for problem in problems)
 
 
 class Other(Mppi):
@@ -140,8 +141,8 @@ class Other(Mppi):
             warm[0] = 0.5
         if self.fault == "budget":
             limits = replace(limits, evaluations=None)
-        found = super().search(problem, length, warm, key, limits)
-        return replace(found, cost=0.9 * found.cost) if self.fault == "cost" else found
+        search = super().search(problem, length, warm, key, limits)
+        return replace(search, cost=0.9 * search.cost) if self.fault == "cost" else search
 
 
 @pytest.mark.parametrize(
@@ -155,10 +156,12 @@ class Other(Mppi):
     ],
 )
 def test_what_is_wrong_with_an_optimiser_is_found(fault, what):
-    found = wrong(
-        check_optimizer(Other(type="mppi", iterations=6, particles=12, fault=fault), SETUP)
-    )
-    assert what in found if what else found == []
+    optimizer = Other(type="mppi", iterations=6, particles=12, fault=fault)
+    problems = wrong(check_optimizer(optimizer, SETUP))
+    if what:
+        assert what in problems
+    else:
+        assert problems == []
 
 
 class Faulty(SequenceSection):
@@ -172,7 +175,8 @@ class Faulty(SequenceSection):
         return self
 
     def plan(self, observation, last_command=None, earlier=()):
-        plan, signals = self._inner.plan(observation, last_command), None
+        plan = self._inner.plan(observation, last_command)
+        signals = None
         if not isinstance(plan, Plan):
             return None if self.fault == "end" else plan
         if self.fault == "random":
@@ -278,12 +282,12 @@ class FakeActuatorSection(ActuatorSection):
 
 
 def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
-    found = list(check_camera(FakeCameraSection(type="fake"), SETUP))
-    assert found[0].problem == "lacks damaged"
-    assert found[1].what == "not opened, so its frames are not checked (no camera answers)"
-    found = list(check_actuator(FakeActuatorSection(type="fake"), SETUP))
-    assert found[1].problem == "lacks __enter__, __exit__, check, poll, send, stop"
-    assert wrong(found)[1:] == ["period_ns: above 0", "halts: true or false"]
+    of_camera = list(check_camera(FakeCameraSection(type="fake"), SETUP))
+    assert of_camera[0].problem == "lacks damaged"
+    assert of_camera[1].what == "not opened, so its frames are not checked (no camera answers)"
+    of_actuator = list(check_actuator(FakeActuatorSection(type="fake"), SETUP))
+    assert of_actuator[1].problem == "lacks __enter__, __exit__, check, poll, send, stop"
+    assert wrong(of_actuator)[1:] == ["period_ns: above 0", "halts: true or false"]
 
 
 class PortSection(ActuatorSection):
@@ -298,10 +302,16 @@ class PortSection(ActuatorSection):
 
 
 class PortActuator:
-    halts, period_ns, failure = False, 10**7, None
+    """Stands for an actuator of robots that cannot stop: it writes directions to a port."""
+
+    halts = False
+    period_ns = 10**7
+    failure = None
 
     def __init__(self, section, setup, clock):
-        self.section, self.setup, self.clock = section, setup, clock
+        self.section = section
+        self.setup = setup
+        self.clock = clock
 
     def __enter__(self):
         self.port = Path(self.section.port).open("w", encoding="ascii")
@@ -329,8 +339,8 @@ class PortActuator:
 
 
 def test_an_actuator_sends_to_a_port_behind_which_nothing_is():
-    found = list(check_actuator(PortSection(), SETUP))
-    assert (len(found), wrong(found)) == (15, [])
+    findings = list(check_actuator(PortSection(), SETUP))
+    assert (len(findings), wrong(findings)) == (15, [])
     with pytest.raises(ZeroDivisionError):
         list(check_actuator(PortSection(divisor=0.0), SETUP))
 
@@ -341,15 +351,16 @@ def test_nothing_is_sent_to_the_port_of_a_network():
     class NetworkSection(PortSection):
         port: int = 9001
 
-    assert wrong(found := list(check_actuator(NetworkSection(), SETUP))) == []
-    assert found[-1].what.startswith("send: not called")
+    findings = list(check_actuator(NetworkSection(), SETUP))
+    assert wrong(findings) == []
+    assert findings[-1].what.startswith("send: not called")
 
 
 def test_closing_before_opening_is_a_finding():
     """Regression: it ended in a traceback."""
     unopened = PortActuator(PortSection(), SETUP, None)
-    (found,) = _check_leaving(unopened, unopened)
-    assert found.problem == "AttributeError: 'PortActuator' object has no attribute 'port'"
+    (finding,) = _check_leaving(unopened, unopened)
+    assert finding.problem == "AttributeError: 'PortActuator' object has no attribute 'port'"
 
 
 def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):

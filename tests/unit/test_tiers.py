@@ -30,9 +30,10 @@ DEAF = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT)  # under `nohup`, and behi
 def test_files_that_start_much_are_marked(names, marks):
     texts = {path: path.read_text("utf-8") for path in FILES}
     starts = re.compile(rf"\b{names}\b", re.S)
-    found = [path for path in FILES if any(map(starts.search, TAKEN.findall(texts[path])))]
-    assert found
-    assert [one for one in found if not re.search(rf"mark\.({marks})\b|first_of", texts[one])] == []
+    starting = [path for path in FILES if any(map(starts.search, TAKEN.findall(texts[path])))]
+    assert starting
+    marked = re.compile(rf"mark\.({marks})\b|first_of")
+    assert [path for path in starting if not marked.search(texts[path])] == []
 
 
 @pytest.mark.slow

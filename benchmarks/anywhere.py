@@ -69,6 +69,7 @@ def instance(number: int, seed: int, disturbed: bool, free: bool) -> Experiment:
 
 def robots(rng: np.random.Generator, starts: Floats, targets: Floats) -> tuple[dict[str, Any], ...]:
     """Return robots with any headings and any speeds, whose a are apart by one factor."""
+    rates = rng.permutation(np.geomspace(2, 6, len(starts)))
     return tuple(
         {
             "name": f"r{i}",
@@ -78,7 +79,7 @@ def robots(rng: np.random.Generator, starts: Floats, targets: Floats) -> tuple[d
             "a": float(a),
             "speed": float(rng.uniform(150, 200)),
         }
-        for i, a in enumerate(rng.permutation(np.geomspace(2, 6, len(starts))))
+        for i, a in enumerate(rates)
     )
 
 
@@ -103,13 +104,15 @@ def scattered(
 def _obstacles(rng: np.random.Generator, points: Floats) -> tuple[dict[str, Any], ...]:
     """Draw one to three rectangles that are CLEAR_MM from all points."""
     obstacles: list[dict[str, Any]] = []
-    for _ in range(1000 * (several := int(rng.integers(1, 4)))):
+    several = int(rng.integers(1, 4))
+    for _ in range(1000 * several):
         size = rng.uniform(150, 350, 2)
         corner = rng.uniform(0, ARENA_MM - size)
         off = np.maximum(np.maximum(corner - points, points - corner - size), 0.0)
         if np.hypot(*off.T).min() >= CLEAR_MM and len(obstacles) < several:
-            (left, bottom), (width, height) = corner.tolist(), size.tolist()
-            sizes = {"left": left, "bottom": bottom, "width": width, "height": height}
+            x, y = corner.tolist()
+            width, height = size.tolist()
+            sizes = {"left": x, "bottom": y, "width": width, "height": height}
             obstacles.append({"type": "rectangle", **sizes})
     return tuple(obstacles)
 
@@ -177,11 +180,14 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
     print("|---|---|---|---|")
     all_ms = [solve_ms for solves in solved.values() for solve_ms in solves]
     for name, solves_ms in (*solved.items(), ("all", all_ms)):
-        share = percent(proportion_interval(sum(solves_ms), len(solves_ms))).strip(" ()")
+        interval = proportion_interval(sum(solves_ms), len(solves_ms))
+        share = percent(interval).strip(" ()")
         sizes = SIZES if name == "all" else [name]
         mine = np.concatenate([np.empty(0), *(spent[int(size)] for size in sizes)])
-        ms = 1e3 * np.array([mine.mean(), np.quantile(mine, 0.99), mine.max()] if len(mine) else [])
-        times = " / ".join(f"{quantile_ms:.1f}" for quantile_ms in ms)
+        times = ""
+        if len(mine):
+            p99 = np.quantile(mine, 0.99)
+            times = f"{1e3 * mine.mean():.1f} / {1e3 * p99:.1f} / {1e3 * mine.max():.1f}"
         print(f"| {name} | {sum(solves_ms)} of {len(solves_ms)} | {share} | {times} |")
     print(f"\n{unsafe} of {len(all_ms)} entered an obstacle or left the arena.")
     if predict:

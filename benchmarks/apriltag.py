@@ -69,7 +69,8 @@ def scattered(rng: np.random.Generator) -> Poses:
     while True:
         x = rng.uniform(500, 2100, 3)
         y = rng.uniform(350, 2150, 3)
-        if np.hypot(x - np.roll(x, 1), y - np.roll(y, 1)).min() > 150:
+        gaps = np.hypot(x - np.roll(x, 1), y - np.roll(y, 1))
+        if gaps.min() > 150:
             return Poses(x, y, rng.uniform(-math.pi, math.pi, 3))
 
 
@@ -180,10 +181,10 @@ def corners(scale: float) -> None:
     for size in SIZES:
         drawn = renderer(size)
         rng = np.random.default_rng(3)
-        shots = [
-            (poses := scattered(rng), drawn.picture(lambda t, p=poses: p, 0))
-            for _ in range(round(60 * scale))
-        ]
+        shots = []
+        for _ in range(round(60 * scale)):
+            poses = scattered(rng)
+            shots.append((poses, drawn.picture(partial(stand, poses), 0)))
         for name in ("NONE", "CONTOUR", "SUBPIX", "APRILTAG", "sides"):
             parameters = cv2.aruco.DetectorParameters()
             parameters.cornerRefinementMethod = getattr(
@@ -204,7 +205,8 @@ def corners(scale: float) -> None:
                         card = drawn.card(ROBOTS[tag], truth, tag)
                         square = card.mean(axis=0) + (card - card.mean(axis=0)) * MODULES / CARD
                         gaps = [np.roll(place, k, axis=0) - square for k in range(4)]
-                        off.append(min(gaps, key=lambda gap: np.square(gap).sum()))
+                        squares = [np.square(gap).sum() for gap in gaps]
+                        off.append(gaps[int(np.argmin(squares))])
             way = "sides" if name == "sides" else f"OpenCV, {name}"
             rms = math.sqrt(np.mean(np.square(off)))
             row(told(size), way, f"{rms:.3f}", f"{1e3 * np.median(times_ms):.1f}")
@@ -245,10 +247,10 @@ def blur(scale: float) -> None:
     for size in SIZES:
         for sigma in (0.5, 0.7, 0.9, 1.1, 1.3, 1.5):
             tracker = Tracker(section(), NAMES, MM)
+            poses = scattered(np.random.default_rng(0))
             for _ in range(2):
-                tracker.see(
-                    renderer(size).picture(lambda t: scattered(np.random.default_rng(0)), 0)
-                )
+                picture = renderer(size).picture(partial(stand, poses), 0)
+                tracker.see(picture)
             _, _, share, _ = errors(tracker, renderer(size, blur_px=sigma), round(100 * scale))
             row(told(size), sigma, f"{100 * share:.1f} %")
 
@@ -278,7 +280,8 @@ def speed(scale: float) -> None:
                 poses_at = partial(stand, scattered(rng))
                 picture = clocked(times["render"], partial(drawn.picture, poses_at, 0))
                 _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-                grey = clocked(times["decode"], partial(decoded, Picture(data.tobytes(), 0)))
+                sent_picture = Picture(data.tobytes(), 0)
+                grey = clocked(times["decode"], partial(decoded, sent_picture))
                 began = time.process_time()
                 clocked(times["search"], partial(tracker.see, grey))
                 cpu += time.process_time() - began

@@ -28,10 +28,10 @@ def row(name: str, results: Sequence[Result]) -> str:
     e = np.array([result.total_error for result in results])
     steps = np.array([result.steps for result in results])
     complete = sum(result.outcome.complete for result in results)
-    return (
-        f"| {name} | {complete} of {len(e)} | {e.mean():.1f} +- {e.std(ddof=1):.1f} | "
-        f"{np.median(e):.1f} | {e.min():.1f} to {e.max():.1f} | {steps.mean():.0f} |"
-    )
+    mean = f"{e.mean():.1f} +- {e.std(ddof=1):.1f}"
+    extremes = f"{e.min():.1f} to {e.max():.1f}"
+    cells = f"{mean} | {np.median(e):.1f} | {extremes} | {steps.mean():.0f}"
+    return f"| {name} | {complete} of {len(e)} | {cells} |"
 
 
 def main() -> None:
@@ -45,13 +45,13 @@ def main() -> None:
     print("|---|--:|--:|--:|--:|--:|")
     print(row("bench without noise, slip and lost frames", sims))
     print(row("emulated lab", labs))
-    sim_errors, lab_errors = (
-        np.array([r.total_error for r in results]) for results in (sims, labs)
-    )
+    sim_errors = np.array([result.total_error for result in sims])
+    lab_errors = np.array([result.total_error for result in labs])
     ks = stats.ks_2samp(sim_errors, lab_errors)
 
     def difference(a: np.ndarray, b: np.ndarray) -> float:
-        return float(np.log(a).mean() - np.log(b).mean())
+        mean_ln_of_b = np.log(b).mean()
+        return float(np.log(a).mean() - mean_ln_of_b)
 
     permuted = stats.permutation_test((sim_errors, lab_errors), difference, rng=1)
     print(f"\nKolmogorov-Smirnov: D = {ks.statistic:.2f}, p = {ks.pvalue:.2f}. ", end="")

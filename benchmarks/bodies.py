@@ -14,6 +14,7 @@ pose). The disturbance of the step explains the touch unless the controller expe
 
 import argparse
 import csv
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -208,15 +209,17 @@ def report(rate: int, rows: list[Row], radius: float, earlier: dict[int, float])
     print(f"\n**{rate} Hz**, {n} trials.\n\n| trials in which | number | 95 % interval |")
     print("|---|--:|---|")
     for name, count in counts.items():
-        print(f"| {name} | {count} | {percent(proportion_interval(count, n)).strip(' ()')} |")
+        interval = percent(proportion_interval(count, n)).strip(" ()")
+        print(f"| {name} | {count} | {interval} |")
     std = errors.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
     print(f"\nTotal error {errors.mean():.2f} mm (standard error {std:.2f}), ", end="")
     print(f"median {np.median(errors):.2f}, worst {errors.max():.1f}; ", end="")
     print(f"a trial takes {np.mean([row.seconds for row in rows]):.1f} s.", end=" ")
-    names = sorted({row.outcome for row in rows})
-    outcomes = [f"{name} {sum(row.outcome == name for row in rows)}" for name in names]
+    numbers = Counter(row.outcome for row in rows)
+    outcomes = [f"{name} {numbers[name]}" for name in sorted(numbers)]
     print(f"Outcomes: {', '.join(outcomes)}.")
-    if paired_rows := [row for row in rows if row.trial in earlier]:
+    paired_rows = [row for row in rows if row.trial in earlier]
+    if paired_rows:
         before = np.array([earlier[row.trial] for row in paired_rows])
         more = np.array([row.error for row in paired_rows]) - before
         difference = paired_t(more)
@@ -228,7 +231,8 @@ def report(rate: int, rows: list[Row], radius: float, earlier: dict[int, float])
         )
         print(f"{difference.value:.2f} mm [{low:.2f}, {high:.2f}]; there ", end="")
         print(f"{(before > LARGE_MM).sum()} were above {LARGE_MM:g} mm.")
-    if lines := [line for row in rows for line in row.traced]:
+    lines = [line for row in rows for line in row.traced]
+    if lines:
         print(f"\n| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
         print("\n".join(lines))
 
@@ -259,7 +263,8 @@ def main() -> None:
                 fields = ("trial", "error", "seconds", "outcome", "edge", "obstacle", "apart")
                 writer = csv.writer(file)
                 writer.writerow(fields)
-                writer.writerows([getattr(row, name) for name in fields] for row in rows)
+                for row in rows:
+                    writer.writerow([getattr(row, name) for name in fields])
 
 
 if __name__ == "__main__":

@@ -105,8 +105,9 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
         for track, blob in zip(tracks, blobs, strict=True):
             open_question = track.question
             rows_asked = [track.row] if open_question is None else open_question.rows[track.number]
-            many = np.tile(blob, (len(rows_asked), 1)), np.tile(deviation[0], (len(rows_asked), 1))
-            likelihood, _ = bank.update(np.array(rows_asked, int), *many)
+            blobs_asked = np.tile(blob, (len(rows_asked), 1))
+            deviations = np.tile(deviation[0], (len(rows_asked), 1))
+            likelihood, _ = bank.update(np.array(rows_asked, int), blobs_asked, deviations)
             if open_question is not None:
                 open_question.add(track, likelihood, None, t)
     question = tracks[0].question

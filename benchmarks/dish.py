@@ -57,7 +57,8 @@ class Witness:
         cells = self.dish.cells
         poses = step.observation.poses
         gaps = np.hypot(poses.x[:, None] - cells.x, poses.y[:, None] - cells.y)
-        self.who.append(tuple(gaps.argmin(axis=1).tolist()))
+        nearest = gaps.argmin(axis=1)
+        self.who.append(tuple(nearest.tolist()))
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *args: None
@@ -137,9 +138,10 @@ def survey(count: int) -> None:
             with rig:
                 cells = turn_field(rig, choice_of(experiment), seed, LabSupervision())
             true_of = true_cells(cells, dish)
+        with_truth = reseeded(experiment, seed + 10_000)
         choices = [
             ranked(experiment, cells, noise, PLANS),
-            ranked(reseeded(experiment, seed + 10_000), list(true_of.values()), noise, PLANS),
+            ranked(with_truth, list(true_of.values()), noise, PLANS),
         ]
         test = reseeded(experiment, seed + 20_000)
         errors = {}

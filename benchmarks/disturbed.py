@@ -238,10 +238,11 @@ def unsafe(
     results: list[Result], *flags_of: Callable[[Verdict, float], list[bool]], radius: float = 0.0
 ) -> str:
     """In how many trials a robot of some radius did each of some things."""
-    counts = (
-        sum(any(flag_of(result.verdict, radius)) for result in results) for flag_of in flags_of
-    )
-    return f"{' / '.join(map(str, counts))} of {len(results)}"
+    counts = []
+    for flag_of in flags_of:
+        flagged = [result for result in results if any(flag_of(result.verdict, radius))]
+        counts.append(f"{len(flagged)}")
+    return f"{' / '.join(counts)} of {len(results)}"
 
 
 def row(name: str, results: list[Result]) -> str:
@@ -282,8 +283,10 @@ def references(world: "World", trials: int, published: bool) -> None:
     spec = world.spec(OURS, (TOLD,))
     print(row("given a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
     if published:
-        print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
-        print(row("undisturbed", run(load_experiment(OURS, *world.rate), trials)), flush=True)
+        paper = world.spec(PAPER, (), slow=True)
+        print(row("the paper's, 5 Hz", run(paper, trials)))
+        undisturbed = load_experiment(OURS, *world.rate)
+        print(row("undisturbed", run(undisturbed, trials)), flush=True)
 
 
 def draw(results_of: dict[str, list[Result]], title: str, path: Path) -> None:
@@ -348,7 +351,9 @@ def main() -> None:
     rows = [row for row in PARTS[chosen.part] if chosen.only in (None, row[0])]
     if not rows:
         parser.error(f"--only: no row {chosen.only!r} of the part {chosen.part}")
-    plain = () if chosen.bench else HURT if chosen.part == "hurting" else WORLD
+    plain = HURT if chosen.part == "hurting" else WORLD
+    if chosen.bench:
+        plain = ()
     if chosen.seed is not None:
         plain = (*plain, f"trials.seed={chosen.seed}")
     world = World(chosen.bench, chosen.rate, chosen.dead_time, plain)

@@ -116,9 +116,9 @@ def show(films: Scores, level: str, tracker: str) -> None:
     """Print the rows of a level, with a column for each setting, for each renderer and over all."""
     if len(films) > 1:
         settings = next(iter(films.values()))
-        by_name = {
-            name: [film for scored in films.values() for film in scored[name]] for name in settings
-        }
+        by_name = {}
+        for name in settings:
+            by_name[name] = [film for scored in films.values() for film in scored[name]]
         films = films | {"both renderers": by_name}
     for renderer, by_setting in films.items():
         columns = [
@@ -157,7 +157,8 @@ def kept_scores(
         folder = chosen.cache / f"{renderer}-{level}-{seed}"
         path = folder / chosen.keep / f"{tracker}-{setting}.json"
         if chosen.keep and path.exists():
-            scores.append(FilmScore(**json.loads(path.read_text())["score"]))
+            values = json.loads(path.read_text())["score"]
+            scores.append(FilmScore(**values))
     return scores
 
 

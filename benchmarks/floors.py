@@ -96,8 +96,11 @@ def curve(spec: Experiment, trials: int, build: Build) -> list[list[Result]]:
 
 def points(results: Sequence[Sequence[Result]]) -> np.ndarray:
     """Return mean time [s] and mean total error [mm] of each group of trials, (2, groups)."""
-    means = [[(result.duration_s, result.total_error) for result in group] for group in results]
-    return np.mean(means, axis=1).T
+    means = []
+    for group in results:
+        values = [(result.duration_s, result.total_error) for result in group]
+        means.append(np.mean(values, axis=0))
+    return np.array(means).T
 
 
 def at(time_s: float, floor: np.ndarray) -> str:

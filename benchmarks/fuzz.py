@@ -131,8 +131,10 @@ def main() -> int:
     keep = options.keep.absolute()
     if options.child:
         child(options.target[0], options.seconds, options.seed, keep)
-    if unknown := set(options.target or ()) - set(known()):
-        parser.error(f"no such target: {unknown.pop()}; there are {', '.join(known())}")
+    unknown = set(options.target or ()) - set(known())
+    if unknown:
+        names = ", ".join(known())
+        parser.error(f"no such target: {unknown.pop()}; there are {names}")
     how = "atheris" if find_spec("atheris") else "seeded mutations, for atheris is not installed"
     keep.mkdir(parents=True, exist_ok=True)
     print(f"With {how}, {options.seconds:g} s a target:\n", flush=True)

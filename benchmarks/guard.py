@@ -103,10 +103,10 @@ def ghosts(kind: str) -> None:
             Ghost(kind, speed, who, at_s=0.6 + 1.5 * k / max(1, PLAYS - 1)) for k in range(PLAYS)
         ]
         reasons = [trial_of(play.haunt, k, RATE_HZ).reason for k, play in enumerate(plays)]
-        off, held, rest, driven = (
-            max(getattr(play, name) for play in plays)
-            for name in ("off_mm", "held_s", "rest_s", "driven_mm")
-        )
+        off = max(play.off_mm for play in plays)
+        held = max(play.held_s for play in plays)
+        rest = max(play.rest_s for play in plays)
+        driven = max(play.driven_mm for play in plays)
         noticed = sum(reason != "not noticed" for reason in reasons)
         late = sum(sum(play.late) for play in plays)
         robots = "all" if who == ALL else "one"
@@ -116,6 +116,11 @@ def ghosts(kind: str) -> None:
             f"| {driven:.0f} | {late} |",
             flush=True,
         )
+
+
+def is_noticed(reason: str) -> bool:
+    """Whether the reason for which a trial ended is that poses are false."""
+    return any(text in reason for text in NOTICED)
 
 
 def slow(kind: str) -> None:
@@ -132,7 +137,7 @@ def slow(kind: str) -> None:
             ]
             reasons = [reason_of(play, k) for k, play in enumerate(plays)]
             rest = [bool(re.search("still moves|move alike", reason)) for reason in reasons]
-            drove = [any(text in reason for text in NOTICED) for reason in reasons]
+            drove = [is_noticed(reason) for reason in reasons]
             if begins == [-math.inf]:
                 refused = sum(reason.startswith(REFUSED) for reason in reasons)
                 cells.append(f"{refused} of {len(plays)}")
@@ -277,10 +282,13 @@ def batches(first: int, last: int) -> None:
             false = run(batch, k, rate)
             marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
             noticed = any(text in false.result.reason for text in (*NOTICED, "still moves"))
-            stopped[rate] += noticed
-            verdicts[rate] += (mark := false.log in marks)
-            alone[rate] += mark and not noticed
-            verdicts[0.0] += len(marks) - mark
+            if noticed:
+                stopped[rate] += 1
+            if false.log in marks:
+                verdicts[rate] += 1
+                if not noticed:
+                    alone[rate] += 1
+            verdicts[0.0] += sum(log != false.log for log in marks)
     print("| turn [rad/s] | stopped for it | marked | of those not stopped for it |")
     print("|--:|--:|--:|--:|")
     for rate in TURNS:

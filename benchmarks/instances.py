@@ -123,7 +123,7 @@ class Arm:
     unit: str
     errors: dict[int, float]
     entered: int
-    left: int
+    left_arena: int
     seconds: float
     solving_s: float
     digest: str
@@ -149,6 +149,7 @@ def _read(path: Path) -> list[dict[str, str]]:
 def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
     column = next(key for key in rows[0] if key.startswith("total_error_"))
     digests = "".join(row["content_digest"] for row in rows)
+    steps = np.mean([float(row["steps"]) for row in rows])
     return Arm(
         name,
         column.rpartition("_")[2],
@@ -156,7 +157,7 @@ def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
         sum(row["entered_obstacle"] == "true" for row in rows),
         sum(row["outside_arena"] == "true" for row in rows),
         float(np.mean([float(row["duration_s"]) for row in rows])),
-        float(np.mean([float(row["steps"]) for row in rows]) * np.mean(step_ms)) / 1e3,
+        float(steps * np.mean(step_ms)) / 1e3,
         hashlib.sha256(digests.encode()).hexdigest()[:12],
     )
 
@@ -178,6 +179,12 @@ HEAD = (
 )
 
 
+def _p_value(p: float) -> str:
+    if math.isnan(p):
+        return ""
+    return f"{p:.1g}" if p >= 1e-4 else "< 0.0001"
+
+
 def table(arms: Sequence[Arm], least_s: float) -> list[str]:
     """Return the lines of an instance's table; no trial can take less than `least_s`."""
     ours = next(arm for arm in arms if arm.name == OURS)
@@ -194,9 +201,9 @@ def table(arms: Sequence[Arm], least_s: float) -> list[str]:
             f"{np.median(errors):.3g}",
             f"{np.quantile(errors, 0.95):.3g}",
             _more(differences),
-            "" if math.isnan(p) else f"{p:.1g}" if p >= 1e-4 else "< 0.0001",
+            _p_value(p),
             _share(arm.entered, n),
-            _share(arm.left, n),
+            _share(arm.left_arena, n),
             f"{arm.seconds:.1f}",
             f"{arm.seconds / least_s:.2f}",
             f"{arm.solving_s:.2f}",
@@ -244,7 +251,11 @@ def found_in(folder: Path, name: str) -> list[Arm]:
 
 def report(folder: Path, names: Sequence[str], figure: Path | None) -> None:
     """Print the page of results, and draw the errors as distribution functions."""
-    drawn = {name: drawn_arms for name in names if (drawn_arms := found_in(folder, name))}
+    drawn = {}
+    for name in names:
+        arms_of_instance = found_in(folder, name)
+        if arms_of_instance:
+            drawn[name] = arms_of_instance
     for name, drawn_arms in drawn.items():
         spec = instance(name)
         least_s = bound_s(spec)
@@ -269,13 +280,13 @@ def draw(drawn: Mapping[str, Sequence[Arm]], path: Path) -> None:
         panels = figure.subplots(rows, 3, squeeze=False)
         names = dict.fromkeys(arm.name for drawn_arms in drawn.values() for arm in drawn_arms)
         colors = dict(zip(names, PALETTE, strict=False))
-        for axes, (name, found) in zip(panels.flat, drawn.items(), strict=False):
-            for arm in found:
+        for axes, (name, drawn_arms) in zip(panels.flat, drawn.items(), strict=False):
+            for arm in drawn_arms:
                 errors = np.sort(list(arm.errors.values()))
                 share = np.arange(1, len(errors) + 1) / len(errors)
                 axes.step(errors, share, where="post", color=colors[arm.name], label=arm.name)
             axes.set(xscale="log", ylim=(0, 1.02))
-            axes.set_title(f"{name} [{unit_of(found[0].unit)}]", fontsize=8)
+            axes.set_title(f"{name} [{unit_of(drawn_arms[0].unit)}]", fontsize=8)
         for axes in panels.flat[len(drawn) :]:
             axes.set_axis_off()
         handles = {
@@ -303,7 +314,8 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, help="with --report: of the errors (.svg or .png)")
     options = parser.parse_args()
     names = options.only.split(",")
-    if unknown := [name for name in names if name not in all_names]:
+    unknown = [name for name in names if name not in all_names]
+    if unknown:
         parser.error(f"--only: no instance {unknown[0]}; there are {', '.join(all_names)}")
     if not options.report:
         options.out.mkdir(parents=True, exist_ok=True)

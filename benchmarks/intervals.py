@@ -102,10 +102,7 @@ def _one_mean(errors: Errors, n: int, sets: int) -> str:
     shares = [
         _share(intervals_of, errors.mean) for intervals_of in (ours, student, _bca(rows[:BCA_SETS]))
     ]
-    negative = [
-        np.mean([interval_of.low < 0 for interval_of in intervals_of])
-        for intervals_of in (ours, student)
-    ]
+    negative = [_negative(ours), _negative(student)]
     cells = [*map(_percent, shares), ", ".join(map(_percent, negative))]
     return " | ".join(cells)
 
@@ -119,8 +116,14 @@ def _bca(rows: Floats) -> list[Interval]:
             ends = stats.bootstrap(
                 [row], np.mean, n_resamples=RESAMPLES, method="BCa", rng=np.random.default_rng(seed)
             ).confidence_interval
-            bca_intervals.append(Interval(float(ends.low), float(ends.high)))
+            low = float(ends.low)
+            bca_intervals.append(Interval(low, float(ends.high)))
     return bca_intervals
+
+
+def _negative(intervals: Iterable[Interval]) -> float:
+    """Return the share of intervals that begin below 0."""
+    return float(np.mean([interval.low < 0 for interval in intervals]))
 
 
 def _two_means(errors: Errors, n: int, sets: int) -> str:
@@ -135,7 +138,7 @@ def _two_means(errors: Errors, n: int, sets: int) -> str:
     for interval in (_welch, from_both_intervals):
         for factor in (1, 4):
             pairs = zip(distributions(ours), distributions(factor * theirs), strict=True)
-            intervals_found = [interval(one, other) for one, other in pairs]
+            intervals_found = [interval(first, second) for first, second in pairs]
             cells.append(_percent(_share(intervals_found, errors.mean * (1 - factor))))
     differences = (ours + common) / 2 - 4 * (theirs + common) / 2
     intervals_found = [paired_t(difference).ci95 for difference in differences]
@@ -166,7 +169,9 @@ def _band_holds(shares: Floats) -> float:
     """Return in how many sets the true function, at the sorted values (sets, n), is in the band."""
     n = shares.shape[1]
     steps = np.arange(1, n + 1) / n
-    off = np.maximum(np.abs(shares - steps), np.abs(shares - steps + 1 / n)).max(axis=1)
+    above = np.abs(shares - steps)
+    below = np.abs(shares - steps + 1 / n)
+    off = np.maximum(above, below).max(axis=1)
     return float(np.mean(off <= band(n)))
 
 

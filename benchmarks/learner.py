@@ -51,7 +51,7 @@ def learn(spec, steps, gamma, folder):
     learner = PPO(
         "MlpPolicy",
         envs,
-        learning_rate=lambda left: 5e-4 * (1 + left),
+        learning_rate=lambda remaining: 5e-4 * (1 + remaining),
         n_steps=256,
         gamma=gamma,
         seed=SEED,
@@ -94,13 +94,14 @@ def row(name, batch, within):
     that `verify` accepts."""
     trials = batch.trials
     count = len(trials)
-    both = sum(near(trial, within) and not hit(trial) for trial in trials)
+    successes = sum(near(trial, within) and not hit(trial) for trial in trials)
     hits = sum(hit(trial) for trial in trials)
     total = tetractl.summarise(batch, name).total
     verified = sum(not tetractl.verify(trial.log).problems for trial in trials)
+    error = f"{total.mean:.3g} [{total.ci95.low:.3g}, {total.ci95.high:.3g}]"
     return (
-        f"{name:10} {both} of {count} succeed, {hits} hit something; total error {total.mean:.3g}"
-        f" [{total.ci95.low:.3g}, {total.ci95.high:.3g}]; verify ok: {verified} of {count}"
+        f"{name:10} {successes} of {count} succeed, {hits} hit something; total error {error};"
+        f" verify ok: {verified} of {count}"
     )
 
 

@@ -117,7 +117,11 @@ class Policy:
             path = places_after[:, :, value.argmax(axis=0), np.arange(trials)]
             turn = sigma * rng.standard_normal(trials)
             x, y = path[-1]
-            x, y = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+            cosine = np.cos(turn)
+            sine = np.sin(turn)
+            turned_x = cosine * x + sine * y
+            y = cosine * y - sine * x
+            x = turned_x
             if k >= 40:
                 places.append(np.hypot(path[:, 0], path[:, 1]))
         return np.concatenate(places)

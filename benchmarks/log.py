@@ -355,7 +355,7 @@ def asked(number: signal.Signals) -> Callable[[Path], str]:
         said = trial.ask(number).strip()
         log = read_trial(folder / "trial.mcap")
         assert log.damage is None and log.result is not None
-        assert log.frames.tolist() == list(range(len(log.frames)))
+        assert np.array_equal(log.frames, np.arange(len(log.frames)))
         assert len(log.steps) == log.result.steps
         return f"{said.split(' | ')[0]}; every one of {len(log.frames)} frames in the log"
 
@@ -382,12 +382,14 @@ FAULTS: list[tuple[str, str, Callable[[Path], str]]] = [
 
 def memory_mb() -> float:
     gc.collect()
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    _, resident, *_ = Path("/proc/self/statm").read_text().split()
+    pages = int(resident)
     return pages * resource.getpagesize() / 1e6
 
 
 def handles() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
+    descriptors = Path("/proc/self/fd").iterdir()
+    return len(list(descriptors))
 
 
 class Watch:

@@ -31,7 +31,8 @@ def track(folder: Path, robot: int) -> Track:
         for kind in ("Groundtruth", "Odometry")
     )
     start = sent[0, 0]
-    sent = sent[np.diff(sent[:, 0], prepend=-np.inf) > 0]  # some rows are twice in the files
+    is_new = np.diff(sent[:, 0], prepend=-np.inf) > 0  # some rows are twice in the files
+    sent = sent[is_new]
     name = f"{folder.name[-1]}.{robot}"
     return Track(
         source=str(folder),
@@ -50,8 +51,10 @@ def track(folder: Path, robot: int) -> Track:
 
 def _mean(values: Floats) -> SampleInterval:
     """Return the mean of the runs' values with its 95 % interval."""
-    half = t_quantile(len(values) - 1) * values.std(ddof=1) / len(values) ** 0.5
-    return SampleInterval(values.mean(), values.mean() - half, values.mean() + half)
+    n = len(values)
+    mean = values.mean()
+    half = t_quantile(n - 1) * values.std(ddof=1) / n**0.5
+    return SampleInterval(mean, mean - half, mean + half)
 
 
 def main(folders: list[Path]) -> None:
@@ -62,8 +65,12 @@ def main(folders: list[Path]) -> None:
     if len(runs) < 2:
         raise UsageError("two runs are needed: folders with files such as Robot1_Odometry.dat")
     responses = [respond([track(*run)])[0] for run in runs]
-    quantities = [[run.quantities[name] for run in responses] for name in UNITS]
-    values = [np.array([interval.value for interval in intervals]) for intervals in quantities]
+    values = []  # of the runs, of each quantity
+    widths = []
+    for name in UNITS:
+        intervals = [response.quantities[name] for response in responses]
+        values.append(np.array([interval.value for interval in intervals]))
+        widths.append(np.array([interval.high - interval.low for interval in intervals]))
     mean = [_mean(column) for column in values]
     columns = (
         Column(
@@ -75,20 +82,16 @@ def main(folders: list[Path]) -> None:
         Column("greatest", [f"{column.max():.4f}" for column in values]),
         Column(
             "half width in a run",
-            [
-                f"{np.median([o.high - o.low for o in intervals]) / 2:.4f}"
-                for intervals in quantities
-            ],
+            [f"{np.median(column) / 2:.4f}" for column in widths],
         ),
     )
-    misfits = [
-        sum(kind in response.misfits for response in responses) for kind in ("turning", "speed")
-    ]
+    of_turning = sum("turning" in response.misfits for response in responses)
+    of_speed = sum("speed" in response.misfits for response in responses)
     steps = sum(response.intervals for response in responses)
     left_out = sum(response.left_out for response in responses)
     note = (
         f"{steps} steps, {left_out} left out; residuals are correlated in "
-        f"{misfits[0]} runs (turning) and {misfits[1]} (speed)"
+        f"{of_turning} runs (turning) and {of_speed} (speed)"
     )
     print_tables(
         [Table(f"MRCLAM, {len(responses)} runs of real robots; 95 % intervals", columns, note)]

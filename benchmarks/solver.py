@@ -40,7 +40,8 @@ def main() -> None:
         "e": lambda: speed.floor(settings),
     }
     wanted = [part.strip() for part in chosen.only.split(",")]
-    if unknown := [part for part in wanted if part not in parts]:
+    unknown = [part for part in wanted if part not in parts]
+    if unknown:
         parser.error(f"--only: no part {unknown[0]}; there are {', '.join(parts)}")
     began = load()
     reports = []

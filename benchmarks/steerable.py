@@ -34,6 +34,8 @@ TRIALS = 1000
 LEAST = 0.01
 BAND = 3.0
 KINDS = "exact", "euler", "arc"
+LN_A = math.log(2), math.log(8)  # a is drawn between these [rad/s]
+LN_NEAR = math.log(1e-4), math.log(2e-2)  # by which two robots near the border differ, relative
 
 
 @dataclass
@@ -65,11 +67,12 @@ def ends(setup, motion, seed):
     speed = np.tile(setup.speed > 0, TRIALS) * 1.0
     drive = DirectDrive(MOTIONS.load(motion), np.tile(setup.a, TRIALS), speed, starts)
     reached = np.ones(speed.size, dtype=bool)
+    part_ns = np.array([round(1e9 * held_s / parts)])
     for _ in range(SIGNALS):
         u = np.repeat(rng.uniform(-math.pi, math.pi, TRIALS), count)
         for _ in range(parts):
             drive.apply(DelayedCommand(0, 0, Steer(u), reached, headings=drive.poses.heading))
-            drive.advance(0, np.array([round(1e9 * held_s / parts)]), np.array([True]))
+            drive.advance(0, part_ns, np.array([True]))
     return drive.poses.xy.reshape(TRIALS, count, 2)
 
 
@@ -103,14 +106,14 @@ def judged(setup, motion, seed):
 def drawn(rng, near):
     """Return a random set of robots and its motion; `near`: two differ by very little."""
     count = int(rng.integers(2 if near else 1, 7))
-    a = np.exp(rng.uniform(math.log(2), math.log(8), count))
+    a = np.exp(rng.uniform(*LN_A, count))
     speed = rng.uniform(50, 400, count)
     heading = rng.uniform(-math.pi, math.pi, count)
     kind = rng.integers(4)
     members = rng.permutation(count)[: int(rng.integers(2, count + 1))] if count > 1 else []
     if near:
         i, j = members[:2]
-        by = math.exp(rng.uniform(math.log(1e-4), math.log(2e-2)))
+        by = math.exp(rng.uniform(*LN_NEAR))
         turn = by * rng.choice([-1, 1])
         a[j], heading[j] = (a[i] * (1 + by), heading[i]) if kind < 2 else (a[i], heading[i] + turn)
     elif kind < 2:
@@ -135,11 +138,10 @@ def setup_of(a, speed, heading):
 def right(setup, motion, verdict, judged_at, seed):
     """Return whether a verdict agrees with the plant, and its advice with what it does."""
     same = verdict.rank == judged_at.rank
-    said = {
-        pair
-        for group in verdict.alike
-        for pair in combinations(sorted(setup.names.index(name) for name in group), 2)
-    }
+    said = set()
+    for group in verdict.alike:
+        indices = sorted(setup.names.index(name) for name in group)
+        said |= set(combinations(indices, 2))
     named = judged_at.alike <= said <= judged_at.alike | judged_at.unsure
     still = {setup.names[i] for i in np.flatnonzero(setup.speed == 0)} == set(verdict.still)
     good = (same or (judged_at.near and verdict.barely > 0)) and named and still
@@ -169,10 +171,11 @@ def main(sets, seed):
         if not rows[-1][0]:
             print("wrong:", motion, setup.a, setup.speed, verdict, verdict.spread, judged_at)
     good, same, near, said = np.array(rows).T
-    counts = sets, good.sum(), same.sum(), near.sum(), (near & said).sum(), f"{seconds:.2f} s"
+    barely = near & said
+    numbers = [sets, *(row.sum() for row in (good, same, near, barely))]
     print("| sets | right | same rank | near the border | said barely | longest, processor time |")
     print("|---|---|---|---|---|---|")
-    print(f"| {' | '.join(map(str, counts))} |")
+    print(f"| {' | '.join(map(str, numbers))} | {seconds:.2f} s |")
 
 
 if __name__ == "__main__":

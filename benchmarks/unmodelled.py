@@ -187,7 +187,8 @@ def held(estimate: Estimate | None, truth: Truth) -> Row:
         off = (value - truth[name])[lives]
         std = std[lives]
         inside = int((np.abs(off) <= 1.96 * std).sum())  # what is known for sure has no deviation
-        squares = float(((off[std > 0] / std[std > 0]) ** 2).sum())
+        is_unsure = std > 0
+        squares = float(((off[is_unsure] / std[is_unsure]) ** 2).sum())
         row |= {f"{name}_of": off.size, f"{name}_held": inside, f"{name}_squares": squares}
     return row
 
@@ -198,7 +199,11 @@ def read(path: Path) -> list[Row]:
         return []
     with path.open(newline="") as file:
         rows = csv.DictReader(file)
-        return [{k: v if k == TOLD else float(v) for k, v in row.items()} for row in rows]
+        return [_with_numbers(row) for row in rows]
+
+
+def _with_numbers(row: dict[str, str]) -> Row:
+    return {name: text if name == TOLD else float(text) for name, text in row.items()}
 
 
 HEAD = (
@@ -218,7 +223,10 @@ HEAD = (
 
 def line(name: str, rows: list[Row]) -> str:
     """Return a world's line of the table."""
-    columns = {key: np.array([row[key] for row in rows]) for key in rows[0] if key != TOLD}
+    columns = {}
+    for key in rows[0]:
+        if key != TOLD:
+            columns[key] = np.array([row[key] for row in rows])
     (error,) = distributions(columns["error"][None])
     gaps = [columns[f"{what}_mm"] for what in ("edge", "obstacle", "apart")]
     quiet = columns["misfit"] == 0
@@ -228,9 +236,12 @@ def line(name: str, rows: list[Row]) -> str:
         inside = columns[f"{what}_held"]
         reference = columns[f"{what}_of"]
         missed |= inside < reference
-        rms = np.sqrt(columns[f"{what}_squares"][quiet].sum() / max(reference[quiet].sum(), 1))
-        shares.append(f"{inside[quiet].sum():.0f} of {reference[quiet].sum():.0f}; {rms:.2f}")
+        squares = columns[f"{what}_squares"][quiet].sum()
+        number = reference[quiet].sum()
+        rms = np.sqrt(squares / max(number, 1))
+        shares.append(f"{inside[quiet].sum():.0f} of {number:.0f}; {rms:.2f}")
     said = columns["misfit"] > 0
+    negative = [f"{(gap < 0).sum()}" for gap in gaps]
     cells = (
         f"`{name}`",
         f"{len(rows)}",
@@ -239,7 +250,7 @@ def line(name: str, rows: list[Row]) -> str:
         f"{columns['greatest'].max():.1f}",
         f"{(columns['error'] > FAR_MM).sum()} / {(columns['complete'] == 0).sum()}",
         f"{columns['seconds'].mean():.1f} / {columns['seconds'].max():.1f}",
-        " / ".join(f"{(gap < 0).sum()}" for gap in gaps) + f" ({max(0.0, -np.min(gaps)):.1f})",
+        f"{' / '.join(negative)} ({max(0.0, -np.min(gaps)):.1f})",
         f"{said.sum()}",
         *shares,
         f"{missed.sum()}: {(missed & said).sum()}",
@@ -267,13 +278,18 @@ def compare(rows_of: dict[str, list[Row]], folder: Path) -> None:
     print("\n| world | | pairs, equal | before | now | now - before, Holm's 95 % interval | |")
     print("|---|---|---|---|---|---|---|")
     for key, test in tested.items():
-        more, (now, before) = np.subtract(*pairs[key].T), pairs[key].mean(axis=0)
+        more = np.subtract(*pairs[key].T)
+        now, before = pairs[key].mean(axis=0)
         half = 0.0
         verdict = "equal"
         if key in levels:
             reach = stats.t.ppf(1 - levels[key] / 2, len(more) - 1)
             half = reach * more.std(ddof=1) / np.sqrt(len(more))
-            verdict = "**worse**" if test.value > half else "better" if test.value < -half else ""
+            verdict = ""
+            if test.value > half:
+                verdict = "**worse**"
+            elif test.value < -half:
+                verdict = "better"
         cells = f"{before:.1f} | {now:.1f} | {test.value:.2f} [{test.value - half:.2f}, "
         cells += f"{test.value + half:.2f}], {100 * test.value / before:+.0f} % | {verdict}"
         print(f"| `{key[0]}` | {key[1]} | {len(more)}, {(more == 0).sum()} | {cells} |")

@@ -78,6 +78,10 @@ class Conditions:
         seconds = float(random.uniform(10, 12)) if level != "easy" else 10.0
         hard = level == "hard"
         easy = level == "easy"
+        specks_from_to = (2, 6) if easy else (25, 46)
+        flicker_factor = 2 if hard else 1
+        lookalikes_factor = 4 if hard else 1
+        latest_s = 0.02 if hard else 0.01
         return cls(
             seconds=round(seconds * RATE_HZ) / RATE_HZ,
             optics=Optics(
@@ -95,11 +99,11 @@ class Conditions:
             noise=noise,
             quality={"easy": 95, "normal": int(random.integers(75, 91)), "hard": 60}[level],
             vignetting=random.uniform(0.0, 0.1) if easy else random.uniform(0.1, 0.35),
-            flicker=0.0 if easy else random.uniform(0.005, 0.02) * (2 if hard else 1),
+            flicker=0.0 if easy else random.uniform(0.005, 0.02) * flicker_factor,
             drift=0.0 if easy else random.uniform(-0.01, 0.01),
             exposure_s=random.uniform(0.003, 0.012),
-            specks=int(random.integers(2, 6)) if easy else int(random.integers(25, 46)),
-            lookalikes=0 if easy else int(random.integers(3, 6)) * (4 if hard else 1),
+            specks=int(random.integers(*specks_from_to)),
+            lookalikes=0 if easy else int(random.integers(3, 6)) * lookalikes_factor,
             speck_um_s={"easy": 0.0, "normal": 15.0, "hard": 40.0}[level],
             bubbles=0 if easy else 1,
             wander={"easy": 2.0, "normal": 12.0, "hard": 25.0}[level],
@@ -109,6 +113,6 @@ class Conditions:
             backs={"easy": 0.0, "normal": 0.005, "hard": 0.015}[level],
             knock_um=(size * math.cos(angle), size * math.sin(angle)),
             knock_s=seconds * random.uniform(0.35, 0.65),
-            late_s=0.0 if easy else random.uniform(0.0, 0.02 if hard else 0.01),
+            late_s=0.0 if easy else random.uniform(0.0, latest_s),
             events=not easy,
         )

@@ -30,6 +30,7 @@ UM_PX = 2.3
 CELLS = 20
 STRANGERS = 4
 BRIGHT_FIELD = 150.0  # grey level of the medium
+LN_PULSE_HZ = math.log(0.15), math.log(3.0)  # least and greatest
 
 
 @dataclass
@@ -49,7 +50,8 @@ class PulsingSwimmers(Swimmers):
 
     def joined(self, others: Swimmers) -> "PulsingSwimmers":
         theirs = vars(others)
-        return PulsingSwimmers(**{n: np.append(own, theirs[n]) for n, own in vars(self).items()})
+        together = {name: np.append(ours, theirs[name]) for name, ours in vars(self).items()}
+        return PulsingSwimmers(**together)
 
     def kept(self, which) -> "PulsingSwimmers":
         return PulsingSwimmers(**{name: array[which] for name, array in vars(self).items()})
@@ -58,14 +60,14 @@ class PulsingSwimmers(Swimmers):
 @dataclass(slots=True)
 class WidePainter(DishPainter):
     """A painter whose cells have the share `halo` of their contrast around them, over `rim_um`, and
-    the share `hollow` of it missing within, both of which may be negative; `own` (N,) is each
-    cell's share of the film's contrast.
+    the share `hollow` of it missing within, both of which may be negative; `ink_shares` (N,)
+    are each cell's share of the film's contrast.
     """
 
     halo: float = 0.0
     rim_um: float = 6.0
     hollow: float = 0.0
-    own: np.ndarray = field(default_factory=lambda: np.ones(0))
+    ink_shares: np.ndarray = field(default_factory=lambda: np.ones(0))
     _scratch: np.ndarray | None = None
 
     def _draw_cell(self, ink, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
@@ -81,7 +83,7 @@ class WidePainter(DishPainter):
             total -= self.halo * (self._covered(where, cells, moments, i, self.rim_um) - cover)
         if self.hollow:
             total -= self.hollow * self._covered(where, cells, moments, i, -self.rim_um)
-        ink[where] = ink[where] * (1 - 0.5 * cover) + self.own[i] * total
+        ink[where] = ink[where] * (1 - 0.5 * cover) + self.ink_shares[i] * total
 
     def _covered(self, where, cells, moments, i: int, more: float) -> np.ndarray:
         """Return how far a body that is larger by `more` [um] on each side covers each pixel."""
@@ -117,10 +119,11 @@ class WideFilm(SyntheticFilm):
             **vars(Swimmers.drawn(random, CELLS + STRANGERS, STRANGERS)),
             base=np.zeros(0),
             pulse=random.uniform(*((0.04, 0.06), (0.05, 0.07), (0.06, 0.1))[level_index], 24),
-            pulse_hz=np.exp(random.uniform(math.log(0.15), math.log(3.0), 24)),
+            pulse_hz=np.exp(random.uniform(*LN_PULSE_HZ, 24)),
             age=random.uniform(0, 10, 24),
         )
         cells.base = cells.speed.copy()
+        latest_s = 0.02 if hard else 0.01
         angle = random.uniform(-math.pi, math.pi)
         kinds = (0.0, 0.0), (random.uniform(0.2, 0.5), 0.0), (0.2, random.uniform(0.8, 1.3))
         halo, hollow = kinds[random.integers((1, 2, 3)[level_index])]
@@ -140,7 +143,7 @@ class WideFilm(SyntheticFilm):
             wander_um=(0.0, 20.0, 70.0)[level_index],
             knock_um=(18 * math.cos(angle), 18 * math.sin(angle)) if hard else (0.0, 0.0),
             knock_s=seconds * random.uniform(0.35, 0.65) if hard else math.inf,
-            late_s=0.0 if easy else random.uniform(0, 0.02 if hard else 0.01),
+            late_s=0.0 if easy else random.uniform(0, latest_s),
         )
 
     def pictures(self) -> Iterator[np.ndarray]:
@@ -149,14 +152,15 @@ class WideFilm(SyntheticFilm):
         painter = WidePainter(replace(self.look, quality=None), self.seed)
         painter.halo = self.halo
         painter.hollow = self.hollow
-        painter.own = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.15, 64))
+        painter.ink_shares = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.15, 64))
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         focus = 0.0
         knocked = False
         for t in self.times:
             focus += -focus / 60 + self.wander_um * math.sqrt(2 / 60) * random.standard_normal()
             if t > self.knock_s and not knocked:
-                knocked, (dx, dy) = True, self.knock_um
+                knocked = True
+                dx, dy = self.knock_um
                 painter.change(corner_um=(-dx, -dy))  # everything seems to move by dx, dy
             painter.look = replace(painter.look, focus_um=focus)
             moments = [self._bodies(t + part * self.look.exposure_s) for part in spread]

@@ -40,7 +40,10 @@ class Shape:
         bend = random.normal(0, 0.04)
         x = 0.5 * np.cos(t)
         y = 0.5 * width / length * np.sin(t) * (1 - egg * np.cos(t)) + bend * (np.cos(t) ** 2 - 0.5)
-        waves = sum(random.normal(0, 0.008) * np.cos(n * t + random.uniform(0, 6)) for n in (2, 3))
+        waves = np.zeros(len(t))
+        for n in (2, 3):
+            strength = random.normal(0, 0.008)
+            waves += strength * np.cos(n * t + random.uniform(0, 6))
         outline = np.stack([x * (1 + waves), y * (1 + waves)], 1)
         outline -= _centroid(outline)
         count = random.integers(2, 8)
@@ -52,8 +55,9 @@ class Shape:
                 random.uniform(-1.0, 1.0, count) * texture,
             ]
         )
-        ink, head, bend = np.exp(random.normal(0, spread)), *random.normal(0, (0.3, 0.04))
-        return cls(outline, length, width, vacuoles, float(ink), texture * head, bend)
+        ink = np.exp(random.normal(0, spread))
+        head, rolling_bend = random.normal(0, (0.3, 0.04))
+        return cls(outline, length, width, vacuoles, float(ink), texture * head, rolling_bend)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,13 +112,14 @@ class Optics:
         inside = cv2.distanceTransform(mask, cv2.DIST_L2, 3) / fine
         outside = cv2.distanceTransform(255 - mask, cv2.DIST_L2, 3) / fine
         thick = np.sqrt(np.minimum(inside / (0.32 * shape.width), 1.0))
-        light = self.body * shape.ink * (0.35 * (mask > 0) + 0.65 * thick)
+        light = self.body * shape.ink * (np.where(mask > 0, 0.35, 0.0) + 0.65 * thick)
         light *= self._inner(shape, basis, middle, fine, flat, roll, mask.shape)
         rows, columns = np.ogrid[: len(mask), : len(mask)]
         ahead = (columns - middle[0]) * cos - (rows - middle[1]) * sin
         light *= 1 + shape.head * ahead / (shape.length / 2 * fine)
         if self.halo or self.edge:
-            ring = np.exp(-outside / self.halo_um) * (outside > 0)
+            ring = np.exp(-outside / self.halo_um)
+            ring[outside == 0] = 0.0
             light += self.halo * shape.ink * ring
             light += self.edge * shape.ink * np.exp(-(((inside + outside) / 1.8) ** 2))
         if np.hypot(*travel) * fine > 0.5:
@@ -152,7 +157,7 @@ def bubble(field: np.ndarray, x: float, y: float, radius: float, strength: float
     away = np.hypot(columns - x, rows - y) - radius
     field *= 1 - strength * np.exp(-((away / 2.5) ** 2))
     field *= 1 + 0.8 * strength * np.exp(-(((away + 5.0) / 2.0) ** 2))
-    field *= 1 + 0.04 * (away < 0)
+    field *= np.where(away < 0, 1.04, 1.0)
 
 
 @cache
@@ -179,4 +184,5 @@ def _centroid(outline: np.ndarray) -> np.ndarray:
     x, y = outline.T
     u, v = np.roll(outline, -1, 0).T
     cross = x * v - u * y
-    return np.array([((x + u) * cross).sum(), ((y + v) * cross).sum()]) / (3 * cross.sum())
+    moments = np.array([((x + u) * cross).sum(), ((y + v) * cross).sum()])
+    return moments / (3 * cross.sum())

@@ -34,8 +34,10 @@ def detections(film: Path, um_px: float) -> tuple[pd.DataFrame, float]:
     began = cpu_s()
     pictures = []
     reader = cv2.VideoCapture(str(film))
-    while (read := reader.read())[0]:
-        pictures.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
+    there_is_one, picture = reader.read()
+    while there_is_one:
+        pictures.append(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+        there_is_one, picture = reader.read()
     light = np.array([np.median(picture[::8, ::8]) for picture in pictures])
     step = max(1, len(pictures) // BACKGROUND)
     scaled = [pictures[k] * np.float32(light[0] / light[k]) for k in range(0, len(pictures), step)]

@@ -52,12 +52,36 @@ def over_films(
 ) -> str:
     """A value with its interval by drawing films again."""
     random = np.random.default_rng(0)
-    drawn = [
-        value([films[i] for i in random.integers(0, len(films), len(films))])
-        for _ in range(RESAMPLED)
-    ]
+    drawn = []
+    for _ in range(RESAMPLED):
+        indices = random.integers(0, len(films), len(films))
+        drawn.append(value([films[i] for i in indices]))
     low, high = np.quantile(drawn, (0.025, 0.975))
     return f"{value(films):.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def new_names(films: Sequence[FilmScore]) -> float:
+    return an_hour(films, total(films, "renamed"))
+
+
+def wrong_names(films: Sequence[FilmScore]) -> float:
+    return an_hour(films, sum(len(film.wrong) for film in films))
+
+
+def called_sure(films: Sequence[FilmScore]) -> float:
+    """Return the share of the right rows."""
+    return total(films, "covered") / max(total(films, "right"), 1)
+
+
+def cpu_ms_a_picture(films: Sequence[FilmScore]) -> float:
+    return 1e3 * total(films, "cpu_s") / total(films, "pictures")
+
+
+def counts(films: Sequence[FilmScore], name: str) -> tuple[int, int]:
+    """Return how many intervals of all films hold the truth, and how many there are."""
+    pairs = [getattr(film, name) for film in films]
+    hold, number = np.sum(pairs, axis=0)
+    return int(hold), int(number)
 
 
 def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, str]]:
@@ -83,37 +107,22 @@ def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, s
         ]
     rows += [
         ("IDF1", over_films(films, idf1, 3)),
-        (
-            "new names a cell-hour",
-            over_films(films, lambda scored: an_hour(scored, total(scored, "renamed")), 0),
-        ),
-        (
-            "wrong names that last, a cell-hour",
-            over_films(films, lambda scored: an_hour(scored, sum(len(f.wrong) for f in scored)), 1),
-        ),
+        ("new names a cell-hour", over_films(films, new_names, 0)),
+        ("wrong names that last, a cell-hour", over_films(films, wrong_names, 1)),
     ]
     lives = [life for film in films for life in film.lives]
     views = [view for film in films for view in film.views]
     rows.append(("a number lasts, median, s", f"{np.median(lives):.1f}" if lives else "-"))
     rows.append(("a cell is in view, median, s", f"{np.median(views):.1f}" if views else "-"))
     if numbers:
-        a, speed, strangers = (
-            [int(sum(getattr(film, name)[k] for film in films)) for k in (0, 1)]
-            for name in ("a", "speed", "strangers")
-        )
         rows += [
             ("of these called sure", f"{sum(wrong)} of {len(wrong)}"),
-            (
-                "right rows that are called sure",
-                over_films(films, lambda f: total(f, "covered") / max(total(f, "right"), 1), 3),
-            ),
-            ("95 % interval of a holds", share(*a)),
-            ("95 % interval of the speed holds", share(*speed)),
+            ("right rows that are called sure", over_films(films, called_sure, 3)),
+            ("95 % interval of a holds", share(*counts(films, "a"))),
+            ("95 % interval of the speed holds", share(*counts(films, "speed"))),
             ("long tracks without a number", f"{total(films, 'silent')}"),
-            ("strangers whose a is said not to be 0", share(*strangers)),
+            ("strangers whose a is said not to be 0", share(*counts(films, "strangers"))),
         ]
-    cpu = over_films(
-        films, lambda scored: 1e3 * total(scored, "cpu_s") / total(scored, "pictures"), 1
-    )
+    cpu = over_films(films, cpu_ms_a_picture, 1)
     rows.append(("processor time a picture, ms", f"{cpu}, n {pictures}"))
     return rows

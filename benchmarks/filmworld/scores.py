@@ -95,13 +95,18 @@ def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
     score.extra = int((~true & within).sum())
     score.hours = float(view.sum()) * (truth.times[1] - truth.times[0]) / 3600
     rows = np.flatnonzero(inside)
-    apart = rows[nearest[tracked.frame[rows], owner[rows]] > APART_UM]
+    gaps_um = nearest[tracked.frame[rows], owner[rows]]
+    is_apart = gaps_um > APART_UM
+    apart = rows[is_apart]
     _errors(score, truth, tracked, owner, apart)
     score.named = _named(tracked, owner, inside)
-    free = rows[nearest[tracked.frame[rows], owner[rows]] > TOGETHER_UM]
+    is_free = gaps_um > TOGETHER_UM
+    free = rows[is_free]
     score.renamed = _renamed(truth, tracked, owner, free)
     score.wrong = _wrong(truth, tracked, owner, free)
-    first = dict(zip(tracked.name[true][::-1].tolist(), owner[true][::-1].tolist(), strict=True))
+    first: dict[int, int] = {}  # the cell of each name's first true row
+    for name, cell in zip(tracked.name[true].tolist(), owner[true].tolist(), strict=True):
+        first.setdefault(name, cell)
     right = true & (owner == np.array([first.get(name, -1) for name in tracked.name.tolist()]))
     score.right = int(right.sum())
     score.covered = int((right & tracked.sure).sum())
@@ -208,7 +213,8 @@ def _wrong(truth: FilmTruth, tracked: Shown, owner, free) -> list[bool]:
     """
     wrong = []
     for name in np.unique(tracked.name[free]):
-        rows = free[tracked.name[free] == name]
+        bears_name = tracked.name[free] == name
+        rows = free[bears_name]
         cuts = np.flatnonzero(np.diff(owner[rows])) + 1
         runs = np.split(rows, cuts)
         before = -1
@@ -229,7 +235,9 @@ def _wrong(truth: FilmTruth, tracked: Shown, owner, free) -> list[bool]:
 def _lives(truth: FilmTruth, tracked: Shown) -> list[float]:
     """Return the time from the first to the last row of each number [s]."""
     times = truth.times[tracked.frame]
-    return [float(np.ptp(times[tracked.name == name])) for name in np.unique(tracked.name)]
+    names = np.unique(tracked.name)
+    rows_of_names = [np.flatnonzero(tracked.name == name) for name in names]
+    return [float(np.ptp(times[rows])) for rows in rows_of_names]
 
 
 def _views(truth: FilmTruth) -> list[float]:
@@ -248,13 +256,15 @@ def _intervals(score: FilmScore, truth: FilmTruth, tracked: Shown, owner) -> Non
     for name in np.unique(tracked.name):
         rows = np.flatnonzero(tracked.name == name)
         times = truth.times[tracked.frame[rows]]
-        owners_of_rows = owner[rows][owner[rows] >= 0]
+        owners = owner[rows]
+        is_owned = owners >= 0
+        owners_of_rows = owners[is_owned]
         if times[-1] - times[0] < LONG_S or 2 * len(owners_of_rows) < len(rows):
             continue
         i = int(np.bincount(owners_of_rows).argmax())
         said = tracked.numbers.get(int(name), {})
         score.silent += int("speed" not in said)
-        rows = rows[owner[rows] == i]
+        rows = rows[np.flatnonzero(owners == i)]
         if "speed" in said:
             mean = float(truth.speed[tracked.frame[rows], i].mean())
             _count(held["speed"], said["speed"][0] <= mean <= said["speed"][1])

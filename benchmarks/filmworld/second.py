@@ -48,7 +48,7 @@ def second_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray],
 class _World:
     """A film's individuals: `slot` of the swimmer, `shift` [um] and first and last step of each."""
 
-    made: Conditions
+    conditions: Conditions
     fauna: Fauna
     swum: Swum
     shapes: list[Shape]
@@ -119,8 +119,10 @@ class _World:
         slot_of_mother = self.slot[mother]
         # the daughters swim on as the mother and as the swimmer with the likest heading
         turn = self.swum.heading[half] - self.swum.heading[half, slot_of_mother]
-        off = np.abs(np.angle(np.exp(1j * turn))) + 10.0 * (np.arange(len(turn)) == slot_of_mother)
-        twin_species = int(np.argmin(np.where(self.fauna.a > 0, np.abs(off - 0.6), 100.0)))
+        off = np.abs(np.angle(np.exp(1j * turn)))
+        off[slot_of_mother] += 10.0
+        unlike = np.where(self.fauna.a > 0, np.abs(off - 0.6), 100.0)
+        twin_species = int(np.argmin(unlike))
         ways = slot_of_mother, twin_species
         ends = int(self.span[mother, 1]), len(self.swum.place)
         slots = []
@@ -137,7 +139,7 @@ class _World:
             long = 0.8 * self.shapes[mother].length
             width = self.shapes[mother].width
             self.shapes.append(
-                Shape.drawn(random, long, width, self.made.texture, self.made.spread)
+                Shape.drawn(random, long, width, self.conditions.texture, self.conditions.spread)
             )
         self.span[mother, 1] = half
         self.slot = np.append(self.slot, slots)
@@ -148,16 +150,18 @@ class _World:
     def truth(self, moments, turns, recorded, level: str, seed: int) -> FilmTruth:
         step = np.round(moments * STEPS_S).astype(int)
         is_alive = (step[:, None] >= self.span[:, 0]) & (step[:, None] < self.span[:, 1])
-        knocked = (moments > self.made.knock_s)[:, None, None] * np.array(self.made.knock_um)
+        knocked = (moments > self.conditions.knock_s)[:, None, None] * np.array(
+            self.conditions.knock_um
+        )
         place = self.swum.place[step][:, self.slot, :2] + self.shift + knocked
         along = self.swum.along[step][:, self.slot]
 
         def only(values: np.ndarray) -> np.ndarray:
             return np.where(is_alive, values, np.nan)
 
-        about = {"renderer": "second", "level": level, "seed": seed, "look": self.made.look}
-        drawn = {name: getattr(self.made, name) for name in Conditions.__slots__}
-        drawn["optics"] = {n: getattr(self.made.optics, n) for n in Optics.__slots__}
+        about = {"renderer": "second", "level": level, "seed": seed, "look": self.conditions.look}
+        drawn = {name: getattr(self.conditions, name) for name in Conditions.__slots__}
+        drawn["optics"] = {n: getattr(self.conditions.optics, n) for n in Optics.__slots__}
         return FilmTruth(
             times=moments - moments[0],
             x=only(place[..., 0]),
@@ -178,7 +182,7 @@ class _World:
 
     def pictures(self, random, moments: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the pictures at the given times [s]."""
-        conditions = self.made
+        conditions = self.conditions
         side = SIDE_PX
         grain = (
             random.standard_normal((side + NOISE_SPARE_PX,) * 2).astype(np.float32)
@@ -196,8 +200,9 @@ class _World:
             flicker = conditions.flicker * math.sin(
                 2 * math.pi * 99.3 * t
             ) + 0.2 * conditions.flicker * (random.standard_normal())
-            knock = np.array(conditions.knock_um) * (t > conditions.knock_s)
-            key = t > conditions.knock_s, round(focus / FOCUS_UM)
+            is_knocked = t > conditions.knock_s
+            knock = np.array(conditions.knock_um if is_knocked else (0.0, 0.0))
+            key = is_knocked, round(focus / FOCUS_UM)
             if key not in stills:
                 stills[key] = debris.still(conditions, knock, FOCUS_UM * key[1])
             field = stills[key].copy()
@@ -217,13 +222,13 @@ class _World:
         place = self.swum.place[step, slot]
         along = self.swum.along[step, slot]
         side = self.swum.side[step, slot]
-        ahead = self.swum.speed[step, slot] * self.made.exposure_s
+        ahead = self.swum.speed[step, slot] * self.conditions.exposure_s
         turn = math.atan2(along[1], along[0])
         level = np.array([-math.sin(turn), math.cos(turn), 0.0])
         roll = math.atan2(side @ level, side[2])
         x, y = place[:2] + self.shift[i] + knock
         pose = x, y, place[2], turn, math.hypot(along[0], along[1]), roll
-        self.made.optics.stamp(field, self.shapes[i], pose, focus, ahead * along[:2])
+        self.conditions.optics.stamp(field, self.shapes[i], pose, focus, ahead * along[:2])
 
 
 @dataclass(slots=True)

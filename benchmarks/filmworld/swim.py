@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 STEPS_S = 240  # steps a second
+LN_PULSE_HZ = math.log(0.15), math.log(3.0)  # least and greatest
 NEARBY_UM = 90.0  # width beyond the picture's edge from which cells come in
 
 
@@ -47,7 +48,7 @@ class Fauna:
             radius=random.uniform(4.0, 12.0, count),
             hertz=random.uniform(1.7, 3.4, count) * random.choice([-1, 1], count),
             pulse=random.uniform(*pulse, count),
-            pulse_hz=np.exp(random.uniform(math.log(0.15), math.log(3.0), count)),
+            pulse_hz=np.exp(random.uniform(*LN_PULSE_HZ, count)),
             a=a,
             bias=random.normal(0, 0.12, count),
             walk=random.uniform(0.03, 0.15, count),
@@ -90,7 +91,9 @@ def swim(
     turning = 2 * np.pi * fauna.hertz
     lean = np.arctan2(np.abs(turning) * fauna.radius, fauna.speed)
     # the helix's axis in the body's frame, at the angle `lean` to e1
-    forward = np.stack([np.cos(lean), np.sin(lean), np.zeros(count)], 1)
+    forward = np.zeros((count, 3))
+    forward[:, 0] = np.cos(lean)
+    forward[:, 1] = np.sin(lean)
     body = np.array([1.0, 0.0, 0.0]) * (1 - fauna.steady)[:, None] + forward * fauna.steady[:, None]
     body[:, 2] += fauna.slant
     body /= np.linalg.norm(body, axis=1)[:, None]

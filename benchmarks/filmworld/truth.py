@@ -68,7 +68,8 @@ class FilmTruth:
         with np.load(path) as stored:
             values = {name: stored[name] for name in cls.__slots__ if name != "about"}
             about = json.loads(str(stored["about"]))
-        values["um_px"], values["side_px"] = float(values["um_px"]), int(values["side_px"])
+        values["um_px"] = float(values["um_px"])
+        values["side_px"] = int(values["side_px"])
         return cls(**values, about=about)
 
 
@@ -129,4 +130,5 @@ def write_mjpeg(
         file.seek(start + 4)
         file.write(struct.pack("<I", place))
         file.seek(0)
-        file.write(b"RIFF" + struct.pack("<I", end - 8) + b"AVI " + headers(len(index)))
+        length = struct.pack("<I", end - 8)
+        file.write(b"RIFF" + length + b"AVI " + headers(len(index)))

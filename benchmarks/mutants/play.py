@@ -33,7 +33,8 @@ def play(folder, args):
 
     warm_up(on_plant(load_spec(SPEC, args.set), "emulated").experiment, print)
     for day in args.days:
-        if not (result_file := folder / f"{day}.json").exists():
+        result_file = folder / f"{day}.json"
+        if not result_file.exists():
             result_file.write_text(json.dumps(rehearsed(SPEC, args.set, args.seed, day)))
 
 
@@ -52,11 +53,13 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("mutants"))
     args = parser.parse_args()
     results = args.out.absolute()
-    if home := os.environ.get("PLAYS_IN"):
+    home = os.environ.get("PLAYS_IN")
+    if home:
         play(Path(home), args)
         return
     for number in ["00", *args.mutants]:
-        (folder := results / number).mkdir(parents=True, exist_ok=True)
+        folder = results / number
+        folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as tree:
             for part in PARTS:
                 shutil.copytree(ROOT / part, Path(tree) / part)

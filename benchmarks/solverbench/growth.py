@@ -47,7 +47,7 @@ def growth(settings: Settings, plot: Path | None) -> Report:
     for name, sizes, case, color in series:
         progress(f"(d) growth with {name}")
         times = np.array([_iteration(*case(size), settings) for size in sizes])
-        exponent = float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
+        exponent, _ = np.polyfit(np.log(sizes), np.log(times), 1)
         tail = float(np.log(times[-1] / times[-2]) / np.log(sizes[-1] / sizes[-2]))
         listed = ", ".join(f"{n}: {t:.1f}" for n, t in zip(sizes, times, strict=True))
         rows.append([name, listed, f"{exponent:.3f}", f"{tail:.2f}"])

@@ -171,7 +171,7 @@ def _budgets(report: Report, settings: Settings) -> None:
     for name, problem in models:
         step = _timed(partial(_control_step, problem), count)
         sweep = _timed(partial(_sweep, problem), max(2, settings.repeats // 4))
-        rows.append([name, spread(step[0]), spread(step[1]), spread(sweep[0]), spread(sweep[1])])
+        rows.append([name, *map(spread, step), *map(spread, sweep)])  # wall, then processor time
         if name == "Euler":
             middle = np.median(sweep[0]) * 1e3
             figure = "whole control step, 3 lengths x 100 iterations x 128 particles, p99"

@@ -151,7 +151,8 @@ def pycma(meter: Meter, seed: int) -> NoReturn:
         search = cma.CMAEvolutionStrategy(start, 0.2, options)
         while not search.stop():
             candidates = search.ask()
-            search.tell(candidates, meter.of_rows(np.array(candidates)).tolist())
+            costs = meter.of_rows(np.array(candidates))
+            search.tell(candidates, costs.tolist())
     raise AssertionError
 
 

@@ -49,7 +49,8 @@ class Report:
         self.lines += [text, ""]
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        self.lines += [_row(head), _row(["---"] * len(head)), *map(_row, rows), ""]
+        rule = ["---"] * len(head)
+        self.lines += [*map(_row, (head, rule, *rows)), ""]
 
     def bar(self, figure: str, bar: str, measured: str, met: bool) -> None:
         self.bars.append(Bar(figure, bar, measured, bool(met)))
@@ -102,7 +103,8 @@ def in_pairs(ours: Callable[[], object], theirs: Callable[[], object], repeats: 
     """Time two pieces of work in turn, so that whatever else runs slows both."""
     ours()
     theirs()
-    times = np.array([(seconds(ours), seconds(theirs)) for _ in range(repeats)])
+    pairs = [(seconds(ours), seconds(theirs)) for _ in range(repeats)]
+    times = np.array(pairs)
     return Pair(times[:, 0], times[:, 1])
 
 

@@ -163,9 +163,17 @@ def floor(settings: Settings) -> Report:
     return report
 
 
-_A, _B, _C, _D, _E, _F = (
-    tuple(1.0 / (k + i + 2) for k in range(count)) for i, count in enumerate((7, 7, 7, 7, 7, 8))
-)
+def _reciprocals(first: int, count: int) -> tuple[float, ...]:
+    """Return 1 / first, 1 / (first + 1) and so on, any coefficients of a polynomial."""
+    return tuple(1.0 / k for k in range(first, first + count))
+
+
+_A = _reciprocals(2, 7)
+_B = _reciprocals(3, 7)
+_C = _reciprocals(4, 7)
+_D = _reciprocals(5, 7)
+_E = _reciprocals(6, 7)
+_F = _reciprocals(7, 8)
 _LOOP = {**ENTRY_FAST, "cache": False}
 
 
@@ -195,4 +203,10 @@ def _traffic(rows, times):
     for _ in range(times):
         for n in range(a.size):
             s = f[n]
-            a[n], b[n], c[n], d[n], e[n] = b[n] + s, a[n] + s, d[n] + s, c[n] + s, e[n] + s
+            a_before = a[n]
+            c_before = c[n]
+            a[n] = b[n] + s
+            b[n] = a_before + s
+            c[n] = d[n] + s
+            d[n] = c_before + s
+            e[n] += s

@@ -56,12 +56,16 @@ def _row(name: str, times: Sequence[float], best: Sequence[float]) -> list[str]:
 HEAD = ["optimiser", "solved", "median [ms]", "longest [ms]", "median J [mm]"]
 
 
+def _is_named(who: str, names: Sequence[str]) -> bool:
+    return any(name in who for name in names)
+
+
 def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
     """Every optimiser on the printed and on the recommended problem, or those with such names."""
     report = Report("(b) Step 0 solved to a total error of 1 mm")
     everybody, missing = _optimisers(settings.cap_s)
     if only:
-        everybody = [(who, peer) for who, peer in everybody if any(name in who for name in only)]
+        everybody = [(who, peer) for who, peer in everybody if _is_named(who, only)]
     if missing:
         report.say(f"Not installed, skipped: {', '.join(missing)}.")
     report.say(

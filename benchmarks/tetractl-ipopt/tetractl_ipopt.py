@@ -263,7 +263,8 @@ class Shooter:
         for outside, shapes in zip(_outside(), scene, strict=True):
             for i in range(shapes.shape[1]):
                 shape = ca.repmat(shapes[:, i], 1, stages)
-                defects.append(ca.vec(outside.map(stages)(states[:2, :], shape)))
+                of_stages = outside.map(stages)
+                defects.append(ca.vec(of_stages(states[:2, :], shape)))
         cost = ca.sumsqr(states[:2, stages - count :] - targets)
         programme = {
             "x": ca.vertcat(ca.vec(u), ca.vec(states)),
@@ -299,7 +300,8 @@ class Shooter:
         for outside, shapes in zip(_outside(), (scene.discs, scene.boxes), strict=True):
             for shape in shapes:
                 ends = np.vstack([poses[:, :2], targets])
-                room = np.array(outside(ends.T, np.tile(shape[:, None], len(ends)))).ravel()
+                shapes_of_ends = np.tile(shape[:, None], len(ends))
+                room = np.array(outside(ends.T, shapes_of_ends)).ravel()
                 robot = np.minimum(room, 0.0).reshape(2, -1).min(axis=0)
                 least.append(np.tile(robot, length))
         lowest = np.concatenate(least)
@@ -391,7 +393,8 @@ def _outside() -> tuple[Any, Any]:
     round_one = (((x - disc[0]) ** 2 + (y - disc[1]) ** 2) / disc[2] - disc[2]) / 2
     sides = ca.vertcat(box[0] - x, x - box[2], box[1] - y, y - box[3]) / BEND
     largest = ca.mmax(sides)
-    soft = largest + ca.log(ca.sum1(ca.exp(sides - largest))) - np.log(2)
+    exponentials = ca.exp(sides - largest)
+    soft = largest + ca.log(ca.sum1(exponentials)) - np.log(2)
     return (
         ca.Function("disc", [time, disc], [round_one]),
         ca.Function("box", [time, box], [BEND * soft]),

@@ -43,7 +43,8 @@ class Unmodelled(Disturbance):
         arena = setup.arena
         self.middle = np.array([[arena.left + arena.right], [arena.bottom + arena.top]]) / 2
         self.reach = float(np.hypot(arena.width, arena.height)) / 2  # from the middle to a corner
-        self.xy, self.heading = np.tile(self.middle, self.count), np.zeros(self.count)
+        self.xy = np.tile(self.middle, self.count)
+        self.heading = np.zeros(self.count)
         self.draw()
 
     def draw(self) -> None:
@@ -175,8 +176,9 @@ class Lens(Unmodelled):
 
     def measured(self, poses: Poses, valid: Any, time_s: float) -> tuple[Poses, Any]:
         ahead = np.array([np.cos(poses.heading), np.sin(poses.heading)])
-        (x, y), positions = self._shown(poses.xy.T), self._shown(poses.xy.T + ahead)
-        turned = np.arctan2(positions[1] - y, positions[0] - x)
+        x, y = self._shown(poses.xy.T)
+        x_ahead, y_ahead = self._shown(poses.xy.T + ahead)
+        turned = np.arctan2(y_ahead - y, x_ahead - x)
         return Poses(x, y, poses.heading + wrap(turned - poses.heading)), valid
 
     def _shown(self, xy: Floats) -> Floats:
@@ -204,7 +206,8 @@ class Avoid(Unmodelled):
     0.5 s by up to 90 degrees, as ciliates do that meet something."""
 
     def draw(self) -> None:
-        self.next_s, self.by = self.random.exponential(self.size, self.count), np.zeros(self.count)
+        self.next_s = self.random.exponential(self.size, self.count)
+        self.by = np.zeros(self.count)
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         ended = time_s >= self.next_s + 1
@@ -213,7 +216,7 @@ class Avoid(Unmodelled):
         self.next_s = np.where(ended, time_s + drawn, self.next_s)
         self.by = np.where(ended, by, self.by)
         self.since_s = time_s - self.next_s
-        turns = (self.since_s >= 0.5) * moving
+        turns = np.where(self.since_s >= 0.5, moving, 0.0)
         return Poses(poses.x, poses.y, poses.heading + self.by * seconds * turns)
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:

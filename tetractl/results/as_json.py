@@ -15,16 +15,16 @@ from tetractl.results.statistic import statistics
 from tetractl.results.statistic_text import json_items
 
 
-def comparison_items(found: BatchComparison) -> dict[str, Any]:
+def comparison_items(comparison: BatchComparison) -> dict[str, Any]:
     """Return the object that `stats --format json` prints: of one batch its items, of several
     `groups` and `comparisons`.
     """
-    if len(found.groups) == 1:
-        return batch_items(found.groups[0])
+    if len(comparison.groups) == 1:
+        return batch_items(comparison.groups[0])
     return {
-        "unit": found.unit,
-        "groups": [{"name": group.name, **batch_items(group)} for group in found.groups],
-        "comparisons": [contrast_items(contrast) for contrast in found.contrasts],
+        "unit": comparison.unit,
+        "groups": [{"name": group.name, **batch_items(group)} for group in comparison.groups],
+        "comparisons": [contrast_items(contrast) for contrast in comparison.contrasts],
     }
 
 
@@ -111,16 +111,16 @@ def trial_items(trial: ResultSummary) -> dict[str, Any]:
 def contrast_items(contrast: Contrast) -> dict[str, Any]:
     """Return the items of the comparison of two batches, `one` minus `other`."""
     return {
-        "one": contrast.one.name,
-        "other": contrast.other.name,
-        "unit": contrast.one.unit,
-        **_side("one", contrast.one),
-        **_side("other", contrast.other),
+        "one": contrast.first.name,
+        "other": contrast.second.name,
+        "unit": contrast.first.unit,
+        **_side("one", contrast.first),
+        **_side("other", contrast.second),
         "comparable": contrast.alike,
         "pairs": contrast.pairs,
         "unpaired_reason": contrast.why_unpaired or None,
         **contrast.difference.as_dict(),
-        "both": contrast.both.as_dict(),
+        "both": contrast.from_both_means.as_dict(),
         "p_holm": contrast.p_holm,
         "rank_p": contrast.rank_p,
         "rank_p_holm": contrast.rank_p_holm,

@@ -37,28 +37,28 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Comparison of the total errors of two batches; differences are `one` minus `other`.
+    """Comparison of the total errors of two batches; differences are `first` minus `second`.
 
     `pairs` is the number of pairs of trials with the same disturbances; without pairs,
     `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
-    Welch's t test; `both` is another interval of this difference, computed from the intervals of
-    the two means. `rank_p` is the p-value of Wilcoxon's signed-rank test or, without pairs,
-    rank-sum test. `p_holm` and `rank_p_holm` are the p-values for means and ranks, corrected for
-    the number of contrasts. `detects` is the difference that the test finds in 80 % of all studies
-    of this size, in standard deviations of the paired differences or, without pairs, of the values.
-    `differs` lists the fields in which both specs differ. Groups with different plants (`alike`
-    False) are not tested: their p-values are NaN. Nor are batches of which one had its directions
-    given, perhaps with hindsight (`no_controller`): it has no rank among controllers.
+    Welch's t test; `from_both_means` is another interval of this difference, computed from the
+    intervals of the two means. `rank_p` is the p-value of Wilcoxon's signed-rank test or, without
+    pairs, rank-sum test. `p_holm` and `rank_p_holm` are the p-values for means and ranks, corrected
+    for the number of contrasts. `detects` is the difference that the test finds in 80 % of all
+    studies of this size, in standard deviations of the paired differences or, without pairs, of the
+    values. `differs` lists the fields in which both specs differ. Groups with different plants
+    (`alike` False) are not tested: their p-values are NaN. Nor are batches of which one had its
+    directions given, perhaps with hindsight (`no_controller`): it has no rank among controllers.
     """
 
-    one: BatchStatistics
-    other: BatchStatistics
+    first: BatchStatistics
+    second: BatchStatistics
     alike: bool
     no_controller: bool
     pairs: int
     why_unpaired: str
     difference: MeanDifference
-    both: Interval
+    from_both_means: Interval
     rank_p: float
     detects: float
     differs: tuple[str, ...]
@@ -89,7 +89,9 @@ class Contrast:
         if self.compared < ENOUGH:
             what = "pairs" if self.pairs else "complete trials on each side"
             return Decision.none(f"a verdict needs {ENOUGH} {what}")
-        intervals = [self.difference.ci95] if self.pairs else [self.difference.ci95, self.both]
+        intervals = [self.difference.ci95]
+        if not self.pairs:
+            intervals.append(self.from_both_means)
         for interval in intervals:
             if not interval.known:
                 return Decision.none(f"no interval: {interval.reason}")
@@ -103,12 +105,12 @@ class Contrast:
     @property
     def compared(self) -> int:
         """The number of pairs or, without pairs, of trials of the smaller batch."""
-        return self.pairs or min(self.one.counted, self.other.counted)
+        return self.pairs or min(self.first.counted, self.second.counted)
 
     @property
     def name(self) -> str:
         """Names of the batches as "one - other"."""
-        return f"{self.one.name} - {self.other.name}"
+        return f"{self.first.name} - {self.second.name}"
 
     @property
     def test_of_means(self) -> str:
@@ -125,7 +127,7 @@ class Contrast:
         """Number of trials compared, as "20 pairs" or "20 and 9"."""
         if self.pairs:
             return f"{self.pairs} pairs"
-        return f"{self.one.counted} and {self.other.counted}"
+        return f"{self.first.counted} and {self.second.counted}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +161,8 @@ def contrast(
         sides = list(combinations(groups, 2))
     else:
         sides = [(group, baseline) for group in groups]
-    tests = sum(one.origin is other.origin for one, other in sides)
-    contrasts = [_contrast(one, other, max(tests, 1)) for one, other in sides]
+    tests = sum(first.origin is second.origin for first, second in sides)
+    contrasts = [_contrast(first, second, max(tests, 1)) for first, second in sides]
     return BatchComparison(batches, tuple(_corrected(contrasts)))
 
 
@@ -182,11 +184,11 @@ def _corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
     ]
 
 
-def _contrast(one: BatchStatistics, other: BatchStatistics, tests: int) -> Contrast:
+def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
     """Compare two batches; p-values are not corrected yet."""
-    ours = one.total
-    theirs = other.total
-    pairing = pair_up(one, other)
+    ours = first.total
+    theirs = second.total
+    pairing = pair_up(first, second)
     pairs = len(pairing.differences)
     if pairs:
         difference = mean_difference.paired_t(pairing.differences)
@@ -196,33 +198,33 @@ def _contrast(one: BatchStatistics, other: BatchStatistics, tests: int) -> Contr
         difference = mean_difference.welch(
             ours.n, ours.mean, ours.std, theirs.n, theirs.mean, theirs.std
         )
-        rank_p = mean_difference.rank_sum(one.totals, other.totals)
+        rank_p = mean_difference.rank_sum(first.totals, second.totals)
         detects = mean_difference.detectable(ours.n, theirs.n, tests)
-    alike = one.origin is other.origin
-    no_controller = directions_given(one.experiment) or directions_given(other.experiment)
+    alike = first.origin is second.origin
+    no_controller = directions_given(first.experiment) or directions_given(second.experiment)
     if no_controller or not alike:
         difference = replace(difference, p_value=math.nan)
         rank_p = math.nan
         detects = math.nan
     return Contrast(
-        one=one,
-        other=other,
+        first=first,
+        second=second,
         alike=alike,
         no_controller=no_controller,
         pairs=pairs,
         why_unpaired=pairing.why_none,
         difference=difference,
-        both=from_both_intervals(ours, theirs),
+        from_both_means=from_both_intervals(ours, theirs),
         rank_p=rank_p,
         detects=detects,
-        differs=tuple(differences(one.experiment, other.experiment)),
+        differs=tuple(differences(first.experiment, second.experiment)),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Pairing:
-    """The differences (n,) between the total errors of paired trials, one batch minus the other,
-    and "" or the reason why there are no pairs.
+    """The differences (n,) between the total errors of paired trials, the first batch minus the
+    second, and "" or the reason why there are no pairs.
     """
 
     differences: Floats
@@ -234,18 +236,18 @@ class Pairing:
         return cls(np.zeros(0), why)
 
 
-def pair_up(one: BatchStatistics, other: BatchStatistics) -> Pairing:
+def pair_up(first: BatchStatistics, second: BatchStatistics) -> Pairing:
     """Pair the trials of two batches.
 
     A pair is two simulated trials with the same seed, number and disturbances, which do not depend
     on the controller.
     """
-    if not (one.origin.simulated and other.origin.simulated):
+    if not (first.origin.simulated and second.origin.simulated):
         return Pairing.none("no two trials in a lab have the same disturbances")
-    if _world(one) != _world(other):
+    if _world(first) != _world(second):
         return Pairing.none("the batches differ in more than the controller")
-    ours = _errors_by_trial(one.batch.trials)
-    theirs = _errors_by_trial(other.batch.trials)
+    ours = _errors_by_trial(first.batch.trials)
+    theirs = _errors_by_trial(second.batch.trials)
     pairs = [error - theirs[trial] for trial, error in ours.items() if trial in theirs]
     if not pairs:
         return Pairing.none("the batches have no seed and trial in common")

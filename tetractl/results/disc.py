@@ -40,7 +40,8 @@ def discs(log: TrialLog) -> Floats:
 @lru_cache(maxsize=1024)
 def _of_log(log: Path, digest: str | None) -> Sequence[float]:
     """Return `discs` of the log with a content digest: a table of trials and its means need it."""
-    return tuple(discs(read_trial(log)).tolist())
+    trial = read_trial(log)
+    return tuple(discs(trial).tolist())
 
 
 def _of_trial(trial: ResultSummary) -> dict[str, Any]:

@@ -94,11 +94,10 @@ class Tail:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the items of JSON that describe the tail."""
-        known = math.isfinite(self.bound)
         return {
             "bound": self.bound,
             "stated": self.stated,
-            "n_above": self.above if known else None,
+            "n_above": self.above if math.isfinite(self.bound) else None,
             "ci95": self.ci95.ends,
         }
 
@@ -231,7 +230,9 @@ def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
     deviation s: the standard error of log m is s / (sqrt(n) m).
     """
     half = t_quantile(n - 1) * std / (math.sqrt(n) * mean)
-    return float(mean * math.exp(-half)), float(mean * math.exp(half))
+    low = mean * math.exp(-half)
+    high = mean * math.exp(half)
+    return float(low), float(high)
 
 
 def _skewed_end(values: Floats, mean: float, std: float) -> float:

@@ -72,8 +72,8 @@ def _unsafe_robots(trial: ResultSummary) -> list[str]:
     names = [robot.name for robot in trial.experiment.robots]
     radius = trial.experiment.controller.body_radius
     notes: list[str] = []
-    for label, of in SAFETY.items():
-        did = of(trial.result.verdict, radius)
+    for label, robots_that_did in SAFETY.items():
+        did = robots_that_did(trial.result.verdict, radius)
         if any(did):
             robots = [name for name, unsafe in zip(names, did, strict=True) if unsafe]
             notes.append(f"{', '.join(robots)} {label}")

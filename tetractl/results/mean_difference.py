@@ -152,7 +152,8 @@ def signed_rank(differences: Floats) -> float:
     """
     from scipy import stats  # slow to import, and needed by comparisons alone
 
-    differing = differences[differences != 0]
+    is_different = differences != 0
+    differing = differences[is_different]
     if not len(differing):
         return _NAN
     test: Any = stats.wilcoxon(differing)
@@ -171,7 +172,8 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
     pooled = np.concatenate([ours, theirs])
     if pooled.min() == pooled.max():
         return 1.0
-    exact = len(pooled) <= EXACT and len(np.unique(pooled)) == len(pooled)
+    has_ties = len(np.unique(pooled)) < len(pooled)
+    exact = len(pooled) <= EXACT and not has_ties
     method = "exact" if exact else "asymptotic"
     return float(stats.mannwhitneyu(ours, theirs, use_continuity=False, method=method).pvalue)
 

@@ -66,7 +66,11 @@ class Batch:
                 attempts.append(trial)
             else:
                 trials.append(trial)
-        return cls(tuple(trials), tuple(attempts), tuple(damaged))
+        return cls(
+            trials=tuple(trials),
+            attempts=tuple(attempts),
+            damaged=tuple(damaged),
+        )
 
     @property
     def logs(self) -> list[Path]:
@@ -139,7 +143,8 @@ class Source:
             try:
                 trials.append(read_result(log))
             except LogError as error:
-                damaged.append(Damaged(str(log), error.message.removeprefix(f"{log}: ")))
+                problem = error.message.removeprefix(f"{log}: ")
+                damaged.append(Damaged(str(log), problem))
             on_log(done, len(self.logs))
         return Batch.of(trials, damaged)
 
@@ -196,25 +201,25 @@ def experiment_of(batch: Batch) -> Experiment:
             raise LogError("no log can be read: {0.log}: {0.problem}".format(batch.lost[0]))
         raise UsageError("no trial to summarise")
     first = batch.trials[0]
-    for other in (*batch.trials, *batch.attempts):
-        _check_alike(first, other)
+    for trial in (*batch.trials, *batch.attempts):
+        _check_alike(first, trial)
     _refuse_copies(batch.trials)
     return first.experiment
 
 
-def _check_alike(first: ResultSummary, other: ResultSummary) -> None:
+def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
     """Raise UsageError for two trials of different plants or experiments."""
-    if other.origin is not first.origin:
+    if second.origin is not first.origin:
         raise UsageError(
-            f"{first.log} is from the {first.origin}, {other.log} from the {other.origin}",
+            f"{first.log} is from the {first.origin}, {second.log} from the {second.origin}",
             "give the logs of one plant, and the others with --against",
         )
-    if other.experiment is first.experiment:
+    if second.experiment is first.experiment:
         return
-    fields = differences(first.experiment, other.experiment)
+    fields = differences(first.experiment, second.experiment)
     if fields:
         raise UsageError(
-            f"{first.log} and {other.log} have different experiments: {listing(fields)}",
+            f"{first.log} and {second.log} have different experiments: {listing(fields)}",
             "give the logs of one batch, and the other batch with --against",
         )
 
@@ -272,13 +277,18 @@ def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
         for key in ours | theirs:
             inner = f"{path}.{key}" if path else key
             yield from _differences(ours.get(key), theirs.get(key), inner)
-    elif isinstance(ours, list) and isinstance(theirs, list) and len(ours) == len(theirs):
+    elif _are_lists_of_one_length(ours, theirs):
         for i, (our_item, their_item) in enumerate(zip(ours, theirs, strict=True)):
             yield from _differences(our_item, their_item, f"{path}.{i}")
     elif isinstance(ours, dict | list) or isinstance(theirs, dict | list):
         yield path
     else:
         yield f"{path}: {_as_text(ours)} != {_as_text(theirs)}"
+
+
+def _are_lists_of_one_length(ours: Any, theirs: Any) -> bool:
+    both_lists = isinstance(ours, list) and isinstance(theirs, list)
+    return both_lists and len(ours) == len(theirs)
 
 
 def _as_text(value: Any) -> str:

@@ -74,14 +74,14 @@ has no distances.
 """
 
 
-def least(key: str, label: str, of: Distances) -> Statistic:
+def least(key: str, label: str, distances_in: Distances) -> Statistic:
     """Return a statistic: the least distance over all robots and trials.
 
     A trial whose log lacks the distance is left out; its cell in the table of trials is empty.
     """
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
-        nearest = min(of(trial.result.verdict), default=float("inf"))
+        nearest = min(distances_in(trial.result.verdict), default=float("inf"))
         return {key: nearest if nearest < float("inf") else None}
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
@@ -114,7 +114,10 @@ SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
 def unsafe(trial: ResultSummary) -> list[str]:
     """Return the labels in SAFETY of what any robot of a trial did."""
     radius = trial.experiment.controller.body_radius
-    return [label for label, of in SAFETY.items() if any(of(trial.result.verdict, radius))]
+    verdict = trial.result.verdict
+    return [
+        label for label, robots_that_did in SAFETY.items() if any(robots_that_did(verdict, radius))
+    ]
 
 
 def counted_by(experiment: Experiment) -> str:
@@ -161,8 +164,8 @@ def safety(
         else:
             values = _unknown_share(body_key, label, "no radius", unusual)
         if centre_key is not None and centres is not None:
-            shown = label if bodies is None else ""
-            values.append(StatisticValue(centre_key, shown, centres, unusual))
+            centre_label = label if bodies is None else ""  # tables show one of the two
+            values.append(StatisticValue(centre_key, centre_label, centres, unusual))
         return values
 
     return Statistic(of_batch, of_trial)

@@ -32,7 +32,7 @@ class Statistic:
     of_trial: Callable[[ResultSummary], dict[str, Any]] = _no_columns
 
 
-def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
+def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statistic:
     """Return a statistic: the mean and its 95 % interval, over complete trials, of a number per
     trial.
 
@@ -41,7 +41,7 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
-        numbers = [of(trial.result) for trial in trials if counts(trial)]
+        numbers = [number_in(trial.result) for trial in trials if counts(trial)]
         finite = [value for value in numbers if math.isfinite(value)]
         (distribution,) = distributions(np.array([finite]))
         mean = StatisticValue(key, f"{label}, mean", Mean(distribution))
@@ -51,7 +51,7 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
         return [mean, StatisticValue("", f"  {tail.label}", AboveBound(tail))]
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
-        value = of(trial.result)
+        value = number_in(trial.result)
         return {key: value if math.isfinite(value) else None}
 
     return Statistic(of_batch, of_trial)
@@ -61,7 +61,8 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
     """Return a statistic: the number of trials for which the condition `holds` is true."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
-        return [StatisticValue(key, label, Count(sum(map(holds, trials))))]
+        holding = sum(map(holds, trials))
+        return [StatisticValue(key, label, Count(holding))]
 
     return Statistic(of_batch)
 
@@ -72,7 +73,8 @@ def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
-        return [StatisticValue(key, label, Share(sum(map(holds, trials)), len(trials)))]
+        holding = sum(map(holds, trials))
+        return [StatisticValue(key, label, Share(holding, len(trials)))]
 
     return Statistic(of_batch)
 

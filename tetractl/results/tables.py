@@ -27,6 +27,8 @@ from tetractl.results.open_batch import listing
 from tetractl.results.outcomes import unsafe
 from tetractl.results.trial_tables import trials_table
 
+DECIMALS_MAX = 9
+"""Most decimals of an error."""
 SIDE_BY_SIDE = 3
 """Most batches in one table of trials: more columns of words are too wide."""
 PROCESSORS_NAMED = 4
@@ -74,7 +76,7 @@ def _verdict(contrast: Contrast) -> str:
         verdict = "no significant difference"
     else:
         verdict = f"{contrast.verdict} mean error"
-    first = contrast.one
+    first = contrast.first
     show = lengths(contrast.difference.value, decimals_shown(first.experiment))
     difference = contrast.difference.text(first.unit, show, contrast.p_holm)
     basis = contrast.test_of_means
@@ -134,8 +136,9 @@ def tables(comparison: BatchComparison) -> list[Table]:
     parts = [groups[i : i + SIDE_BY_SIDE] for i in range(0, len(groups), SIDE_BY_SIDE)]
     trials = [_trials(part, alone=len(groups) == 1) for part in parts]
     errors = _errors(groups, [*_totals(groups), *_robots(groups)])
-    every = [errors, *trials, *_contrasts(comparison.contrasts), _flagged(groups)]
-    return [table for table in every if len(table)]
+    contrasts = _contrasts(comparison.contrasts)
+    candidates = [errors, *trials, *contrasts, _flagged(groups)]
+    return [table for table in candidates if len(table)]
 
 
 def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
@@ -181,7 +184,8 @@ def decimals_shown(experiment: Experiment) -> int:
     no meaning.
     """
     extent = max(experiment.arena.width, experiment.arena.height)
-    return min(max(6 - math.floor(math.log10(extent)), 0), 9)
+    of_a_millionth = 6 - math.floor(math.log10(extent))
+    return min(max(of_a_millionth, 0), DECIMALS_MAX)
 
 
 def error_table(
@@ -280,7 +284,8 @@ def processors_note(types: Iterable[str]) -> str:
         return ""
     most = counts.most_common(PROCESSORS_NAMED)
     named = ", ".join(f"{name} ({count})" for name, count in most)
-    more = f" and {len(counts) - len(most)} more" if len(counts) > len(most) else ""
+    unnamed = len(counts) - len(most)
+    more = f" and {unnamed} more" if unnamed else ""
     what = "types of processor, on which the same seed may give another trial"
     return f"trials of {len(counts)} {what}: {named}{more}"
 
@@ -297,7 +302,7 @@ def _contrasts(contrasts: Sequence[Contrast]) -> list[Table]:
 
 def differences_table(contrasts: Sequence[Contrast]) -> Table:
     """Return the table of the differences of the means."""
-    first = contrasts[0].one
+    first = contrasts[0].first
     sizes = [abs(contrast.difference.value) for contrast in contrasts]
     largest = max(filter(math.isfinite, sizes), default=0.0)
     show = lengths(largest, decimals_shown(first.experiment))

@@ -65,10 +65,12 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
     reads it.
     """
     timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
-    rows = [
-        _step_row(log, step, timings.get(step.k, StepTiming())) for step in contents.messages(STEP)
-    ]
-    columns = {name: [row[name] for row in rows] for name in _step_columns(log.start.setup)}
+    columns: dict[str, list[Any]] = {name: [] for name in _step_columns(log.start.setup)}
+    for step in contents.messages(STEP):
+        timing = timings.get(step.k, StepTiming())
+        row = _step_row(log, step, timing)
+        for name, values in columns.items():
+            values.append(row[name])
     return _table("steps", columns)
 
 
@@ -127,9 +129,9 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
         row[f"delivered_{robot}"] = delivered
     unknown = [None] * len(setup.names)
     wheels = zip(setup.names, sent.left or unknown, sent.right or unknown, strict=True)
-    for robot, left, right in wheels:
-        row[_wheel("left", robot, setup)] = left
-        row[_wheel("right", robot, setup)] = right
+    for robot, left_speed, right_speed in wheels:
+        row[_wheel("left", robot, setup)] = left_speed
+        row[_wheel("right", robot, setup)] = right_speed
     return row
 
 
@@ -182,8 +184,8 @@ def _estimate_column(field: str, unit: str) -> str:
         "heading_bias": "rad",
         "dead_time": "s",
     }
-    of = field.removesuffix("_std")
-    return f"{field}_{units[of]}" if of in units else field
+    quantity = field.removesuffix("_std")
+    return f"{field}_{units[quantity]}" if quantity in units else field
 
 
 def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:

@@ -64,17 +64,19 @@ def _turns(trials: Sequence[ResultSummary]) -> Iterator[_Turn]:
     robots = trials[0].experiment.setup.names if trials else ()
     measured = [trial for trial in trials if trial.result.verdict.turn]
     for i, robot in enumerate(robots):
-        known = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
-        if len(known) < LEAST:
+        compared = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
+        n = len(compared)
+        if n < LEAST:
             continue
-        rates = np.array([trial.result.verdict.turn[i] for trial in known])
-        errors = np.array([trial.result.verdict.turn_std[i] for trial in known])
+        rates = np.array([trial.result.verdict.turn[i] for trial in compared])
+        errors = np.array([trial.result.verdict.turn_std[i] for trial in compared])
         off = rates - np.median(rates)
-        deviation = (1 + FEW / len(known)) * DEVIATION_OVER_MEDIAN * np.median(np.abs(off))
+        deviation = (1 + FEW / n) * DEVIATION_OVER_MEDIAN * np.median(np.abs(off))
         unexplained = max(0.0, deviation**2 - np.median(errors) ** 2)  # by the errors
-        z = NormalDist().inv_cdf(1 - CHANCE / (2 * len(robots) * len(known)))
+        chance_of_one_side = CHANCE / (2 * len(robots) * n)
+        z = NormalDist().inv_cdf(1 - chance_of_one_side)
         limits = z * np.sqrt(errors**2 + unexplained)
-        for trial, trial_off, limit in zip(known, off.tolist(), limits.tolist(), strict=True):
+        for trial, trial_off, limit in zip(compared, off.tolist(), limits.tolist(), strict=True):
             yield _Turn(trial.log, robot, trial_off, limit)
 
 
@@ -99,7 +101,8 @@ def _of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
         return [StatisticValue(KEY, LABEL, Worded(None, _too_few(trials[0])))]
     odd = [turn for turn in turns if turn.odd]
     odd_trials = len({turn.log for turn in odd})
-    return [StatisticValue(KEY, LABEL, Worded(odd_trials, _compared(turns, odd)), bool(odd))]
+    number = Worded(odd_trials, _compared(turns, odd))
+    return [StatisticValue(KEY, LABEL, number, unusual=bool(odd))]
 
 
 def _too_few(trial: ResultSummary) -> str:
@@ -143,9 +146,9 @@ def _of_trial(trial: ResultSummary) -> dict[str, Any]:
     errors = verdict.turn_std or unknown
     items = dict[str, Any]()
     for name, rate, error in zip(names, rates, errors, strict=True):
-        known = math.isfinite(error)
-        items[f"turn_{name}_rad_s"] = rate if known else None
-        items[f"turn_std_{name}_rad_s"] = error if known else None
+        is_measured = math.isfinite(error)
+        items[f"turn_{name}_rad_s"] = rate if is_measured else None
+        items[f"turn_std_{name}_rad_s"] = error if is_measured else None
     return items
 
 

@@ -84,7 +84,7 @@ def test_two_groups_compare_either_way():
     assert quarter_less_full.verdict == "lower"
     means = quarter.total.mean - full.total.mean
     assert quarter_less_full.difference.value == pytest.approx(means)
-    assert quarter_less_full.both.high < 0
+    assert quarter_less_full.from_both_means.high < 0
     assert quarter_less_full.differs == ("controller.motion: exact != euler",)
     assert contrast_of(full, quarter).verdict == "higher"
 
@@ -101,7 +101,7 @@ def test_trials_of_the_same_world_are_paired_whatever_their_order():
     assert paired.difference.value == pytest.approx(-0.1 * totals.mean())
     assert paired.difference.p_value == pytest.approx(paired_t.pvalue)
     # by pairs the difference is significant, by the two intervals alone it is not
-    assert paired.difference.ci95.high < 0 < paired.both.high
+    assert paired.difference.ci95.high < 0 < paired.from_both_means.high
     assert paired.verdict == "lower"
 
 

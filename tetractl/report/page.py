@@ -10,7 +10,7 @@ import math
 import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -28,7 +28,7 @@ from tetractl.results.as_json import comparison_items
 from tetractl.results.batch_rows import texts_by_label
 from tetractl.results.contrast import BatchComparison, contrast
 from tetractl.results.describe import BatchStatistics, describe
-from tetractl.results.open_batch import counts, sources
+from tetractl.results.open_batch import Source, counts, sources
 from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import (
     decimals_shown,
@@ -39,14 +39,22 @@ from tetractl.results.tables import (
 )
 
 ASSETS = files("tetractl.report") / "assets"
+"""Folder of the page's style, frame and scripts."""
 MANY = 100
 """Trials at most that a page carries all, with plans and searches."""
 CARRIED = 61
 """Trials, about, that it carries of more, without plans and searches, to stay below 5 MB; its
 tables have all."""
+CARRIED_MIN = 3
+"""Least number of trials that it carries of a batch."""
+NOT_COUNTED = 3
+"""One in so many of them, at most, is one that does not count."""
 COMPARED_MOST = 10
 """Comparisons at most that stand at the top."""
+TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
+"""The figures of the first trial, in their order."""
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
+"""The scripts of a page with a player, in the order in which they need each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,22 +66,32 @@ class _Carried:
     data: dict[str, Any]
 
 
-@dataclass(slots=True)
-class _Contents:
-    """What a page shows of its logs; `errors` are the figures of batches, "" for a batch without,
-    and `unread` says what is wrong with logs.
-    """
+@dataclass(frozen=True, slots=True)
+class _Batches:
+    """The statistics of each batch, and what is wrong with logs."""
 
     groups: list[BatchStatistics]
     unread: list[str]
-    carried: list[_Carried] = field(default_factory=list)
-    errors: list[str] = field(default_factory=list)
-    first: TrialLog | None = None
 
     @property
     def count(self) -> int:
         """The number of all logs."""
         return sum(len(group.batch.logs) for group in self.groups)
+
+
+@dataclass(frozen=True, slots=True)
+class _Contents:
+    """What a page shows of its logs: the trials that it carries, the figures of the batches' errors
+    over time, "" for a batch without, the first trial, and what is wrong with logs. Without plans
+    and searches it is not `complete`.
+    """
+
+    batches: _Batches
+    complete: bool
+    carried: list[_Carried]
+    errors: list[str]
+    first: TrialLog | None
+    unread: list[str]
 
     @property
     def numbers(self) -> dict[str, int]:
@@ -92,7 +110,7 @@ def report(
     of a batch belong to several experiments, LogError if no log can be read.
     """
     contents = _read(paths, progress)
-    groups = contents.groups
+    groups = contents.batches.groups
     first = contents.first
     name = title or _title(paths, groups)
     compared = contrast(groups)
@@ -113,28 +131,30 @@ def report(
 
 def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Contents:
     """Read the results of all logs, and then the trials that the page carries."""
-    groups, unread = _groups(paths, progress)
-    contents = _Contents(groups, unread)
-    whole = contents.count <= MANY
-    for group in groups:
-        logs = []
-        for path in group.batch.logs if whole else carried(group, len(groups)):
+    batches = _batches(paths, progress)
+    several = len(batches.groups) > 1
+    complete = batches.count <= MANY
+    unread = list(batches.unread)
+    trials: list[_Carried] = []
+    errors: list[str] = []
+    first: TrialLog | None = None
+    for group in batches.groups:
+        logs: list[TrialLog] = []
+        for path in group.batch.logs if complete else carried(group, len(batches.groups)):
             try:
                 log = read_trial(path)
             except LogError as error:
                 unread.append(error.message)
                 continue
-            if contents.first is None:
-                contents.first = log
+            first = first or log
             logs.append(lean(log))
-            name = f"{group.name}, {path.name}" if len(groups) > 1 else path.name
-            data = trial_data(log, path.name, whole)
-            contents.carried.append(_Carried(str(path), name, data))
-        which = [group.name] if len(groups) > 1 else []
-        if not whole:
+            name = f"{group.name}, {path.name}" if several else path.name
+            trials.append(_Carried(str(path), name, trial_data(log, path.name, complete)))
+        which = [group.name] if several else []
+        if not complete:
             which.append(f"the {len(logs)} trials on this page")
-        contents.errors.append(of_batch(", ".join(which), logs))
-    return contents
+        errors.append(of_batch(", ".join(which), logs))
+    return _Contents(batches, complete, trials, errors, first, unread)
 
 
 def carried(group: BatchStatistics, groups: int) -> list[Path]:
@@ -144,41 +164,40 @@ def carried(group: BatchStatistics, groups: int) -> list[Path]:
     """
     logs = set(group.batch.logs)
     logged = [trial for trial in group.batch.trials if Path(trial.log) in logs]
-    most = max(3, CARRIED // groups)
-    not_counted = [trial for trial in logged if not counts(trial)][: most // 3]
+    most = max(CARRIED_MIN, CARRIED // groups)
+    not_counted = [trial for trial in logged if not counts(trial)][: most // NOT_COUNTED]
     counted = [trial for trial in logged if counts(trial)]
     counted.sort(key=lambda trial: trial.result.total_error)
     places = most - len(not_counted)
     if len(counted) > places:
         step = (len(counted) - 1) / max(1, places - 1)
-        counted = [counted[round(place * step)] for place in range(places)]
-    paths = {trial.log for trial in (*not_counted, *counted)}
-    return [Path(trial.log) for trial in logged if trial.log in paths]
+        ranks = [round(place * step) for place in range(places)]
+        counted = [counted[rank] for rank in ranks]
+    chosen = {trial.log for trial in (*not_counted, *counted)}
+    return [Path(trial.log) for trial in logged if trial.log in chosen]
 
 
-def _groups(
-    paths: Sequence[Path], progress: Callable[[int, int], None]
-) -> tuple[list[BatchStatistics], list[str]]:
-    """Return a batch per folder and one for all single logs, and what is wrong with logs."""
+def _batches(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Batches:
+    """Read a batch per folder and one of all single logs; LogError if no log can be read."""
     paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
-    single = [str(path) for path in paths if not path.is_dir()]
-    listed = []
-    if single:
-        listed += sources(single)
+    single_logs = [str(path) for path in paths if not path.is_dir()]
+    listed: list[Source] = []
+    if single_logs:
+        listed += sources(single_logs)
     if folders:
         listed += sources(folders)
-    batches = [(source.name, source.read(progress)) for source in listed]
-    unread = [f"{log.log}: {log.problem}" for _, batch in batches for log in batch.lost]
-    if not any(batch.trials for _, batch in batches):
+    batches = [source.read(progress) for source in listed]
+    unread = [f"{log.log}: {log.problem}" for batch in batches for log in batch.lost]
+    if not any(batch.trials for batch in batches):
         raise LogError(f"none of the logs can be read: {', '.join(unread[:1])}")
-    groups = []
-    for name, batch in batches:
+    groups: list[BatchStatistics] = []
+    for source, batch in zip(listed, batches, strict=True):
         damaged = [trial.log for trial in batch.trials if trial.recovered]
         unread += [f"{log}: damaged, read as far as possible" for log in damaged]
         if batch.trials or batch.attempts:
-            groups.append(describe(batch, name))
-    return groups, unread
+            groups.append(describe(batch, source.name))
+    return _Batches(groups, unread)
 
 
 # ---- Parts of the page ----
@@ -211,33 +230,34 @@ def _page(title: str, body: str, scripts: str) -> str:
     )
 
 
-def _header(title: str, found: BatchComparison, numbers: Mapping[str, int]) -> str:
+def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -> str:
     """Return the HTML of the title, each batch's result, the verdicts, and every total error."""
-    about = escape(found.groups[0].experiment.description)
-    shown = [_overview(found.groups)]
-    if 0 < len(found.contrasts) <= COMPARED_MOST:
-        shown.append(differences_table(found.contrasts))
+    groups = compared.groups
+    about = escape(groups[0].experiment.description)
+    top = [_overview(groups)]
+    if 0 < len(compared.contrasts) <= COMPARED_MOST:
+        top.append(differences_table(compared.contrasts))
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         '<button id="theme" aria-label="Light or dark">◐</button></header>'
-        f'<div class="top">{_tables(shown)}{of_groups(found.groups, numbers)}</div>'
+        f'<div class="top">{_tables(top)}{of_groups(groups, numbers)}</div>'
     )
 
 
 def _overview(groups: Sequence[BatchStatistics]) -> Table:
     """Return a table with each batch's mean total error and the numbers of its unsafe trials."""
     totals = [group.total for group in groups]
+    means = [total.mean for total in totals]
     least = min((total.mean for total in totals if total.n), default=math.nan)
     show = error_format(least, decimals_shown(groups[0].experiment))
     intervals = [total.ci95.text(show) if total.ci95.known else NONE for total in totals]
     columns = [
         Column("batch", [group.name for group in groups]),
         Column("n", [total.n for total in totals]),
-        Column("mean total error", [total.mean for total in totals], unit_of(groups[0].unit), show),
+        Column("mean total error", means, unit_of(groups[0].unit), show),
         Column("95 % interval", intervals),
     ]
-    rows = [texts_by_label(group) for group in groups]
-    columns += [Column(label, [row[label].partition(" (")[0] for row in rows]) for label in SAFETY]
+    columns += [_safety_column(label, groups) for label in SAFETY]
     plants = [f"{group.name}: {group.origin}, {counted_by(group.experiment)}" for group in groups]
     return Table(
         "",
@@ -247,23 +267,31 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     )
 
 
+def _safety_column(label: str, groups: Sequence[BatchStatistics]) -> Column:
+    """Return the number of unsafe trials of each batch, without what follows in parentheses."""
+    texts = [texts_by_label(group)[label] for group in groups]
+    return Column(label, [text.partition(" (")[0] for text in texts])
+
+
 def _player(contents: _Contents) -> str:
     """Return the HTML of the player, with the data of the trials that the page carries."""
-    options = []
-    data = []
+    options: list[str] = []
+    data: list[str] = []
     for index, trial in enumerate(contents.carried):
-        options.append(f'<option value="{index}">{index + 1}: {escape(trial.name)}</option>')
+        name = escape(trial.name)
+        options.append(f'<option value="{index}">{index + 1}: {name}</option>')
         text = packed(trial.data)
         data.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
+    count = contents.batches.count
     note = ""
-    if contents.count > MANY:
+    if not contents.complete:
         note = (
-            f"<p>The page carries {len(contents.carried)} of {contents.count} trials, without plans"
+            f"<p>The page carries {len(contents.carried)} of {count} trials, without plans"
             " and searches: of each batch those at evenly spaced ranks of the total error, from the"
             " best to the worst, and some that do not count. The tables hold all trials.</p>"
         )
     # the names in the options come last, as a name may contain the text of a place
-    frame = _asset("player.html").replace("@UNIT@", unit_of(contents.groups[0].unit))
+    frame = _asset("player.html").replace("@UNIT@", unit_of(contents.batches.groups[0].unit))
     frame = frame.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
     return frame + "".join(data)
 
@@ -281,39 +309,48 @@ def _json(value: Any) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _statistics(found: BatchComparison, numbers: Mapping[str, int]) -> str:
+def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
     """Return the tables of each batch and of their comparison, and the same data as JSON."""
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
-    parts = []
-    for group in found.groups:
-        name = f": {escape(group.name)}" if len(found.groups) > 1 else ""
+    parts: list[str] = []
+    for group in compared.groups:
+        name = f": {escape(group.name)}" if len(compared.groups) > 1 else ""
+        of_group = tables(BatchComparison((group,)))
+        trials = html([page_trials(group, numbers)], links)
         parts.append(
-            f"<section><h2>Statistics{name}</h2>{_tables(tables(BatchComparison((group,))))}"
-            "<details open><summary>All trials</summary>"
-            f"{html([page_trials(group, numbers)], links)}</details></section>"
+            f"<section><h2>Statistics{name}</h2>{_tables(of_group)}"
+            f"<details open><summary>All trials</summary>{trials}</details></section>"
         )
-    if found.contrasts:
-        parts.append(f"<section><h2>Comparison</h2>{_tables(tables(found))}</section>")
-    data = _json(plain(comparison_items(found)))
-    return "".join(parts) + f'<script type="application/json" class="statistics">{data}</script>\n'
+    if compared.contrasts:
+        parts.append(f"<section><h2>Comparison</h2>{_tables(tables(compared))}</section>")
+    data = _json(plain(comparison_items(compared)))
+    parts.append(f'<script type="application/json" class="statistics">{data}</script>\n')
+    return "".join(parts)
 
 
-def _tables(shown: Sequence[Table]) -> str:
-    return f'<div class="tables">{"".join(f"<div>{html([one])}</div>" for one in shown)}</div>'
+def _tables(listed: Sequence[Table]) -> str:
+    """Return the HTML of tables, side by side where there is room."""
+    cells = [f"<div>{html([table])}</div>" for table in listed]
+    return f'<div class="tables">{"".join(cells)}</div>'
 
 
 def _first_trial(log: TrialLog) -> str:
+    """Return the section of the first trial's figures."""
     return f"<section><h2>Figures of the first trial</h2>{of_trial(log)}</section>"
 
 
 def _provenance(log: TrialLog) -> str:
-    rows = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in log.facts.items())
+    """Return the section of the spec, the host and the versions of the first trial."""
+    start = log.start
+    facts = [f"<dt>{escape(key)}</dt><dd>{escape(fact)}</dd>" for key, fact in log.facts.items()]
+    spec_name = escape(start.spec_name)
+    spec_hash = escape(start.spec_hash[:16])
     return (
-        f"<section><h2>Provenance</h2><p>Of the first trial, seed {log.start.seed}, spec"
-        f" {escape(log.start.spec_name)}, hash {escape(log.start.spec_hash[:16])}.</p>"
-        f"<details><summary>Host and versions</summary><dl>{rows}</dl></details>"
+        f"<section><h2>Provenance</h2><p>Of the first trial, seed {start.seed}, spec"
+        f" {spec_name}, hash {spec_hash}.</p>"
+        f"<details><summary>Host and versions</summary><dl>{''.join(facts)}</dl></details>"
         "<details><summary>Spec with every default</summary>"
-        f"<pre>{escape(log.start.resolved)}</pre></details></section>"
+        f"<pre>{escape(start.resolved)}</pre></details></section>"
     )
 
 
@@ -330,8 +367,8 @@ def of_trial(log: TrialLog) -> str:
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.log).name
-    kinds = ("trajectory", "convergence", "errors", "over-time")
-    return _side_by_side([_figure(kind, [log], f"{kind}, {name}") for kind in kinds])
+    figures = [_figure(kind, [log], f"{kind}, {name}") for kind in TRIAL_FIGURES]
+    return _side_by_side(figures)
 
 
 def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
@@ -368,12 +405,14 @@ def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
     from tetractl.view.figures.draw import draw
     from tetractl.view.style import svg
 
-    picture = b64encode(svg(draw(kind, logs))).decode()
+    drawing = draw(kind, logs)
+    picture = b64encode(svg(drawing)).decode()
     image = f'<img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
     return _captioned(image, text)
 
 
 def _captioned(picture: str, text: str) -> str:
+    """Return a picture with its caption."""
     return f"<figure>{picture}<figcaption>{escape(text)}</figcaption></figure>"
 
 
@@ -383,4 +422,5 @@ def _side_by_side(figures: Sequence[str]) -> str:
 
 
 def _asset(name: str) -> str:
+    """Return the text of a file of the page."""
     return (ASSETS / name).read_text("utf-8")

@@ -7,13 +7,16 @@ import base64
 import json
 import math
 import zlib
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import unit_of
+from tetractl.core.setup import Bounds
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
@@ -28,16 +31,16 @@ def packed(trial: dict[str, Any]) -> str:
 
 def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
     """Return an array as lists, with None in place of values that are not finite."""
-    wanted = np.asarray(values, dtype=float)
-    found = np.round(wanted, decimals).astype(object)
-    found[~np.isfinite(wanted)] = None
-    return found.tolist()
+    numbers = np.asarray(values, dtype=float)
+    items = np.round(numbers, decimals).astype(object)
+    items[~np.isfinite(numbers)] = None
+    return items.tolist()
 
 
 def significant(values: ArrayLike) -> list[float | None]:
     """Return values (n,) with four significant digits, with None for those not finite."""
-    texts = ((value, f"{value:.4g}") for value in np.asarray(values, dtype=float).tolist())
-    return [float(text) if math.isfinite(value) else None for value, text in texts]
+    numbers = np.asarray(values, dtype=float).tolist()
+    return [float(f"{number:.4g}") if math.isfinite(number) else None for number in numbers]
 
 
 def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
@@ -52,72 +55,131 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     the chosen search's iterations; H differs from step to step. `dish` contains a microscope's
     pictures, for a trial with `plans`.
     """
-    setup, steps = log.start.setup, log.steps
-    decided = [step.plan for step in steps]
-    colors = robot_colors(setup.names, setup.colors)
-    until_ns, result = end_ns(log), log.result
-    keep = _thinned(log, until_ns)
-    xy = np.where(log.valid[keep][..., None], log.mocap[keep][..., :2], np.nan)
-    starts = first_seen(tracked(log.mocap, log.valid), setup.starts.xy)
+    setup = log.start.setup
     arena = setup.arena
-    # decimals of plans, at most a thousandth of the arena, and of what is shown in digits
-    coarse = 4 - math.ceil(math.log10(max(arena.width, arena.height)))
-    fine = coarse + 3
+    result = log.result
+    decimals = Decimals.of(arena)
+    until_ns = end_ns(log)
     return {
         "file": file,
         "unit": unit_of(setup.unit),
         "arena": [arena.left, arena.bottom, arena.right, arena.top],
         "obstacles": [shape.outline().tolist() for shape in setup.obstacles],
-        "robots": [
-            {"name": name, "color": color, "start": start, "target": legs[-1], "via": legs[:-1]}
-            for name, color, start, legs in zip(
-                setup.names,
-                colors,
-                starts.tolist(),
-                setup.legs.swapaxes(0, 1).tolist(),
-                strict=True,
-            )
-        ],
+        "robots": _robots(log),
         "hold": setup.hold.radius if setup.hold else 0,
-        "frames": {
-            "t": rounded([log.elapsed_s(int(t)) for t in log.mocap_ns[keep]]),
-            "xy": rounded(xy, fine),
-            "heading": rounded(np.where(log.valid[keep], log.mocap[keep][..., 2], np.nan)),
-        },
-        "steps": {
-            "t": rounded([log.elapsed_s(step.command.sent_ns) for step in steps]),
-            "u": [step.plan.direction for step in steps],
-            "doing": [step.plan.doing for step in steps],
-            "cost": significant([np.nan if p.pauses else p.cost for p in decided]),
-            "signals": [None if p.pauses else len(p.signals) for p in decided],
-            "solve_ms": significant([step.solve_ns / 1e6 for step in steps]),
-            "ended": ["–" if p.pauses else p.search.ended for p in decided],
-        },
+        "frames": _frames(log, until_ns, decimals),
+        "steps": _steps(log),
         "end": round(log.elapsed_s(until_ns), 3),
-        "final": result
-        and {
-            "xy": rounded(result.verdict.final.xy, fine),
-            "errors": rounded(result.robot_errors, fine),
-            "known": "true" if log.start.plant.simulated else "measured",
-        },
-        "plan": [rounded(step.plan.path[..., :2], coarse) for step in steps] if plans else None,
-        "history": [significant(step.plan.search.history) for step in steps] if plans else None,
+        "final": _final(log, decimals),
+        "plan": _plans(log, decimals) if plans else None,
+        "history": _histories(log) if plans else None,
         "dish": _dish(log) if plans else None,
-        "events": [{"t": e.time_s, "level": e.level, "text": e.text} for e in log.events],
+        "events": _events(log),
         "outcome": result.outcome.value if result else "the log ends early",
         "reason": result and (result.reason or result.outcome.meaning),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Decimals:
+    """Decimals of lengths: `coarse` of plans, for at most a thousandth of the arena, and `fine` of
+    what is shown in digits."""
+
+    coarse: int
+    fine: int
+
+    @classmethod
+    def of(cls, arena: Bounds) -> Self:
+        """Return the decimals for an arena."""
+        magnitude = math.ceil(math.log10(max(arena.width, arena.height)))
+        return cls(coarse=4 - magnitude, fine=7 - magnitude)
+
+
+def _robots(log: TrialLog) -> list[dict[str, Any]]:
+    """Return each robot's name, colour, start, target, and way-points."""
+    setup = log.start.setup
+    colors = robot_colors(setup.names, setup.colors)
+    starts = first_seen(tracked(log.mocap, log.valid), setup.starts.xy).tolist()
+    legs = setup.legs.swapaxes(0, 1).tolist()
+    return [
+        {
+            "name": name,
+            "color": colors[robot],
+            "start": starts[robot],
+            "target": legs[robot][-1],
+            "via": legs[robot][:-1],
+        }
+        for robot, name in enumerate(setup.names)
+    ]
+
+
+def _frames(log: TrialLog, until_ns: int, decimals: Decimals) -> dict[str, Any]:
+    """Return times and measured poses of the frames shown."""
+    frames = _thinned(log, until_ns)
+    valid = log.valid[frames]
+    poses = log.mocap[frames]
+    xy = np.where(valid[..., None], poses[..., :2], np.nan)
+    heading = np.where(valid, poses[..., 2], np.nan)
+    return {
+        "t": rounded([log.elapsed_s(int(time_ns)) for time_ns in log.mocap_ns[frames]]),
+        "xy": rounded(xy, decimals.fine),
+        "heading": rounded(heading),
+    }
+
+
+def _steps(log: TrialLog) -> dict[str, Any]:
+    """Return what is shown of each control step; of robots that stand, a plan has no cost."""
+    steps = log.steps
+    plans = [step.plan for step in steps]
+    return {
+        "t": rounded([log.elapsed_s(step.command.sent_ns) for step in steps]),
+        "u": [plan.direction for plan in plans],
+        "doing": [plan.doing for plan in plans],
+        "cost": significant([np.nan if plan.pauses else plan.cost for plan in plans]),
+        "signals": [None if plan.pauses else len(plan.signals) for plan in plans],
+        "solve_ms": significant([step.solve_ns / MILLISECOND for step in steps]),
+        "ended": ["–" if plan.pauses else plan.search.ended for plan in plans],
+    }
+
+
+def _final(log: TrialLog, decimals: Decimals) -> dict[str, Any] | None:
+    """Return the poses and errors of the result; None if the log ends early."""
+    result = log.result
+    if result is None:
+        return None
+    return {
+        "xy": rounded(result.verdict.final.xy, decimals.fine),
+        "errors": rounded(result.robot_errors, decimals.fine),
+        "known": "true" if log.start.plant.simulated else "measured",
+    }
+
+
+def _plans(log: TrialLog, decimals: Decimals) -> list[Any]:
+    """Return the positions that each step predicted."""
+    return [rounded(step.plan.path[..., :2], decimals.coarse) for step in log.steps]
+
+
+def _events(log: TrialLog) -> list[dict[str, Any]]:
+    """Return the trial's events."""
+    return [{"t": event.time_s, "level": event.level, "text": event.text} for event in log.events]
+
+
+def _histories(log: TrialLog) -> list[list[float | None]]:
+    """Return the values of J over the iterations of each step's chosen search."""
+    return [significant(step.plan.search.history) for step in log.steps]
 
 
 def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
     """Return the indices of the frames to show: at most `SHOWN_HZ` per second, none earlier than
     one control period before the first direction, or later than `until_ns`.
     """
-    times = log.mocap_ns[log.mocap_ns <= until_ns]
-    from_start = np.flatnonzero(times >= log.began_ns - round(log.start.setup.period_s * 1e9))
+    before_end = log.mocap_ns <= until_ns
+    times_ns = log.mocap_ns[before_end]
+    from_ns = log.began_ns - round(log.start.setup.period_s * SECOND)
+    from_start = np.flatnonzero(times_ns >= from_ns)
     if not len(from_start):
-        return np.arange(len(times))
-    slots = (times[from_start] - times[from_start[0]]) * SHOWN_HZ // 1e9
+        return np.arange(len(times_ns))
+    slots = (times_ns[from_start] - times_ns[from_start[0]]) * SHOWN_HZ // 1e9
     first = np.flatnonzero(np.diff(slots, prepend=-1) > 0)
     return from_start[np.union1d(first, [len(from_start) - 1])]
 
@@ -129,7 +191,7 @@ def _dish(log: TrialLog) -> dict[str, Any] | None:
         return None
     files = map(pictures.jpeg, range(len(pictures.times)))
     return {
-        "t": rounded([log.elapsed_s(at) for at in pictures.times]),
+        "t": rounded([log.elapsed_s(time_ns) for time_ns in pictures.times]),
         "corners": pictures.corners.tolist(),
         "jpeg": [base64.b64encode(data).decode() for data in files],
     }

@@ -18,28 +18,39 @@ PROTOCOL = "foxglove.sdk.v1"
 TOPICS = {number: topic for topic, number in NUMBERS.items()}
 """Topics by the id of their channel, as in a log."""
 
-_MESSAGE, _TIME = 1, 2  # first byte of a binary message to a client
+_MESSAGE = 1
+"""First byte of a message of a topic."""
+_TIME = 2
+"""First byte of a message that sets the time."""
+_SESSION_BYTES = 8
+"""Number of random bytes that identify the server to a viewer that reconnects."""
 
 
 def greeting(name: str) -> list[str]:
     """Return the first messages to a client: the server's description, and the topics with their
     schemas.
     """
-    info: dict[str, object] = {"op": "serverInfo", "name": name, "capabilities": ["time"]}
-    info["sessionId"] = secrets.token_hex(8)  # identifies the server to a viewer that reconnects
-    channels = [
-        {
-            "id": number,
-            "topic": topic,
-            "encoding": MessageEncoding.Protobuf,
-            "schemaName": name,
-            "schemaEncoding": encoding,
-            "schema": b64encode(schema).decode(),
-        }
-        for number, topic in TOPICS.items()
-        for name, encoding, schema in [protobuf_schema(CHANNELS[topic])]
-    ]
+    info = {
+        "op": "serverInfo",
+        "name": name,
+        "capabilities": ["time"],
+        "sessionId": secrets.token_hex(_SESSION_BYTES),
+    }
+    channels = [_channel(number, topic) for number, topic in TOPICS.items()]
     return [json.dumps(info), json.dumps({"op": "advertise", "channels": channels})]
+
+
+def _channel(number: int, topic: str) -> dict[str, object]:
+    """Return the description of a topic."""
+    schema_name, encoding, schema = protobuf_schema(CHANNELS[topic])
+    return {
+        "id": number,
+        "topic": topic,
+        "encoding": MessageEncoding.Protobuf,
+        "schemaName": schema_name,
+        "schemaEncoding": encoding,
+        "schema": b64encode(schema).decode(),
+    }
 
 
 def subscription(number: int) -> bytes:
@@ -51,7 +62,9 @@ def subscription(number: int) -> bytes:
 
 def message(subscription: bytes, entry: Entry) -> bytes:
     """Return a log's message as sent for one of a client's subscriptions."""
-    return bytes([_MESSAGE]) + subscription + struct.pack("<Q", entry.log_ns) + entry.data
+    kind = bytes([_MESSAGE])
+    time_ns = struct.pack("<Q", entry.log_ns)
+    return kind + subscription + time_ns + entry.data
 
 
 def time(time_ns: int) -> bytes:

@@ -83,14 +83,14 @@ class Viewers:
         """Serve a viewer until its connection ends; an invalid message ends only its own."""
         client = _Client(link)
         with self._lock:
-            for said in self._greeting:
-                client.put(said)
+            for message in self._greeting:
+                client.put(message)
             if self._time_ns:
                 client.put(foxglove_protocol.time(self._time_ns))
             self._clients.add(client)
         try:
-            for said in link:
-                self._obey(client, said)
+            for request in link:
+                self._obey(client, request)
         except Exception:  # a viewer's messages or failure must not end the run
             link.close(CloseCode.INTERNAL_ERROR)
         finally:
@@ -99,22 +99,27 @@ class Viewers:
             client.end()
             client.leave(monotonic())
 
-    def _obey(self, client: "_Client", said: str | bytes) -> None:
-        asked: dict[str, Any] = json.loads(said)
+    def _obey(self, client: "_Client", request: str | bytes) -> None:
+        """Do what a viewer asks for, a subscription or its end; other requests mean nothing."""
+        items: dict[str, Any] = json.loads(request)
         with self._lock:
-            if asked["op"] == "subscribe":
-                for one in asked["subscriptions"]:
-                    topic = foxglove_protocol.TOPICS[one["channelId"]]
-                    client.subscriptions[topic] = foxglove_protocol.subscription(one["id"])
-                    # otherwise a viewer would show an operator message twice
-                    if topic in self._newest and topic != LOG:
-                        client.message(self._newest[topic])
-            elif asked["op"] == "unsubscribe":
-                ended = set(map(foxglove_protocol.subscription, asked["subscriptionIds"]))
-                kept = client.subscriptions.items()
-                client.subscriptions = {topic: one for topic, one in kept if one not in ended}
+            if items["op"] == "subscribe":
+                for item in items["subscriptions"]:
+                    self._subscribe(client, item["channelId"], item["id"])
+            elif items["op"] == "unsubscribe":
+                for number in items["subscriptionIds"]:
+                    client.unsubscribe(foxglove_protocol.subscription(number))
+
+    def _subscribe(self, client: "_Client", channel: int, number: int) -> None:
+        """Send a viewer a topic's messages from now on, and the newest one at once."""
+        topic = foxglove_protocol.TOPICS[channel]
+        client.subscriptions[topic] = foxglove_protocol.subscription(number)
+        # otherwise a viewer would show an operator message twice
+        if topic in self._newest and topic != LOG:
+            client.message(self._newest[topic])
 
     def _publish(self, entry: Entry) -> None:
+        """Send a message, after its time if that is later than the viewers'."""
         self._newest[entry.topic] = entry
         if entry.log_ns > self._time_ns:
             self._go_to(entry.log_ns)
@@ -122,10 +127,9 @@ class Viewers:
             client.message(entry)
 
     def _go_to(self, time_ns: int) -> None:
+        """Set the viewers' time."""
         self._time_ns = time_ns
-        self._put(foxglove_protocol.time(time_ns))
-
-    def _put(self, message: bytes) -> None:
+        message = foxglove_protocol.time(time_ns)
         for client in self._clients:
             client.put(message)
 
@@ -135,7 +139,8 @@ class _Client:
 
     def __init__(self, link: Connection) -> None:
         self.subscriptions: dict[str, bytes] = {}
-        self._link, self._some = link, threading.Condition()
+        self._link = link
+        self._changed = threading.Condition()  # guards the two fields below
         self._waiting: deque[str | bytes] = deque(maxlen=BACKLOG)
         self._ending = False
         self._sender = threading.Thread(target=self._send, name="viewer", daemon=True)
@@ -143,20 +148,27 @@ class _Client:
 
     def message(self, entry: Entry) -> None:
         """Queue a message if its topic is subscribed to."""
-        if subscription := self.subscriptions.get(entry.topic):
+        subscription = self.subscriptions.get(entry.topic)
+        if subscription is not None:
             self.put(foxglove_protocol.message(subscription, entry))
+
+    def unsubscribe(self, subscription: bytes) -> None:
+        """End a subscription, if there is such a one."""
+        for topic, number in list(self.subscriptions.items()):
+            if number == subscription:
+                del self.subscriptions[topic]
 
     def put(self, message: str | bytes) -> None:
         """Queue a message; if BACKLOG messages wait already, the oldest is dropped."""
-        with self._some:
+        with self._changed:
             self._waiting.append(message)
-            self._some.notify()
+            self._changed.notify()
 
     def end(self) -> None:
         """Close the connection once all queued messages are sent."""
-        with self._some:
+        with self._changed:
             self._ending = True
-            self._some.notify()
+            self._changed.notify()
 
     def leave(self, until: float) -> None:
         """Wait for the end until a time of `monotonic`, then cut the connection."""
@@ -166,15 +178,19 @@ class _Client:
         self._sender.join()
 
     def _send(self) -> None:
+        """Send messages until the end, and close the connection."""
         with suppress(OSError, ConnectionClosed):
-            while True:
-                with self._some:
-                    self._some.wait_for(lambda: self._waiting or self._ending)
-                    if not self._waiting:
-                        break
-                    message = self._waiting.popleft()
+            message = self._next()
+            while message is not None:
                 self._link.send(message)
+                message = self._next()
             self._link.close()
+
+    def _next(self) -> str | bytes | None:
+        """Wait for the next message; None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._ending)
+            return self._waiting.popleft() if self._waiting else None
 
 
 class ServedRun(Encoder):
@@ -186,7 +202,8 @@ class ServedRun(Encoder):
 
     def __init__(self, viewers: Viewers, wall: Clock) -> None:
         super().__init__(viewers, real_time=True)
-        self._viewers, self._wall = viewers, wall
+        self._viewers = viewers
+        self._wall = wall
 
     def on_start(self, start: Start) -> None:
         """Send the scene of a new trial, and set the viewers' time to its start."""
@@ -197,7 +214,8 @@ class ServedRun(Encoder):
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
         """Send camera frames; without a viewer, keep only the newest for later viewers."""
-        for sample in samples if self._viewers.watched else samples[-1:]:
+        wanted = samples if self._viewers.watched else samples[-1:]
+        for sample in wanted:
             if self._paced:
                 self._wall.sleep_until(self._began_ns + sample.observation.received_ns)
             super().on_samples([sample])

@@ -22,6 +22,13 @@ from tetractl.serve.foxglove_protocol import PROTOCOL
 from tetractl.serve.live import CLOSE_S, Viewers
 
 ADDRESS = "127.0.0.1"
+"""The loopback address of this machine."""
+TOKEN_BYTES = 12
+"""Random bytes of a link, 96 bits; it fits next to the arena on a terminal of 80 columns."""
+OPEN_S = 2.0
+"""Time for a request to be complete, for which `close` may wait [s]."""
+MESSAGE_MAX = 1 << 16
+"""Largest message of a viewer [bytes]."""
 ORIGINS = (
     None,  # a program
     Origin("file://"),  # a desktop viewer
@@ -43,8 +50,7 @@ class LoopbackServer:
     """
 
     def __init__(self, live: Viewers, port: int = 0) -> None:
-        # 96 random bits; a link fits next to the arena on a terminal of 80 columns
-        self.token = secrets.token_urlsafe(12)
+        self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self.live = live
         try:
             self._server = serve(
@@ -56,10 +62,10 @@ class LoopbackServer:
                 compression=None,
                 process_request=self._refusal,
                 server_header="tetractl",
-                open_timeout=2.0,  # [s]; `close` may wait so long for an unfinished request
+                open_timeout=OPEN_S,
                 ping_interval=None,
                 close_timeout=CLOSE_S / 2,
-                max_size=1 << 16,
+                max_size=MESSAGE_MAX,
                 logger=_QUIET,
             )
         except OSError as error:
@@ -92,9 +98,10 @@ class LoopbackServer:
         """Return the answer to a request without this server's `Host` and, compared in constant
         time, its token.
         """
-        hosts = [f"{ADDRESS}:{self.port}"], [f"localhost:{self.port}"]
+        hosts = request.headers.get_all("Host")
+        our_name = hosts in ([f"{ADDRESS}:{self.port}"], [f"localhost:{self.port}"])
         token = request.path.strip("/").encode()
-        right = hmac.compare_digest(token, self.token.encode())
-        if right and request.headers.get_all("Host") in hosts:
+        our_token = hmac.compare_digest(token, self.token.encode())
+        if our_token and our_name:
             return None
         return connection.respond(HTTPStatus.FORBIDDEN, "")

@@ -9,26 +9,47 @@ from support.cli import tetractl
 pytestmark = pytest.mark.slow
 
 
-def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
+@pytest.fixture(scope="module")
+def identified(folder):
+    """What `identify` wrote of the folder's logs: `found.yaml`, which `better.yaml` takes up."""
     done = tetractl(folder, "identify", "logs", "-o", "found.yaml").ok()
     assert "2 logs" in done.stdout and "disturbed simulation" in done.stdout
-    identified = yaml.safe_load((folder / "found.yaml").read_text())
+    spec = (folder / "quick.yaml").read_text()
+    (folder / "better.yaml").write_text(spec + "identified: found.yaml\n")
+    return yaml.safe_load((folder / "found.yaml").read_text())
+
+
+def resolved(folder, *words):
+    """The spec `better.yaml` as a run would take it."""
+    done = tetractl(folder, "run", "better.yaml", "--dry-run", *words).ok()
+    return yaml.safe_load(done.stdout)
+
+
+def test_a_batch_is_identified(identified):
     assert identified["dead_time"]["value"] == pytest.approx(0.1, abs=0.01)
     assert identified["robots"]["two"]["a"]["value"] == pytest.approx(3, rel=0.05)
-    (folder / "better.yaml").write_text(
-        (folder / "quick.yaml").read_text() + "identified: found.yaml\n"
-    )
-    dry = tetractl(folder, "run", "better.yaml", "--dry-run")
-    resolved = yaml.safe_load(dry.stdout)
-    rates = {robot["name"]: robot["a"] for robot in resolved["robots"]}
+
+
+def test_a_spec_takes_its_numbers_from_the_file(folder, identified):
+    spec = resolved(folder)
+    rates = {robot["name"]: robot["a"] for robot in spec["robots"]}
     assert rates == {name: identified["robots"][name]["a"]["value"] for name in ("one", "two")}
-    age = identified["frame_age"]
-    assert resolved["controller"]["dead_time"] == identified["dead_time"]["value"] + age
-    assert resolved["identified"] is None
-    overridden = tetractl(folder, "run", "better.yaml", "--dry-run", "--set", "robots.one.a=5")
-    assert yaml.safe_load(overridden.stdout)["robots"][0]["a"] == 5  # --set has the last word
+    dead_time = identified["dead_time"]["value"] + identified["frame_age"]
+    assert spec["controller"]["dead_time"] == dead_time
+    assert spec["identified"] is None
+
+
+@pytest.mark.usefixtures("identified")
+def test_a_setting_of_the_command_line_has_the_last_word(folder):
+    spec = resolved(folder, "--set", "robots.one.a=5")
+    assert spec["robots"][0]["a"] == 5
+
+
+@pytest.mark.usefixtures("identified")
+def test_what_was_identified_is_not_overwritten(folder):
     again = tetractl(folder, "identify", "logs", "-o", "found.yaml")
-    assert (again.returncode, "exists already" in again.stderr) == (2, True)
+    assert again.returncode == 2
+    assert "exists already" in again.stderr
 
 
 def test_what_is_identified_from_a_damaged_log_is_told_with_a_failure(folder, tmp_path):

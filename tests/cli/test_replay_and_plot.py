@@ -1,3 +1,5 @@
+"""`tetractl replay` and `plot`, as a user starts them in a terminal and without one."""
+
 import os
 import re
 import shlex
@@ -18,7 +20,7 @@ from tetractl.log.read.reader import read_trial
 pytestmark = pytest.mark.slow
 
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
-LFLAG = 3
+LFLAG = 3  # where the local modes are in what `termios.tcgetattr` returns
 
 
 @pytest.fixture(scope="module")

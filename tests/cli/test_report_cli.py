@@ -117,7 +117,7 @@ def test_the_page_shows_the_numbers_of_stats(page, statistics):
 
 
 @needs_chromium
-def test_it_plays_and_scrubs_and_steps(page):
+def test_it_opens_at_the_result_and_plays_from_the_start(page):
     assert page.run("player.time === player.trial.end")  # opens at the result
     assert text(page, "outcome").startswith("sequence completed: ")
     page.run(
@@ -131,6 +131,10 @@ def test_it_plays_and_scrubs_and_steps(page):
     )
     assert page.run("player.time === player.trial.end")
     assert page.run("player.frames") > 1
+
+
+@needs_chromium
+def test_it_scrubs_and_steps(page):
     page.run(
         "{ const s = document.getElementById('scrub'); s.value = 0.45;"
         " s.dispatchEvent(new Event('input')); }"
@@ -145,6 +149,10 @@ def test_it_plays_and_scrubs_and_steps(page):
     assert said.endswith(", measured")
     page.key("Home")
     assert text(page, "time").startswith("0.00 s of ")
+
+
+@needs_chromium
+def test_a_link_to_a_trial_opens_it(page):
     page.run("location.hash = '#trial-3'")
     page.run("new Promise((done) => setTimeout(done))")
     page.run("player.opened")

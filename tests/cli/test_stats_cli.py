@@ -1,3 +1,5 @@
+"""`tetractl stats`: tables of batches in every format, and what is wrong with their logs."""
+
 import csv
 import io
 import json
@@ -7,8 +9,7 @@ import subprocess
 from dataclasses import replace
 
 import pytest
-from support import cli
-from support import random_trials as made
+from support import cli, random_trials
 from support.running import TETRACTL, first_of
 
 pytestmark = pytest.mark.slow
@@ -28,10 +29,10 @@ def write(folder, count, first=0, **fields):
     folder.mkdir(exist_ok=True)
     fields = {"reference": REFERENCE, "scale": SCALE, "plant": PLANT} | fields
     for i in range(first, first + count):
-        trial = made.trial(i + 1, index=i, steps=3, frames=2, **fields)
+        trial = random_trials.trial(i + 1, index=i, steps=3, frames=2, **fields)
         errors = (100.0, 100.0, 100.0 + 10 * i)
         result = replace(trial.result, robot_errors=errors, total_error=sum(errors))
-        made.write(replace(trial, result=result), folder / f"trial-{i:03d}.mcap")
+        random_trials.write(replace(trial, result=result), folder / f"trial-{i:03d}.mcap")
     return folder
 
 
@@ -62,6 +63,7 @@ def test_the_table_shows_the_batch_beside_the_published_result(work):
     assert "10 of 10 trials valid" in done.stdout
     assert "\x1b" not in done.stdout
     rows = rows_of(done.stdout)
+    # of 300, 310 ... 390: n, mean, standard deviation, median, least, greatest
     assert rows["total"][1:7] == ["10", "345.0", "30.3", "345.0", "300.0", "390.0"]
     assert rows["published"][1:4] == ["20", "648.6", "225.1"]
     assert "robot 2" not in rows
@@ -95,11 +97,11 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
 
 def test_a_trial_of_a_lab_in_which_a_robot_turns_unlike_in_the_others_is_named(tmp_path):
     for i in range(8):
-        trial = made.trial(i + 1, index=i, steps=1, frames=2, simulated=False)
+        trial = random_trials.trial(i + 1, index=i, steps=1, frames=2, simulated=False)
         turn = (0.03, 0.2 if i == 5 else -0.1, 0.0)
         verdict = replace(trial.result.verdict, turn=turn, turn_std=(0.014,) * 3)
         result = replace(trial.result, verdict=verdict)
-        made.write(replace(trial, result=result), tmp_path / f"trial-{i:03d}.mcap")
+        random_trials.write(replace(trial, result=result), tmp_path / f"trial-{i:03d}.mcap")
     done = stats(".", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     said = "1 of 8 trials, by wheels that changed or false poses: robot 1 in trial-005, +0.30 rad/s"
@@ -117,29 +119,47 @@ def test_against_prints_what_several_folders_print(work):
         assert done.returncode == 0
 
 
-def test_several_folders_are_batches_compared_two_by_two(work):
+@pytest.fixture
+def three(work):
+    """A folder with the ten trials; twelve that differ in the controller, with equal errors; and
+    nine in a world without disturbances."""
     write(work / "exact", 12, controller={"motion": "exact"})
     write(work / "still", 9, plant={"type": "sim"})
-    done = stats("ten", "exact", "still", "--plot", "ecdf.svg", cwd=work)
+    return work
+
+
+def test_several_folders_are_batches_compared_two_by_two(three):
+    document = json.loads(stats("ten", "exact", "still", "--json", cwd=three).stdout)
+    assert [arm["name"] for arm in document["groups"]] == ["ten", "exact", "still"]
+    assert [arm["n_counted"] for arm in document["groups"]] == [10, 12, 9]
+    controllers, plants, both = document["comparisons"]
+    assert (controllers["one"], controllers["other"]) == ("ten", "exact")
+    assert controllers["pairs"] == 10
+    assert (controllers["difference"], controllers["verdict"]) == (0.0, None)
+    assert controllers["detects_sd"] == pytest.approx(1.0, abs=0.01)
+    assert not plants["comparable"] and not both["comparable"]
+    assert (plants["rank_p"], plants["verdict"]) == (None, None)
+
+
+def test_comparisons_are_printed_and_drawn(three):
+    done = stats("ten", "exact", "still", "--plot", "ecdf.svg", cwd=three)
     assert (done.returncode, done.stderr) == (0, "wrote ecdf.svg\n")
     assert "Final total errors of 3 batches" in done.stdout
     assert done.stdout.count("none: plants are not alike") == 2
-    full = stats("ten", "exact", "still", "--full", cwd=work).stdout
+    assert (three / "ecdf.svg").stat().st_size > 1000
+
+
+def test_every_figure_of_a_comparison_fits_a_wide_terminal(three):
+    full = stats("ten", "exact", "still", "--full", cwd=three).stdout
     assert "detectable at 80 %" in full
     assert max(map(len, full.splitlines())) <= 120
-    assert (work / "ecdf.svg").stat().st_size > 1000
-    document = json.loads(stats("ten", "exact", "still", "--json", cwd=work).stdout)
-    assert [arm["name"] for arm in document["groups"]] == ["ten", "exact", "still"]
-    assert [arm["n_counted"] for arm in document["groups"]] == [10, 12, 9]
-    first, second, third = document["comparisons"]
-    assert (first["one"], first["other"], first["pairs"]) == ("ten", "exact", 10)
-    assert (first["difference"], first["verdict"]) == (0.0, None)
-    assert first["detects_sd"] == pytest.approx(1.0, abs=0.01)
-    assert not second["comparable"] and not third["comparable"]
-    assert (second["rank_p"], second["verdict"]) == (None, None)
-    rows = csv_rows(stats("ten", "exact", "--format=csv", cwd=work).stdout)
-    assert (rows[0]["one_n"], rows[0]["other_mean"]) == ("10", "355.0")
-    latex = stats("ten", "exact", "--format", "latex", "--full", cwd=work).stdout
+
+
+def test_comparisons_are_csv_and_latex_too(three):
+    rows = csv_rows(stats("ten", "exact", "--format=csv", cwd=three).stdout)
+    mean_of_exact = 300 + 10 * sum(range(12)) / 12
+    assert (rows[0]["one_n"], float(rows[0]["other_mean"])) == ("10", mean_of_exact)
+    latex = stats("ten", "exact", "--format", "latex", "--full", cwd=three).stdout
     assert "ten - exact & 10 pairs" in latex
 
 

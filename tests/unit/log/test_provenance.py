@@ -34,12 +34,18 @@ def _git(folder, *arguments):
     return done.stdout.strip()
 
 
-def test_a_clean_and_a_changed_checkout(checkout):
+@pytest.fixture
+def committed(checkout):
+    """The checkout with all of it in a commit."""
     _git(checkout, "init", "-q")
     _git(checkout, "add", ".")
     _git(checkout, "commit", "-q", "-m", "one")
+    return checkout
+
+
+def test_a_clean_checkout_is_its_commit(committed):
     facts = provenance.versions()
-    assert facts["git_commit"] == _git(checkout, "rev-parse", "HEAD")
+    assert facts["git_commit"] == _git(committed, "rev-parse", "HEAD")
     assert facts["git_dirty"] == "false"
     assert facts["tetractl"] == __version__
     assert facts.keys() <= provenance.VERSION_KEYS
@@ -47,13 +53,14 @@ def test_a_clean_and_a_changed_checkout(checkout):
     assert "git_changed" not in listed
     assert listed["packages"]["numpy"] == np.__version__
     assert listed["host"] == provenance.host()
-    (checkout / "tetractl" / "__init__.py").write_text("changed = True\n")
-    provenance.versions.cache_clear()
-    provenance.environment.cache_clear()
+
+
+def test_a_changed_checkout_names_its_changes(committed):
+    (committed / "tetractl" / "__init__.py").write_text("changed = True\n")
     assert provenance.versions()["git_dirty"] == "true"
     changed = json.loads(provenance.environment())
     assert changed["git_changed"] == ["tetractl/__init__.py"]
-    diff = _git(checkout, "diff", "HEAD") + "\n"
+    diff = _git(committed, "diff", "HEAD") + "\n"
     assert changed["git_diff_sha256"] == hashlib.sha256(diff.encode()).hexdigest()
 
 

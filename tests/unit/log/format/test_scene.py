@@ -69,21 +69,36 @@ def _stamp(item):
     return item.timestamp.seconds * 10**9 + item.timestamp.nanos
 
 
-def test_the_scene_stands_where_the_spec_says(messages):
+@pytest.fixture(scope="module")
+def entities(messages):
+    """What stands in the scene, by name: the spec's arena, obstacles, robots and targets."""
     (scene,) = messages["/scene/static"]
     entities = {item.id: item for item in scene.entities}
     assert len(entities) == len(scene.entities) == 1 + 2 + 2 * 3
+    return entities
+
+
+def test_arena_and_obstacles_stand_where_the_spec_says(entities):
+    """In metres; the spec is in millimetres."""
     corners = [(point.x, point.y) for point in entities["arena"].lines[0].points]
     assert np.allclose(corners, [(0.6, 0.35), (2.2, 0.35), (2.2, 2.15), (0.6, 2.15)])
-    box, disc = (corners_of(entities[f"obstacle/{i}"]) for i in range(2))
+    box = corners_of(entities["obstacle/0"])
     assert box.min(axis=0) == pytest.approx((1.2, 1.1, 0))
     assert box.max(axis=0)[:2] == pytest.approx((1.4, 1.3))
+    disc = corners_of(entities["obstacle/1"])
     assert np.hypot(*(disc[:, :2] - (0.7, 1.9)).T) == pytest.approx(0.0505)
     assert {z > 0 for z in disc[:, 2]} == {True, False}
-    target = np.array([(p.x, p.y) for p in entities["target/robot 1"].lines[0].points])
-    assert len(target) == 4  # a square, as in every view
-    assert np.allclose(target.mean(axis=0), (1.7, 0.5997))
-    assert np.ptp(target, axis=0)[0] == pytest.approx(np.ptp(target, axis=0)[1])
+
+
+def test_a_target_is_a_square_as_in_every_view(entities):
+    corners = np.array([(p.x, p.y) for p in entities["target/robot 1"].lines[0].points])
+    assert len(corners) == 4
+    assert np.allclose(corners.mean(axis=0), (1.7, 0.5997))
+    width, height = np.ptp(corners, axis=0)
+    assert width == pytest.approx(height)
+
+
+def test_a_robot_is_drawn_in_a_frame_of_its_own(entities):
     body = entities["robot/robot 2"]
     assert body.frame_id == "robot/robot 2"
     assert body.triangles[0].points[0].x > 0  # the nose points along the heading
@@ -95,8 +110,7 @@ def rgb_of(entity):
     return [round(255 * part) for part in (color.r, color.g, color.b)]
 
 
-def test_colors_are_the_specs_or_the_lists(messages):
-    entities = {item.id: item for item in messages["/scene/static"][0].entities}
+def test_colors_are_the_specs_or_the_lists(entities):
     assert rgb_of(entities["robot/robot 0"]) == [0x00, 0x9E, 0x73]  # the spec's "green"
     assert rgb_of(entities["robot/robot 1"]) == [0x00, 0x72, 0xB2]  # the spec's "#0072b2"
     assert rgb_of(entities["robot/robot 2"]) == [0xD5, 0x5E, 0x00]  # the list's, the spec has none

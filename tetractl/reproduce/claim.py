@@ -14,7 +14,6 @@ So a share can be missed and reached, but only by enough trials: 0 of 20 does no
 than 5 % of all trials would do the same, as its interval ends at 16 %.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -28,6 +27,8 @@ from tetractl.results.estimate import Interval, distributions, proportion_interv
 
 CONFIDENCE = 0.95
 """Of all intervals and tests here."""
+_ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+"""Probabilities below the ends of such an interval."""
 
 
 class Fate(StrEnum):
@@ -71,7 +72,7 @@ class Requirement(Protocol):
         """What is asked, for the table."""
         ...
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the number that is compared, and its interval."""
         ...
 
@@ -89,11 +90,10 @@ def mean_of(values: Floats) -> OurNumber:
 
 def share_of(values: Floats) -> OurNumber:
     """Return the share of values (n,), 1 or 0, that are 1, with Wilson's interval."""
+    n = len(values)
     count = int(np.sum(values > 0))
-    interval = proportion_interval(count, len(values))
-    return OurNumber(
-        NumberKind.SHARE, count / len(values), len(values), interval.low, interval.high
-    )
+    interval = proportion_interval(count, n)
+    return OurNumber(NumberKind.SHARE, count / n, n, interval.low, interval.high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class AtMost:
     bound: float
     words = "smaller is better"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
@@ -122,7 +122,7 @@ class AtLeast:
     bound: float
     words = "greater is better"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
@@ -143,7 +143,7 @@ class Within:
     high: float
     words = "agreement"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
@@ -165,15 +165,20 @@ class SameMean:
     n: int
     words = "agreement"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the mean."""
         return mean_of(values)
 
     def verdict(self, values: Floats) -> Fate:
         """Test the difference of the means."""
-        mean, std = float(np.mean(values)), float(np.std(values, ddof=1))
         test = stats.ttest_ind_from_stats(
-            mean, std, len(values), self.mean, self.std, self.n, equal_var=False
+            float(np.mean(values)),
+            float(np.std(values, ddof=1)),
+            len(values),
+            self.mean,
+            self.std,
+            self.n,
+            equal_var=False,
         )
         return Fate.AGREES if test.pvalue > 1 - CONFIDENCE else Fate.MISSED
 
@@ -187,7 +192,7 @@ class SameDeviation:
     n: int
     words = "agreement"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the standard deviation."""
         std = float(np.std(values, ddof=1))
         low, high = chi_square_interval(std, len(values))
@@ -195,7 +200,8 @@ class SameDeviation:
 
     def verdict(self, values: Floats) -> Fate:
         """Test the ratio of the variances."""
-        ratio = (float(np.std(values, ddof=1)) / self.std) ** 2
+        std = float(np.std(values, ddof=1))
+        ratio = (std / self.std) ** 2
         low, high = stats.f.ppf(_ENDS, len(values) - 1, self.n - 1)
         return Fate.AGREES if low <= ratio <= high else Fate.MISSED
 
@@ -207,7 +213,7 @@ class OneRun:
     value: float
     words = "agreement"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the share of our runs that are as large, between the ends of the middle 95 %."""
         low, high = np.quantile(values, _ENDS)
         share = float(np.mean(values >= self.value))
@@ -215,7 +221,7 @@ class OneRun:
 
     def verdict(self, values: Floats) -> Fate:
         """Compare the published run with the middle of ours."""
-        runs = self.found(values)
+        runs = self.number(values)
         return Fate.AGREES if runs.low <= self.value <= runs.high else Fate.MISSED
 
 
@@ -231,7 +237,7 @@ class Rarely:
         """What is asked."""
         return f"in fewer than {100 * self.share:g} %"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the share of trials in which the fact holds."""
         return share_of(values)
 
@@ -254,7 +260,7 @@ class AsOften:
         """What is asked."""
         return f"agreement with {100 * self.share:g} %"
 
-    def found(self, values: Floats) -> OurNumber:
+    def number(self, values: Floats) -> OurNumber:
         """Return the share of trials in which the fact holds."""
         return share_of(values)
 
@@ -264,12 +270,10 @@ class AsOften:
         return Fate.AGREES if ours.low <= self.share <= ours.high else Fate.MISSED
 
 
-_ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-
-
 def chi_square_interval(std: float, n: int) -> tuple[float, float]:
     """Return the 95 % interval of the standard deviation of n normal values."""
-    low, high = std * np.sqrt((n - 1) / stats.chi2.ppf(_ENDS[::-1], n - 1))
+    quantiles = stats.chi2.ppf(_ENDS[::-1], n - 1)
+    low, high = std * np.sqrt((n - 1) / quantiles)
     return float(low), float(high)
 
 
@@ -300,30 +304,27 @@ class Row:
     """A claim, our number and the verdict."""
 
     claim: Claim
-    found: OurNumber
+    ours: OurNumber
     verdict: Fate
 
 
 def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
     """Measure a claim's trials, which `results` holds by arm, and assess them."""
-    ours = _measured(claim, results[claim.arm])
-    values = ours
+    values = _measured(claim, results[claim.arm])
     means = None
     if claim.minus is not None:
-        paired = min(len(ours), len(results[claim.minus]))
-        ours = ours[:paired]
-        other = _measured(claim, results[claim.minus])[:paired]
-        values = ours - other
-        means = float(ours.mean()), float(other.mean())
-    found = replace(claim.asked.found(values), means=means)
+        subtracted = _measured(claim, results[claim.minus])
+        pairs = min(len(values), len(subtracted))
+        means = (float(values[:pairs].mean()), float(subtracted[:pairs].mean()))
+        values = values[:pairs] - subtracted[:pairs]
     verdict = claim.asked.verdict(values)
     if claim.expected is Fate.OUT and verdict is not Fate.REACHED:
         verdict = Fate.OUT
-    return Row(claim, found, verdict)
+    return Row(claim, replace(claim.asked.number(values), means=means), verdict)
 
 
 def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:
     """Return the measure (n,) of the trials of one arm."""
     values = np.array([claim.measure(trial) for trial in trials[: claim.first]], dtype=float)
-    assert all(map(math.isfinite, values)), f"{claim.figure}: a trial has no such number"
+    assert np.isfinite(values).all(), f"{claim.figure}: a trial has no such number"
     return values

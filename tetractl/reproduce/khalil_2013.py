@@ -25,7 +25,9 @@ def disc(log: TrialLog) -> float:
 
 def disc_over_least(log: TrialLog) -> float:
     """Return that diameter over 2 v / a of the simulated robot, the least mean diameter."""
-    a, speed = (json.loads(log.start.plant.facts[key])[0] for key in ("true_a", "true_speed"))
+    facts = log.start.plant.facts
+    (a,) = json.loads(facts["true_a"])
+    (speed,) = json.loads(facts["true_speed"])
     return disc(log) * a / (2 * speed)
 
 

@@ -175,10 +175,10 @@ SIMULATED = [
 ]
 
 
-def _of_the_experiment(arm: str, expected: Fate, why: str, left: Fate) -> list[Claim]:
+def _of_the_experiment(arm: str, expected: Fate, why: str, edge: Fate) -> list[Claim]:
     """Return what section V says of its 20 trials and of the run of Figure 5, asked of one arm.
 
-    `expected` is the verdict on the sizes of errors, `left` that on the edge of the field.
+    `expected` is the verdict on the sizes of errors, `edge` that on the edge of the field.
     """
     of_trials = f"(n {PUBLISHED_TRIALS})"
     entered = Fate.UNDECIDED if arm == "bench" else Fate.MISSED
@@ -228,7 +228,7 @@ def _of_the_experiment(arm: str, expected: Fate, why: str, left: Fate) -> list[C
             arm=arm,
             measure=measures.left,
             asked=Rarely(),
-            expected=left,
+            expected=edge,
             why=NO_EDGE,
         ),
     ]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tetractl.core.plan import Plan
-from tetractl.core.poses import Floats, wrap
+from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.log.read.trial_log import TrialLog
 
 REVERSAL = 0.3
@@ -14,6 +14,8 @@ CELLS_FIELD_UM = 5000
 """Side of the field of view of its cells (section V)."""
 CELL_SPEED_UM_S = 300
 """Speed of its cells (section V)."""
+EARLY = 10
+"""Number of iterations in which J falls quickly."""
 
 
 def total_error(log: TrialLog) -> float:
@@ -63,8 +65,11 @@ def warm_gain(log: TrialLog) -> float:
 def off_start(log: TrialLog) -> float:
     """Return how far robots are from where they began when step 0 is sent, the mean of them."""
     assert log.truth is not None, "the trials are simulated"
-    at = int(np.searchsorted(log.mocap_ns, log.steps[0].command.sent_ns)) - 1
-    return float(np.hypot(*(log.truth[at] - log.truth[0])[:, :2].T).mean())
+    sent_ns = log.steps[0].command.sent_ns
+    frame = int(np.searchsorted(log.mocap_ns, sent_ns)) - 1  # the last one before
+    moved = (log.truth[frame] - log.truth[0])[:, :2]
+    distances = np.hypot(moved[:, 0], moved[:, 1])
+    return float(distances.mean())
 
 
 def chosen_history(log: TrialLog) -> Floats:
@@ -74,16 +79,22 @@ def chosen_history(log: TrialLog) -> Floats:
 
 
 def early_share(log: TrialLog) -> float:
-    """Return the share of a search's decrease of J that its first ten iterations bring."""
+    """Return the share of a search's decrease of J that its first EARLY iterations bring."""
     j = chosen_history(log)
-    return float((j[0] - j[10]) / (j[0] - j[-1]))
+    return float((j[0] - j[EARLY]) / (j[0] - j[-1]))
 
 
 def exponential(log: TrialLog) -> float:
     """Return R^2 of a line through log J against the iteration, minus that of one through J."""
     j = chosen_history(log)
-    z = np.arange(len(j))
-    return float(np.corrcoef(z, np.log(j))[0, 1] ** 2 - np.corrcoef(z, j)[0, 1] ** 2)
+    return _straightness(np.log(j)) - _straightness(j)
+
+
+def _straightness(values: Floats) -> float:
+    """Return R^2 of a line through values (n,) against their index."""
+    index = np.arange(len(values))
+    correlation = np.corrcoef(index, values)[0, 1]
+    return float(correlation**2)
 
 
 def space(log: TrialLog) -> float:
@@ -91,11 +102,15 @@ def space(log: TrialLog) -> float:
     setup = log.start.setup
     assert log.truth is not None, "the trials are simulated"
     ends = np.concatenate([setup.starts.xy, setup.targets])
-    return _box(log.truth[:, :, :2].reshape(-1, 2)) / _box(ends)
+    paths = log.truth[:, :, :2].reshape(-1, 2)
+    return _box(paths) / _box(ends)
 
 
 def _box(points: Floats) -> float:
-    return float(np.prod(np.ptp(points[np.isfinite(points).all(axis=1)], axis=0)))
+    """Return the area of the box round points (n, 2), of which some may be unknown."""
+    known_points = points[np.isfinite(points).all(axis=1)]
+    width, height = np.ptp(known_points, axis=0)
+    return float(width * height)
 
 
 def field_of_cells(log: TrialLog) -> float:
@@ -115,17 +130,23 @@ def spins(log: TrialLog) -> bool:
 def spinning(log: TrialLog) -> float:
     """Return for how long the field turns in one sense through a whole turn or more, apart from
     reversals up to REVERSAL [s]."""
-    sent = [step.plan.direction for step in log.steps]
-    direction = np.array([np.nan if angle is None else angle for angle in sent], dtype=float)
+    directions = [step.plan.direction for step in log.steps]
+    angle = np.array([np.nan if u is None else u for u in directions], dtype=float)
     time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
-    turned = wrap(np.diff(direction))
-    on = np.isfinite(turned)
-    bounds = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
+    turned = wrap(np.diff(angle))  # NaN where robots stand
     total_s = 0.0
-    for begin, end in bounds.reshape(-1, 2):
-        angle = np.concatenate([[0.0], np.cumsum(turned[begin:end])])
-        total_s += spinning_time(angle, time_s[begin : end + 1])
+    for begin, end in _runs(np.isfinite(turned)):
+        counted = np.concatenate([[0.0], np.cumsum(turned[begin:end])])
+        total_s += spinning_time(counted, time_s[begin : end + 1])
     return total_s
+
+
+def _runs(holds: Bools) -> Integers:
+    """Return the begin and the end (K, 2) of each run of entries that hold, the end after its last
+    one."""
+    bordered = np.concatenate([[False], holds, [False]])
+    bounds = np.flatnonzero(np.diff(bordered.astype(int)))
+    return bounds.reshape(-1, 2)
 
 
 def spinning_time(angle: Floats, time_s: Floats) -> float:

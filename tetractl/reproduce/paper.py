@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tetractl.core.table.table import Table, lengths
-from tetractl.reproduce.claim import Claim, NumberKind, Row
+from tetractl.reproduce.claim import Claim, NumberKind, OurNumber, Row
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,42 +58,46 @@ def _texts(row: Row) -> tuple[str, ...]:
         claim.figure,
         claim.published,
         claim.asked.words,
-        _number(row),
-        str(row.found.n),
-        _interval(row),
+        _number(row.ours, claim.unit),
+        str(row.ours.n),
+        _interval(row.ours, claim.unit),
         row.verdict,
         claim.why,
     )
 
 
-def _number(row: Row) -> str:
+def _number(number: OurNumber, unit: str) -> str:
     """Return our number as text."""
-    found = row.found
-    count = f"{round(found.value * found.n)} of {found.n}"
-    match found.kind:
+    count = f"{round(number.value * number.n)} of {number.n}"
+    match number.kind:
         case NumberKind.SHARE:
             return count
         case NumberKind.RUNS:
             return f"{count} runs as large"
-    text = f"{lengths(found.value)(found.value)} {row.claim.unit}".strip()
-    if found.means is None:
+    text = f"{_length(number.value)} {unit}".strip()
+    if number.means is None:
         return text
-    ours, other = (lengths(mean)(mean) for mean in found.means)
-    return f"{text} ({ours} and {other})"
+    ours, subtracted = number.means
+    return f"{text} ({_length(ours)} and {_length(subtracted)})"
 
 
-def _interval(row: Row) -> str:
+def _length(value: float) -> str:
+    """Return a length with the digits that suit it."""
+    return lengths(value)(value)
+
+
+def _interval(number: OurNumber, unit: str) -> str:
     """Return the interval of our number as text."""
-    found = row.found
-    if found.kind is NumberKind.SHARE:
-        return f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
-    if found.kind is NumberKind.RUNS:
-        show = lengths(found.high)
-        return f"runs: {show(found.low)} to {show(found.high)} {row.claim.unit}"
-    if found.low == found.high:
+    match number.kind:
+        case NumberKind.SHARE:
+            return f"{100 * number.low:.0f} to {100 * number.high:.0f} %"
+        case NumberKind.RUNS:
+            show = lengths(number.high)
+            return f"runs: {show(number.low)} to {show(number.high)} {unit}"
+    if number.low == number.high:
         return "none"
-    show = lengths(found.value)
-    return f"{show(found.low)} to {show(found.high)}"
+    show = lengths(number.value)
+    return f"{show(number.low)} to {show(number.high)}"
 
 
 def items(row: Row) -> dict[str, Any]:
@@ -104,7 +108,7 @@ def items(row: Row) -> dict[str, Any]:
         "published": claim.published,
         "asked": claim.asked.words,
         "unit": claim.unit,
-        **asdict(row.found),
+        **asdict(row.ours),
         "verdict": row.verdict,
         "expected": claim.expected,
         "why": claim.why,

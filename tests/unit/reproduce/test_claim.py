@@ -33,7 +33,7 @@ def test_a_mean_is_reached_or_missed_by_its_whole_interval(bound, verdict):
 
 def test_equal_values_count_as_a_point():
     equal = np.full(3, 11.0)
-    number = Within(20, 20).found(equal)
+    number = Within(20, 20).number(equal)
     assert number.low == 11
     assert number.high == 11
     assert Within(20, 20).verdict(equal) is Fate.MISSED
@@ -52,7 +52,7 @@ def test_equal_values_count_as_a_point():
 def test_absence_needs_as_many_trials_as_presence(count, n, verdict):
     values = (np.arange(n) < count).astype(float)
     assert Rarely(0.05).verdict(values) is verdict
-    assert Rarely(0.05).found(values).kind is NumberKind.SHARE
+    assert Rarely(0.05).number(values).kind is NumberKind.SHARE
 
 
 def test_a_fact_as_often_as_stated_agrees():
@@ -74,15 +74,15 @@ def test_a_published_mean_and_deviation_agree_within_their_own_uncertainty():
 def test_a_published_run_agrees_if_it_is_no_rare_one_of_ours():
     runs = np.arange(100.0)
     assert OneRun(90.0).verdict(runs) is Fate.AGREES
-    assert OneRun(90.0).found(runs).value == 0.1
+    assert OneRun(90.0).number(runs).value == 0.1
     assert OneRun(99.0).verdict(runs) is Fate.MISSED
 
 
 def test_a_difference_is_paired_and_tells_both_means():
     claim = Claim("f", "less", "ours", lambda trial: trial, AtMost(0), minus="other")
     row = assess(claim, {"ours": [1.0, 2.0, 3.0, 9.0], "other": [2.0, 3.0, 4.0]})
-    assert row.found.value == -1
-    assert row.found.means == (2, 3)
+    assert row.ours.value == -1
+    assert row.ours.means == (2, 3)
     assert row.verdict is Fate.REACHED
 
 
@@ -97,4 +97,4 @@ def test_what_no_controller_can_do_is_out_of_reach_only_if_it_is_not_reached():
 
 def test_a_claim_that_does_not_depend_on_the_trial_measures_one():
     claim = Claim("f", "p", "ours", float, AtMost(12), first=1)
-    assert assess(claim, {"ours": VALUES}).found.n == 1
+    assert assess(claim, {"ours": VALUES}).ours.n == 1

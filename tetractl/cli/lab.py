@@ -53,7 +53,7 @@ def check(
     if as_json:
         print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:
-        print_findings(preflight)
+        print_findings(preflight, hasattr(experiment.plant.camera, "latency"))
     if not preflight.ready:
         return Exit.FAILED
     return Exit.DONE if yes or _agreed(preflight.questions) else Exit.FAILED

@@ -43,21 +43,37 @@ def _or(unknown: str, form: str) -> Callable[[Any], str]:
     return lambda value: unknown if value is None else form.format(value)
 
 
-def print_findings(preflight: Preflight) -> None:
-    """Print a table of the robots, the camera's rates and delays, warnings and problems."""
+def print_findings(preflight: Preflight, latency_stated: bool) -> None:
+    """Print a table of the robots, the camera's rates and delays, warnings and problems.
+
+    With `latency_stated`, the age of frames follows from the spec's lab.camera.latency, and is not
+    measured.
+    """
     console = Console()
     print_tables([robots_table(preflight)], console)
     rate = "unknown" if preflight.camera_rate_hz is None else f"{preflight.camera_rate_hz:.1f} Hz"
     lines = [f"camera: {rate}"]
     if preflight.latency_ms is not None:
         median, most = preflight.latency_ms
-        lines.append(f"age of frames on arrival: {median:.1f} ms, at most {most:.1f} ms")
+        condition = ", if lab.camera.latency is right" if latency_stated else ""
+        age = f"{median:.1f} ms, at most {most:.1f} ms"
+        lines.append(f"age of frames on arrival: {age}{condition}")
     lines += [f"{name}: {value}" for name, value in preflight.facts.items()]
     lines += [f"warning: {line}" for line in preflight.all_warnings]
     lines += [f"problem: {line}" for line in (*preflight.all_problems, *preflight.misplaced)]
-    lines.append("ready" if preflight.ready else "not ready")
+    lines.append(_verdict(preflight))
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _verdict(preflight: Preflight) -> str:
+    """Return whether a run could start, and of how much is warned."""
+    if not preflight.ready:
+        return "not ready"
+    number = len(preflight.all_warnings)
+    if number == 0:
+        return "ready"
+    return f"ready, with {number} {'warning' if number == 1 else 'warnings'}"
 
 
 def preflight_items(preflight: Preflight) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """What a lab check prints, and what scripts read of it."""
 
+from dataclasses import replace
+
 import pytest
 
 from tetractl.core.commands import RobotStatus
@@ -23,10 +25,32 @@ def test_a_robot_that_is_not_tracked_has_no_place():
 
 
 def test_everything_found_is_printed_and_is_in_the_json(capsys):
-    print_findings(FOUND)
+    print_findings(FOUND, latency_stated=False)
     lines = capsys.readouterr().out.splitlines()
     for line in ("camera: 119.9 Hz", "server: Motive", "warning: dusty", "problem: no radio"):
         assert line in lines
+    assert "age of frames on arrival: 8.0 ms, at most 12.5 ms" in lines
     assert lines[-1] == "not ready"
     document = preflight_items(FOUND)
     assert (document["ready"], document["robots"][0]["off_mm"]) == (False, 3.4)
+
+
+@pytest.mark.parametrize(
+    ("warnings", "verdict"),
+    [
+        ((), "ready"),
+        (("tags were printed at 98 %",), "ready, with 1 warning"),
+        (("dusty", "dark"), "ready, with 2 warnings"),
+    ],
+)
+def test_the_last_line_says_of_how_much_is_warned(capsys, warnings, verdict):
+    """Regression: of tags printed at 98 % the last line was "ready"."""
+    print_findings(replace(FOUND, robots=(READY,), problems=(), warnings=warnings), False)
+    assert capsys.readouterr().out.splitlines()[-1] == verdict
+
+
+def test_an_age_of_frames_that_the_spec_states_is_not_printed_as_measured(capsys):
+    """Regression: a latency of 10 ms that was 60 ms was printed as the age of frames."""
+    print_findings(FOUND, latency_stated=True)
+    age = "age of frames on arrival: 8.0 ms, at most 12.5 ms, if lab.camera.latency is right"
+    assert age in capsys.readouterr().out.splitlines()

@@ -133,7 +133,9 @@ def test_a_study_interrupted_is_gone_on_with(finished_study, tmp_path):
     assert lines[-1] == "interrupted"
     assert "trials are missing; continue with the same command" in lines[-2]
     assert 5 <= len(table(out)) < 40
+    assert not list(out.glob("*.png"))  # they take seconds
     assert study("study.yaml", "--out", "out", cwd=tmp_path).returncode == 0
+    assert list(out.glob("*.png"))
     assert results(out) == results(finished_study[0] / "out")
 
 

@@ -63,8 +63,8 @@ def study(
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
 
-    If a study was interrupted, the same command runs the missing trials. A trial that fails does
-    not stop the others; the exit code is then 1.
+    If a study was interrupted, the same command runs the missing trials and draws the figures. A
+    trial that fails does not stop the others; the exit code is then 1.
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
@@ -164,15 +164,18 @@ def _tell_plan(loaded: "LoadedStudy", to_run: int, workers: int) -> None:
 
 
 def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:
-    """Write tables and figures; print the errors and the number of missing trials; return the exit
-    code.
+    """Write tables and, unless the study was interrupted, figures, which take seconds; print the
+    errors and the number of missing trials; return the exit code.
     """
     from tetractl.study.arm_table import arms_table, finished_trials, write_tables
-    from tetractl.study.figure import write_figures
 
     finished = [trial for _, trial in finished_trials(loaded, store)]
     if finished:
-        paths = [*write_tables(loaded, store), *write_figures(loaded, store)]
+        paths = list(write_tables(loaded, store))
+        if not interrupted:
+            from tetractl.study.figure import write_figures
+
+            paths += write_figures(loaded, store)
         print_tables([arms_table(loaded, store)])
         print(*paths, sep="\n")
     wanted = len(loaded.arms) * loaded.study.trials.count

@@ -28,7 +28,7 @@ def track(folder: Path, um_px: float, setting: Setting) -> Shown:
     rows = [
         (frame, path.identity, c.x, c.y, c.axis, c.heading, c.sure)
         for path in followed.paths
-        for frame, c in zip(path.frames.tolist(), path.seen, strict=True)
+        for frame, c in zip(path.frames.tolist(), path.sightings, strict=True)
     ]
     table = np.array(sorted(rows)).reshape(-1, 7)
     numbers = {}

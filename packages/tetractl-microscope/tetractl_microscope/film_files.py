@@ -36,7 +36,7 @@ from tetractl_microscope.results.geff_file import write_geff
 SIDE_PX = 768  # longest side of the film with the tracks; larger films are drawn at a fraction
 TRAIL = 45  # length of a trail [pictures]
 ARROW_UM = 40.0  # length of an arrow along a cell's heading [um]
-COLORS = [tuple(int(color[i : i + 2], 16) for i in (5, 3, 1)) for color in PALETTE]  # blue first
+COLORS = [tuple(reversed(bytes.fromhex(color[1:]))) for color in PALETTE]  # blue first
 
 Cells = list[SeenCell]
 
@@ -51,7 +51,7 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     path = folder / "track.mcap"
     cells = defaultdict[int, Cells](list)
     for path_of_cell in followed.paths:
-        for number, cell in zip(path_of_cell.frames.tolist(), path_of_cell.seen, strict=True):
+        for number, cell in zip(path_of_cell.frames.tolist(), path_of_cell.sightings, strict=True):
             cells[number].append(cell)
     try:
         _write_pictures(path, film, followed, record, cells)
@@ -145,7 +145,7 @@ def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[i
     middle = (column, row)
     trail[:] = [*trail[1 - TRAIL :], middle]
     cv2.polylines(picture, [np.array(trail, np.int32)], False, *look)
-    if cell.found and math.isfinite(cell.long_um):
+    if cell.has_blob and math.isfinite(cell.long_um):
         axes = (round(cell.long_um / 2 / um_px), round(cell.wide_um / 2 / um_px))
         cv2.ellipse(picture, middle, axes, -math.degrees(cell.axis), 0, 360, *look)
     ahead = ARROW_UM * math.cos(cell.heading), ARROW_UM * math.sin(cell.heading)

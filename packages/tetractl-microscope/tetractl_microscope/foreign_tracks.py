@@ -130,9 +130,10 @@ def _is_time(header: str) -> bool:
 
 def _require_whole(path: Path, column: str, frames: Floats) -> None:
     """Raise UsageError if numbers of pictures are fractions."""
-    part = frames[frames % 1 != 0]
-    if part.size:
-        said = f"{path}: column {printable(column)}: {part[0]:g} is no number of a picture"
+    is_fraction = frames % 1 != 0
+    if is_fraction.any():
+        first = frames[is_fraction][0]
+        said = f"{path}: column {printable(column)}: {first:g} is no number of a picture"
         raise UsageError(said, f"of times in seconds, name the column {printable(column)}_s")
 
 
@@ -198,7 +199,8 @@ def _poses(
     if not np.isfinite(spots.rows).all():
         raise UsageError(f"{path}: has a value that is not finite")
     for number in np.unique(spots.rows[:, 0]):
-        track = spots.rows[spots.rows[:, 0] == number]
+        is_on_track = spots.rows[:, 0] == number
+        track = spots.rows[is_on_track]
         _, frame, x, y = track[np.argsort(track[:, 1], kind="stable")].T
         time = frame * seconds
         up = -spots.tall * y
@@ -271,7 +273,9 @@ def _graph(path: Path) -> SpotTable:
     order = np.argsort(ids)
     first, last = order[np.searchsorted(ids, edges, sorter=order)].T
     single = np.bincount(first, minlength=len(ids))[first] == 1
-    links = coo_array((np.ones(single.sum()), (first[single], last[single])), [len(ids)] * 2)
+    ends = (first[single], last[single])
+    count = len(ids)
+    links = coo_array((np.ones(single.sum()), ends), (count, count))
     _, track = connected_components(links, directed=False)
     time, x, y = axes
     across = _step(x, MICROMETRES)
@@ -316,14 +320,16 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
         return [times[0], ends["x"], ends["y"]] if {"x", "y"} <= set(ends) else [times[0], x, y]
     named_axes = [*stated] or [_NamedAxis(name) for name in names]
     by_name = {axis.name.lower(): axis for axis in named_axes}
-    by_place = [
-        next((by_name[axis_name] for axis_name in names_of_place if axis_name in by_name), None)
-        for names_of_place in AXES
-    ]
+    by_place = [_first_of(by_name, names_of_place) for names_of_place in AXES]
     if None in by_place:
         said = ", ".join(axis.name for axis in named_axes)
         raise ValueError(f"no axis has a type, and their names are {said}")
     return by_place
+
+
+def _first_of(by_name: Mapping[str, Any], names: Iterable[str]) -> Any:
+    """Return the axis with the first of some names that one has; None if none has one."""
+    return next((by_name[name] for name in names if name in by_name), None)
 
 
 def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:

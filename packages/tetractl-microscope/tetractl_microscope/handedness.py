@@ -72,7 +72,8 @@ def watch_turning(
     direction = manoeuvre(choice.turn, seed)
 
     def field(times: Floats) -> NDArray[np.complex128]:
-        return np.exp(1j * np.array([direction(round(time_s * SECOND)) for time_s in times]))
+        directions = np.array([direction(round(time_s * SECOND)) for time_s in times])
+        return np.exp(1j * directions)
 
     return cells, handedness([np.array(path) for path in seen_paths.values()], field)
 

@@ -16,8 +16,8 @@ def read_numbers(path: Path, names: Sequence[str]) -> Floats:
     a text or no finite number.
     """
     columns = [NumberColumn(name) for name in names]
-    table = [[column.number(path, row) for column in columns] for row in read_csv(path)]
-    return np.array(table).reshape(-1, len(names))
+    numbers = [column.number(path, row) for row in read_csv(path) for column in columns]
+    return np.array(numbers).reshape(-1, len(names))
 
 
 def read_times(path: Path) -> Floats:

@@ -106,8 +106,7 @@ def survey(
     choices = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
     if as_json:
         listed_choices = [
-            {"cells": [cell.number for cell in proposal.cells], "error": proposal.error}
-            for proposal in choices
+            {"cells": proposal.numbers, "error": proposal.error} for proposal in choices
         ]
         numbers = [[first.number, second.number] for first, second in pairs]
         listed = [{**asdict(cell), "magnetised": cell.magnetised} for cell in cells]
@@ -124,7 +123,7 @@ def survey(
         )
     else:
         for proposal in choices:
-            numbers = ", ".join(str(cell.number) for cell in proposal.cells)
+            numbers = ", ".join(map(str, proposal.numbers))
             error = (
                 f"{proposal.error:.0f} {unit}"
                 if np.isfinite(proposal.error)

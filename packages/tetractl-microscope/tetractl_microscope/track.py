@@ -119,8 +119,9 @@ def track(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
     if directions is not None and field is not None:
-        ends = pictures.seconds(0), pictures.seconds(followed.pictures - 1)
-        ui.tell(*clock_remarks(directions, str(field), str(film), *ends))
+        first_s = pictures.seconds(0)
+        last_s = pictures.seconds(followed.pictures - 1)
+        ui.tell(*clock_remarks(directions, str(field), str(film), first_s, last_s))
         paths = [np.column_stack([path.times, path.places]) for path in followed.paths]
         check_times(str(field), courses(paths), directions.sent, 1 / pictures.rate_hz)
         followed = replace(followed, remarks=(*followed.remarks, *side_remarks(directions, paths)))
@@ -132,7 +133,8 @@ def track(
             write_results(out, pictures, followed, record)
     ui.show(as_json, record, cell_tables(record))
     if out is not None and not as_json:
-        print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+        files = sorted(path.name for path in out.iterdir())
+        print(f"wrote {out}: {', '.join(files)}")
     if not followed.paths:
         read = followed.pictures - followed.damaged
         ui.tell(

@@ -63,7 +63,7 @@ def followed(made, known=True):
 def who(made, path):
     """Which cell of a film a path is of, by most of its pictures."""
     votes = []
-    for k, cell in zip(path.frames, path.seen, strict=True):
+    for k, cell in zip(path.frames, path.sightings, strict=True):
         gaps = np.linalg.norm(
             np.nan_to_num(made.body[k, :, :2], nan=1e6) - (cell.x, cell.y), axis=1
         )
@@ -100,7 +100,7 @@ class Score:
         of = {}
         self.numbers = {}
         for path in followed.paths:
-            for k, cell in zip(path.frames, path.seen, strict=True):
+            for k, cell in zip(path.frames, path.sightings, strict=True):
                 shown[k].append(cell)
         events = made.script.events
         divides = made.script.cells - 2
@@ -130,7 +130,7 @@ class Score:
                 when[i] = k
                 of[cell.identity] = i
                 self.numbers.setdefault(i, []).append(cell.identity)
-                if cell.found:
+                if cell.has_blob:
                     self.position.append((cell.x - body[0], cell.y - body[1]))
                     self.axis.append((cell.axis - body[2] + math.pi / 2) % math.pi - math.pi / 2)
                     off = (cell.heading - made.heading[k, i] + math.pi) % (2 * math.pi) - math.pi

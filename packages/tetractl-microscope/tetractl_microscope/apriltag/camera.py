@@ -105,7 +105,8 @@ class Tracker:
         x, y = corners.mean(axis=0) / self._metres
         fit = np.vdot(_MODEL, corners[:, 0] + 1j * corners[:, 1]) / np.vdot(_MODEL, _MODEL).real
         heading = math.atan2(fit.imag, fit.real) + heading_offset
-        return Pose(float(x), float(y), heading), float(abs(fit))
+        pose = Pose(float(x), float(y), heading)
+        return pose, float(abs(fit))
 
 
 BLURRED = 0.36  # blur [modules] above which some tags cannot be read
@@ -119,10 +120,10 @@ Finding = tuple[bool, str]
 def _findings(
     section: AprilTagSection, tracker: Tracker, looks: Sequence[Look[Seen]]
 ) -> Iterator[Finding]:
-    counts = Counter(tag for look in looks for tag in set(look.seen.tags))
+    counts = Counter(tag for look in looks for tag in set(look.result.tags))
     # a tag seen in fewer than half of the pictures counts as not seen
     shown_tags = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(looks))
-    twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
+    twice = {tag for look in looks for tag, n in Counter(look.result.tags).items() if n > 1}
     others = f"; tags seen: {_listed(shown_tags)}"
     floor = [tag.tag for tag in section.floor]
     if missing := [tag for tag in floor if tag not in shown_tags]:
@@ -145,7 +146,7 @@ def _findings(
     yield from _printed(section, tracker)
     above_mm = plane.above_mm if plane is not None else math.inf
     for i, robot in enumerate(tracker.robots):
-        sizes = [size for look in looks if (size := look.seen.sizes[i]) is not None]
+        sizes = [size for look in looks if (size := look.result.sizes[i]) is not None]
         if robot.tag in twice:
             yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
         elif robot.tag not in shown_tags:
@@ -176,7 +177,7 @@ def _printed(section: AprilTagSection, tracker: Tracker) -> Iterator[Finding]:
 
 def _odd(ratio: float, robot: RobotTag, looks: Sequence[Look[Seen]], above_mm: float) -> bool:
     """Return whether a robot's tag has a `ratio` to its size that nothing harmless explains."""
-    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+    sides = [look.result.side_px for look in looks if look.result.side_px is not None]
     return odd_robot(ratio, min(sides), robot.size_mm, above_mm - robot.height_mm)
 
 
@@ -222,8 +223,8 @@ class AprilTagCamera(PictureCamera[Seen]):
         plane = floor.plane or floor.misfit
         for refuses, text in _findings(section, self._tracker, looks):
             (problems if refuses else warnings).append(text)
-        blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
-        sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+        blurs = [look.result.blur for look in looks if look.result.blur is not None]
+        sides = [look.result.side_px for look in looks if look.result.side_px is not None]
         if blurs and statistics.median(blurs) > BLURRED:
             warnings.append(
                 f"tags are too small or blurred, the smallest {min(sides):.0f} px wide: focus the "

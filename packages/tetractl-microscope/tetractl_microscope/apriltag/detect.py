@@ -35,7 +35,8 @@ class Sighting:
     @property
     def side_px(self) -> float:
         """Mean length of the four sides [px]."""
-        return float(np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=0), axis=1).mean())
+        sides = self.corners - np.roll(self.corners, 1, axis=0)
+        return float(np.linalg.norm(sides, axis=1).mean())
 
 
 class Detector:
@@ -79,7 +80,9 @@ class Detector:
 
 def tag_picture(number: int) -> Grey:
     """Return a tag as printed by the AprilTag project, one pixel per module, (8, 8), 0 or 255."""
-    turns = next(k for k in range(4) if (np.rot90(_drawn(0), k) == _zero()).all())
+    drawn = [np.rot90(_drawn(0), k) for k in range(4)]
+    printed = _zero()
+    turns = next(k for k in range(4) if np.array_equal(drawn[k], printed))
     return np.ascontiguousarray(np.rot90(_drawn(number), turns))
 
 

@@ -93,7 +93,8 @@ class Plane:
         """Return a tag's height above the floor [m] and tilt [rad] from its pose in camera axes."""
         place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
         upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
-        return float(place[2]), float(np.arccos(np.clip(upward[2], -1.0, 1.0)))
+        tilt = np.arccos(np.clip(upward[2], -1.0, 1.0))
+        return float(place[2]), float(tilt)
 
 
 def placed(tag: FloorTag, metres: float) -> Floats:
@@ -161,7 +162,8 @@ def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) ->
     """
     _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
     rotation, _ = cv2.Rodrigues(turn)
-    return Plane(matrix, distortion, rotation.astype(float), shift.ravel().astype(float))
+    shift_m = shift.ravel().astype(float)
+    return Plane(matrix, distortion, rotation.astype(float), shift_m)
 
 
 def _fitted(

@@ -48,8 +48,8 @@ def print_scale(
     def misfit(x: Floats) -> Floats:
         """Return the errors of the corners' pixels for turn, shift, logarithm of the size and, if
         it is estimated, the lens (7 or 9,), and the lens's own, all in standard deviations."""
-        spots = centres + math.exp(x[6]) * corners
-        space = np.column_stack([spots.reshape(-1, 2), np.zeros(len(points))])
+        spots = (centres + math.exp(x[6]) * corners).reshape(-1, 2)
+        space = np.column_stack([spots, np.zeros(len(spots))])
         usual = x[7:]
         lens_of_picture = (
             (plane.matrix, plane.distortion) if lens else lens_of(usual, width, middle)

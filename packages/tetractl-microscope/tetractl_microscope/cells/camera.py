@@ -91,7 +91,7 @@ class CellCamera(PictureCamera[SeenDish]):
         estimates of a and of the mean speed since each was first seen. Cells near the arena's edge
         are not free.
         """
-        return [self._found(c) for c in self._cells if c.found and c.probability >= SURE]
+        return [self._found(c) for c in self._cells if c.has_blob and c.probability >= SURE]
 
     def _found(self, cell: SeenCell) -> RobotCandidate:
         per_um = 1e-6 / self._setup.metres
@@ -104,7 +104,8 @@ class CellCamera(PictureCamera[SeenDish]):
             speed = float(cell.mean[WAY] - before) / seconds
             speed_sd = WIDER * float(cell.sd[WAY]) / seconds
         speed_sd = math.hypot(speed_sd, SPEED_ERROR * speed) * per_um
-        free = not self._near_wall(np.array([cell.x]), np.array([cell.y])).item()
+        x, y = np.array([[cell.x], [cell.y]])
+        free = not self._near_wall(x, y).item()
         a_sd = math.hypot(a_sd, A_ERROR * a)
         pose = self._pose_of(cell)
         return RobotCandidate(cell.identity, pose, a, a_sd, speed * per_um, speed_sd, free)

@@ -28,7 +28,7 @@ class SeenCell:
     x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] the direction
     of the helix's axis, which turns by equation (3) of the paper. `mean` (12,) is the filter's
     state, with the standard deviations `sd` (12,). `probability` is the probability that this is
-    the cell with the number `identity`. `found`: the cell has a blob; `merged`: its blob shows
+    the cell with the number `identity`. `has_blob`: the picture shows it; `merged`: its blob shows
     other cells, too.
     `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob
     and their standard deviations; None if the cell has no blob of its own. `blob_um` (5,) are
@@ -44,7 +44,7 @@ class SeenCell:
     mean: Floats
     sd: Floats
     probability: float
-    found: bool
+    has_blob: bool
     merged: bool
     long_um: float
     wide_um: float
@@ -70,13 +70,13 @@ class TrackName:
 class CellAnswer:
     """Which cell is on which track after cells have met.
 
-    `named` are the tracks' names; `asked` are the cells that met, and `probability` is that of the
+    `named` are the tracks' names; `met` are the cells that met, and `probability` is that of the
     likeliest assignment of them.
     """
 
     named: tuple[TrackName, ...]
     probability: float
-    asked: tuple[int, ...]
+    met: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,15 +144,15 @@ class WhichIsWhich:
 
     `rows[t, n]` (K, K) is the filter's row that follows track t as cell n, `likelihood` (K, K) the
     sum of its log-likelihoods. `prior` (P,) is the log-probability of each assignment in `orders`
-    (P, K) when the question was asked, `known` (K, K) the probability that nothing unknown is there
-    instead of the cell.
+    (P, K) when the question was asked, `not_unknown` (K, K) the probability that nothing unknown is
+    there instead of the cell.
     """
 
     tracks: tuple[CellTrack, ...]
     cells: tuple[Known, ...]
     rows: np.ndarray
     prior: Floats
-    known: Floats
+    not_unknown: Floats
     since_s: float
     likelihood: Floats = field(init=False)
     orders: np.ndarray = field(init=False)
@@ -182,8 +182,7 @@ class WhichIsWhich:
 
     def probabilities(self) -> Floats:
         """Return the probability of each assignment of cells to tracks (P,), as in `orders`."""
-        logs = self.prior + self.likelihood[np.arange(len(self.tracks)), self.orders].sum(axis=1)
-        return normalised(logs)
+        return normalised(self.prior + log_of_each(self.orders, self.likelihood))
 
     def best(self) -> tuple[tuple[int, ...], Floats]:
         """Return the cell of each track in the likeliest assignment, and for each track (K,) the
@@ -191,7 +190,7 @@ class WhichIsWhich:
         """
         shares = self.probabilities()
         order = self.orders[int(np.argmax(shares))]
-        not_unknown = self.known[np.arange(len(order)), order]
+        not_unknown = self.not_unknown[np.arange(len(order)), order]
         return tuple(order.tolist()), not_unknown * (shares @ (self.orders == order))
 
     def on_track(self, t: int) -> Floats:
@@ -209,6 +208,13 @@ def orders(tracks: int) -> np.ndarray:
     """Return all assignments (P, tracks) of as many cells to tracks."""
     all_orders = list(permutations(range(tracks)))
     return np.array(all_orders, int).reshape(-1, tracks)
+
+
+def log_of_each(orders: np.ndarray, table: Floats) -> Floats:
+    """Return the log-probability of each assignment in `orders` (P, K), up to a constant, by those
+    in `table` (K, K) of each cell on each track: the sum of `table[t, orders[p, t]]` over t.
+    """
+    return table[np.arange(len(table)), orders].sum(axis=1)
 
 
 def normalised(logs: Floats) -> Floats:

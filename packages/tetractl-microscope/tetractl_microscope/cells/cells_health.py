@@ -41,10 +41,10 @@ def dish_lines(
     """
     if not looks:
         return [], []
-    newest = looks[-1].seen
+    newest = looks[-1].result
     problems = list[str]()
     warnings = list[str]()
-    level = statistics.median(look.seen.level for look in looks)
+    level = statistics.median(look.result.level for look in looks)
     if level < DARK:
         problems.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
     elif level > SATURATED:
@@ -67,11 +67,11 @@ def dish_lines(
         warnings.append(
             "cells have met, and it is uncertain which is which: let the field turn a few times"
         )
-    contrasts = [c for look in looks if (c := look.seen.light.contrast) is not None]
+    contrasts = [c for look in looks if (c := look.result.light.contrast) is not None]
     contrast = statistics.median(contrasts) if contrasts else None
     if not newest.light.lost and (line := faint_line(contrast, newest.light.limit)):
         warnings.append(line)
-    sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
+    sharp = [look.result.sharpness for look in looks if look.result.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:
         warnings.append("the rims of cells are blurred: focus, or shorten the exposure")
     if width_px < SMALL_PX:
@@ -99,8 +99,10 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
 
 def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
     """Return the median, over one or more pictures, of the number of cells in view."""
-    counts = [
-        sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)
-        for look in looks
-    ]
-    return round(statistics.median(counts))
+    return round(statistics.median(_cells_in(look.result) for look in looks))
+
+
+def _cells_in(dish: SeenDish) -> int:
+    """Return the number of cells, robots or not, in one picture."""
+    robots = sum(pose is not None for pose in dish.poses)
+    return robots + len(dish.strangers)

@@ -199,7 +199,9 @@ class BlobFinder:
         size = _square(self.least_px2).shape
         cv2.boxFilter(self._searched, cv2.CV_32F, size, self._mean, borderType=cv2.BORDER_CONSTANT)
         sample = _sparse(self._mean)
-        usual = sample[sample <= np.median(sample) + max(2.0, noise)].astype(float)
+        highest_usual = np.median(sample) + max(2.0, noise)
+        is_usual = sample <= highest_usual
+        usual = sample[is_usual].astype(float)
         level = min(float(usual.mean()), NOISE_MAX)
         spread = max(float(usual.std()), LEAST)
         low = level + LOW * spread
@@ -207,14 +209,17 @@ class BlobFinder:
         self._limits = (low, high, self.least_px2, self.most_px2)
         np.greater(self._mean, low, out=self._mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
-        is_white = float(np.median(levels)) == 255 > float(np.median(background_levels))
-        lost = noise == NOISE_MAX or is_white
+        is_white = np.median(levels) == 255
+        was_white = np.median(background_levels) >= 255
+        lost = noise == NOISE_MAX or bool(is_white and not was_white)
         changed = cv2.countNonZero(self._mask) / self._mask.size
         return Light(gain, noise, None, changed, lost, limit=high)
 
     def _blobs(self) -> list[Blob]:
         """Return the blobs of the newest picture, largest first."""
-        regions = [_Region(Box(*cv2.boundingRect(contour)), contour) for contour in self.regions()]
+        contours = self.regions()
+        boxes = [Box(*cv2.boundingRect(contour)) for contour in contours]
+        regions = [_Region(box, contour) for box, contour in zip(boxes, contours, strict=True)]
         large = [region for region in regions if region.box.area >= self.least_px2]
         large.sort(key=lambda region: -region.box.area)
         blobs: list[Blob] = []
@@ -231,9 +236,8 @@ class BlobFinder:
         corrected.
         """
         assert self.background is not None
-        left, top = blob.corner
         tall, wide = blob.body.shape
-        part = Box(left, top, wide, tall).part
+        part = Box(*blob.corner, wide, tall).part
         sd_now = cv2.meanStdDev(self._smooth[part])[1].item()
         sd_before = cv2.meanStdDev(self.background[part])[1].item()
         if gain * sd_before < GHOST * max(sd_now, 1.0):

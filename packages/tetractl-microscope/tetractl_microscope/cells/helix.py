@@ -124,8 +124,9 @@ class HelixFilter:
         self._new = new_cell(self.organism, self.known)
         self.add(0.0, 0.0, 0.0, 0.0)
         self.predict([(1.0, 0.0, 0.0)])
-        self.update(np.zeros(1, int), np.zeros((1, 3)), np.ones((1, 3)))
-        self.expected(np.zeros(1, int))
+        only_row = np.zeros(1, int)
+        self.update(only_row, np.zeros((1, 3)), np.ones((1, 3)))
+        self.expected(only_row)
         self.drop(0)
         self._field = None
 

@@ -116,6 +116,7 @@ def _return_density(
     rests = math.exp(-((away / away_um) ** 2) / 2) / (math.tau * away_um**2)
     reach += max(0.0, float(bank.mean[row, SPEED])) * (now - lost.since_s)
     within = (away < reach) / (math.pi * reach**2)
-    apart = float(np.square(np.log(size / lost.cell.size)).sum())
+    log_ratio = np.log(size / lost.cell.size)
+    apart = float(np.square(log_ratio).sum())
     alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
     return RETURNS * (ahead + rests + within) * alike

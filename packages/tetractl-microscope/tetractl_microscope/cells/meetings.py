@@ -30,6 +30,7 @@ from tetractl_microscope.cells.cell_tracks import (
     Meeting,
     Member,
     log_densities,
+    log_of_each,
     normalised,
     orders,
 )
@@ -78,12 +79,12 @@ class Meetings:
             meeting = Meeting([], False)
             self._running.append(meeting)
             return meeting
-        first, *others = meetings
-        for other in others:
-            first.members += other.members
-            first.with_unknown = first.with_unknown or other.with_unknown
-            self._running.remove(other)
-        return first
+        meeting, *merged = meetings
+        for ended in merged:
+            meeting.members += ended.members
+            meeting.with_unknown = meeting.with_unknown or ended.with_unknown
+            self._running.remove(ended)
+        return meeting
 
     def _join(self, meeting: Meeting, track: CellTrack) -> None:
         """Add a track to a meeting, and a copy of its cell that is predicted alone from now on."""
@@ -117,17 +118,18 @@ class Meetings:
         places, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
         deviations = [MERGED[0] if track.merged else PLACE_SD for track in tracks]
         table = self.log_densities(meeting, places, np.array(deviations))
-        known = np.diagonal(self.known(meeting, table))
+        not_unknown = np.diagonal(self.not_unknown(meeting, table))
         if len(tracks) > ORDERED_MOST:
             # only exchanges of two cells are counted, as ratios to the assignment without any
-            own = np.diagonal(table)
-            exchanged = np.exp(table + table.T - own[:, None] - own)
-            return known / exchanged.sum(axis=1)
+            log_own = np.diagonal(table)
+            exchanged = np.exp(table + table.T - log_own[:, None] - log_own)
+            return not_unknown / exchanged.sum(axis=1)
         order = orders(len(tracks))
-        likely = normalised(table[np.arange(len(tracks)), order].sum(axis=1))
-        return known * (likely @ (order == np.arange(len(tracks))))
+        likely = normalised(log_of_each(order, table))
+        has_own = order == np.arange(len(tracks))
+        return not_unknown * (likely @ has_own)
 
-    def known(self, meeting: Meeting, table: Floats) -> Floats:
+    def not_unknown(self, meeting: Meeting, table: Floats) -> Floats:
         """Return the probability (K, M) that a cell, rather than something unknown that has joined
         a meeting, is where its log-density is that of `table`.
         """

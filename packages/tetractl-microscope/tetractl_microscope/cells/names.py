@@ -32,6 +32,7 @@ from tetractl_microscope.cells.cell_tracks import (
     Known,
     Meeting,
     WhichIsWhich,
+    log_of_each,
     orders,
 )
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
@@ -164,8 +165,9 @@ class Names:
             return None
         if meeting is not None and meeting.with_unknown:
             # the two tracks show the cell and something unknown: the nearer to its copy is the cell
-            here, _ = self._bank.expected(np.array([near.filter_row, track.filter_row]))
-            log_densities = self._meetings.log_densities(meeting, here, np.full(2, PLACE_SD))
+            rows = np.array([near.filter_row, track.filter_row])
+            places, _ = self._bank.expected(rows)
+            log_densities = self._meetings.log_densities(meeting, places, np.full(2, PLACE_SD))
             log_own, log_other = log_densities[:, 0].tolist()
             near.together_s = since_s
             self._meetings.end(meeting)
@@ -211,14 +213,14 @@ class Names:
     def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track that is given up out of a meeting."""
         shares = self._meetings.own_shares(meeting).tolist()
-        others = [
-            (other, share)
-            for other, share in zip(meeting.tracks, shares, strict=True)
-            if other is not track
+        remaining = [
+            (member, share)
+            for member, share in zip(meeting.tracks, shares, strict=True)
+            if member is not track
         ]
         self._meetings.leave(meeting, track)
-        if len(others) == 1:
-            last, share = others[0]
+        if len(remaining) == 1:
+            last, share = remaining[0]
             if share < ASSERTED:
                 self._meetings.end(meeting)
                 self._doubt(last, share)
@@ -269,10 +271,10 @@ class Names:
         tracks = tuple(meeting.tracks)
         cells = tuple(member.cell for member in meeting.members)
         table = self._meetings.log_densities(meeting, places, np.full(len(tracks), PLACE_SD))
-        known = self._meetings.known(meeting, table)
-        prior = table[np.arange(len(tracks)), orders(len(tracks))].sum(axis=1)
+        not_unknown = self._meetings.not_unknown(meeting, table)
+        prior = log_of_each(orders(len(tracks)), table)
         rows = self._rows_of_question(meeting, places)
-        question = WhichIsWhich(tracks, cells, rows, prior, known, seconds)
+        question = WhichIsWhich(tracks, cells, rows, prior, not_unknown, seconds)
         self._meetings.end(meeting)
         self._questions.append(question)
         for track in tracks:
@@ -333,9 +335,9 @@ class Names:
 
     def _doubt(self, track: CellTrack, share: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""
-        asked = track.identity
+        name_before = track.identity
         self._set_certainty(track, track.certainty * share)
-        self._tell([track], share, [asked])
+        self._tell([track], share, [name_before])
 
     def _set_certainty(self, track: CellTrack, certainty: float) -> None:
         """Set the certainty of a track's name; if a film's is too low, give it a new name."""
@@ -344,10 +346,10 @@ class Names:
             track.identity = self.take_number()
             track.certainty = 1.0
 
-    def _tell(self, tracks: Sequence[CellTrack], probability: float, asked: Sequence[int]) -> None:
-        """Add an answer: the names of tracks after cells were `asked` about."""
+    def _tell(self, tracks: Sequence[CellTrack], probability: float, met: Sequence[int]) -> None:
+        """Add an answer: the names of tracks after the cells `met` could not be distinguished."""
         named = tuple(
             TrackName(track.number, track.identity, track.certainty, track.together_s)
             for track in tracks
         )
-        self.answers.append(CellAnswer(named, probability, tuple(asked)))
+        self.answers.append(CellAnswer(named, probability, tuple(met)))

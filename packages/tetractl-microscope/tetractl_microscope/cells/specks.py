@@ -46,8 +46,9 @@ def swims(entries: Sequence[PathBlob], needed: int, organism: Organism) -> bool:
 
 def usual_size(path: Floats) -> tuple[float, float]:
     """Return the median length and width [um] of a path's blobs (M, 6) that are not cut off."""
-    is_whole = path[np.isfinite(path[:, 4])]
-    return float(np.median(is_whole[:, 4])), float(np.median(is_whole[:, 5]))
+    is_whole = np.isfinite(path[:, 4])
+    long, wide = np.median(path[is_whole, 4:6], axis=0).tolist()
+    return long, wide
 
 
 def straight(path: Floats) -> tuple[tuple[float, float], Floats]:

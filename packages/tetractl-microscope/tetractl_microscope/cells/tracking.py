@@ -515,7 +515,7 @@ class CellTracker:
                 mean=means[i],
                 sd=sds[i],
                 probability=probabilities[i],
-                found=cell.blob is not None,
+                has_blob=cell.blob is not None,
                 merged=cell.merged or cell.large,
                 long_um=cell.long,
                 wide_um=cell.wide,

@@ -66,8 +66,9 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
     that difference's standard deviation; inf for a single cell."""
     order = np.argsort(a)
     logs = np.log(a[order])
-    off = a_sd[order] / a[order]
-    return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
+    sd = a_sd[order] / a[order]  # of the logarithms
+    sd_of_difference = np.hypot(sd[1:], sd[:-1])
+    return float(np.min(np.diff(logs) - sd_of_difference, initial=np.inf))
 
 
 def worth(cells: Sequence[RobotCandidate], experiment: Experiment) -> tuple[bool, float, float]:
@@ -77,7 +78,8 @@ def worth(cells: Sequence[RobotCandidate], experiment: Experiment) -> tuple[bool
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
     # cells that could swim to the arena's edge within half a second are chosen last
-    free = bool((arena.inside(x, y) > 0.5 * speed).all()) and all(c.free for c in cells)
+    stays_inside = bool((arena.inside(x, y) > 0.5 * speed).all())
+    free = stays_inside and all(cell.free for cell in cells)
     a = np.array([cell.a for cell in cells])
     apart = unlikeness(a, np.array([cell.a_sd for cell in cells]))
     return free, min(apart, UNLIKE), float(a.min())
@@ -85,10 +87,13 @@ def worth(cells: Sequence[RobotCandidate], experiment: Experiment) -> tuple[bool
 
 def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> RobotCandidate | None:
     """Return the cell most like a robot in turning rate and speed, None if none is similar."""
+    if not cells:
+        return None
     wanted = np.log([setup.a[robot], setup.speed[robot]])
-    off = [float(np.abs(np.log([cell.a, cell.speed]) - wanted).max()) for cell in cells]
-    best = min(range(len(cells)), key=off.__getitem__, default=None)
-    return None if best is None or off[best] > MISSED else cells[best]
+    in_view = np.log([(cell.a, cell.speed) for cell in cells])
+    off = np.abs(in_view - wanted).max(axis=1)
+    best = int(off.argmin())
+    return None if off[best] > MISSED else cells[best]
 
 
 def _found_again(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:

@@ -59,6 +59,11 @@ class RankedChoice:
         """
         return float(np.median(self._errors)) if self._errors else math.inf
 
+    @property
+    def numbers(self) -> list[int]:
+        """The numbers of its cells."""
+        return [cell.number for cell in self.cells]
+
 
 def ranked(
     experiment: Experiment,

@@ -34,14 +34,16 @@ def scattered_cells(
     heading = random.uniform(-np.pi, np.pi, count)
     a = choice.a * np.exp(random.normal(0, A_LOG_SD, count))
     speed = choice.speed * np.exp(random.normal(0, SPEED_LOG_SD, count))
+    poses = [Pose(*pose) for pose in np.column_stack([x, y, heading]).tolist()]
+    cells = zip(poses, a.tolist(), speed.tolist(), strict=True)
     return [
         RobotCandidate(
-            number=i + 1,
-            pose=Pose(float(x[i]), float(y[i]), float(heading[i])),
-            a=float(a[i]),
-            a_sd=SURVEY_ERROR * float(a[i]),
-            speed=float(speed[i]),
-            speed_sd=SURVEY_ERROR * float(speed[i]),
+            number=number,
+            pose=pose,
+            a=a_of_cell,
+            a_sd=SURVEY_ERROR * a_of_cell,
+            speed=speed_of_cell,
+            speed_sd=SURVEY_ERROR * speed_of_cell,
         )
-        for i in range(count)
+        for number, (pose, a_of_cell, speed_of_cell) in enumerate(cells, 1)
     ]

@@ -24,10 +24,12 @@ class Ring(Model):
         """Return the given number of targets on the circle."""
         angles = 2 * np.pi * np.arange(count) / count
         x, y = self.center
-        return tuple(
-            (x + self.radius * float(np.cos(angle)), y + self.radius * float(np.sin(angle)))
-            for angle in angles
-        )
+        points: list[tuple[float, float]] = []
+        for angle in angles:
+            right = self.radius * float(np.cos(angle))
+            up = self.radius * float(np.sin(angle))
+            points.append((x + right, y + up))
+        return tuple(points)
 
 
 class WantedCell(Model):

@@ -132,7 +132,8 @@ class FieldActuator:
             # three frames, so that one damaged frame does not lose the stop
             self._sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
             self._held_until_ns = self._sent_ns
-        return self._transmission(Stop(), OFF, np.full(len(self._a), np.nan))
+        no_turning = np.full(len(self._a), np.nan)
+        return self._transmission(Stop(), OFF, no_turning)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Return one status per cell, with `answers` None, since cells cannot be polled."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -164,8 +165,9 @@ def _means(cells: Sequence[Any], rows: list[Any]) -> tuple[list[Distribution], F
     """
     means = []
     for column in np.array(rows, dtype=float).T:
-        (rows_known,) = np.nonzero(np.isfinite(column))
-        means.append(_mean([cells[i] for i in rows_known.tolist()], column[rows_known].tolist()))
+        is_known = np.isfinite(column)
+        cells_known = list(compress(cells, is_known))
+        means.append(_mean(cells_known, column[is_known].tolist()))
     return means, np.array([(mean.ci95.low, mean.ci95.high) for mean in means]).T
 
 
@@ -239,7 +241,8 @@ def _displacement(axes: Axes, log: TrackLog) -> None:
     step = 1 / log.record["rate_hz"]
     lengths = sorted((len(times) for _, times, _ in log.tracks), reverse=True)
     longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
-    lags = np.unique(np.geomspace(1, max(longest, 2), LAGS).astype(int))
+    spaced = np.geomspace(1, max(longest, 2), LAGS)
+    lags = np.unique(spaced.astype(int))
     rows = []
     by_number = {cell["cell"]: cell for cell in log.record["cells"]}
     for number, times, poses in log.tracks:

@@ -93,12 +93,12 @@ def _planes(file: BinaryIO) -> PlaneDirectory:
     for _ in range(min(count, SUBBLOCKS_MAX)):
         _, pixels, axes = _unpacked(file, place, SUBBLOCK.format)
         place += SUBBLOCK.size
-        at: dict[str, int] = {}
+        indices: dict[str, int] = {}  # of the plane, by axis
         for _ in range(min(axes, AXES_MAX)):
             name, index = _unpacked(file, place, AXIS.format)
             place += AXIS.size
-            at[name.rstrip(b"\0").decode("ascii")] = index
-        types.setdefault(tuple(at.get(axis, 0) for axis in PLANE_AXES), pixels)
+            indices[name.rstrip(b"\0").decode("ascii")] = index
+        types.setdefault(tuple(indices.get(axis, 0) for axis in PLANE_AXES), pixels)
     if not types:
         return PlaneDirectory(frozenset())
     first = min(types, key=lambda plane: plane[PLANE_AXES.index("C")])

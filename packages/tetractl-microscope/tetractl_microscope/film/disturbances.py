@@ -45,7 +45,8 @@ class Disturbances:
         scale = min(1.0, SIDE / max(picture.shape))
         small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         light = cv2.resize(small.astype(float), TILES, interpolation=cv2.INTER_AREA)
-        self._lights.append(light / light.mean() if light.mean() >= 1 else np.ones(TILES))
+        level = light.mean()
+        self._lights.append(light / level if level >= 1 else np.ones(TILES))
         sides = (min(cv2.boundingRect(region)[2:]) for region in finder.regions())
         wide = max(sides, default=0) * self.um_px
         large = wide > LARGE * self.body_um and not finder.light.lost
@@ -64,7 +65,8 @@ class Disturbances:
 
     def lines(self) -> Iterator[str]:
         """Yield a line for each disturbance."""
-        wander = float(np.ptp(np.quantile(self._lights, [0.02, 0.98], axis=0), axis=0).max())
+        darkest, brightest = np.quantile(self._lights, [0.02, 0.98], axis=0)
+        wander = float((brightest - darkest).max())
         if wander > WANDERS:
             yield (
                 f"light wanders in the picture, by {100 * wander:.0f} % in a part of it: cells are "

@@ -56,7 +56,8 @@ class FieldRecord:
         first, last = np.searchsorted(self.times, (start, end), side="right")
         cuts = np.array([start, *self.times[first:last], end])
         now = self.at(cuts[:-1])
-        return list(zip(np.diff(cuts).tolist(), now.real.tolist(), now.imag.tolist(), strict=True))
+        pieces = np.column_stack([np.diff(cuts), now.real, now.imag])
+        return [(seconds, x, y) for seconds, x, y in pieces.tolist()]
 
 
 def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:

@@ -127,7 +127,7 @@ class FilmSource:
         """
         if value is None:
             return None
-        factor = TIMES_S.get(str(unit).strip().lower())
+        factor = TIMES_S.get(_unit_key(unit))
         if factor is None:
             said = f"warning: its unit of time {str(unit)[:20]!r} is unknown, and not used"
             if said not in self.remarks:
@@ -138,7 +138,12 @@ class FilmSource:
 
 def micrometres(value: Any, unit: Any) -> float | None:
     """Return the value of a tag in um; None if it is missing, or its unit unknown."""
-    return _number(value, LENGTHS_UM.get(str(unit).strip().lower()))
+    return _number(value, LENGTHS_UM.get(_unit_key(unit)))
+
+
+def _unit_key(unit: Any) -> str:
+    """Return a tag's unit as the tables of units spell it."""
+    return str(unit).strip().lower()
 
 
 def _number(value: Any, factor: float | None) -> float | None:
@@ -195,7 +200,8 @@ def video_film(path: Path) -> FilmSource:
     """Open a film that OpenCV reads, which converts it to 8 bits."""
     capture = cv2.VideoCapture(str(path))
     with path.open("rb") as file:
-        own_hz = None if file.read(len(JPEG)) == JPEG else float(capture.get(cv2.CAP_PROP_FPS))
+        is_one_picture = file.read(len(JPEG)) == JPEG
+    own_hz = None if is_one_picture else float(capture.get(cv2.CAP_PROP_FPS))
 
     def read(_: int) -> Raw:
         was_read, pixels = capture.read()

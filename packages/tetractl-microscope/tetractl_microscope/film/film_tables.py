@@ -132,14 +132,16 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
     rows = sorted(
         (
             *(int(picture), path.identity, time, cell.x, cell.y, cell.heading, cell.axis),
-            *(cell.sure, cell.found, cell.merged),
+            *(cell.sure, cell.has_blob, cell.merged),
         )
         for path in followed.paths
-        for time, picture, cell in zip(path.times.tolist(), path.frames, path.seen, strict=True)
+        for time, picture, cell in zip(
+            path.times.tolist(), path.frames, path.sightings, strict=True
+        )
     )
     picture, cell, time, *states = zip(*rows, strict=True) if rows else [()] * 10
     places = np.transpose(states[:2]).reshape(-1, 2)
     x, y = pixels_of(places, followed.um_px, followed.size[1]).T.tolist()
-    poses = map(Column, POSES, (time, picture, cell, *states), POSES.values())
-    tracks = map(Column, TRACKS, (cell, picture, y, x, picture, cell))
-    return Table("Poses", tuple(poses)), Table("Tracks", tuple(tracks))
+    pose_columns = tuple(map(Column, POSES, (time, picture, cell, *states), POSES.values()))
+    track_columns = tuple(map(Column, TRACKS, (cell, picture, y, x, picture, cell)))
+    return Table("Poses", pose_columns), Table("Tracks", track_columns)

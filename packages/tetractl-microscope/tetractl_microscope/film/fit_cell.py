@@ -40,6 +40,7 @@ from tetractl_microscope.cells.readings import MERGED
 from tetractl_microscope.choice.candidate import RESPONDS
 from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.follow import Followed
+from tetractl_microscope.film.kinematics import way_um
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
 
@@ -132,14 +133,14 @@ def fit_cells(
 @dataclass(frozen=True, slots=True)
 class _Measured:
     """The measurements of one cell in K pictures: `values` (K, 3), NaN where it has no blob, and
-    their `deviations`; `own` is whether the blob shows just this cell. Pieces `first[k]` to
+    their `deviations`; `is_own` is whether the blob shows just this cell. Pieces `first[k]` to
     `first[k + 1]` of the field (P, 3) are before picture k. The filter of `model` (12,) starts with
     `mean` (n,) and `covariance` (n, n).
     """
 
     values: Floats
     deviations: Floats
-    own: np.ndarray
+    is_own: np.ndarray
     pieces: Floats
     first: np.ndarray
     mean: Floats
@@ -158,7 +159,7 @@ class _Measured:
         measured = _measurements(path, shared_um)
         span = np.array(followed.size) * followed.um_px
         edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
-        lengths = [cell.long_um for cell in path.seen if math.isfinite(cell.long_um)]
+        lengths = [cell.long_um for cell in path.sightings if math.isfinite(cell.long_um)]
         is_own = measured[:, 3] < shared_um
         cut = edge < np.where(is_own, EDGE_OWN, EDGE) * np.median(lengths or [0.0])
         measured[cut] = np.nan
@@ -239,11 +240,11 @@ def _measurements(path: CellPath, shared_um: float) -> Floats:
     """Return x, y [um] and axis [rad] of a path's blobs and their deviations (K, 6), NaN where it
     has none; the place of a blob that shows other cells, too, deviates by `shared_um`.
     """
-    measured = np.full((len(path.seen), 6), np.nan)
-    for k, cell in enumerate(path.seen):
+    measured = np.full((len(path.sightings), 6), np.nan)
+    for k, cell in enumerate(path.sightings):
         if cell.measured is not None:
             measured[k] = cell.measured
-        elif cell.found:
+        elif cell.has_blob:
             measured[k] = cell.x, cell.y, cell.axis, shared_um, shared_um, MERGED[1]
     return measured
 
@@ -263,7 +264,8 @@ def _around(times: Floats, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     which are this time away, at least one; the own index twice where there are none.
     """
     index = np.arange(len(times))
-    step = float(np.median(np.diff(times))) if len(times) > 1 else seconds
+    steps = np.diff(times)
+    step = float(np.median(steps)) if len(steps) else seconds
     reach = max(seconds, step) + step / 2
     count = np.minimum(
         index - np.searchsorted(times, times - reach),
@@ -281,9 +283,11 @@ def _exact(measured: Sequence[_Measured]) -> Floats:
     for table in measured:
         values = table.values.copy()
         values[:, 2] = np.unwrap(np.nan_to_num(values[:, 2]), period=math.pi)
-        values[~table.own | (table.deviations[:, 2] == NO_AXIS)] = np.nan
+        values[~table.is_own | (table.deviations[:, 2] == NO_AXIS)] = np.nan
         differences.append(np.diff(values, ORDER, axis=0) / table.deviations[ORDER:])
-    off = np.abs(np.concatenate(differences)) / math.sqrt(math.comb(2 * ORDER, ORDER))
+    # the differences of independent values have this variance, relative to that of the values
+    variance = math.comb(2 * ORDER, ORDER)
+    off = np.abs(np.concatenate(differences)) / math.sqrt(variance)
     off = off[np.isfinite(off).all(axis=1)]
     if not len(off):
         return np.ones(3)
@@ -311,11 +315,12 @@ class _Fit:
     @classmethod
     def of(cls, table: _Measured, exact: Floats) -> Self:
         """Fit the measurements of a path, whose deviations are `exact` (3,) times those stated."""
-        table.deviations[table.own] *= exact
+        table.deviations[table.is_own] *= exact
         starts = np.tile(table.mean, (len(RATES) * len(ASIDE), 1))
         starts[:, RATE] *= np.repeat(RATES, len(ASIDE))
         starts[:, HEADING] += np.tile(ASIDE, len(RATES))
-        likely = table.likelihood(np.zeros((len(starts), len(USUAL))), starts)
+        usual_noise = np.zeros((len(starts), len(USUAL)))
+        likely = table.likelihood(usual_noise, starts)
         likely -= ((starts[:, RATE] / table.mean[RATE] - 1) / RATES_SD) ** 2 / 2
         mean = starts[likely.argmax()]
         noise = np.zeros((1, len(USUAL)))
@@ -331,13 +336,14 @@ class _Fit:
         mean = tried[table.likelihood(np.tile(noise, (2, 1)), tried).argmax()]
         last, covariance, states, bodies = table.smoothed(noise[0], mean)
         parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
-        ends = np.linspace(0, len(states), parts + 1).astype(int).tolist()
+        ends = np.linspace(0, len(states), parts + 1).astype(int)
         misfit = 0.0
-        for start, end in pairwise(ends):
+        for start, end in pairwise(ends.tolist()):
             first_state = states[start] if start else mean
             part, spread, _, _ = table.smoothed(noise[0], first_state, start, end)
             misfit += (part[A] - last[A]) ** 2 / spread[A, A]
-        return cls(table, last, np.sqrt(np.diagonal(covariance)), states, bodies, misfit, parts - 1)
+        sd = np.sqrt(np.diagonal(covariance))
+        return cls(table, last, sd, states, bodies, misfit, parts - 1)
 
     def smoothed(self, path: CellPath) -> CellPath:
         """Return the path with the smoothed poses, which stay within FAR deviations of what was
@@ -350,15 +356,18 @@ class _Fit:
         rows = np.column_stack([poses, self.states[:, HEADING]]).tolist()
         cells = tuple(
             replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
-            for cell, (x, y, axis, heading), state in zip(path.seen, rows, self.states, strict=True)
+            for cell, (x, y, axis, heading), state in zip(
+                path.sightings, rows, self.states, strict=True
+            )
         )
-        return replace(path, seen=cells)
+        return replace(path, sightings=cells)
 
 
 def _interval(value: float, sd: float, error: float) -> SampleInterval:
     """Return a value's 95 % interval for a standard deviation and a relative one."""
-    half = NORMAL * math.hypot(sd, error * value)
-    return SampleInterval(float(value), float(value - half), float(value + half))
+    value = float(value)
+    half = float(NORMAL * math.hypot(sd, error * value))
+    return SampleInterval(value, value - half, value + half)
 
 
 def _summary(
@@ -371,7 +380,7 @@ def _summary(
 ) -> CellSummary:
     between = float(path.times[-1] - path.times[0])
     seconds = timing.duration(int(path.frames[0]), int(path.frames[-1]))
-    way = float(np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum())
+    way = way_um(path.places)
     speed = a = bias = magnetised = None
     spread = sway = hz = radius = math.nan
     if fit is not None and seconds >= SHORTEST_S - 0.5 / timing.rate_hz:
@@ -380,7 +389,7 @@ def _summary(
         misfit = (USUAL_BLOCKS * usual + fit.misfit) / (USUAL_BLOCKS + fit.parts)
         wider = math.sqrt(max(1.0, misfit))
         # the part of the way that may be another cell's, whose speed differs
-        doubt = among * float(np.mean([1 - cell.probability for cell in path.seen]))
+        doubt = among * float(np.mean([1 - cell.probability for cell in path.sightings]))
         sd = math.hypot(wider * float(fit.sd[WAY]) / between, doubt)
         speed = _interval(way / between, sd, SPEED_ERROR)
         spread = float(states[:, SPEED].std())
@@ -395,7 +404,7 @@ def _summary(
         cell=path.identity,
         since_s=float(path.times[0]),
         seconds=seconds,
-        pictures=len(path.seen),
+        pictures=len(path.sightings),
         path_um=way,
         speed=speed,
         spread=spread,
@@ -405,5 +414,5 @@ def _summary(
         a=a,
         bias=bias,
         magnetised=magnetised,
-        sure=all(cell.sure for cell in path.seen),
+        sure=all(cell.sure for cell in path.sightings),
     )

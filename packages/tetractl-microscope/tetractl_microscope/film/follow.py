@@ -80,7 +80,7 @@ class Followed:
         """Median time for which a track lasts, under one number after another [s]."""
         times_of_track = defaultdict[int, list[float]](list)
         for path in self.paths:
-            for seconds, cell in zip(path.times.tolist(), path.seen, strict=True):
+            for seconds, cell in zip(path.times.tolist(), path.sightings, strict=True):
                 times_of_track[cell.track].append(seconds)
         return _median_s(list(times_of_track.values()))
 
@@ -154,7 +154,7 @@ def _median_s(times: Sequence[Sequence[float] | Floats]) -> float | None:
 
 def _faded_line(where: Whereabouts) -> str | None:
     """Return a line if followed cells have no blob in many of their pictures; None if not."""
-    lost = [not row.cell.found for rows in where.tracks.values() for row in rows]
+    lost = [not row.cell.has_blob for rows in where.tracks.values() for row in rows]
     if not lost or np.mean(lost) <= FADED:
         return None
     return (
@@ -165,21 +165,9 @@ def _faded_line(where: Whereabouts) -> str | None:
 
 def _pace_lines(where: Whereabouts) -> Iterator[str]:
     """Yield a line if all cells move too far at once in several pictures, and one if not at all."""
-    steps = []
-    for track, rows in where.tracks.items():
-        for before, now in pairwise(rows):
-            first_blob = before.cell.blob_um
-            two = now.cell.blob_um
-            alone = not (before.cell.merged or now.cell.merged) and now.at == before.at + 1
-            if alone and first_blob is not None and two is not None:
-                way = math.dist(first_blob[:2].tolist(), two[:2].tolist())
-                passed = where.times[now.at] - where.times[before.at]
-                steps.append((now.at, track, way / passed))
-    picture, track, speed = np.array(steps).reshape(-1, 3).T
-    for number in np.unique(track):
-        speed[track == number] /= max(float(np.median(speed[track == number])), 1e-9)
-    speeds = [speed[picture == k] for k in np.unique(picture)]
-    pace = np.array([np.median(speeds_then) for speeds_then in speeds if len(speeds_then) >= TELL])
+    speeds_in = _relative_speeds(where)
+    of_many = [speeds for speeds in speeds_in.values() if len(speeds) >= TELL]
+    pace = np.array([np.median(speeds) for speeds in of_many])
     least = max(ODD[0] * len(pace), ODD[1])
     lost = int((pace > LOST).sum())
     doubled = int((pace < DOUBLED).sum())
@@ -193,3 +181,28 @@ def _pace_lines(where: Whereabouts) -> Iterator[str]:
             f"in {lost} of {len(pace)} pictures all cells move too far at once: pictures are lost, "
             "so that times, a and numbers are wrong. Give the pictures' times (times.csv)"
         )
+
+
+def _relative_speeds(where: Whereabouts) -> dict[int, list[float]]:
+    """Return, by picture, the speeds of the cells that have blobs of their own in it and in the one
+    before, relative to the median speed on their tracks.
+    """
+    speeds_in = defaultdict[int, list[float]](list)
+    for rows in where.tracks.values():
+        pictures: list[int] = []
+        speeds_um_s: list[float] = []
+        for before, now in pairwise(rows):
+            blob_before = before.cell.blob_um
+            blob_now = now.cell.blob_um
+            is_merged = before.cell.merged or now.cell.merged
+            is_next = now.picture == before.picture + 1
+            if is_next and not is_merged and blob_before is not None and blob_now is not None:
+                way_um = math.dist(blob_before[:2].tolist(), blob_now[:2].tolist())
+                passed_s = where.times[now.picture] - where.times[before.picture]
+                pictures.append(now.picture)
+                speeds_um_s.append(way_um / passed_s)
+        if speeds_um_s:
+            usual_um_s = max(float(np.median(speeds_um_s)), 1e-9)
+            for picture, speed_um_s in zip(pictures, speeds_um_s, strict=True):
+                speeds_in[picture].append(speed_um_s / usual_um_s)
+    return speeds_in

@@ -33,9 +33,9 @@ def velocities(times: Floats, places: Floats, helix_hz: float) -> dict[str, floa
     parts = []
     for first, last in pairwise(_ends(times)):
         lengths = (
-            _length(places[first : last + 1]),
-            _length(average[first : last + 1]),
-            _length(places[[first, last]]),
+            way_um(places[first : last + 1]),
+            way_um(average[first : last + 1]),
+            way_um(places[[first, last]]),
         )
         parts.append(np.array(lengths) / (times[last] - times[first]))
     vcl, vap, vsl = np.mean(parts, axis=0).tolist()
@@ -55,7 +55,8 @@ def _ends(times: Floats) -> list[int]:
     step = float(np.median(np.diff(times)))
     ends = [0]
     while (due := times[ends[-1]] + WINDOW_S) < times[-1] + step / 2:
-        after = min(int(np.searchsorted(times, due)), len(times) - 1)
+        after = int(np.searchsorted(times, due))
+        after = min(after, len(times) - 1)
         nearest = after - 1 if due - times[after - 1] < times[after] - due else after
         ends.append(max(nearest, ends[-1] + 1))
     return ends if len(ends) > 1 else [0, len(times) - 1]
@@ -75,5 +76,7 @@ def _smoothed(times: Floats, places: Floats, span_s: float) -> Floats:
     return (sums[index + reach + 1] - sums[index - reach]) / (2 * reach + 1)[:, None]
 
 
-def _length(places: Floats) -> float:
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+def way_um(places: Floats) -> float:
+    """Return the length [um] of the way along places (K, 2) [um]."""
+    steps = np.diff(places, axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())

@@ -3,12 +3,13 @@ since it was too large for one of them.
 """
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tetractl.core.poses import Floats
+from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.names import LIKELIER
 from tetractl_microscope.film.who import Parting, TrackRow, Whereabouts, row_from
@@ -18,7 +19,20 @@ SEEN = 3  # successive blobs that are too large for one cell
 SPREAD = 5.0  # least excess of ln of their areas, in deviations of a cell's blobs in the film
 CUT_S = 0.5  # time before these blobs for which the picture's edge may have cut the cells off
 LASTS_S = 0.4  # shortest part of a path that has names
+MEDIAN_OF_NORMAL = 0.6745  # median absolute deviation of a normal distribution [sd]
 APART = 0.15  # least distance of a cell from the middle of a blob that tells two cells [lengths]
+
+
+@dataclass(frozen=True, slots=True)
+class PartedTracks:
+    """The rows of two tracks that part in a picture: `newcomer[newcomer_row]` is the first row of
+    the one that comes out, `old[old_row]` that of the other one in the same picture.
+    """
+
+    newcomer: list[TrackRow]
+    newcomer_row: int
+    old: list[TrackRow]
+    old_row: int
 
 
 def fill_pairs(where: Whereabouts, body_um: float) -> set[int]:
@@ -29,20 +43,28 @@ def fill_pairs(where: Whereabouts, body_um: float) -> set[int]:
     over a cell's says, along the blob or across it. Which of the two is which is not known: both
     have names of their own, and others after each time when they could not be distinguished.
     """
-    areas = [list(map(math.prod, _sizes(rows))) for rows in where.tracks.values()]
-    off = [
-        np.log(np.array(areas_of_track) / np.median(areas_of_track))
-        for areas_of_track in areas
-        if areas_of_track
-    ]
-    spread = float(np.median(np.abs(np.concatenate(off)))) / 0.6745 if off else 0.0
-    larger = max(LARGE, math.exp(SPREAD * spread))
+    larger = max(LARGE, math.exp(SPREAD * _spread_of_areas(where)))
     names = where.new_names()
     return {
         parting.track
         for parting in where.partings
         if _fill(where, parting, larger, APART * body_um, names)
     }
+
+
+def _spread_of_areas(where: Whereabouts) -> float:
+    """Return the standard deviation of ln of the area of one cell's blobs, by their median absolute
+    deviation; 0 without blobs.
+    """
+    deviations: list[Floats] = []
+    for rows in where.tracks.values():
+        areas = _areas(rows)
+        if areas:
+            relative = np.array(areas) / np.median(areas)
+            deviations.append(np.abs(np.log(relative)))
+    if not deviations:
+        return 0.0
+    return float(np.median(np.concatenate(deviations))) / MEDIAN_OF_NORMAL
 
 
 def _fill(
@@ -55,67 +77,119 @@ def _fill(
     """Add a cell to the pictures before its parting; return whether it was. A blob that is `larger`
     than one cell shows two; nearer than `apart_um` [um] to its middle they cannot be distinguished.
     """
-    first = parting.at
-    times = where.times
-    news = where.tracks[parting.track]
-    olds = where.tracks[parting.near]
-    i = row_from(news, first)
-    j = row_from(olds, first)
-    if [row.at for row in olds[max(j - 1, 0) : j + 1]] != [first - 1, first]:
+    parted = _parted(where, parting)
+    if parted is None:
         return False
-    end = where.index(times[first] + APART_S)
-    after = [_sizes(rows[k : row_from(rows, end)]) for rows, k in ((news, i), (olds, j))]
-    if not all(after):
+    apart_until = where.index(where.times[parting.picture] + APART_S)
+    newcomer_sizes = _sizes_until(parted.newcomer, parted.newcomer_row, apart_until)
+    old_sizes = _sizes_until(parted.old, parted.old_row, apart_until)
+    if not newcomer_sizes or not old_sizes:
         return False
-    sizes = [np.median(sizes_after, axis=0) for sizes_after in after]
-    areas = [math.prod(size) for size in sizes]
-    usual = [math.prod(size) for size in _sizes(where.picture(first).values())] or [0.0]
-    least = larger * max(*areas, float(np.median(usual)))
-    run_start = next(k for k in range(j - 1, -1, -1) if k == 0 or olds[k - 1].at != olds[k].at - 1)
-    blob_rows = [
-        (k, math.prod(size) > least) for k in range(run_start, j) for size in _sizes([olds[k]])
-    ]
-    runs = (blob_rows[k : k + SEEN] for k in range(len(blob_rows) - SEEN + 1))
-    since = next((run[0][0] for run in runs if all(large for _, large in run)), j)
-    if since < j and times[olds[since].at] - times[olds[run_start].at] <= CUT_S:
-        since = run_start
-    since_s = times[olds[since].at]
-    if times[first] - since_s < LASTS_S:
+    sizes = [np.median(newcomer_sizes, axis=0), np.median(old_sizes, axis=0)]
+    larger_um2 = max(math.prod(size) for size in sizes)
+    areas_then = _areas(where.shown_in(parting.picture).values()) or [0.0]
+    one_um2 = max(larger_um2, float(np.median(areas_then)))
+    since = _both_since(parted.old, parted.old_row, larger * one_um2, where.times)
+    together_s = where.times[parting.picture] - where.times[parted.old[since].picture]
+    if together_s < LASTS_S:
         return False
-    new = news[i].cell
-    old = olds[j].cell
-    apart = np.array((new.x - old.x, new.y - old.y))
-    until_s = times[first]
-    hidden = False
-    named = (next(names), next(names))
-    added = list[TrackRow]()
-    for row in reversed(olds[since:j]):
-        cell = row.cell
-        half: Floats = np.zeros(2)
-        now_s = times[row.at]
-        x = cell.x
-        y = cell.y
-        axis = cell.axis
-        if cell.blob_um is not None and _sizes([row]):
-            x, y, axis = cell.blob_um[:3]
-            half = _half(cell.blob_um, np.mean(sizes, axis=0))
-        if half @ apart < 0:
-            half = -half
-        clear = np.hypot(*half) > apart_um
-        begins = clear and hidden and min(until_s - now_s, now_s - since_s) > LASTS_S
-        if begins:
-            named = (next(names), next(names))
-            until_s = now_s
-        hidden = not clear or (hidden and not begins)
-        joint = replace(cell, axis=axis, merged=True, measured=None)
-        added_cell = replace(joint, x=x + half[0], y=y + half[1], track=parting.track)
-        added.append(TrackRow(row.at, added_cell, named[0], LIKELIER))
-        row.cell = replace(joint, x=x - half[0], y=y - half[1])
-        row.name = named[1]
-        row.likely = LIKELIER
-        apart = half if half.any() else apart
-    news[i:i] = reversed(added)
+    added = _divide(where.times, parted, since, np.mean(sizes, axis=0), apart_um, names)
+    parted.newcomer[parted.newcomer_row : parted.newcomer_row] = added
     return True
+
+
+def _parted(where: Whereabouts, parting: Parting) -> PartedTracks | None:
+    """Return the two tracks of a parting, unless the old one was not seen in the picture before, or
+    is not seen in that of the parting.
+    """
+    newcomer = where.tracks[parting.track]
+    old = where.tracks[parting.near]
+    newcomer_row = row_from(newcomer, parting.picture)
+    old_row = row_from(old, parting.picture)
+    pictures = [row.picture for row in old[max(old_row - 1, 0) : old_row + 1]]
+    if pictures != [parting.picture - 1, parting.picture]:
+        return None
+    return PartedTracks(newcomer, newcomer_row, old, old_row)
+
+
+def _both_since(rows: list[TrackRow], end: int, least_um2: float, times: Sequence[float]) -> int:
+    """Return the index of the row since which a track's blob has shown two cells, before the row
+    `end`; `end` if it has not.
+
+    SEEN successive blobs of more than `least_um2` [um^2] show two. Pictures without the track
+    separate it from what was before; if the blob was large soon after them, it showed two at once.
+    """
+    start = end - 1
+    while start > 0 and rows[start - 1].picture == rows[start].picture - 1:
+        start -= 1
+    measured = [k for k in range(start, end) if _sizes([rows[k]])]
+    is_large = [_areas([rows[k]])[0] > least_um2 for k in measured]
+    for i in range(len(measured) - SEEN + 1):
+        if all(is_large[i : i + SEEN]):
+            first = measured[i]
+            is_soon = times[rows[first].picture] - times[rows[start].picture] <= CUT_S
+            return start if is_soon else first
+    return end
+
+
+def _divide(
+    times: Sequence[float],
+    parted: PartedTracks,
+    since: int,
+    size: Floats,
+    apart_um: float,
+    names: Iterator[int],
+) -> list[TrackRow]:
+    """Divide the blobs of the old track, from its row `since` to the parting, between two cells of
+    a `size` (2,) [um]: change that track's rows, and return the newcomer's.
+
+    It goes back in time, so that the two are on the sides on which they are after the parting. Once
+    they were nearer than `apart_um` [um] to the middle they get new names, for parts that last.
+    """
+    newcomer = parted.newcomer[parted.newcomer_row]
+    old = parted.old[parted.old_row]
+    since_s = times[parted.old[since].picture]
+    until_s = times[old.picture]  # the names of the part that is being divided are for until then
+    newcomer_name = next(names)
+    old_name = next(names)
+    side = np.array((newcomer.cell.x - old.cell.x, newcomer.cell.y - old.cell.y))
+    were_hidden = False
+    added = list[TrackRow]()
+    for row in reversed(parted.old[since : parted.old_row]):
+        cell = row.cell
+        middle = np.array((cell.x, cell.y))
+        axis = cell.axis
+        half: Floats = np.zeros(2)
+        if cell.blob_um is not None and _sizes([row]):
+            middle = cell.blob_um[:2]
+            axis = cell.blob_um[2]
+            half = _half(cell.blob_um, size)
+        if half @ side < 0:
+            half = -half
+        if half.any():
+            side = half
+        if math.hypot(*half) <= apart_um:
+            were_hidden = True
+        elif were_hidden:
+            row_s = times[row.picture]
+            if min(until_s - row_s, row_s - since_s) > LASTS_S:
+                newcomer_name = next(names)
+                old_name = next(names)
+                until_s = row_s
+                were_hidden = False
+        in_pair = replace(cell, axis=axis, merged=True, measured=None)
+        newcomer_cell = _moved(in_pair, middle + half, newcomer.cell.track)
+        added.append(TrackRow(row.picture, newcomer_cell, newcomer_name, LIKELIER))
+        row.cell = _moved(in_pair, middle - half, cell.track)
+        row.name = old_name
+        row.likely = LIKELIER
+    return added[::-1]
+
+
+def _moved(cell: SeenCell, place: Floats, track: int) -> SeenCell:
+    """Return a cell at another place (2,) [um], as seen on a track."""
+    x, y = place
+    return replace(cell, x=x, y=y, track=track)
 
 
 def _half(blob: Floats, size: Floats) -> Floats:
@@ -125,6 +199,16 @@ def _half(blob: Floats, size: Floats) -> Floats:
     if across > along:
         return across * np.array((-math.sin(axis), math.cos(axis)))
     return along * np.array((math.cos(axis), math.sin(axis)))
+
+
+def _sizes_until(rows: list[TrackRow], first: int, picture: int) -> list[Floats]:
+    """Return the sizes of a track's blobs from a row on, before a picture."""
+    return _sizes(rows[first : row_from(rows, picture)])
+
+
+def _areas(rows: Iterable[TrackRow]) -> list[float]:
+    """Return length times width [um^2] of the blobs that show one track, as a whole."""
+    return [math.prod(size) for size in _sizes(rows)]
 
 
 def _sizes(rows: Iterable[TrackRow]) -> list[Floats]:

@@ -66,7 +66,8 @@ def _kind(name: str) -> tuple[str, str]:
 def _counts_two(names: Sequence[str]) -> bool:
     """Return whether each value of a number in the names occurs with each of another one."""
     differ = _changing(names)
-    return len(differ) > 1 and math.prod(len(set(column)) for column in differ) == len(names)
+    counts = [len(set(column)) for column in differ]
+    return len(counts) > 1 and math.prod(counts) == len(names)
 
 
 def _format(name: str) -> str:
@@ -144,5 +145,5 @@ def _changing(names: Sequence[str]) -> list[list[int]]:
     numbers = [DIGITS.findall(name.rpartition(".")[0]) for name in names]
     if len({len(digits) for digits in numbers}) != 1:
         return []
-    columns = [[int(digits) for digits in column] for column in zip(*numbers, strict=True)]
+    columns = [list(map(int, column)) for column in zip(*numbers, strict=True)]
     return [column for column in columns if len(set(column)) > 1]

@@ -169,7 +169,8 @@ def _interpolated(numbers: Sequence[int], times: Sequence[float], count: int) ->
     """Return the times of `count` pictures, of which some numbers' are known; beyond these by the
     median interval.
     """
-    step = float(np.median(np.diff(times) / np.diff(numbers)))
+    steps = np.diff(times) / np.diff(numbers)
+    step = float(np.median(steps))
     seconds = np.interp(np.arange(count), numbers, times)
     head = numbers[0]
     tail = numbers[-1]

@@ -174,20 +174,26 @@ def _decoded(path: Path) -> Iterator[Any]:
 
 
 def _preferred(
-    option: str, given: float | None, own: float | None, span: tuple[float, float], said: list[str]
+    option: str,
+    wanted: float | None,
+    stated: float | None,
+    span: tuple[float, float],
+    said: list[str],
 ) -> float | None:
-    """Return the value given, or else the film's own if it is possible; say if they differ."""
-    if own is None or not 0 < own < math.inf:
-        return given
-    if not _possible(own, span):
+    """Return the value of an option, or else what the film states if it is possible; say if they
+    differ.
+    """
+    if stated is None or not 0 < stated < math.inf:
+        return wanted
+    if not _possible(stated, span):
         least, most = span
         said.append(
-            f"what it states for {option}, {own:.4g}, is not used: not in {least:g} to {most:g}"
+            f"what it states for {option}, {stated:.4g}, is not used: not in {least:g} to {most:g}"
         )
-        return given
-    if given is not None and abs(given / own - 1) > DIFFERENT:
-        said.append(f"{option} {given:g} is used; the film states {own:.4g}")
-    return float(f"{own:.9g}") if given is None else given  # 30, not 29.999999999999996
+        return wanted
+    if wanted is not None and abs(wanted / stated - 1) > DIFFERENT:
+        said.append(f"{option} {wanted:g} is used; the film states {stated:.4g}")
+    return float(f"{stated:.9g}") if wanted is None else wanted  # 30, not 29.999999999999996
 
 
 def _possible(value: float, span: tuple[float, float]) -> bool:

@@ -3,7 +3,7 @@ Micro-Manager, also split over several files; and folders of pictures.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -159,6 +159,17 @@ def _white_first(page: Any) -> bool:
     return page.keyframe.photometric == PHOTOMETRIC.MINISWHITE
 
 
+def _axis_of_time(ome: Mapping[str, str]) -> str:
+    """Return the axis T of an OME-TIFF, or else that of Z and C which has more planes, if it states
+    one time: some programs store a film so.
+    """
+    if ome.get("SizeT") != "1":
+        return "T"
+    depth = int(ome.get("SizeZ", 0))
+    channels = int(ome.get("SizeC", 0))
+    return "C" if channels > depth else "Z"
+
+
 def _codec_missing(page: Any) -> UsageError:
     names = [page.compression]
     if page.predictor > 1:
@@ -204,8 +215,9 @@ def _add_tags(tif: TiffFile, which: int, source: FilmSource) -> None:
     times: dict[int, float | None] = {}
     for page in pages:
         seconds = source.seconds(page.get("ElapsedTime-ms"), "ms")
-        times.setdefault(int(page.get("FrameIndex", len(times))), seconds)
-    along = "T" if ome.get("SizeT") != "1" else max("ZC", key=lambda a: int(ome.get(f"Size{a}", 0)))
+        number = int(page.get("FrameIndex", len(times)))
+        times.setdefault(number, seconds)
+    along = _axis_of_time(ome)
     for plane in () if xml is None else xml.iterfind("{*}Plane"):
         if all(plane.get(f"The{axis}", "0") == "0" for axis in "TZC" if axis != along):
             seconds = source.seconds(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"))

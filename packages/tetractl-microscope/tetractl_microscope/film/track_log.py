@@ -74,14 +74,15 @@ def read_track(path: Path) -> TrackLog:
     contents = scan(path)
     try:
         record = _checked(json.loads(contents.text(TRACK) or "null"))
-        rows = np.array(list(_rows(contents))).reshape(-1, 5)
+        rows = list(_rows(contents))
+        table = np.array(rows).reshape(-1, 5)
         picture = _picture(contents, (record["height"], record["width"]))
     except (DecodeError, OSError, LookupError, RecursionError, TypeError, ValueError) as error:
         said = f"{type(error).__name__}: {error}"
         raise LogError(f"{path}: the cells of the film cannot be read: {said}") from None
-    time = rows[:, 0]
-    cell = rows[:, 1]
-    poses = rows[:, 2:]
+    time = table[:, 0]
+    cell = table[:, 1]
+    poses = table[:, 2:]
     problems = (*contents.problems, *(f"lost: {lost}" for lost in contents.lost))
     return TrackLog(str(path), record, time, cell, poses, picture, problems)
 

@@ -77,10 +77,11 @@ class Unfollowed:
         speeds = [_speed(path) for path in paths if len(path.times) > 1]
         if not speeds or not self._blobs:
             return None
-        self._measure(film, AWAY * body_um / max(float(np.median(speeds)), 1e-9))
+        usual_um_s = max(float(np.median(speeds)), 1e-9)
+        self._measure(film, AWAY * body_um / usual_um_s)
         places_in = defaultdict[int, list[tuple[float, float]]](list)
         for path in paths:
-            for number, cell in zip(path.frames.tolist(), path.seen, strict=True):
+            for number, cell in zip(path.frames.tolist(), path.sightings, strict=True):
                 places_in[number].append((cell.x, cell.y))
         moving = 0
         missed = 0

@@ -5,7 +5,7 @@ probability of that. What the tracker sees and answers is entered as it comes, a
 rows that were entered before (`Whereabouts.enter`). At the end a part of a track in which the name
 is uncertain gets a name of its own (`split`), and the rows of each name become a path (`paths`).
 
-K is the number of pictures of a path. Pictures are counted by their index `at` in the record.
+K is the number of pictures of a path. A `picture` is its index in the record.
 """
 
 import math
@@ -35,28 +35,32 @@ UNKNOWN = np.full(STATES, np.nan)  # state of a cell before the filter follows i
 
 @dataclass(frozen=True, slots=True)
 class CellPath:
-    """One cell in a film: `times` (K,) [s], picture numbers `frames` (K,), and its state in each
-    picture.
+    """One cell in a film: `times` (K,) [s], picture numbers `frames` (K,), and how it was seen in
+    each.
     """
 
     identity: int
     times: Floats
     frames: np.ndarray
-    seen: tuple[SeenCell, ...]
+    sightings: tuple[SeenCell, ...]
 
     @property
     def places(self) -> Floats:
         """Centre of the body in each picture (K, 2) [um]."""
-        return np.array([(cell.x, cell.y) for cell in self.seen])
+        return np.array([(cell.x, cell.y) for cell in self.sightings])
+
+    def pictures(self) -> Iterator[tuple[float, int, SeenCell]]:
+        """Yield the time [s] and the number of each picture, and how the cell was seen in it."""
+        return zip(self.times.tolist(), self.frames.tolist(), self.sightings, strict=True)
 
 
 @dataclass(slots=True)
 class TrackRow:
-    """What a track showed in the picture with the index `at`, and which cell that was: its `name`,
-    with the probability `likely`.
+    """What a track showed in a picture, and which cell that was: its `name`, with the probability
+    `likely`.
     """
 
-    at: int
+    picture: int
     cell: SeenCell
     name: int
     likely: float
@@ -64,18 +68,18 @@ class TrackRow:
 
 @dataclass(frozen=True, slots=True)
 class Parting:
-    """The cell on a `track` came out of the blob of the track `near` in the picture `at`."""
+    """The cell on a `track` came out of the blob of the track `near` in a picture."""
 
-    at: int
+    picture: int
     track: int
     near: int
 
 
 @dataclass(frozen=True, slots=True)
 class Division:
-    """A cell has divided in the picture `at`: the tracks of `mother` and `daughter`."""
+    """A cell has divided in a picture: the tracks of `mother` and `daughter`."""
 
-    at: int
+    picture: int
     mother: int
     daughter: int
 
@@ -91,9 +95,9 @@ class UncertainPart:
     after: int | None
 
 
-def row_from(rows: list[TrackRow], at: int) -> int:
+def row_from(rows: list[TrackRow], picture: int) -> int:
     """Return the index of a track's first row in or after a picture."""
-    return bisect_left(rows, at, key=lambda row: row.at)
+    return bisect_left(rows, picture, key=lambda row: row.picture)
 
 
 @dataclass(slots=True)
@@ -111,13 +115,15 @@ class Whereabouts:
     divisions: list[Division] = field(default_factory=list)
     doubtful: list[tuple[int, ...]] = field(default_factory=list)
 
-    def enter(self, frame: int, seconds: float, tracker: CellTracker, seen: list[SeenCell]) -> None:
+    def enter(
+        self, frame: int, seconds: float, tracker: CellTracker, cells: list[SeenCell]
+    ) -> None:
         """Enter what a tracker has seen and answered in the next picture."""
-        at = len(self.times)
+        picture = len(self.times)
         self.times.append(seconds)
         self.frames.append(frame)
-        for cell in seen:
-            row = TrackRow(at, cell, cell.identity, cell.probability)
+        for cell in cells:
+            row = TrackRow(picture, cell, cell.identity, cell.probability)
             self.tracks.setdefault(cell.track, []).append(row)
         for born in tracker.born:
             self._begin(born)
@@ -133,20 +139,20 @@ class Whereabouts:
                 row.name = named.identity
                 row.likely = named.certainty
         if answer.probability < ASSERTED:
-            self.doubtful.append(tuple(sorted(answer.asked)))
+            self.doubtful.append(tuple(sorted(answer.met)))
 
     def index(self, seconds: float) -> int:
         """Return the index of the first picture at or after a time [s]."""
         return bisect_left(self.times, seconds - ROUNDING_S)
 
-    def picture(self, at: int) -> dict[int, TrackRow]:
-        """Return the row of each track in the picture with an index."""
-        shown: dict[int, TrackRow] = {}
+    def shown_in(self, picture: int) -> dict[int, TrackRow]:
+        """Return the row of each track that a picture shows."""
+        row_of: dict[int, TrackRow] = {}
         for track, rows in self.tracks.items():
-            index = row_from(rows, at)
-            if index < len(rows) and rows[index].at == at:
-                shown[track] = rows[index]
-        return shown
+            index = row_from(rows, picture)
+            if index < len(rows) and rows[index].picture == picture:
+                row_of[track] = rows[index]
+        return row_of
 
     def new_names(self) -> Iterator[int]:
         """Yield numbers that no cell has."""
@@ -157,7 +163,7 @@ class Whereabouts:
         were in another one's blob before, and have not divided.
         """
         for division in self.divisions:
-            rows = self.picture(division.at)
+            rows = self.shown_in(division.picture)
             if division.daughter in rows and division.daughter not in pairs:
                 yield rows[division.mother].name, rows[division.daughter].name
 
@@ -168,7 +174,7 @@ class Whereabouts:
         until the one after is likelier.
         """
         parts = [part for rows in self.tracks.values() for part in _uncertain_parts(rows)]
-        parts.sort(key=lambda p: (p.rows[-1].at, p.rows[0].at, p.rows[0].cell.track))
+        parts.sort(key=lambda p: (p.rows[-1].picture, p.rows[0].picture, p.rows[0].cell.track))
         names = self.new_names()
         for part in parts:
             self._name_part(part, names)
@@ -177,12 +183,12 @@ class Whereabouts:
         """Give the rows of an uncertain part their names, the next one of `names` if need be."""
         name = part.before
         was_merged = True
-        end_s = self.times[part.rows[-1].at]
+        end_s = self.times[part.rows[-1].picture]
         for row in part.rows:
             is_alone_again = was_merged and not row.cell.merged
             is_unlikely = row.likely < LIKELIER
             if name == part.before and (is_alone_again or is_unlikely):
-                if end_s - self.times[row.at] > SHORTEST_S:
+                if end_s - self.times[row.picture] > SHORTEST_S:
                     name = next(names)
                 elif is_unlikely and part.after is not None:
                     name = part.after
@@ -198,10 +204,10 @@ class Whereabouts:
             track for track, rows in self.tracks.items() if _goes_far(_places(rows), organism)
         }
         rows = [row for track_rows in self.tracks.values() for row in track_rows]
-        rows.sort(key=lambda row: (row.name, row.at, row.likely, -row.cell.track))
+        rows.sort(key=lambda row: (row.name, row.picture, row.likely, -row.cell.track))
         for name, named in groupby(rows, key=lambda row: row.name):
             # a lost cell that was found again may have its name twice: the likelier one counts
-            likeliest = list({row.at: row for row in named}.values())
+            likeliest = list({row.picture: row for row in named}.values())
             path = self._path(name, likeliest)
             on_swimming = all(row.cell.track in swimming for row in likeliest)
             if (on_swimming or _goes_far(path.places, organism)) and _swims(path, organism):
@@ -209,12 +215,14 @@ class Whereabouts:
 
     def _path(self, name: int, rows: list[TrackRow]) -> CellPath:
         """Return the path of the cell that has a name in some rows, one for each picture."""
-        at = [row.at for row in rows]
-        seen = [
+        pictures = [row.picture for row in rows]
+        sightings = [
             replace(row.cell, identity=name, probability=row.likely, sure=is_sure)
             for row, is_sure in zip(rows, _sure(rows), strict=True)
         ]
-        return CellPath(name, np.array(self.times)[at], np.array(self.frames)[at], tuple(seen))
+        times = np.array(self.times)[pictures]
+        frames = np.array(self.frames)[pictures]
+        return CellPath(name, times, frames, tuple(sightings))
 
     def _begin(self, born: Born) -> None:
         """Enter a newly recognised cell in the earlier pictures in which it was already seen."""
@@ -233,7 +241,7 @@ class Whereabouts:
                 mean=UNKNOWN,
                 sd=UNKNOWN,
                 probability=born.certainty,
-                found=True,
+                has_blob=True,
                 merged=False,
                 long_um=np.nan,
                 wide_um=np.nan,
@@ -247,7 +255,7 @@ class Whereabouts:
         if born.near is not None:
             self.partings.append(Parting(first, born.track, born.near))
         if born.divided is not None:
-            for track, row in self.picture(first).items():
+            for track, row in self.shown_in(first).items():
                 if row.name == born.divided:
                     self.divisions.append(Division(first, track, born.track))
 
@@ -276,7 +284,7 @@ def _sure(rows: list[TrackRow]) -> list[bool]:
     cells = [row.cell for row in rows]
     is_large = np.array([cell.merged and cell.measured is not None for cell in cells])
     is_doubtful = is_large | np.array([row.likely <= ASSERTED for row in rows])
-    is_certain = ~is_doubtful & np.array([cell.found for cell in cells])
+    is_certain = ~is_doubtful & np.array([cell.has_blob for cell in cells])
     last_certain = int(np.flatnonzero(is_certain).max(initial=-1))
     is_doubtful[: last_certain + 1] = False
     is_elsewhere = np.array([cell.track != cells[0].track for cell in cells])
@@ -300,7 +308,7 @@ def _swims(path: CellPath, organism: Organism) -> bool:
     places = path.places
     if times[-1] - times[0] < SHORTEST_S:
         return False
-    if np.mean([cell.found for cell in path.seen]) < FOUND:
+    if np.mean([cell.has_blob for cell in path.sightings]) < FOUND:
         return False
     later = np.minimum(np.searchsorted(times, times + SHORTEST_S), len(times) - 1)
     starts = slice(0, later.argmax() + 1)  # those from which the path lasts for SHORTEST_S

@@ -21,7 +21,7 @@ class Look(Generic[S]):
     number: int
     received_ns: int
     search_ns: int
-    seen: S
+    result: S
 
 
 def search_ms(looks: Sequence[Look[Any]]) -> float:

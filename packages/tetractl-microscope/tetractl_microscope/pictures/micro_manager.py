@@ -119,7 +119,8 @@ class MicroManagerFeed(Feed):
         while not self._closing.is_set():
             try:
                 if self._core.getRemainingImageCount():
-                    return Picture(self._grey(self._core.popNextImage()), self._clock.now())
+                    pixels = self._core.popNextImage()
+                    return Picture(self._grey(pixels), self._clock.now())
                 running = self._core.isSequenceRunning()
             except FAILURES as error:
                 raise SourceEndedError(f"Micro-Manager reports: {error}") from error

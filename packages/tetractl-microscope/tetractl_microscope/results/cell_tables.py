@@ -108,7 +108,9 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
     weights = np.array([cell["duration_s"] for cell in cells])
     since = np.array([cell["since_s"] for cell in cells])
     middles = since + weights / 2
-    n = int((np.abs(since[:, None] + 1e-6 - middles) < weights / 2).sum(axis=1).max())
+    just_after = since[:, None] + 1e-6  # the greatest number is reached when a cell appears
+    is_seen = np.abs(just_after - middles) < weights / 2
+    n = int(is_seen.sum(axis=1).max())
     mean = float(np.average(values, weights=weights))
     if n < 2:
         return known_distribution(n, mean, math.nan, Interval.none("one value has no spread"))
@@ -139,7 +141,8 @@ def _means(cells: list[Record], guessed_scale: bool) -> list[Table]:
             ends = mean.ci95
             if guessed_scale and quantity.unit.startswith("um"):
                 ends = Interval.none("the scale is a guess")
-            rows.append((name, str(mean.n), show(mean.mean), ends.text(show), spread))
+            interval = ends.text(show)
+            rows.append((name, str(mean.n), show(mean.mean), interval, spread))
     header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
     columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()
     table = Table("Means over cells", tuple(Column(name, values) for name, values in columns))
@@ -152,7 +155,8 @@ def cell_data(record: Record) -> Table:
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:
         entries = [cell.get(quantity.key) for cell in cells]
-        columns.append(Column(quantity.key, list(map(value_of, entries))))
+        values = [value_of(entry) for entry in entries]
+        columns.append(Column(quantity.key, values))
         for k, end in enumerate(("low", "high") if quantity.interval else ()):
             ends = [entry["ci95"][k] if isinstance(entry, Mapping) else None for entry in entries]
             columns.append(Column(Quantity(f"{quantity.name}_{end}", quantity.unit).key, ends))

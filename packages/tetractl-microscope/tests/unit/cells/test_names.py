@@ -92,7 +92,7 @@ def test_a_name_that_may_be_wrong_is_said_or_split(splits):
     assert all(track.question is not None for track in tracks)
     dish.names.answer(1.1 + 11.0)
     (answer,) = dish.names.answers
-    assert answer.asked == (1, 2) and answer.probability < ASSERTED
+    assert answer.met == (1, 2) and answer.probability < ASSERTED
     assert {track.identity for track in tracks} == ({3, 4} if splits else {1, 2})
     assert (dish.names.probabilities([tracks[0]])[0] < ASSERTED) is not splits
     assert dish.bank.used.sum() == 2

@@ -116,7 +116,7 @@ def test_a_resting_cell_is_not_lost_in_the_background():
         pytest.fail("the film does not show what it is for")
     places = {}
     for path in followed(synthetic).paths:
-        for k, cell in zip(path.frames.tolist(), path.seen, strict=True):
+        for k, cell in zip(path.frames.tolist(), path.sightings, strict=True):
             places.setdefault(k, []).append((cell.x, cell.y))
     gaps = [
         min(math.dist(place, synthetic.body[k, 3, :2]) for place in places.get(k, [(1e9, 1e9)]))

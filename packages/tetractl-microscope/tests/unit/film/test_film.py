@@ -50,8 +50,10 @@ def test_a_speeds_and_biases_are_within_their_intervals():
 def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
     synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
     before = followed(synthetic)
-    path = max(before.paths, key=lambda path: len(path.seen))
-    path = replace(path, times=path.times[:60], frames=path.frames[:60], seen=path.seen[:60])
+    path = max(before.paths, key=lambda path: len(path.sightings))
+    path = replace(
+        path, times=path.times[:60], frames=path.frames[:60], sightings=path.sightings[:60]
+    )
     fitted, (cell,) = fit_cells(replace(before, paths=(path,)), record(synthetic))
     i, (path,) = who(synthetic, path), fitted.paths
     assert cell.pictures == 60
@@ -80,13 +82,13 @@ def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
         return replace(cell, measured=(x, y, axis + np.pi / 2, *deviations))
 
     paths = tuple(
-        replace(path, seen=tuple(turned(c) if c.measured else c for c in path.seen))
+        replace(path, sightings=tuple(turned(c) if c.measured else c for c in path.sightings))
         for path in before.paths
     )
     off = []
     for path in fit_cells(replace(before, paths=paths), record(synthetic))[0].paths:
         truth = synthetic.body[path.frames, who(synthetic, path), 2]
-        off += np.abs(np.sin(np.array([cell.axis for cell in path.seen]) - truth)).tolist()
+        off += np.abs(np.sin(np.array([cell.axis for cell in path.sightings]) - truth)).tolist()
     assert np.mean(off) < 0.2
 
 
@@ -122,7 +124,7 @@ def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
     synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
     sure = followed(synthetic)
     doubtful = tuple(
-        replace(path, seen=tuple(replace(cell, probability=0.5) for cell in path.seen))
+        replace(path, sightings=tuple(replace(cell, probability=0.5) for cell in path.sightings))
         for path in sure.paths
     )
     before, after = (
@@ -136,7 +138,7 @@ def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
 
 
 def test_cells_that_fade_are_said():
-    shown = [{7: seen_cell(1, 0.0, 0.0, 7, found=k % 10 > 0)} for k in range(100)]
+    shown = [{7: seen_cell(1, 0.0, 0.0, 7, has_blob=k % 10 > 0)} for k in range(100)]
     assert "10 %" in str(_faded_line(recorded(shown, range(100))))
     assert _faded_line(recorded(shown[1:10], range(9))) is None
     assert _faded_line(recorded([{}], [0.0])) is None
@@ -379,7 +381,7 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
             "brief": (90.0 * k, 9),
         }
         cells = [
-            seen_cell(name, x, y, track, found=name != "fades" or k % 5 < 3)
+            seen_cell(name, x, y, track, has_blob=name != "fades" or k % 5 < 3)
             for track, (name, (x, y)) in enumerate(places.items())
         ]
         return {cell.track: cell for cell in cells[: 6 if k < 3 else 5]}
@@ -435,7 +437,7 @@ def test_a_track_goes_on_with_a_likely_number_that_is_not_called_sure():
     where.split()
     paths = list(where.paths(TETRAHYMENA))
     assert [path.identity for path in paths] == [3, 4]
-    assert [cell.sure for cell in paths[0].seen] == [True] * 30 + [False] * 30
+    assert [cell.sure for cell in paths[0].sightings] == [True] * 30 + [False] * 30
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ APART_AT = 30  # the picture in which the second cell has a blob of its own
 TIMES = [k / 30 for k in range(45)]
 
 
-def seen(track: int, x: float, y: float, long: float = LONG, wide: float = WIDE) -> SeenCell:
+def cell_on(track: int, x: float, y: float, long: float = LONG, wide: float = WIDE) -> SeenCell:
+    """A cell that moves along x on a track, with a blob of a length and width [um]."""
     return SeenCell(
         identity=track,
         x=x,
@@ -28,7 +29,7 @@ def seen(track: int, x: float, y: float, long: float = LONG, wide: float = WIDE)
         mean=np.zeros(12),
         sd=np.zeros(12),
         probability=1.0,
-        found=True,
+        has_blob=True,
         merged=False,
         long_um=LONG,
         wide_um=WIDE,
@@ -42,21 +43,23 @@ def film(apart_um: list[float]) -> list[dict[int, SeenCell]]:
     """Return pictures of two cells, one above the other by `apart_um`, in one blob until they are
     36 um apart, and of a third one far away.
     """
-    shown: list[dict[int, SeenCell]] = []
+    pictures: list[dict[int, SeenCell]] = []
     for k, apart in enumerate(apart_um):
         x = 300.0 + 10 * k
-        shown.append({3: seen(3, x, 900.0)})
+        picture = {3: cell_on(3, x, 900.0)}
         if k < APART_AT:  # the second moment of two bodies: their own, and that of the distance
             wide = math.sqrt(WIDE**2 + 4 * apart**2)
-            shown[k][1] = seen(1, x, 100.0 + apart / 2, LONG, wide)
+            picture[1] = cell_on(1, x, 100.0 + apart / 2, LONG, wide)
         else:
-            shown[k] |= {1: seen(1, x, 100.0), 2: seen(2, x, 100.0 + apart)}
-    return shown
+            picture[1] = cell_on(1, x, 100.0)
+            picture[2] = cell_on(2, x, 100.0 + apart)
+        pictures.append(picture)
+    return pictures
 
 
-def filled(shown: list[dict[int, SeenCell]]) -> tuple[set[int], Whereabouts]:
+def filled(pictures: list[dict[int, SeenCell]]) -> tuple[set[int], Whereabouts]:
     """Return the tracks of cells that were added to pictures, and the record."""
-    where = recorded(shown, TIMES)
+    where = recorded(pictures, TIMES)
     where.partings = [Parting(APART_AT, 2, 1)]
     return fill_pairs(where, BODY_UM), where
 
@@ -64,12 +67,12 @@ def filled(shown: list[dict[int, SeenCell]]) -> tuple[set[int], Whereabouts]:
 def test_both_cells_of_a_large_blob_are_in_the_pictures_before_they_part() -> None:
     added, where = filled(film([24.0] * APART_AT + [36.0] * 15))
     assert added == {2}
-    before = [where.picture(k) for k in range(APART_AT)]
-    for at in before:
-        assert (at[2].cell.y, at[1].cell.y) == pytest.approx((124.0, 100.0))
-        assert at[2].cell.x == at[1].cell.x
-        assert at[1].likely == at[2].likely == 0.5
-    names = {(at[1].name, at[2].name) for at in before}
+    before = [where.shown_in(k) for k in range(APART_AT)]
+    for row_of in before:
+        assert (row_of[2].cell.y, row_of[1].cell.y) == pytest.approx((124.0, 100.0))
+        assert row_of[2].cell.x == row_of[1].cell.x
+        assert row_of[1].likely == row_of[2].likely == 0.5
+    names = {(row_of[1].name, row_of[2].name) for row_of in before}
     assert len(names) == 1
     assert len({*names.pop(), 1, 2, 3}) == 5
     assert [row.name for row in where.tracks[1][APART_AT:]] == [1] * 15
@@ -78,7 +81,7 @@ def test_both_cells_of_a_large_blob_are_in_the_pictures_before_they_part() -> No
 def test_a_blob_that_was_large_once_has_shown_both_since_then() -> None:
     added, where = filled(film([20.0] * 5 + [0.0] * 25 + [36.0] * 15))
     assert added
-    assert [row.at for row in where.tracks[2]] == list(range(45))
+    assert [row.picture for row in where.tracks[2]] == list(range(45))
 
 
 def test_cells_that_one_covers_the_other_have_other_names_before() -> None:
@@ -99,12 +102,14 @@ def test_cells_that_one_covers_the_other_have_other_names_before() -> None:
 def test_a_cell_is_not_added_where_blobs_do_not_say_so(apart_um: list[float], why: str) -> None:
     added, where = filled(film(apart_um))
     assert not added, why
-    assert where.tracks[2][0].at == APART_AT
+    assert where.tracks[2][0].picture == APART_AT
 
 
 def test_a_large_blob_says_nothing_where_sizes_vary_as_much() -> None:
-    shown = film([24.0] * APART_AT + [36.0] * 15)
-    longer = np.exp(np.random.default_rng(1).normal(0.0, 0.4, (len(shown), 4)))
-    for at, each in zip(shown, longer, strict=True):
-        at |= {3 + i: seen(3 + i, 300.0, 500.0 + 100 * i, LONG * each[i]) for i in range(4)}
-    assert not filled(shown)[0]
+    pictures = film([24.0] * APART_AT + [36.0] * 15)
+    longer = np.exp(np.random.default_rng(1).normal(0.0, 0.4, (len(pictures), 4)))
+    for k, picture in enumerate(pictures):
+        for i in range(4):
+            picture[3 + i] = cell_on(3 + i, 300.0, 500.0 + 100 * i, LONG * longer[k, i])
+    added, _ = filled(pictures)
+    assert not added

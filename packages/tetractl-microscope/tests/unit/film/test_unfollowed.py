@@ -79,6 +79,6 @@ def test_a_film_says_that_half_of_its_cells_are_not_followed(monkeypatch):
 
     monkeypatch.setattr(following.Whereabouts, "paths", half)
     few = followed(synthetic)
-    rows = [sum(len(path.seen) for path in each.paths) for each in (few, tracked)]
+    rows = [sum(len(path.sightings) for path in each.paths) for each in (few, tracked)]
     assert few.not_followed == pytest.approx(1 - rows[0] / rows[1], abs=0.08)
     assert any("of what moves, " in line for line in notes(few, ()))

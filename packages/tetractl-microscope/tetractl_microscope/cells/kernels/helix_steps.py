@@ -122,10 +122,12 @@ def move(m, p, total, model, walled, piece):
     f = np.eye(STATES)
     cos = along * math.cos(middle)
     sin = along * math.sin(middle)
+    by_bias = bend * half if learns else 0.0
+    by_bias_2 = bend_2 if learns else 0.0
     for state, part, direct in (
         (HEADING, 1 + bend * half, 0.0),
         (A, learns * towards * half, learns * towards_2),
-        (BIAS, bend * half * (learns > 0), bend_2 * (learns > 0)),
+        (BIAS, by_bias, by_bias_2),
         (TURN, half, 1.0),
     ):
         f[X, state] = -m[SPEED] * sin * seconds * part

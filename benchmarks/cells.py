@@ -18,6 +18,7 @@ from scipy.stats import beta
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
+from tetractl_microscope.cells.cell import BodySize
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.names import Names
@@ -68,7 +69,14 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     deviation = np.tile((0.86, 0.86, 0.04), (2, 1))
     rows = np.array([bank.add(0.0, 0.0, cells.heading[i], cells.speed[i]) for i in range(2)])
     tracks = [
-        CellTrack(i, [], int(rows[i]), i, long=cells.length[i], wide=cells.width[i]) for i in (0, 1)
+        CellTrack(
+            number=i,
+            row=int(rows[i]),
+            size=BodySize(cells.length[i], cells.width[i]),
+            last=np.zeros(2),
+            identity=i,
+        )
+        for i in (0, 1)
     ]
     names = Names(bank, 52.3, splits=False)
     direction = 0.0
@@ -104,7 +112,7 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
         blobs += random.normal(0, 1, (2, 3)) * (0.4, 0.4, 0.02)
         for track, blob in zip(tracks, blobs, strict=True):
             open_question = track.question
-            rows_asked = [track.row] if open_question is None else open_question.rows[track.number]
+            rows_asked = track.rows
             blobs_asked = np.tile(blob, (len(rows_asked), 1))
             deviations = np.tile(deviation[0], (len(rows_asked), 1))
             likelihood, _ = bank.update(np.array(rows_asked, int), blobs_asked, deviations)

@@ -58,7 +58,7 @@ def parts(folder: Path, um_px: float) -> dict[str, list[float]]:
     fit_cells(followed, field)
     marks.append(cpu_s())
     decode, find_and_link, fit = (1e3 * np.diff(marks) / len(pictures)).tolist()
-    tracker = CellTracker(um_px, known=True)
+    tracker = CellTracker(um_px, field_known=True)
     tracker.finder.learn(pictures[:: max(1, len(pictures) // 20)])
     live = []
     for number, picture in enumerate(pictures):

@@ -23,7 +23,7 @@ from tetractl.log.format.channels import TRACK, TRANSFORMS
 from tetractl.log.format.scene import stamp
 from tetractl.view.style import SCREEN_DPI, save
 from tetractl_microscope.cells.cell import SeenCell
-from tetractl_microscope.cells.match import pixels_of
+from tetractl_microscope.cells.picture_now import pixels_of
 from tetractl_microscope.figures.cells import cells_figure
 from tetractl_microscope.film.film_tables import pose_tables
 from tetractl_microscope.film.follow import Followed

@@ -39,7 +39,7 @@ def _dish() -> tuple[list, list[bytes]]:
 
 def pictures(data: bytes) -> None:
     """What a network camera answers, searched for cells."""
-    tracker = CellTracker(2.3, known=True)
+    tracker = CellTracker(2.3, field_known=True)
     parts = Multipart(BOUNDARY)
     tracker.finder.learn(_dish()[0])
     for k, body in enumerate(parts.feed(data)[:20]):

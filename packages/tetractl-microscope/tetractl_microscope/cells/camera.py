@@ -60,7 +60,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._moved_um = 0.0, 0.0  # by how much knocks have moved what the pictures show
         self._tracker = CellTracker(
             section.um_px,
-            known=True,
+            field_known=True,
             near_wall=self._near_wall,
             organism=self._organism,
         )

@@ -21,6 +21,18 @@ class PathBlob(NamedTuple):
         return self._replace(x=self.x + x, y=self.y + y)
 
 
+class BodySize(NamedTuple):
+    """Length and width of a body [um], as pictures show it."""
+
+    long: float
+    wide: float
+
+    @property
+    def area_um2(self) -> float:
+        """Length times width, by which bodies and blobs are compared."""
+        return self.long * self.wide
+
+
 @dataclass(frozen=True, slots=True)
 class SeenCell:
     """One cell in one picture.

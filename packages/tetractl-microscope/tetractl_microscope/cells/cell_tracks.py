@@ -1,4 +1,4 @@
-"""The tracks of a dish's objects, and the question which cell is on which track."""
+"""The tracks of a dish's cells, and the question which cell is on which track."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from itertools import permutations
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import PathBlob
+from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.cells.helix import HelixFilter
 
@@ -38,73 +38,113 @@ class CellStart:
     seconds: float
 
 
+@dataclass(slots=True)
+class TrackBlob:
+    """The blob that shows a cell in the newest picture: `blobs[index]` of that picture, in `place`
+    (5,): x, y [um], axis [rad], length and width [um].
+
+    `is_shared`: it shows other cells that are followed, too. `is_large`: it is the cell's own but
+    too large for one cell. `measured` (6,) are x, y, axis of the cell by a blob of its own, and
+    their standard deviations.
+    """
+
+    index: int
+    blob: Blob
+    place: Floats
+    is_shared: bool = False
+    is_large: bool = False
+    measured: tuple[float, ...] | None = None
+
+
+@dataclass(slots=True)
+class SizeTimes:
+    """Times [s] by which the size of a cell's blobs tells how many cells they show."""
+
+    seen_s: float = 0.0  # when a blob of its own last had the cell's size
+    small_since_s: float = math.inf  # since when a shared blob has been as small as one cell
+    pair_until_s: float = -math.inf  # until when its blob may show two that came together
+
+
 @dataclass(slots=True, eq=False)
 class CellTrack:
-    """An object that the tracker follows: a cell, or, before it has swum, a speck.
+    """A cell that the tracker follows by its `row` of the filter.
 
-    `path` holds its newest blobs. A cell has a `row` in the filter; a speck has none. `long` and
-    `wide` are the usual length and width [um], `missed_s` is the time since the last blob [s], and
-    `odd` counts successive blobs far from the expected position. `near` is the cell near which a
-    speck was first seen, or None.
+    `path` holds its newest own blobs, `last` is the position of its last blob (2,) [um], `missed_s`
+    the time since then [s]. A cell that has not swum far yet has a `start`, and may be none.
+    `odd_in_turn` counts successive blobs far from where the filter expected them.
+
+    `Names` finds out its `identity`, which has the probability `certainty` as long as the cell is
+    in no `meeting` and there is no open `question`; `together_s` is when it was last too near to
+    another cell to be distinguished [s].
     """
 
     number: int
-    path: list[PathBlob]
-    row: int | None = None
-    identity: int = 0
-    certainty: float = 1.0  # probability of the identity, without an open question
-    long: float = math.nan
-    wide: float = math.nan
+    row: int
+    size: BodySize
+    last: Floats
+    path: list[PathBlob] = field(default_factory=list)
     missed_s: float = 0.0
-    odd: int = 0
-    near: "CellTrack | None" = None
-    blob: Blob | None = None
-    place: Floats | None = None  # x, y, axis, length and width of its blob (5,) [um, rad]
-    merged: bool = False  # whether its blob shows other cells, too
-    hidden_s: float = math.inf  # since then, its shared blob has been as small as one cell
-    large: bool = False  # whether its own blob is too large for one cell
-    sized_s: float = 0.0  # last time when the blob had the cell's size
-    pair_s: float = -math.inf  # until then, its blob may show two cells that came together
-    measured: tuple[float, ...] | None = None
-    begun: CellStart | None = None  # None once the cell has swum far enough
+    newest: TrackBlob | None = None  # in the newest picture
+    size_times: SizeTimes = field(default_factory=SizeTimes)
+    start: CellStart | None = None
+    odd_in_turn: int = 0
+    identity: int = 0
+    certainty: float = 1.0
     meeting: "Meeting | None" = None
-    # last time when it was too near to another cell to be distinguished
-    together_s: float = -math.inf
     question: "WhichIsWhich | None" = None
-    last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]
+    together_s: float = -math.inf
 
     @property
-    def filter_row(self) -> int:
-        """The cell's row in the filter."""
-        assert self.row is not None, "a speck has no row in the filter"
-        return self.row
+    def is_new(self) -> bool:
+        """Whether it has not swum as far yet as a cell must."""
+        return self.start is not None
 
-    def ahead(self, seconds: float) -> tuple[float, float]:
-        """Return the position x, y [um] that the last motion predicts for a time [s]."""
-        last = self.path[-1]
-        if len(self.path) < 2 or self.missed_s > 0.1:
-            return last.x, last.y
-        first = self.path[max(0, len(self.path) - 4)]
-        ratio = (seconds - last.seconds) / max(last.seconds - first.seconds, 1e-3)
-        return last.x + (last.x - first.x) * ratio, last.y + (last.y - first.y) * ratio
+    @property
+    def is_shared(self) -> bool:
+        """Whether its blob shows other cells, too."""
+        return self.newest is not None and self.newest.is_shared
+
+    @property
+    def is_large(self) -> bool:
+        """Whether its own blob is too large for one cell."""
+        return self.newest is not None and self.newest.is_large
+
+    @property
+    def rows(self) -> Sequence[int]:
+        """The filter's rows that follow it: with an open question, one for each cell that it may
+        be.
+        """
+        if self.question is None:
+            return [self.row]
+        return self.question.rows[self.question.tracks.index(self)].tolist()
+
+    def take_blob(self, newest: TrackBlob) -> None:
+        """Note its blob in the newest picture."""
+        self.newest = newest
+        self.missed_s = 0.0
+
+    def lose_blob(self, passed_s: float) -> None:
+        """Note that the newest picture, some time after the one before [s], does not show it."""
+        self.newest = None
+        self.missed_s += passed_s
 
     def shift(self, x: float, y: float) -> None:
         """Move all that is known of its places by x, y [um], with the picture's content."""
-        self.path = [entry.moved(x, y) for entry in self.path]
+        self.path = [blob.moved(x, y) for blob in self.path]
         self.last = self.last + np.array((x, y))
-        if self.begun is not None:
-            self.begun = replace(self.begun, x=self.begun.x + x, y=self.begun.y + y)
+        if self.start is not None:
+            self.start = replace(self.start, x=self.start.x + x, y=self.start.y + y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
     """A cell that a track may be: its `name`, the probability `certainty` that it is that cell, and
-    its length and width `size` [um].
+    its size.
     """
 
     name: int
     certainty: float
-    size: tuple[float, float]
+    size: BodySize
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -82,7 +82,7 @@ def open_water(x: Floats, y: Floats) -> Bools:
 
 def new_cell(organism: Organism, field_known: bool) -> tuple[Floats, Floats, Floats]:
     """Return mean and covariance (n,), (n, n) of the states of a new cell at the origin, and the
-    numbers (12,) of its model, as in `kernels.helix_steps`; `known` as in `HelixFilter`.
+    numbers (12,) of its model, as in `kernels.helix_steps`; `field_known` as in `HelixFilter`.
     """
     body = organism.body_um[0]
     slowest = organism.slowest_um_s
@@ -105,12 +105,12 @@ class HelixFilter:
     """A filter with one row per cell: `mean` (R, n) and `covariance` (R, n, n); `used` is False
     for free rows.
 
-    `known`: whether the field is known, so that little turning is unexplained. `near_wall` says
-    where a wall may turn cells: turning there leaves the estimates of states a and bias unchanged.
-    New cells are like those of the `organism`.
+    `field_known`: whether the field is known, so that little turning is unexplained. `near_wall`
+    says where a wall may turn cells: turning there leaves the estimates of states a and bias
+    unchanged. New cells are like those of the `organism`.
     """
 
-    known: bool = True
+    field_known: bool = True
     near_wall: NearWall = open_water
     organism: Organism = TETRAHYMENA
     mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
@@ -121,7 +121,7 @@ class HelixFilter:
 
     def __post_init__(self) -> None:
         """Compile the steps now, and not while pictures wait."""
-        self._new = new_cell(self.organism, self.known)
+        self._new = new_cell(self.organism, self.field_known)
         self.add(0.0, 0.0, 0.0, 0.0)
         self.predict([(1.0, 0.0, 0.0)])
         only_row = np.zeros(1, int)

@@ -82,7 +82,7 @@ class LostCells:
         """
         if not self._cells:
             return None
-        size = np.array([track.long, track.wide])
+        size = np.array(track.size)
         densities = [
             _return_density(self._bank, lost, place[:2], size, since_s, self._body_um)
             for lost in self._cells

@@ -10,10 +10,12 @@ Costs are squared deviations: the negative log-likelihood, doubled. A cell may h
 a speck has the blob where its last motion leads; and each may have none. The assignment of least
 total cost is found at once for all.
 
-C is the number of cells, S that of specks, B that of blobs; costs are (C, B) or (S, B).
+C is the number of cells, S that of specks, B that of blobs. The place of a blob is x, y [um],
+axis [rad], length and width [um] (5,).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -21,8 +23,12 @@ from scipy.optimize import linear_sum_assignment
 from tetractl.core.poses import Bools, Floats
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import Blob
+from tetractl_microscope.cells.picture_now import PictureNow
+from tetractl_microscope.cells.specks import Speck
 from tetractl_microscope.organisms import Organism
 
+# time without a blob for which a cell is looked for elsewhere [s]: it may have stopped
+LOOKED_S = 0.2
 NONE = 100.0  # cost of leaving a cell without a blob
 NEVER = 1e6  # cost of what is never assigned
 NONE_SPECK = 30.0  # cost of leaving a new speck without a blob
@@ -54,26 +60,31 @@ ROUNDS = 4  # iterations when a blob is divided among cells
 SAMPLED = 200  # most pixels that are used then
 
 
-def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
-    """Return x, y (upwards) [um], axis [rad], length and width [um] of B blobs (B, 5), found in a
-    picture with `height` rows.
+@dataclass(frozen=True, slots=True)
+class CellCosts:
+    """The costs (C, B) of blobs for cells: of a blob of its `own`, and of a place in a blob that is
+    `shared`. `is_away` (C, B) is whether an own blob is not where the filter expects it.
     """
-    places = [
-        ((b.x + 0.5) * um_px, (height - 0.5 - b.y) * um_px, -b.axis, b.long * um_px, b.wide * um_px)
-        for b in blobs
-    ]
-    return np.array(places).reshape(-1, 5)
+
+    own: Floats
+    shared: Floats
+    is_away: Bools
 
 
-def points_of(blob: Blob, um_px: float, height: int) -> Floats:
-    """Return x, y (upwards) [um] of a blob's pixels (M, 2), in a picture with `height` rows."""
-    columns, rows = blob.pixels.T
-    return np.column_stack([columns + 0.5, height - 0.5 - rows]) * um_px
+@dataclass(frozen=True, slots=True)
+class SpeckCosts:
+    """The costs of `blobs` (S, B) for specks, and of `none` (S,)."""
+
+    blobs: Floats
+    none: Floats
 
 
-def pixels_of(places: Floats, um_px: float, height: int) -> Floats:
-    """Return column and row (N, 2) of places (N, >= 2) [um] in a picture with `height` rows."""
-    return np.column_stack([places[:, 0] / um_px - 0.5, height - 0.5 - places[:, 1] / um_px])
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """The index of the blob of each cell and of each speck, or None."""
+
+    of_cells: list[int | None]
+    of_specks: list[int | None]
 
 
 def squared_distances(expected: Floats, spread: Floats, places: Floats) -> Floats:
@@ -88,54 +99,61 @@ def squared_distances(expected: Floats, spread: Floats, places: Floats) -> Float
 def cell_costs(
     cells: Sequence[CellTrack],
     expected: Floats,
-    squared: Floats,
-    places: Floats,
+    spread: Floats,
+    blobs: Sequence[Blob],
+    now: PictureNow,
     organism: Organism,
-    looked_s: float,
-) -> tuple[Floats, Bools]:
-    """Return the costs (C, B) of blobs of their own for C cells, and whether (C, B) the blob is not
-    where the filter expects it: the cell has stopped or turned by itself, and was seen less than
-    `looked_s` [s] ago.
+) -> CellCosts:
+    """Return the costs of blobs for C cells, which are `expected` at x, y [um] and axis [rad]
+    (C, 3), where `spread` (C, 2, 2) [um^2] is the covariance of x and y.
     """
+    places = now.places_of(blobs)
     body_um = organism.body_um[0]
+    squared = squared_distances(expected, spread, places)
     away = np.linalg.norm(places[None, :, :2] - expected[:, None, :2], axis=-1) / body_um
-    sizes = np.array([(cell.long, cell.wide) for cell in cells]).reshape(-1, 1, 2)
+    sizes = np.array([cell.size for cell in cells]).reshape(-1, 1, 2)
     size_off = np.abs(np.log(places[None, :, 3:5] / sizes))
 
     is_near = (squared < GATE**2) | (away < NEAR)
     of_size = np.minimum(np.square(size_off / SIZE_SHARE).sum(-1), SIZE_MOST)
     of_place = np.minimum(squared, GATES_MOST * GATE**2)
-    cost = np.where(is_near, of_place + of_size, NONE)
+    cost_near = np.where(is_near, of_place + of_size, NONE)
 
     missed_s = np.array([cell.missed_s for cell in cells])
     stopped = STOPPED_FAR + STOPPED_REACH * organism.quickness * missed_s
-    reach = np.where(missed_s < looked_s, stopped, NO_REACH)[:, None]
+    is_recent = missed_s < max(LOOKED_S, now.brief_s)
+    reach = np.where(is_recent, stopped, NO_REACH)[:, None]
     is_in_reach = (away < reach) & (size_off.max(axis=-1, initial=0.0) < ALIKE)
     of_distance = STOPPED_LEAST + (STOPPED_MOST - STOPPED_LEAST) * np.square(away / reach)
     cost_away = np.where(is_in_reach, of_distance, NONE)
-    return np.minimum(cost, cost_away), cost_away < cost
+
+    return CellCosts(
+        own=np.minimum(cost_near, cost_away),
+        shared=_shared_costs(cells, now.pixels_of(expected), blobs, now.um_px),
+        is_away=cost_away < cost_near,
+    )
 
 
 def speck_costs(
-    specks: Sequence[CellTrack],
+    specks: Sequence[Speck],
     places: Floats,
     seconds: float,
-    passed: float,
+    passed_s: float,
     organism: Organism,
-) -> tuple[Floats, Floats]:
-    """Return the costs (S, B) of blobs for S specks, at their expected places at a time [s], and
-    those of no blob (S,); `passed` is the time since the last picture [s].
+) -> SpeckCosts:
+    """Return the costs of blobs in `places` (B, 5) at a time [s] for S specks, by where their last
+    motion leads; `passed_s` is the time since the last picture [s].
     """
     ahead = np.array([speck.ahead(seconds) for speck in specks]).reshape(-1, 1, 2)
     reach = np.array([REACH if len(speck.path) > 2 else FIRST for speck in specks])
-    length = organism.body_um[0] * max(1.0, organism.quickness * USUAL_HZ * passed)
+    length = organism.body_um[0] * max(1.0, organism.quickness * USUAL_HZ * passed_s)
     away = np.linalg.norm(places[None, :, :2] - ahead, axis=-1) / length
     of_none = np.array([min(NONE, NONE_SPECK + NONE_EACH * len(speck.path)) for speck in specks])
     cost = np.minimum(SPECK + np.square(away / SPECK_SD), of_none[:, None] - 1)
-    return np.where(away < reach[:, None], cost, NEVER), of_none
+    return SpeckCosts(np.where(away < reach[:, None], cost, NEVER), of_none)
 
 
-def shared_costs(
+def _shared_costs(
     cells: Sequence[CellTrack], pixels: Floats, blobs: Sequence[Blob], um_px: float
 ) -> Floats:
     """Return the costs (C, B) of a place in a blob that covers the cell's expected column and row,
@@ -146,7 +164,7 @@ def shared_costs(
         return cost
     middles = np.array([(blob.x, blob.y) for blob in blobs])
     halves = np.array([blob.long / 2 for blob in blobs])
-    reach = COVER * np.array([cell.wide for cell in cells]) / um_px
+    reach = COVER * np.array([cell.size.wide for cell in cells]) / um_px
     away = np.linalg.norm(pixels[:, None] - middles, axis=-1) - halves[None] - reach[:, None]
     for j in np.flatnonzero((away < 0).any(axis=0)).tolist():
         blob = blobs[j]
@@ -154,39 +172,42 @@ def shared_costs(
         points = blob.pixels
         for i in np.flatnonzero(away[:, j] < 0).tolist():
             cell = cells[i]
-            is_large = blob_um2 > LARGE * cell.long * cell.wide
+            is_large = blob_um2 > LARGE * cell.size.area_um2
             was_outside = cell.missed_s > 0 and not is_large
             if not was_outside and np.linalg.norm(points - pixels[i], axis=1).min() < reach[i]:
                 cost[i, j] = SHARED_LARGE if is_large else SHARED
     return cost
 
 
-def assigned(own: Floats, shared: Floats, specks: tuple[Floats, Floats]) -> dict[int, int]:
-    """Return {track: blob}, the assignment of least total cost.
+def assigned(cells: CellCosts, specks: SpeckCosts) -> Assignment:
+    """Return the assignment of least total cost. Only cells share a blob: a speck in a cell's blob
+    has none.
 
-    `own` and `shared` (C, B) are the costs of cells; `specks` are those of S specks, whose numbers
-    follow the cells', as by `speck_costs`. Only cells share a blob: a speck in a cell's blob has
-    none.
+    The table that is solved has a row for each track, the cells first. Its columns are the blobs;
+    one more of a blob for each cell that may share it; and, for each track, one for no blob.
     """
-    count, blobs = own.shape
-    of_specks, speck_none = specks
-    # a blob has one more column for each cell that may share it
-    may_share = shared < NONE
-    columns = np.concatenate([np.arange(blobs), np.repeat(np.arange(blobs), may_share.sum(axis=0))])
-    cost = np.full((count + len(speck_none), len(columns)), NEVER)
-    cost[:count, :blobs] = own
-    cost[:count, blobs:] = shared[:, columns[blobs:]]
-    cost[count:, :blobs] = of_specks
-    of_none = np.concatenate([np.full(count, NONE), speck_none])
-    cost[cost >= of_none[:, None]] = NEVER
-    nothing = np.full((len(cost), len(cost)), NEVER)  # a column for each track that has no blob
+    count, blobs = cells.own.shape
+    may_share = cells.shared < NONE
+    shared_blobs = np.repeat(np.arange(blobs), may_share.sum(axis=0))
+    blob_of_column = np.concatenate([np.arange(blobs), shared_blobs])
+    of_none = np.concatenate([np.full(count, NONE), specks.none])
+    cost = np.full((len(of_none), len(blob_of_column)), NEVER)
+    cost[:count, :blobs] = cells.own
+    cost[:count, blobs:] = cells.shared[:, shared_blobs]
+    cost[count:, :blobs] = specks.blobs
+    is_dearer = cost >= of_none[:, None]
+    cost[is_dearer] = NEVER
+    nothing = np.full((len(cost), len(cost)), NEVER)
     np.fill_diagonal(nothing, of_none)
-    rows, chosen = linear_sum_assignment(np.concatenate([cost, nothing], axis=1))
-    blob_of = {
-        int(i): int(columns[j]) for i, j in zip(rows, chosen, strict=True) if j < len(columns)
-    }
-    with_cells = {j for i, j in blob_of.items() if i < count}
-    return {i: j for i, j in blob_of.items() if i < count or j not in with_cells}
+    rows, columns = linear_sum_assignment(np.concatenate([cost, nothing], axis=1))
+
+    blob_of: list[int | None] = [None] * len(cost)
+    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+        if column < len(blob_of_column):
+            blob_of[row] = int(blob_of_column[column])
+    of_cells = blob_of[:count]
+    of_specks = [None if blob in of_cells else blob for blob in blob_of[count:]]
+    return Assignment(of_cells, of_specks)
 
 
 def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
@@ -200,11 +221,11 @@ def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Flo
     middles = expected[:, :2].copy()
     cos = np.cos(expected[:, 2])
     sin = np.sin(expected[:, 2])
-    halves = np.array([(cell.long / 4, cell.wide / 4) for cell in owners])
+    sd_um = np.array([cell.size for cell in owners]) / 4  # those of an ellipse, along and across
     for _ in range(ROUNDS):
         away = points[None] - middles[:, None]
-        along = (away[..., 0] * cos[:, None] + away[..., 1] * sin[:, None]) / halves[:, :1]
-        aside = (away[..., 1] * cos[:, None] - away[..., 0] * sin[:, None]) / halves[:, 1:]
+        along = (away[..., 0] * cos[:, None] + away[..., 1] * sin[:, None]) / sd_um[:, :1]
+        aside = (away[..., 1] * cos[:, None] - away[..., 0] * sin[:, None]) / sd_um[:, 1:]
         logs = -(along**2 + aside**2) / 2
         shares = np.exp(logs - logs.max(axis=0))
         shares /= shares.sum(axis=0)

@@ -88,8 +88,8 @@ class Meetings:
 
     def _join(self, meeting: Meeting, track: CellTrack) -> None:
         """Add a track to a meeting, and a copy of its cell that is predicted alone from now on."""
-        cell = Known(track.identity, track.certainty, (track.long, track.wide))
-        meeting.members.append(Member(track, cell, self._bank.copied(track.filter_row)))
+        cell = Known(track.identity, track.certainty, track.size)
+        meeting.members.append(Member(track, cell, self._bank.copied(track.row)))
 
     def leave(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track and its cell out of a meeting, which ends with its last track."""
@@ -115,8 +115,8 @@ class Meetings:
         that it did before, by where the cells are.
         """
         tracks = meeting.tracks
-        places, _ = self._bank.expected(np.array([track.filter_row for track in tracks]))
-        deviations = [MERGED[0] if track.merged else PLACE_SD for track in tracks]
+        places, _ = self._bank.expected(np.array([track.row for track in tracks]))
+        deviations = [MERGED[0] if track.is_shared else PLACE_SD for track in tracks]
         table = self.log_densities(meeting, places, np.array(deviations))
         not_unknown = np.diagonal(self.not_unknown(meeting, table))
         if len(tracks) > ORDERED_MOST:

@@ -66,7 +66,13 @@ class Names:
         self._meetings = Meetings(bank, body_um)
         self._questions: list[WhichIsWhich] = []
         self._lost = LostCells(bank, body_um)
-        self.answers: list[CellAnswer] = []  # since the tracker last emptied the list
+        self._answers: list[CellAnswer] = []  # not taken yet
+
+    def take_answers(self) -> list[CellAnswer]:
+        """Take the answers since they were last taken."""
+        answers = self._answers
+        self._answers = []
+        return answers
 
     def take_number(self) -> int:
         """Take the next number, for a new cell."""
@@ -138,34 +144,39 @@ class Names:
     # ---- cells that appear and are lost ----
 
     def appear(
-        self, track: CellTrack, place: Floats, since_s: float, expected: float, entered: bool
+        self,
+        track: CellTrack,
+        near: CellTrack | None,
+        place: Floats,
+        since_s: float,
+        expected: float,
+        entered: bool,
     ) -> int | None:
         """Name a new cell, first seen at a time [s], that is at x, y [um] and axis [rad] (3,).
 
         The cell may be a lost one: `expected` [1/um^2] is the density of cells that appear there
-        otherwise. If it comes out of the blob of `track.near`, it is uncertain which of the two is
-        the cell that was followed. Unless something unknown may have been in that blob, or the cell
-        may have `entered` the picture, the number of the cell that has divided there is returned;
+        otherwise. If it comes out of the blob of the track `near`, it is uncertain which of the two
+        is the cell that was followed. Unless something unknown may have been in that blob, or the
+        cell may have `entered` the picture, the number of the cell that has divided is returned;
         None if none has.
         """
-        divided = self._come_out(track, since_s, entered)
+        divided = None if near is None else self._come_out(track, near, since_s, entered)
         if divided is None:
             self._come_back(track, place, since_s, expected)
         return divided
 
-    def _come_out(self, track: CellTrack, since_s: float, entered: bool) -> int | None:
-        """Doubt the name of the track out of whose blob a new one came at a time [s]; return the
-        number of its cell if that has divided, None if not.
+    def _come_out(
+        self, track: CellTrack, near: CellTrack, since_s: float, entered: bool
+    ) -> int | None:
+        """Doubt the name of the track `near`, out of whose blob a new one came at a time [s];
+        return the number of its cell if that has divided, None if not.
         """
-        near = track.near
-        if near is None:
-            return None
         meeting = near.meeting
         if meeting is not None and len(meeting.tracks) > 1:
             return None
         if meeting is not None and meeting.with_unknown:
             # the two tracks show the cell and something unknown: the nearer to its copy is the cell
-            rows = np.array([near.filter_row, track.filter_row])
+            rows = np.array([near.row, track.row])
             places, _ = self._bank.expected(rows)
             log_densities = self._meetings.log_densities(meeting, places, np.full(2, PLACE_SD))
             log_own, log_other = log_densities[:, 0].tolist()
@@ -188,11 +199,11 @@ class Names:
             return
         x, y, axis = place.tolist()
         cell = back.lost.cell
-        self._bank.drop(track.filter_row)
+        self._bank.drop(track.row)
         track.row = self._bank.moved(back.lost.row, x, y, axis)
         track.identity = cell.name
         track.certainty = cell.certainty * back.probability
-        track.long, track.wide = cell.size
+        track.size = cell.size
         self._lost.remove(back.lost)
 
     def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
@@ -204,11 +215,11 @@ class Names:
         if track.meeting is not None:
             self._give_up_in(track.meeting, track)
         if not may_return:
-            self._bank.drop(track.filter_row)
+            self._bank.drop(track.row)
             return
-        cell = Known(track.identity, track.certainty, (track.long, track.wide))
+        cell = Known(track.identity, track.certainty, track.size)
         since_s = seconds - track.missed_s
-        self._lost.add(LostCell(cell, track.filter_row, track.last, since_s))
+        self._lost.add(LostCell(cell, track.row, track.last, since_s))
 
     def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track that is given up out of a meeting."""
@@ -278,7 +289,7 @@ class Names:
         self._meetings.end(meeting)
         self._questions.append(question)
         for track in tracks:
-            self._bank.drop(track.filter_row)
+            self._bank.drop(track.row)
             track.question = question
         self._name_by(question)
 
@@ -289,7 +300,7 @@ class Names:
         """
         bank = self._bank
         places = places.copy()
-        heading = bank.mean[[track.filter_row for track in meeting.tracks], HEADING]
+        heading = bank.mean[[track.row for track in meeting.tracks], HEADING]
         places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
         cells = len(meeting.members)
         rows = np.zeros((cells, cells), int)
@@ -319,11 +330,11 @@ class Names:
         for t, track in enumerate(question.tracks):
             cell = question.cells[order[t]]
             track.question = None
-            track.long, track.wide = cell.size
+            track.size = cell.size
             certainty = float(shares[t]) * cell.certainty
             if self._splits and certainty < PASSED_ON:
                 # the new number's cell is any of those asked about
-                self._bank.mix(track.filter_row, question.rows[t], question.on_track(t))
+                self._bank.mix(track.row, question.rows[t], question.on_track(t))
             self._set_certainty(track, certainty)
         kept_rows = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
@@ -352,4 +363,4 @@ class Names:
             TrackName(track.number, track.identity, track.certainty, track.together_s)
             for track in tracks
         )
-        self.answers.append(CellAnswer(named, probability, tuple(met)))
+        self._answers.append(CellAnswer(named, probability, tuple(met)))

@@ -8,9 +8,10 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells import match
-from tetractl_microscope.cells.cell import PathBlob
-from tetractl_microscope.cells.cell_tracks import CellTrack
+from tetractl_microscope.cells.cell import BodySize, PathBlob
+from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.match import LARGE
+from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.specks import usual_size
 
 # standard deviations of a blob's measured position
@@ -40,88 +41,85 @@ class BlobReading:
     deviations: tuple[float, float, float]
 
 
-def note_size(cell: CellTrack, place: Floats, seconds: float) -> None:
-    """Add a cell's own blob in `place` (5,), as by `match.places_of`, to its path, and note whether
-    the blob is too large for the cell, or the cell of another size than was thought.
+def note_own_blob(cell: CellTrack, newest: TrackBlob, seconds: float) -> None:
+    """Add a cell's own blob to its path, and note whether the blob is too large for the cell, or
+    the cell of another size than was thought.
     """
-    x, y, axis, long, wide = place.tolist()
-    cell.path = [*cell.path[1 - PATH :], PathBlob(seconds, x, y, axis, long, wide)]
-    if 1 / LARGE <= long * wide / (cell.long * cell.wide) <= LARGE:
-        cell.sized_s = seconds
-    elif seconds - cell.sized_s > GROWN_S:  # nothing else has left the blob: this is its size
-        cell.long, cell.wide = usual_size(np.array(cell.path))
-    cell.hidden_s = math.inf
-    cell.large = long * wide > LARGE * cell.long * cell.wide or long > LONGER * cell.long
+    blob = PathBlob(seconds, *newest.place.tolist())
+    size = BodySize(blob.long, blob.wide)
+    cell.path = [*cell.path[1 - PATH :], blob]
+    if 1 / LARGE <= size.area_um2 / cell.size.area_um2 <= LARGE:
+        cell.size_times.seen_s = seconds
+    elif seconds - cell.size_times.seen_s > GROWN_S:
+        # nothing else has left the blob: this is its size
+        cell.size = usual_size(np.array(cell.path))
+    cell.size_times.small_since_s = math.inf
+    has_two_areas = size.area_um2 > LARGE * cell.size.area_um2
+    newest.is_large = has_two_areas or size.long > LONGER * cell.size.long
 
 
-def note_shared(cells: Sequence[CellTrack], place: Floats, seconds: float) -> None:
-    """Note that cells share a blob in `place` (5,), and since when it has been as small as one of
-    them.
-    """
+def note_shared_blob(cells: Sequence[CellTrack], place: Floats, seconds: float) -> None:
+    """Note since when a blob in `place` (5,) that cells share has been as small as one of them."""
     is_small = _is_small(cells, place)
     for cell in cells:
-        cell.merged = True
-        cell.hidden_s = min(cell.hidden_s, seconds) if is_small else math.inf
+        times = cell.size_times
+        times.small_since_s = min(times.small_since_s, seconds) if is_small else math.inf
 
 
-def note_own(reading: BlobReading, place: Floats) -> None:
-    """Note what a cell's own blob in `place` (5,) said, and its size unless the blob is odd."""
+def note_own_reading(reading: BlobReading, newest: TrackBlob) -> None:
+    """Note what a cell's own blob said, and its size unless the blob is odd."""
     cell = reading.cell
-    cell.measured = (*reading.values, *reading.deviations)
-    if not _is_odd(cell, place):
-        _, _, _, long, wide = place.tolist()
-        cell.long += SHAPE_SHARE * (long - cell.long)
-        cell.wide += SHAPE_SHARE * (wide - cell.wide)
+    newest.measured = (*reading.values, *reading.deviations)
+    if not _is_odd(cell, newest):
+        _, _, _, long, wide = newest.place.tolist()
+        cell.size = BodySize(
+            cell.size.long + SHAPE_SHARE * (long - cell.size.long),
+            cell.size.wide + SHAPE_SHARE * (wide - cell.size.wide),
+        )
 
 
 def _is_small(cells: Sequence[CellTrack], place: Floats) -> bool:
     """Return whether a shared blob is only as large as one of its cells."""
-    return bool(place[3] * place[4] < LARGE * max(cell.long * cell.wide for cell in cells))
+    return bool(place[3] * place[4] < LARGE * max(cell.size.area_um2 for cell in cells))
 
 
-def _is_odd(cell: CellTrack, place: Floats) -> bool:
+def _is_odd(cell: CellTrack, newest: TrackBlob) -> bool:
     """Return whether a cell's own blob is too large or too small for it, or cut off."""
-    assert cell.blob is not None
-    is_smaller = place[3] * place[4] < cell.long * cell.wide / LARGE**2
-    return bool(cell.large or is_smaller or cell.blob.at_edge)
+    _, _, _, long, wide = newest.place.tolist()
+    is_smaller = long * wide < cell.size.area_um2 / LARGE**2
+    return newest.is_large or is_smaller or newest.blob.at_edge
 
 
-def own_path(path: Floats, long: float, wide: float, body_um: float) -> Floats:
-    """Return the path (M, 6) of a new cell of a size [um] after the last blob that is too large for
+def own_path(path: Floats, size: BodySize, body_um: float) -> Floats:
+    """Return the path (M, 6) of a new cell of a size after the last blob that is too large for
     it, or to which it jumped: another cell was in that blob. Cells are `body_um` long.
     """
     steps = np.diff(path[:, 1:3], axis=0)
     usual_um = float(np.median(np.linalg.norm(steps, axis=1)))
-    is_other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
+    is_other = path[:-1, 4:6].prod(axis=1) > LARGE * size.area_um2
     is_other[1:] |= np.linalg.norm(np.diff(steps, axis=0), axis=1) > JUMP * body_um + usual_um
     return path[int(np.flatnonzero(is_other).max(initial=-1)) + 1 :]
 
 
 def own_reading(
-    cell: CellTrack,
-    expected: Floats,
-    place: Floats,
-    um_px: float,
-    height: int,
-    body_um: float,
+    cell: CellTrack, newest: TrackBlob, expected: Floats, now: PictureNow, body_um: float
 ) -> BlobReading:
-    """Return what a cell's own blob says, in a picture with `height` rows. A blob that is too large
-    shows something else, too, on the other side of its middle from where the cell is `expected`
-    (3,).
+    """Return what a cell's own blob says. A blob that is too large shows something else, too, on
+    the other side of its middle from where the cell is `expected` (3,).
     """
-    x, y, axis, long, wide = place.tolist()
-    assert cell.blob is not None
-    off = max(ODD[0] * body_um, OFF_SHARE * (long - cell.long))
-    least = POSITION_UM + POSITION_PX * um_px
-    deviations = least, least, AXIS / max(1 - wide / long, ROUND)
-    if cell.large and not cell.blob.at_edge:
-        points = match.points_of(cell.blob, um_px, height)
-        pair = np.array([expected, (*(2 * place[:2] - expected[:2]), axis)])
-        x, y = match.parted([cell, cell], pair, points)[0].tolist()
-        off = MERGED[0] * body_um
-    if _is_odd(cell, place):
-        deviations = off, off, ODD[1]
-    return BlobReading(cell, (x, y, axis), deviations)
+    x, y, axis, long, wide = newest.place.tolist()
+    if newest.is_large and not newest.blob.at_edge:
+        opposite = (*(2 * newest.place[:2] - expected[:2]), axis)
+        points = now.points_of(newest.blob)
+        x, y = match.parted([cell, cell], np.array([expected, opposite]), points)[0].tolist()
+        sd_um = MERGED[0] * body_um
+    else:
+        sd_um = max(ODD[0] * body_um, OFF_SHARE * (long - cell.size.long))
+    if _is_odd(cell, newest):
+        return BlobReading(cell, (x, y, axis), (sd_um, sd_um, ODD[1]))
+    least_um = POSITION_UM + POSITION_PX * now.um_px
+    axis_sd = AXIS / max(1 - wide / long, ROUND)
+    return BlobReading(cell, (x, y, axis), (least_um, least_um, axis_sd))
 
 
 def shared_readings(

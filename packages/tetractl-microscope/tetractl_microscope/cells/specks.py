@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl_microscope.cells.cell import PathBlob
+from tetractl_microscope.cells.cell import BodySize, PathBlob
+from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.organisms import Organism
 
 BORN = 5  # number of blobs after which a speck may be a cell: anywhere
@@ -17,7 +19,34 @@ SWUM = 0.23  # least way over these blobs [lengths]
 STRAY = 0.1  # largest distance of them from a line [lengths]
 ALONG = 0.75  # least cosine between a cell's axis and its path
 ROUND = 1.3  # greatest ratio of its sides at which a body has no axis
+MOTION = 4  # newest blobs that tell an object's motion
+STOPPED_S = 0.1  # time without a blob after which an object is expected where it was
 EVEN = 0.2  # relative variation of a cell's size
+
+
+@dataclass(slots=True, eq=False)
+class Speck:
+    """An object that has not swum yet: `path` holds its newest blobs, `missed_s` is the time since
+    the last one [s], `near` the cell near which it was first seen, or None.
+    """
+
+    number: int
+    path: list[PathBlob]
+    near: CellTrack | None = None
+    missed_s: float = 0.0
+
+    def ahead(self, seconds: float) -> tuple[float, float]:
+        """Return the position x, y [um] that the last motion predicts for a time [s]."""
+        last = self.path[-1]
+        if len(self.path) < 2 or self.missed_s > STOPPED_S:
+            return last.x, last.y
+        first = self.path[max(0, len(self.path) - MOTION)]
+        ratio = (seconds - last.seconds) / max(last.seconds - first.seconds, 1e-3)
+        return last.x + (last.x - first.x) * ratio, last.y + (last.y - first.y) * ratio
+
+    def shift(self, x: float, y: float) -> None:
+        """Move its path by x, y [um], with the picture's content."""
+        self.path = [blob.moved(x, y) for blob in self.path]
 
 
 def swims(entries: Sequence[PathBlob], needed: int, organism: Organism) -> bool:
@@ -44,11 +73,11 @@ def swims(entries: Sequence[PathBlob], needed: int, organism: Organism) -> bool:
     return bool(even and strayed < STRAY * body_um and along)
 
 
-def usual_size(path: Floats) -> tuple[float, float]:
-    """Return the median length and width [um] of a path's blobs (M, 6) that are not cut off."""
+def usual_size(path: Floats) -> BodySize:
+    """Return the median size of a path's blobs (M, 6) that are not cut off."""
     is_whole = np.isfinite(path[:, 4])
     long, wide = np.median(path[is_whole, 4:6], axis=0).tolist()
-    return long, wide
+    return BodySize(long, wide)
 
 
 def straight(path: Floats) -> tuple[tuple[float, float], Floats]:

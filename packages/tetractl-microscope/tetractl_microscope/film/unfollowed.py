@@ -15,7 +15,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Grey
 from tetractl_microscope.cells.detect_cells import Blob
-from tetractl_microscope.cells.match import pixels_of
+from tetractl_microscope.cells.picture_now import pixels_of
 from tetractl_microscope.film.who import CellPath
 
 EVERY = 3  # every third picture is examined

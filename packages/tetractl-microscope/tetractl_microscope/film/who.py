@@ -20,8 +20,9 @@ from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, CellAnswer, SeenCell
 from tetractl_microscope.cells.helix import STATES
 from tetractl_microscope.cells.names import ASSERTED, LIKELIER, PASSED_ON
+from tetractl_microscope.cells.newcomers import MUST_SWIM
 from tetractl_microscope.cells.readings import AXIS, POSITION_UM
-from tetractl_microscope.cells.tracking import STARTED, CellTracker
+from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.organisms import Organism
 
 SHORTEST_S = 0.35  # least duration of a path that is kept [s]
@@ -299,7 +300,7 @@ def _places(rows: list[TrackRow]) -> Floats:
 def _goes_far(places: Floats, organism: Organism) -> bool:
     """Return whether something at successive places (K, 2) [um] gets as far as a cell must swim."""
     way = np.linalg.norm(places - places[:1], axis=1)
-    return bool(way.max(initial=0.0) >= STARTED * organism.body_um[0])
+    return bool(way.max(initial=0.0) >= MUST_SWIM * organism.body_um[0])
 
 
 def _swims(path: CellPath, organism: Organism) -> bool:

@@ -92,7 +92,7 @@ def test_turning_rates_and_speeds_are_within_their_intervals():
 
 
 def test_a_heading_that_was_the_wrong_way_round_is_turned():
-    bank = HelixFilter(known=False)
+    bank = HelixFilter(field_known=False)
     row = bank.add(0.0, 0.0, math.pi, 300.0)  # it swims the other way
     rows = np.array([row])
     for k in range(1, 60):
@@ -273,7 +273,7 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
 
 
 def test_a_row_may_be_any_of_several():
-    bank = HelixFilter(known=True)
+    bank = HelixFilter(field_known=True)
     rows = np.array([bank.add(x, 0.0, heading, 400.0) for x, heading in ((0.0, 0.1), (30.0, 6.3))])
     width = bank.covariance[rows[0], 0, 0]
     bank.mix(int(rows[0]), rows, np.array([2 / 3, 1 / 3]))

@@ -5,7 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from tetractl_microscope.cells.cell_tracks import CellTrack, Known, WhichIsWhich, orders
+from support.film_rows import whole_blob
+from tetractl_microscope.cells.cell import BodySize
+from tetractl_microscope.cells.cell_tracks import CellTrack, Known, TrackBlob, WhichIsWhich, orders
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
 from tetractl_microscope.cells.lost_cells import BACK_WITHIN_S
@@ -20,15 +22,14 @@ class Dish:
     """Tracks in a filter, and the names of their cells."""
 
     def __init__(self, splits=False):
-        self.bank = HelixFilter(known=True)
+        self.bank = HelixFilter(field_known=True)
         self.names = Names(self.bank, 52.3, splits)
         self.tracks = itertools.count(1)
 
     def track(self, x, y, size=(50.0, 25.0), heading=0.0):
-        track = CellTrack(next(self.tracks), [], self.bank.add(x, y, heading, 400.0))
+        row = self.bank.add(x, y, heading, 400.0)
+        track = CellTrack(next(self.tracks), row, BodySize(*size), last=np.array([x, y]))
         track.identity = self.names.take_number()
-        track.long, track.wide = size
-        track.last = np.array([x, y])
         return track
 
     def lose(self, track, at_s, for_s):
@@ -37,7 +38,7 @@ class Dish:
 
     def appear(self, x, y, seconds, size=(51.0, 25.0), expected=RARE):
         new = self.track(x, y, size)
-        self.names.appear(new, np.array([x, y, 0.0]), seconds, expected, True)
+        self.names.appear(new, None, np.array([x, y, 0.0]), seconds, expected, True)
         return new
 
 
@@ -91,7 +92,7 @@ def test_a_name_that_may_be_wrong_is_said_or_split(splits):
     dish.names.part(places, [], 1.1)
     assert all(track.question is not None for track in tracks)
     dish.names.answer(1.1 + 11.0)
-    (answer,) = dish.names.answers
+    (answer,) = dish.names.take_answers()
     assert answer.met == (1, 2) and answer.probability < ASSERTED
     assert {track.identity for track in tracks} == ({3, 4} if splits else {1, 2})
     assert (dish.names.probabilities([tracks[0]])[0] < ASSERTED) is not splits
@@ -113,7 +114,8 @@ def test_a_name_stays_uncertain_if_the_other_cell_is_given_up(merged):
     dish = Dish(splits=True)
     tracks = [dish.track(500.0, 500.0), dish.track(500.0, 503.0)]
     dish.names.meet(tracks, 1.0, False)
-    tracks[0].merged = merged
+    blob = TrackBlob(0, whole_blob(), np.zeros(5), is_shared=merged)
+    tracks[0].take_blob(blob)
     uncertain = dish.names.probabilities(tracks)[0]
     name = tracks[0].identity
     assert uncertain < ASSERTED
@@ -147,9 +149,8 @@ def test_of_two_out_of_one_blob_the_nearer_to_the_cell_has_its_name_however_far_
     near = dish.track(500.0, 500.0)
     dish.names.meet([near], 1.0, with_unknown=True)
     new = dish.track(500.0, 510.0)
-    new.near = near
     dish.bank.mean[{"near": near, "new": new}[far].row, Y] = 1e150
-    dish.names.appear(new, np.array([500.0, 510.0, 0.0]), 1.5, RARE, False)
+    dish.names.appear(new, near, np.array([500.0, 510.0, 0.0]), 1.5, RARE, False)
     assert 0.0 < near.certainty <= 1.0
     assert (near.certainty > 0.5) is (far == "new")
 
@@ -175,14 +176,14 @@ def test_each_meeting_lowers_the_certainty_of_who_is_who():
         dish.names.meet(tracks, seconds, False)
         dish.names.part(places, [], seconds + 0.1)
         dish.names.answer(seconds + 12.0)
-        gathered += [answer.probability for answer in dish.names.answers]
-        dish.names.answers = []
+        gathered += [answer.probability for answer in dish.names.take_answers()]
     assert max(gathered) < ASSERTED
     assert tracks[0].certainty == tracks[1].certainty == pytest.approx(math.prod(gathered))
 
 
 def test_cells_of_other_sizes_are_distinguished_by_them():
-    tracks = CellTrack(1, []), CellTrack(2, [])
+    size = BodySize(50.0, 25.0)
+    tracks = tuple(CellTrack(number, 0, size, last=np.zeros(2)) for number in (1, 2))
     sizes = (60.0, 26.0), (48.0, 29.0)
     cells = tuple(Known(name, 1.0, size) for name, size in zip((7, 8), sizes, strict=True))
     question = WhichIsWhich(tracks, cells, np.zeros((2, 2), int), np.zeros(2), np.ones((2, 2)), 0.0)

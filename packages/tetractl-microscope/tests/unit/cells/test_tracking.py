@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.dish_films import Reel, Score, film, followed
+from support.film_rows import whole_blob
 from tetractl_microscope.cells import match
-from tetractl_microscope.cells.cell import PathBlob
-from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack
+from tetractl_microscope.cells.cell import BodySize, PathBlob
+from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack, TrackBlob
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
-from tetractl_microscope.cells.helix import HEADING
-from tetractl_microscope.cells.readings import BlobReading, note_size, own_path
+from tetractl_microscope.cells.filter_update import check_state
+from tetractl_microscope.cells.helix import HEADING, HelixFilter
+from tetractl_microscope.cells.readings import BlobReading, note_own_blob, own_path
+from tetractl_microscope.cells.specks import Speck
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.field_file import no_field
 from tetractl_microscope.film.follow import follow
@@ -20,6 +23,8 @@ from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.organisms import TETRAHYMENA
 
 pytestmark = pytest.mark.slow
+
+SIZE = BodySize(50.0, 25.0)
 
 
 @pytest.mark.long
@@ -59,24 +64,29 @@ def test_a_slow_organism_is_followed_at_a_low_rate():
 
 
 def test_specks_are_looked_for_as_far_as_the_organism_swims():
-    speck = CellTrack(1, [PathBlob(0.0, 0.0, 0.0, 0.0, 50.0, 25.0)])
+    speck = Speck(1, [PathBlob(0.0, 0.0, 0.0, 0.0, 50.0, 25.0)])
     slow = replace(TETRAHYMENA, speed_um_s=tuple(v / 4 for v in TETRAHYMENA.speed_um_s))
     away_um = 60.0  # 1.15 lengths; in 0.1 s the fastest swim 1.45 lengths, the slow ones 0.36
     blob = np.array([[away_um, 0.0, 0.0, 50.0, 25.0]])
     costs = {
-        organism: match.speck_costs([speck], blob, 0.1, 0.1, organism)[0].item()
+        organism: match.speck_costs([speck], blob, 0.1, 0.1, organism).blobs.item()
         for organism in (TETRAHYMENA, slow)
     }
     assert costs[TETRAHYMENA] < 100 < costs[slow]
 
 
 def test_a_knock_moves_all_places_of_a_track():
-    blob = PathBlob(1.0, 10.0, 20.0, 0.5, 50.0, 25.0)
-    track = CellTrack(1, [blob], begun=CellStart(8.0, 20.0, 0.5), last=np.array([10.0, 20.0]))
-    track.shift(3.0, -4.0)
-    assert track.path == [PathBlob(1.0, 13.0, 16.0, 0.5, 50.0, 25.0)]
-    assert track.begun == CellStart(11.0, 16.0, 0.5)
-    assert track.last.tolist() == [13.0, 16.0]
+    path = [PathBlob(1.0, 10.0, 20.0, 0.5, 50.0, 25.0)]
+    moved_path = [PathBlob(1.0, 13.0, 16.0, 0.5, 50.0, 25.0)]
+    start = CellStart(8.0, 20.0, 0.5)
+    cell = CellTrack(1, 0, SIZE, last=np.array([10.0, 20.0]), path=path, start=start)
+    cell.shift(3.0, -4.0)
+    assert cell.path == moved_path
+    assert cell.start == CellStart(11.0, 16.0, 0.5)
+    assert cell.last.tolist() == [13.0, 16.0]
+    speck = Speck(2, path)
+    speck.shift(3.0, -4.0)
+    assert speck.path == moved_path
 
 
 def test_numbers_are_kept_through_crossings():
@@ -92,11 +102,11 @@ def test_a_new_cells_path_begins_after_the_blob_of_another_cell(rate_hz):
     path[:, 0] = times
     path[:, 1] = 330 * times
     path[:, 4:] = (50.0, 25.0)
-    assert len(own_path(path, 50.0, 25.0, 52.3)) == 12
+    assert len(own_path(path, SIZE, 52.3)) == 12
     path[:5, 2] = 60.0  # on the way of another cell
-    assert len(own_path(path, 50.0, 25.0, 52.3)) == 6
+    assert len(own_path(path, SIZE, 52.3)) == 6
     path[7, 4] = 90.0  # too large
-    assert len(own_path(path, 50.0, 25.0, 52.3)) == 4
+    assert len(own_path(path, SIZE, 52.3)) == 4
 
 
 @pytest.mark.parametrize("bright", [False, True])
@@ -141,7 +151,7 @@ def test_a_resting_cell_is_not_lost_in_the_background():
 def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
     synthetic = film(seed=1, side=240, cells=2, seconds=1.0)
     pictures = [picture[:200] for picture in synthetic.pictures()]
-    tracker = CellTracker(2.3, known=False)
+    tracker = CellTracker(2.3, field_known=False)
     tracker.finder.learn(pictures)
     for k, picture in enumerate([*pictures[:10], *[absurd] * 20, *pictures[10:20]]):
         tracked = tracker.see(picture, k / 30, no_field)
@@ -178,7 +188,7 @@ def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
         seen = [i for i in range(7) if k >= since[i]]
         return drawn([(30 + 5 * (k - since[i]), rows[i], *halves[i]) for i in seen], (320, 600))
 
-    tracker = CellTracker(2.3, known=False)
+    tracker = CellTracker(2.3, field_known=False)
     stated = []
     tracker.finder.learn([picture(12 * k) for k in range(9)])
     for k in range(80):
@@ -192,7 +202,7 @@ def test_what_returns_from_the_edge_where_a_cell_left_may_be_another_cell():
     def picture(k):  # a cell leaves the picture where another one enters
         return drawn([(380 - abs(300 - 6 * k), 100.0, 12.0, 6.0)], (200, 380))
 
-    tracker = CellTracker(2.3, known=True, splits=True)
+    tracker = CellTracker(2.3, field_known=True, splits=True)
     tracker.finder.learn([picture(10 * k) for k in range(10)])
     before = {c.identity for k in range(40) for c in tracker.see(picture(k), k / 30, no_field)}
     looked = [tracker.see(picture(k), k / 30, no_field) for k in range(40, 90)]
@@ -206,9 +216,10 @@ def test_what_returns_from_the_edge_where_a_cell_left_may_be_another_cell():
     ids=["one", "two in a row", "two abreast"],
 )
 def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
-    cell = CellTrack(1, [], long=60.0, wide=32.0)
-    note_size(cell, np.array([0.0, 0.0, 0.0, long, wide]), 1.0)
-    assert cell.large is large
+    cell = CellTrack(1, 0, BodySize(60.0, 32.0), last=np.zeros(2))
+    blob = TrackBlob(0, whole_blob(), np.array([0.0, 0.0, 0.0, long, wide]))
+    note_own_blob(cell, blob, 1.0)
+    assert blob.is_large is large
 
 
 def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
@@ -217,7 +228,7 @@ def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
         aside = [0, max(40 - 2 * k, 9)] if k < 25 else [0]
         return drawn([(middle, 60 + each, 12, 6) for each in aside], (140, 600))
 
-    tracker = CellTracker(2.3, known=False, splits=True)
+    tracker = CellTracker(2.3, field_known=False, splits=True)
     tracker.finder.learn([picture(12 * k) for k in range(9)])
     counts = [len(tracker.see(picture(k), k / 30, no_field)) for k in range(100)]
     assert counts[20:60] == [2] * 40 and counts[-1] == 1
@@ -225,10 +236,11 @@ def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
 
 @pytest.mark.parametrize(("came_from", "heading"), [(180.0, 0.0), (220.0, math.pi)])
 def test_a_cell_that_is_astray_heads_the_way_its_blob_has_moved(came_from, heading):
-    tracker = CellTracker(2.3, known=False)
-    cell = CellTrack(1, [], row=tracker.bank.add(0.0, 0.0, 1.0, 300.0))
-    cell.last = np.array([came_from, 100.0])
-    tracker._check(BlobReading(cell, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1)), 0.0)
-    x, y, found = tracker.bank.mean[cell.row, [0, 1, HEADING]]
+    bank = HelixFilter(field_known=False)
+    row = bank.add(0.0, 0.0, 1.0, 300.0)
+    cell = CellTrack(1, row, SIZE, last=np.array([came_from, 100.0]))
+    reading = BlobReading(cell, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1))
+    check_state(bank, reading, squared_distance=0.0, body_um=52.3)
+    x, y, heading_now = bank.mean[cell.row, [0, 1, HEADING]]
     assert (x, y) == (200.0, 100.0)
-    assert math.cos(found - heading) == pytest.approx(1.0)
+    assert math.cos(heading_now - heading) == pytest.approx(1.0)

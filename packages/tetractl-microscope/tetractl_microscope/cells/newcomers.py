@@ -1,0 +1,202 @@
+"""Follows specks, the objects that are not known to be cells, until they swim, and begins cells.
+
+A blob that no cell has goes on with the speck to which it was assigned, or begins a new one. A
+speck that swims as the organism does becomes a cell: it gets a row of the filter, and `Names` says
+whether it is a new cell, one that was lost, or one that came out of another one's blob.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl_microscope.cells.cell import Born, PathBlob
+from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack, TrackBlob
+from tetractl_microscope.cells.helix import HelixFilter
+from tetractl_microscope.cells.meetings import FROM_BLOB
+from tetractl_microscope.cells.names import LIKELIER, Names
+from tetractl_microscope.cells.picture_now import PictureNow
+from tetractl_microscope.cells.readings import PATH, own_path
+from tetractl_microscope.cells.specks import (
+    BORN,
+    NEAR,
+    NEAR_BORN,
+    Speck,
+    straight,
+    swims,
+    usual_size,
+)
+from tetractl_microscope.organisms import Organism
+
+HIDDEN_S = 3.0  # time without a blob for which a speck with a whole path is kept
+FROM_EDGE = 2.3  # a new cell nearer than this to the picture's edge has swum into it [lengths]
+APPEAR_AT_EDGE = 10.0  # cells that are expected to appear at the edge, in a picture's area
+APPEAR_ELSEWHERE = 0.3  # cells that are expected to appear anywhere else
+PAIR = 1.7  # a new blob this many times larger than the usual cell may show two
+USUAL_CELLS = 5  # fewest cells that tell how large the usual one is
+# a cell must swim so far [lengths], in the time that the slowest need for that
+MUST_SWIM = 1.15
+
+
+@dataclass(frozen=True, slots=True)
+class FreeBlob:
+    """A blob that no cell has: that of a `speck`, or of an object that was not seen before."""
+
+    track_blob: TrackBlob
+    speck: Speck | None
+
+    def entry(self, seconds: float) -> PathBlob:
+        """Return it as the newest blob of a path, at a time [s]; a cut one has no size."""
+        x, y, axis, long, wide = self.track_blob.place.tolist()
+        if self.track_blob.blob.at_edge:
+            return PathBlob(seconds, x, y, axis, math.nan, math.nan)
+        return PathBlob(seconds, x, y, axis, long, wide)
+
+
+class Newcomers:
+    """The specks of a dish, and how they become cells; `bank` is the filter.
+
+    For each picture `follow` is called once, after the cells have their blobs and names.
+    """
+
+    def __init__(self, bank: HelixFilter, names: Names, organism: Organism) -> None:
+        self.specks = list[Speck]()
+        self.born = list[Born]()  # the cells that began in the newest picture
+        self._bank = bank
+        self._names = names
+        self._organism = organism
+        self._body_um = organism.body_um[0]
+        self._last_number = 0  # of the newest track
+
+    def shift(self, x: float, y: float) -> None:
+        """Move the specks by x, y [um], with the picture's content."""
+        for speck in self.specks:
+            speck.shift(x, y)
+
+    def follow(
+        self, free: Sequence[FreeBlob], cells: Sequence[CellTrack], now: PictureNow
+    ) -> list[CellTrack]:
+        """Follow specks by the blobs that none of the cells has; return the cells that begin."""
+        self.born = []
+        places = np.array([self._bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
+        new_cells = list[CellTrack]()
+        for free_blob in free:
+            gaps_um = np.linalg.norm(places - free_blob.track_blob.place[:2], axis=1)
+            nearest_um = float(gaps_um.min(initial=np.inf))
+            speck = free_blob.speck
+            if speck is None:
+                is_near = nearest_um < FROM_BLOB * self._body_um
+                near = cells[int(gaps_um.argmin())] if is_near else None
+                self._add_speck(free_blob.entry(now.seconds), near)
+                continue
+            _lengthen(speck, free_blob.entry(now.seconds), now)
+            needed = NEAR_BORN if nearest_um < NEAR * self._body_um else BORN
+            if swims(speck.path, needed, self._organism):
+                cell = self._begin(speck, free_blob.track_blob, cells, now)
+                new_cells.append(cell)
+        return new_cells
+
+    def _add_speck(self, entry: PathBlob, near: CellTrack | None) -> None:
+        """Begin to follow an object that was not seen before."""
+        self._last_number += 1
+        self.specks.append(Speck(self._last_number, [entry], near))
+
+    def drop_hidden(self, now: PictureNow) -> None:
+        """Drop specks that have not been seen for long; one that was seen often may come back."""
+        remaining = list[Speck]()
+        for speck in self.specks:
+            is_old = len(speck.path) == PATH
+            if speck.missed_s <= (HIDDEN_S if is_old else now.brief_s):
+                remaining.append(speck)
+        self.specks = remaining
+
+    def in_view(self, now: PictureNow) -> list[tuple[float, float]]:
+        """Return x, y [um] of the specks that are in view, when they were seen last."""
+        newest = [speck.path[-1] for speck in self.specks if speck.missed_s < now.brief_s]
+        return [(blob.x, blob.y) for blob in newest]
+
+    def awaited(self) -> list[CellTrack]:
+        """Return the cells near which a speck was first seen that may prove to be a cell."""
+        return [
+            speck.near
+            for speck in self.specks
+            if speck.near is not None and len(speck.path) <= NEAR_BORN
+        ]
+
+    # ---- a cell begins ----
+
+    def _begin(
+        self, speck: Speck, newest: TrackBlob, cells: Sequence[CellTrack], now: PictureNow
+    ) -> CellTrack:
+        """Return the cell that a speck becomes, since it swims, next to the `cells` that there are
+        already.
+        """
+        path = np.array(speck.path)
+        (speed_x, speed_y), fitted = straight(path[-BORN:])
+        x, y = fitted[-1].tolist()
+        heading = math.atan2(speed_y, speed_x)
+        cell = CellTrack(
+            number=speck.number,
+            row=self._bank.add(x, y, heading, math.hypot(speed_x, speed_y)),
+            size=usual_size(path),
+            last=path[-1, 1:3],
+            path=speck.path,
+            newest=newest,
+            start=CellStart(x, y, now.seconds),
+            identity=self._names.take_number(),
+        )
+        cell.size_times.seen_s = now.seconds
+        if cell.size.area_um2 > self._pair_um2(cells):
+            cell.size_times.pair_until_s = now.seconds + must_swim_s(self._organism)
+        near = speck.near if speck.near in cells else None
+        divided = self._name(cell, near, np.array((x, y, heading)), path, now)
+        (certainty,) = certainties(self._names, [cell], now)
+        self.specks.remove(speck)
+        self.born.append(
+            Born(
+                identity=cell.identity,
+                track=cell.number,
+                path=own_path(path, cell.size, self._body_um),
+                certainty=certainty,
+                divided=divided,
+                near=None if near is None else near.number,
+            )
+        )
+        return cell
+
+    def _name(
+        self, cell: CellTrack, near: CellTrack | None, place: Floats, path: Floats, now: PictureNow
+    ) -> int | None:
+        """Find out which cell has begun, that swims at x, y [um] and axis [rad] (3,) after a path;
+        return the number of the cell that has divided, or None.
+        """
+        since_s, first_x, first_y = path[0, :3].tolist()
+        has_entered = now.to_edge(first_x, first_y) < FROM_EDGE * self._body_um
+        expected = APPEAR_AT_EDGE if has_entered else APPEAR_ELSEWHERE
+        return self._names.appear(cell, near, place, since_s, expected / now.area_um2, has_entered)
+
+    def _pair_um2(self, cells: Sequence[CellTrack]) -> float:
+        """Return the product of length and width above which a new blob may show two cells."""
+        usual = [cell.size.area_um2 for cell in cells if not cell.is_new]
+        return PAIR * float(np.median(usual)) if len(usual) >= USUAL_CELLS else math.inf
+
+
+def _lengthen(speck: Speck, entry: PathBlob, now: PictureNow) -> None:
+    """Add the newest blob to a speck's path, which begins anew if the speck was hidden."""
+    was_hidden = entry.seconds - speck.path[-1].seconds > now.brief_s
+    speck.path = [entry] if was_hidden else [*speck.path[1 - PATH :], entry]
+
+
+def must_swim_s(organism: Organism) -> float:
+    """Return the time [s] within which what was taken for a cell must swim like one."""
+    return MUST_SWIM * organism.body_um[0] / organism.slowest_um_s
+
+
+def certainties(names: Names, cells: Sequence[CellTrack], now: PictureNow) -> list[float]:
+    """Return the probability, for each of some cells, that it has the right name."""
+    return [
+        LIKELIER if now.seconds < cell.size_times.pair_until_s else probability
+        for cell, probability in zip(cells, names.probabilities(cells), strict=True)
+    ]

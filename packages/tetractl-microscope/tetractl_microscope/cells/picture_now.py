@@ -1,0 +1,71 @@
+"""The newest picture: its time and size, and places in it as columns and rows and as um.
+
+Column c and row r become x = (c + 1/2) um_px and, as y is upwards, y = (height - 1/2 - r) um_px.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl_microscope.cells.detect_cells import Blob
+
+BRIEF_S = 0.1  # least time without a blob that says something of an object
+MISSING = 1.5  # times between pictures for which an object has no blob if one picture is missing
+
+
+@dataclass(frozen=True, slots=True)
+class PictureNow:
+    """The newest picture, taken at a time [s], `passed_s` after the one before: its scale [um/px]
+    and its sides [px].
+    """
+
+    seconds: float
+    passed_s: float
+    um_px: float
+    height: int
+    width: int
+
+    @property
+    def brief_s(self) -> float:
+        """The time without a blob that says nothing of an object: a picture may be missing."""
+        return max(BRIEF_S, MISSING * self.passed_s)
+
+    @property
+    def area_um2(self) -> float:
+        """The area that the picture shows [um^2]."""
+        return self.width * self.height * self.um_px**2
+
+    def to_edge(self, x: float, y: float) -> float:
+        """Return the distance [um] of a position [um] from the picture's edge."""
+        return min(x, y, self.width * self.um_px - x, self.height * self.um_px - y)
+
+    def places_of(self, blobs: Sequence[Blob]) -> Floats:
+        """Return x, y [um], axis [rad], length and width [um] of B blobs (B, 5)."""
+        um_px = self.um_px
+        places = [
+            (
+                (blob.x + 0.5) * um_px,
+                (self.height - 0.5 - blob.y) * um_px,
+                -blob.axis,
+                blob.long * um_px,
+                blob.wide * um_px,
+            )
+            for blob in blobs
+        ]
+        return np.array(places).reshape(-1, 5)
+
+    def points_of(self, blob: Blob) -> Floats:
+        """Return x, y [um] of a blob's pixels (M, 2)."""
+        columns, rows = blob.pixels.T
+        return np.column_stack([columns + 0.5, self.height - 0.5 - rows]) * self.um_px
+
+    def pixels_of(self, places: Floats) -> Floats:
+        """Return column and row (N, 2) of places (N, >= 2) [um]."""
+        return pixels_of(places, self.um_px, self.height)
+
+
+def pixels_of(places: Floats, um_px: float, height: int) -> Floats:
+    """Return column and row (N, 2) of places (N, >= 2) [um] in a picture with `height` rows."""
+    return np.column_stack([places[:, 0] / um_px - 0.5, height - 0.5 - places[:, 1] / um_px])

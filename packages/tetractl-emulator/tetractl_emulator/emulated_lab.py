@@ -238,14 +238,14 @@ class EmulatedLab:
         starts = self._setup.starts
         placed = {robot.name: robot for robot in self._script.emulation.robots}
         for i, body in enumerate(self.actuator.bodies):
-            x = starts.x[i]
-            y = starts.y[i]
-            heading = starts.heading[i]
+            x = float(starts.x[i])
+            y = float(starts.y[i])
+            heading = float(starts.heading[i])
             override = placed.get(body.name)
             if override is not None:
                 x, y = override.start or (x, y)
                 heading = heading if override.heading is None else override.heading
-            body.place(float(x * mm), float(y * mm), float(heading))
+            body.place(x * mm, y * mm, heading)
 
     def _flush(self) -> None:
         self._record.flush()

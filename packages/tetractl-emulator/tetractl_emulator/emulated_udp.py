@@ -70,4 +70,6 @@ class UdpPlug(PseudoPort):
 def make_port(link: Path | str) -> PseudoPort:
     """Return the emulation's end of a port, from the name that programs open."""
     name = str(link)
-    return UdpPlug(name) if name.startswith(SCHEME) else PseudoPort(Path(link))
+    if name.startswith(SCHEME):
+        return UdpPlug(name)
+    return PseudoPort(Path(link))

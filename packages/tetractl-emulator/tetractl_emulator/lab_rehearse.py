@@ -110,7 +110,9 @@ def rehearse(
         ui.tell(f"interrupted; the same command with --out {folder} continues")
     played = [rows[day] for day in wanted if day in rows]
     bad = [row for row in played if broken(row)]
-    last = f"{len(played)} {plural('day', len(played))}, {len(bad)} {plural('violation', len(bad))}"
+    played_days = f"{len(played)} {plural('day', len(played))}"
+    violations = f"{len(bad)} {plural('violation', len(bad))}"
+    last = f"{played_days}, {violations}"
     title = f"{loaded.name}, emulated, days of seed {seed}: {last}"
     style.save(days_figure(played, kinds, title), folder / "days.png", style.SCREEN_DPI)
     said = table(played, kinds), reasons(played), summary(played), last
@@ -164,13 +166,17 @@ def shrunk_day(
         again, seconds = assessed(smaller)
         return name in [violation[0] for violation in broken(again)], seconds
 
+    def save(day_plan: "DayPlan") -> None:
+        text = dump(day_plan.script() | {"about": about})
+        save_whole(script, text.encode())
+
     small = plan
     plays = 0
-    save_whole(script, dump(plan.script() | {"about": about}).encode())
+    save(plan)
     if name != "hangs":  # each play of which would last until it is killed
         ui.tell(f"  {script} has all its faults; shrinking it, up to {PLAYS_MAX} plays")
         small, plays = shrunk(plan, breaks)
-        save_whole(script, dump(small.script() | {"about": about}).encode())
+        save(small)
         ui.tell(f"  shrunk to {script}")
     return {**row, "shrunk": len(small.faults), "plays": plays}
 

@@ -94,8 +94,9 @@ class Loop:
                 self._on_lag(now - due)
         self.timeline.run_to(now)
         due = self.timeline.next_ns
-        wait = LOOK_S if due is None else (due - self.now()) / SECOND
-        ready, _, _ = select.select(list(self._readers), [], [], min(max(wait, 0.0), LOOK_S))
+        wait_s = LOOK_S if due is None else (due - self.now()) / SECOND
+        wait_s = min(max(wait_s, 0.0), LOOK_S)
+        ready, _, _ = select.select(list(self._readers), [], [], wait_s)
         if ready:
             self.timeline.run_to(self.now())
             for fd in ready:

@@ -244,7 +244,10 @@ class MemoryPort(PseudoPort):
             return b""
         if self._network:
             return self.taken.popleft()
-        return b"".join([self.taken.popleft() for _ in range(len(self.taken))])
+        data = bytearray()
+        while self.taken:
+            data += self.taken.popleft()
+        return bytes(data)
 
     def write(self, data: bytes) -> None:
         """Pass bytes to our end, if it is open."""

@@ -28,7 +28,8 @@ class ProcessPort(ClientPort):
     def wait(self) -> None:
         """Take the next line; AbortError if the process has ended."""
         assert self._process is not None, "it was opened"
-        if not (line := self._process.stdout.readline()):
+        line = self._process.stdout.readline()
+        if not line:
             code = self._process.wait()
             if code < 0:
                 why = signal.strsignal(-code) or f"signal {-code}"
@@ -37,7 +38,8 @@ class ProcessPort(ClientPort):
             raise AbortError(f"the process of {self._device} has ended: {why}")
         stamp, _, message = line.partition(b" ")
         # in the pipe, as after a sleep
-        self.take(message, max(0, host_ns() - int(stamp)))
+        waited_ns = max(0, host_ns() - int(stamp))
+        self.take(message, waited_ns)
 
     def disconnect(self) -> None:
         """Close the pipe."""

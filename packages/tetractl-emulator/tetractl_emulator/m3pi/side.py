@@ -131,6 +131,12 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
         self.radios = [self.radio]
 
 
+def _of_wheels(true: TrueRobot) -> dict[str, Any]:
+    """Return what a true robot states of its wheels."""
+    names = ("left", "right", "swap", "radius_mm")
+    return {name: value for name, value in true if name in names and value is not None}
+
+
 def _wheels(
     stage: Stage,
     section: M3piSection,
@@ -138,16 +144,7 @@ def _wheels(
     robots: Sequence[EmulatedRobot],
 ) -> EmulatedRobots:
     """Return the robots on wheels as they truly are."""
-    parts = [
-        section.robot(true.name).model_copy(
-            update={
-                name: value
-                for name, value in true
-                if name in ("left", "right", "swap", "radius_mm") and value is not None
-            }
-        )
-        for true in trues
-    ]
+    parts = [section.robot(true.name).model_copy(update=_of_wheels(true)) for true in trues]
     radii = radii_mm(stage.setup, [part.radius_mm for part in parts])
     lags = np.array([true.lag for true in trues])
     return EmulatedRobots(robots, drivetrains(parts), radii, lags, stage.timeline.now_ns)

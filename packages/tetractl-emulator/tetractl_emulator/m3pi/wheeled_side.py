@@ -67,7 +67,8 @@ class WheeledSide:
     def truth(self) -> dict[str, Any]:
         """The speeds of all wheels [mm/s], as {"wheels": [[left, right], ...]}, and the `status` of
         each robot's firmware."""
-        wheels = [[round(wheel, 2) for wheel in robot.wheels] for robot in self.robots]
+        speeds = (robot.wheels for robot in self.robots)
+        wheels = [[round(left, 2), round(right, 2)] for left, right in speeds]
         status = [int(robot.core.status(self.wheels.now_ms)) for robot in self.robots]
         return {"wheels": wheels, "status": status}
 

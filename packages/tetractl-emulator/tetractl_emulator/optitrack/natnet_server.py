@@ -107,8 +107,8 @@ def pack_modeldef(
     parts = [wire.packed("i", len(sets))]
     sized = layout_of(version).sized
     for kind, data in sets:
-        parts.append(wire.packed("ii", kind, len(data)) if sized else wire.packed("i", kind))
-        parts.append(data)
+        head = wire.packed("ii", kind, len(data)) if sized else wire.packed("i", kind)
+        parts += [head, data]
     return b"".join(parts)
 
 

@@ -256,7 +256,8 @@ class StreamedCamera(ABC):
         past = list(self._past)
         when = self._start_ns + t_ns
         times_ns = [time_ns for time_ns, _ in past]
-        i = min(max(bisect_left(times_ns, when), 1), len(past) - 1)
+        later = max(bisect_left(times_ns, when), 1)
+        i = min(later, len(past) - 1)
         if i == 0:
             return past[0][1]
         before_ns, before = past[i - 1]

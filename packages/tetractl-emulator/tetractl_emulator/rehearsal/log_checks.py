@@ -99,7 +99,8 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
             text = f"complete, but {name} was not tracked for the last {unseen_s:.2f} s"
             yield Difference(None, "result.outcome", text)
             continue
-        last = tracked[now[tracked] >= now[-1] - REST_NS]
+        is_recent = now[tracked] >= now[-1] - REST_NS
+        last = tracked[is_recent]
         gone_mm = np.hypot(*(log.mocap[last[-1], i, :2] - log.mocap[last[0], i, :2]))
         gone_mm *= log.start.setup.metres / MM
         span_s = seconds(int(now[last[-1]] - now[last[0]]))

@@ -139,7 +139,7 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.off(3, 300)})
     yield FaultRow("scale jumps", "picture", moved, lambda d: {"scale": 1 + d.signed(2e-3, 0.2)})
     yield FaultRow("axes jump", "picture", moved, lambda d: {"turn": d.signed(2e-3, 1)})
-    yield FaultRow("origin creeps", "picture", moved, lambda d: _creeps(by=_slow(d.off(2, 300))))
+    yield FaultRow("origin creeps", "picture", moved, _creeping_origin)
     yield FaultRow(
         "scale creeps", "picture", moved, lambda d: _creeps(scale=1 + d.signed(2e-3, 0.2) * FRAME_S)
     )
@@ -231,6 +231,10 @@ def _turning(d: Draw) -> dict[str, Any]:
 
 def _creeps(**fields: Any) -> dict[str, Any]:
     return fields | {"creeps": True}
+
+
+def _creeping_origin(d: Draw) -> dict[str, Any]:
+    return _creeps(by=_slow(d.off(2, 300)))
 
 
 def _rate(d: Draw) -> float:

@@ -451,7 +451,8 @@ def _counts(truth: Truth) -> Iterator[Violation]:
     pressed_s = truth.first_s("fault", name="emergency", phase="start")
     if truth.first_s("run") < pressed_s < end_s - AIR_S:
         yield _exit("a trial counts though an emergency stop was pressed", pressed_s)
-    last = truth.unseen_s[truth.times_s <= end_s][-1:]
+    is_before_end = truth.times_s <= end_s
+    last = truth.unseen_s[is_before_end][-1:]
     if last.size and last.max() > truth.limits.stream_lost:
         yield _exit(f"a trial counts though a robot was unseen for {last.max():.2f} s", end_s)
     for fault in truth.shown_moving:

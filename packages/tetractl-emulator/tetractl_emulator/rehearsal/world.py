@@ -59,9 +59,9 @@ def _placed(random: Random, setup: Setup, far_mm: float, near_mm: float) -> list
     for i, name in enumerate(setup.names):
         off = (far_mm if far_mm and i == 0 else random.uniform(0, near_mm)) / 1000 / setup.metres
         angle = random.uniform(-math.pi, math.pi)
-        x = setup.starts.x[i] + off * math.cos(angle)
-        y = setup.starts.y[i] + off * math.sin(angle)
+        x = float(setup.starts.x[i] + off * math.cos(angle))
+        y = float(setup.starts.y[i] + off * math.sin(angle))
         heading = round(float(setup.starts.heading[i]) + random.uniform(-0.05, 0.05), 4)
-        start = [round(float(x), 2), round(float(y), 2)]
+        start = [round(x, 2), round(y, 2)]
         placed.append({"name": name, "start": start, "heading": heading})
     return placed

@@ -58,15 +58,11 @@ class EmulatedTwist(PortedSide):
         self.roll(stage, trues, gains, radii, (section.speed_max_mm_s, 1.0))
         serial = not section.port.startswith(SCHEME)
         others = {section.port: stage.options.link} if serial and stage.options.link else {}
-        self.radios = [
-            LineRadio(
-                stage,
-                stage.wires.port(others.get(port, port)),
-                section.baud,
-                [robot for robot in self.robots if section.port_of(robot.name) == port],
-                [section.index(name) for name in names],
-                settings.loss,
-                stage.options.seed + i,
-            )
-            for i, port in enumerate(section.ports())
-        ]
+        indices = [section.index(name) for name in names]
+        self.radios = []
+        for i, port in enumerate(section.ports()):
+            on_port = [robot for robot in self.robots if section.port_of(robot.name) == port]
+            wire = stage.wires.port(others.get(port, port))
+            seed = stage.options.seed + i
+            radio = LineRadio(stage, wire, section.baud, on_port, indices, settings.loss, seed)
+            self.radios.append(radio)

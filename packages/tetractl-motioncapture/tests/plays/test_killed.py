@@ -63,7 +63,9 @@ def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
         parts = (tmp_path / "logs").glob("trial-000.mcap*")
         return run.poll() is not None or any(part.stat().st_size > BEGUN for part in parts)
 
-    assert wait_for(MonotonicClock(), moves, 120) and run.poll() is None, run.communicate()
+    has_moved = wait_for(MonotonicClock(), moves, 120)
+    is_running = run.poll() is None
+    assert has_moved and is_running, run.communicate()
     os.kill(bridge_of(run.pid), signal.SIGKILL)
     _, said = run.communicate(timeout=120)
     assert run.returncode == 1 and "the process of the camera has ended: Killed" in said

@@ -130,7 +130,8 @@ def test_the_process_prints_bodies_until_no_program_reads_them():
 @pytest.fixture
 def library(tmp_path, monkeypatch):
     (tmp_path / "motioncapture.py").write_text(LIBRARY)
-    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    folders = [str(tmp_path), os.environ.get("PYTHONPATH", "")]
+    path = os.pathsep.join(filter(None, folders))
     monkeypatch.setenv("PYTHONPATH", path)
 
 
@@ -171,7 +172,11 @@ def test_the_real_library_streams_from_its_mock_in_the_process():
     pytest.importorskip("motioncapture")
     heard = []
     clock = MonotonicClock()
-    port = ProcessPort('["mock", "", {}]', 0, "it", clock, lambda *one: heard.append(one), "")
+
+    def hear(message, stamp_ns):
+        heard.append((message, stamp_ns))
+
+    port = ProcessPort('["mock", "", {}]', 0, "it", clock, hear, "")
     port.open()
     came = wait_for(clock, lambda: len(heard) > 3, 60)
     port.close()

@@ -125,13 +125,14 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
     class Wire(SerialPort):
         def open(self, alone=True): ...
 
-        asked = 0
+        requests = 0  # for notifications
 
         def write(self, data):
-            self.asked += encode_notify(10) in data
+            if encode_notify(10) in data:
+                self.requests += 1
             if data == pack(Characteristic.ID):  # though the settings are lost
                 self._heard(event, 9 * MILLISECOND)
-            elif encode_notify(10) in data and self.asked == 2:
+            elif encode_notify(10) in data and self.requests == 2:
                 self._heard(event + answer, 9 * MILLISECOND)
             return 0
 
@@ -216,8 +217,8 @@ def test_a_cube_obeys_until_its_command_ends_and_ignores_what_it_should():
     cube.push(pack(Characteristic.MOTOR, b"\x02\x01\x01\x14\x01\x01\x14\x19"), 2010)
     assert cube.wheels(2100) == (20, 20)
     cube.set_battery(4400)
-    asked = pack(Characteristic.BATTERY) + pack(Characteristic.CONFIGURATION, encode_notify(10))
-    cube.push(asked, 0)
+    cube.push(pack(Characteristic.BATTERY), 0)
+    cube.push(pack(Characteristic.CONFIGURATION, encode_notify(10)), 0)
     answers = cube.take_reply(0)
     assert answers.startswith(pack(Characteristic.BATTERY, b"\x00"))
     assert answers.endswith(pack(Characteristic.CONFIGURATION, b"\x98\x00\x00"))

@@ -52,24 +52,31 @@ def motors(wire, name):
 def test_slow_wheels_get_their_mean_speed_though_they_cannot_turn_slowly(cubes):
     actuator, _ = cubes
     wished = np.array([[3.0, -15.0, 80.0], [117.0, 15.0, 80.0]])  # mm/s
-    sent = np.array([actuator.outputs(wished, np.ones(3, bool)) for _ in range(400)])
+    steered = np.ones(3, bool)
+    sent = np.array([actuator.outputs(wished, steered) for _ in range(400)])
     np.testing.assert_allclose(sent.mean(axis=0) * WHEEL_MM_S, wished, atol=0.1)
     assert set(np.unique(np.abs(sent[:, 0, 0]))) == {0, SPEED_MIN}
-    slow = np.abs(sent[sent != 0]).min()
-    assert slow == SPEED_MIN
-    fast = actuator.outputs(np.array([[400.0, 0, 0], [200.0, 0, 0]]), np.ones(3, bool))
+    is_driven = sent != 0
+    slowest = np.abs(sent[is_driven]).min()
+    assert slowest == SPEED_MIN
+    too_fast = np.array([[400.0, 0, 0], [200.0, 0, 0]])
+    fast = actuator.outputs(too_fast, steered)
     assert fast[:, 0].tolist() == [106, 53]  # 300 mm/s at most, on the same curve
-    assert not fast[:, 1:].any() and not actuator.outputs(np.zeros((2, 3)), np.ones(3, bool)).any()
+    assert not fast[:, 1:].any()
+    assert not actuator.outputs(np.zeros((2, 3)), steered).any()
 
 
 def test_a_direction_becomes_motor_commands_that_end_by_themselves(cubes):
     actuator, wire = cubes
     with actuator:
         sent = actuator.send(Steer(0.9), [Pose(0.0, 0.0, 0.0)] * 3, (True, True, False), 0)
-    (first,), (stood,) = motors(wire, "toio-M0p"), motors(wire, "toio-C3P")
-    assert (first[2], stood) == (250, (0, 0, 250))
-    np.testing.assert_allclose([sent.left[0], sent.right[0]], np.array(first[:2]) * WHEEL_MM_S)
-    assert first[1] > first[0] >= 0
+    (steered,) = motors(wire, "toio-M0p")
+    (gone,) = motors(wire, "toio-C3P")
+    assert steered.duration_ms == 250
+    assert gone == (0, 0, 250)
+    counts = np.array([steered.left, steered.right])
+    np.testing.assert_allclose([sent.left[0], sent.right[0]], counts * WHEEL_MM_S)
+    assert steered.right > steered.left >= 0
 
 
 def test_a_stop_reaches_the_other_cubes_when_one_is_gone(cubes):

@@ -34,21 +34,26 @@ def test_other_readings_are_refused(wrong):
         messages.decode_reading(wrong)
 
 
-@pytest.mark.parametrize("at, value", [(0, 3), (1, 0), (1, 2), (2, 0), (5, 3), (4, 1)])
-def test_motor_commands_that_a_cube_ignores_are_refused(at, value):
+@pytest.mark.parametrize("index, value", [(0, 3), (1, 0), (1, 2), (2, 0), (5, 3), (4, 1)])
+def test_motor_commands_that_a_cube_ignores_are_refused(index, value):
+    command = bytearray(DRIVE)
+    command[index] = value
     with pytest.raises(WireError):
-        messages.decode_motor(DRIVE[:at] + bytes([value]) + DRIVE[at + 1 :])
+        messages.decode_motor(bytes(command))
     with pytest.raises(ValueError, match="motor speeds"):
         messages.encode_motor(116, 0, 250)
 
 
 def test_messages_cross_a_port_in_any_pieces():
-    stream = b"".join(messages.pack(Characteristic.ID, one) for one in (POSITION, b"\x03", b""))
+    values = (POSITION, b"\x03", b"")
+    stream = b"".join(messages.pack(Characteristic.ID, value) for value in values)
     for size in (1, 3, len(stream)):
         unpacker = messages.Unpacker()
         pieces = [stream[i : i + size] for i in range(0, len(stream), size)]
-        found = [one for piece in pieces for one in unpacker.feed(piece)]
-        assert found == [(1, POSITION), (1, b"\x03"), (1, b"")]
+        unpacked = []
+        for piece in pieces:
+            unpacked += unpacker.feed(piece)
+        assert unpacked == [(1, value) for value in values]
 
 
 def test_the_makers_library_reads_and_writes_the_same():
@@ -62,10 +67,8 @@ def test_the_makers_library_reads_and_writes_the_same():
         assert theirs.center.angle == reading.angle
     missed = ids.IdInformation.is_my_data(bytearray(messages.encode_reading(None)))
     assert isinstance(missed, ids.PositionIdMissed)
-    for left, right, duration in ((100, -20, 100), (0, 0, 250), (-115, 8, 2550)):
-        assert messages.encode_motor(left, right, duration) == bytes(
-            motor.MotorControl(left, right, duration)
-        )
+    for command in ((100, -20, 100), (0, 0, 250), (-115, 8, 2550)):
+        assert messages.encode_motor(*command) == bytes(motor.MotorControl(*command))
     always = setting.NotificationCondition.Always
     assert messages.encode_notify(10) == bytes(setting.SetIdNotification(10, always))
     assert messages.encode_missed(10) == bytes(setting.SetIdMissedNotification(10))

@@ -76,6 +76,11 @@ def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
     return look.corner_um[0] + fault.by_um[0], look.corner_um[1] + fault.by_um[1]
 
 
+def _first_of(moment: Bodies, count: int) -> Bodies:
+    """Return the first `count` of some bodies."""
+    return Bodies(*(part[:count] for part in astuple(moment)))
+
+
 def _hide(fault: Any, device: Any) -> Undo:
     device.hidden.add(fault.cell)
     return lambda: device.hidden.discard(fault.cell)
@@ -199,7 +204,7 @@ class EmulatedMicroscope(StreamedCamera):
         moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]
         # a cell divided during the exposure appears in the next picture
         count = min(len(moment.x) for moment in moments)
-        moments = [Bodies(*(part[:count] for part in astuple(moment))) for moment in moments]
+        moments = [_first_of(moment, count) for moment in moments]
         cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < count)
         is_shown = np.ones(count, bool)
         is_shown[: len(self._bodies)] = self._visible_now()

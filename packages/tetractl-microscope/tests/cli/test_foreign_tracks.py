@@ -47,11 +47,11 @@ def test_tracks_of_others_are_identified(dish, header):
     words = ("track", name, "--field", "field.csv", "--scale", UM_PX, "--rate", RATE_HZ, "--json")
     done = tetractl(folder, *words).ok()
     printed = json.loads(done.stdout)["robots"]
-    assert [one["name"] for one in printed] == ["cell 7", "cell 8"]
+    assert [robot["name"] for robot in printed] == ["cell 7", "cell 8"]
     assert "left out: cell 9" in done.stderr
-    for one, a in zip(printed, A, strict=True):
-        assert one["a"]["value"] == pytest.approx(a, rel=0.1)
-        assert one["speed"]["value"] == pytest.approx(SPEED, rel=0.02)
+    for robot, a in zip(printed, A, strict=True):
+        assert robot["a"]["value"] == pytest.approx(a, rel=0.1)
+        assert robot["speed"]["value"] == pytest.approx(SPEED, rel=0.02)
 
 
 TRACKMATE = """\
@@ -72,8 +72,8 @@ def test_a_table_of_trackmate_states_its_scale_and_rate(dish):
     (folder / "spots.csv").write_text("".join([TRACKMATE, spot_of_no_track, *lines]))
     done = tetractl(folder, "track", "spots.csv", "--field", "field.csv", "--json").ok()
     printed = json.loads(done.stdout)["robots"]
-    assert [one["a"]["value"] for one in printed] == pytest.approx(A, rel=0.1)
-    assert [one["speed"]["value"] for one in printed] == pytest.approx([SPEED, SPEED], rel=0.02)
+    assert [robot["a"]["value"] for robot in printed] == pytest.approx(A, rel=0.1)
+    assert [robot["speed"]["value"] for robot in printed] == pytest.approx([SPEED, SPEED], rel=0.02)
 
 
 @pytest.mark.parametrize("names", [("t", "y", "x"), ("time", "POSITION_Y", "POSITION_X")])
@@ -100,7 +100,7 @@ def test_a_graph_states_its_scale_and_rate(dish, names):
     )
     done = tetractl(folder, "track", path.name, "--field", "field.csv", "--json").ok()
     printed = json.loads(done.stdout)["robots"]
-    assert [one["a"]["value"] for one in printed] == pytest.approx(A, rel=0.1)
+    assert [robot["a"]["value"] for robot in printed] == pytest.approx(A, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -26,17 +26,17 @@ def grey(figure):
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_tags_have_their_true_size_and_are_read_upright(paper):
-    seen = {}
+    sightings = {}
     for page in arranged(PAPERS[paper], TAGS):
         picture = grey(drawn(PAPERS[paper], page))
         for sighting in Detector().find(picture):
-            seen[sighting.tag] = sighting
+            sightings[sighting.tag] = sighting
             mm = (sighting.corners + 0.5) * INCH_MM / DPI
-            x, y, _, side, _ = next(one for one in page if one[2] == sighting.tag)
+            x, y, _, side, _ = next(tag for tag in page if tag[2] == sighting.tag)
             top_left = x + side / 8, PAPERS[paper][1] - (y + side * 9 / 8)
             assert mm[0] == pytest.approx(top_left, abs=0.15)
             assert mm[2] == pytest.approx(np.add(top_left, side), abs=0.15)
-    assert seen.keys() == {tag for tag, *_ in TAGS}
+    assert sightings.keys() == {tag for tag, *_ in TAGS}
 
 
 def test_a_tag_that_no_page_holds_is_refused():

@@ -50,8 +50,8 @@ def test_tables_a_log_and_a_film_are_written(dish):
         topics = {channel.topic for channel in reader.get_summary().channels.values()}
         assert topics == {"/tf", "/picture"}
         assert [a.name for a in reader.iter_attachments()] == ["track.json", "background.png"]
-    shown = cv2.VideoCapture(str(out / "overlay.mp4"))
-    assert shown.get(cv2.CAP_PROP_FRAME_COUNT) == 120
+    overlay = cv2.VideoCapture(str(out / "overlay.mp4"))
+    assert overlay.get(cv2.CAP_PROP_FRAME_COUNT) == 120
     again = tetractl(dish, "track", *words)
     assert again.returncode == 2 and "exists already" in again.stderr
 
@@ -67,10 +67,12 @@ def tracks(dish):
 def test_the_log_is_read_back_as_it_was_printed(tracks):
     out, printed = tracks
     for path in (".", "track.mcap"):
-        shown = tetractl(out, "track", path).ok().stdout
-        assert shown.startswith("Cells, with 95 % intervals") and printed.startswith(shown)
-    found = json.loads(tetractl(out, "track", ".", "--json").ok().stdout)
-    assert found["film"] == "dish.avi" and len(found["cells"]) >= 3
+        again = tetractl(out, "track", path).ok().stdout
+        assert again.startswith("Cells, with 95 % intervals")
+        assert printed.startswith(again)
+    record = json.loads(tetractl(out, "track", ".", "--json").ok().stdout)
+    assert record["film"] == "dish.avi"
+    assert len(record["cells"]) >= 3
     refused = tetractl(out, "track", ".", "--scale", "2")
     assert refused.returncode == 2 and "was analysed already" in refused.stderr
 
@@ -81,8 +83,9 @@ def test_all_figures_are_drawn_of_the_log(tracks, tmp_path):
     tetractl(out, "track", ".", "-o", tmp_path / "again").ok()
     drawn = {path.stem for path in (tmp_path / "again").glob("*.png")}
     assert {"cells", "paths", "speeds", "turning", "msd"} <= drawn
-    sizes = [cv2.imread(str(at / "cells.png")).shape[0] for at in (tmp_path / "again", out)]
-    assert sizes[0] == pytest.approx(1.5 * sizes[1], abs=2)  # more dots for print
+    for_print = cv2.imread(str(tmp_path / "again" / "cells.png"))
+    for_screen = cv2.imread(str(out / "cells.png"))
+    assert len(for_print) == pytest.approx(1.5 * len(for_screen), abs=2)  # more dots for print
     assert (tmp_path / "again" / "cells.csv").read_text() == (out / "cells.csv").read_text()
 
 
@@ -102,9 +105,9 @@ def test_what_needs_a_trial_says_so_of_a_film(tracks, words):
 
 
 def test_a_log_that_is_cut_short_says_what_is_lost(tracks, tmp_path):
-    whole = (tracks[0] / "track.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 9 // 10])
-    (tmp_path / "stub.mcap").write_bytes(whole[:300])
+    log = (tracks[0] / "track.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(log[: len(log) * 9 // 10])
+    (tmp_path / "stub.mcap").write_bytes(log[:300])
     cut = tetractl(tmp_path, "track", "cut.mcap")
     assert cut.returncode == 1 and "breaks off" in cut.stderr
     stub = tetractl(tmp_path, "track", "stub.mcap")
@@ -128,7 +131,8 @@ def test_tracks_are_read_by_geff_as_they_are_in_the_table(tracks):
     assert (t.scale, y.scale) == pytest.approx((1 / 30, 2.3)) and x.scaled_unit == "micrometer"
     first, second = graph["edge_ids"].astype(int).T
     assert (nodes["cell"][first] == nodes["cell"][second]).all()
-    assert len(first) == len(rows) - len(set(nodes["cell"]))
+    cells = set(nodes["cell"])
+    assert len(first) == len(rows) - len(cells)
     ahead = (nodes["x"][second] - nodes["x"][first]) * np.cos(nodes["heading"][first])
     ahead += (nodes["y"][second] - nodes["y"][first]) * np.sin(nodes["heading"][first])
     assert np.mean(ahead > 0) > 0.9
@@ -183,7 +187,8 @@ def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
 
 def test_times_of_a_folder_are_those_of_the_table(tmp_path):
     synthetic = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
-    path = folder(tmp_path / "film", np.array(list(synthetic.pictures())))
+    pictures = np.array(list(synthetic.pictures()))
+    path = folder(tmp_path / "film", pictures)
     (path / "times.csv").write_text("time_s\n" + "".join(f"{7 + t:.6f}\n" for t in synthetic.times))
     done = tetractl(tmp_path, "track", "film", "--scale", UM_PX, "--json")
     assert min(cell["since_s"] for cell in json.loads(done.stdout)["cells"]) >= 7

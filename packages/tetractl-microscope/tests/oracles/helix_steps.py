@@ -49,7 +49,8 @@ def moved(m, p, seconds, field, slowest):
     """The state after a piece of constant field, by the heading halfway, and to second order in its
     error.
     """
-    m, resting = m.copy(), m[SPEED] < slowest
+    resting = m[SPEED] < slowest
+    m = m.copy()
     dipole = p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]
     a = 0.0 if resting else m[A] * math.exp(-dipole / 2)
     middle = m.copy()
@@ -68,15 +69,19 @@ def moved(m, p, seconds, field, slowest):
 
 def body(m, slowest):
     """The body's x, y and axis of a state."""
-    left = m[C] * np.array([-math.sin(m[HEADING]), math.cos(m[HEADING])])
+    aside = m[C] * np.array([-math.sin(m[HEADING]), math.cos(m[HEADING])])
     across = m[RATE] * (m[SWAY] * m[S] + m[LEAD] * m[C])
-    return np.array([*(m[:2] + left), m[HEADING] - math.atan2(across, max(m[SPEED], slowest))])
+    sway = math.atan2(across, max(m[SPEED], slowest))
+    return np.array([*(m[:2] + aside), m[HEADING] - sway])
 
 
 def slopes(function, m):
     """The derivatives of a function of the state, by differences."""
-    step = 1e-6 * np.maximum(1.0, np.abs(m)) * np.eye(STATES)
-    return np.array([(function(m + one) - function(m - one)) / (2 * one.sum()) for one in step]).T
+    derivatives = []
+    for step in 1e-6 * np.maximum(1.0, np.abs(m)) * np.eye(STATES):
+        change = function(m + step) - function(m - step)
+        derivatives.append(change / (2 * step.sum()))
+    return np.array(derivatives).T
 
 
 def noise(m, model, walled, seconds):
@@ -161,7 +166,8 @@ def smooth(m, p, model, measured, deviation, pieces):
             m, p, _, distance = correct(m, p, model, values, deviation[k])
             assert distance < helix_path.ODD_DISTANCE
         filtered.append((m, p))
-    found = [filtered[-1][0]]
+    smoothed = [filtered[-1][0]]
     for (m, p), (ahead, spread, f) in zip(filtered[-2::-1], predicted[:0:-1], strict=True):
-        found.append(m + p @ f.T @ np.linalg.pinv(spread, hermitian=True) @ (found[-1] - ahead))
-    return np.array(found[::-1])
+        gain = p @ f.T @ np.linalg.pinv(spread, hermitian=True)
+        smoothed.append(m + gain @ (smoothed[-1] - ahead))
+    return np.array(smoothed[::-1])

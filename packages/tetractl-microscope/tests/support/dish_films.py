@@ -22,11 +22,11 @@ cv2.setNumThreads(1)
 class Reel:
     """A film in memory, as `follow` takes one."""
 
-    def __init__(self, made, pictures=None, timing=None):
+    def __init__(self, synthetic, pictures=None, timing=None):
         self.path = "reel"
         self.damaged = 0
-        self.timing = PictureTimes(made.script.rate) if timing is None else timing
-        self.pictures = list(made.pictures()) if pictures is None else pictures
+        self.timing = PictureTimes(synthetic.script.rate) if timing is None else timing
+        self.pictures = list(synthetic.pictures()) if pictures is None else pictures
 
     def __iter__(self):
         return iter(enumerate(self.pictures))
@@ -50,38 +50,64 @@ def film(seed=1, side=384, look=None, **script):
     return SyntheticFilm(FilmScript(**options), PictureLook(**values), seed)
 
 
-def record(made):
+def record(synthetic):
     """The field of a film."""
-    return FieldRecord(made.turns[:, 0], np.cos(made.turns[:, 1]), np.sin(made.turns[:, 1]))
+    times, directions = synthetic.turns.T
+    return FieldRecord(times, np.cos(directions), np.sin(directions))
 
 
-def followed(made, known=True):
-    """What is found of a film."""
-    return follow(Reel(made), made.look.um_px, record(made) if known else None)
+def followed(synthetic, field_known=True):
+    """What is said of a film."""
+    field_record = record(synthetic) if field_known else None
+    return follow(Reel(synthetic), synthetic.look.um_px, field_record)
 
 
-def who(made, path):
+def who(synthetic, path):
     """Which cell of a film a path is of, by most of its pictures."""
     votes = []
     for k, cell in zip(path.frames, path.sightings, strict=True):
-        gaps = np.linalg.norm(
-            np.nan_to_num(made.body[k, :, :2], nan=1e6) - (cell.x, cell.y), axis=1
-        )
-        votes += [int(gaps.argmin())] if gaps.min() < REACH_UM else []
+        places = np.nan_to_num(synthetic.body[k, :, :2], nan=1e6)
+        gaps = np.linalg.norm(places - (cell.x, cell.y), axis=1)
+        if gaps.min() < REACH_UM:
+            votes.append(int(gaps.argmin()))
     return max(set(votes), key=votes.count) if votes else None
+
+
+@dataclass
+class NumbersSoFar:
+    """What the numbers of an earlier picture say: `number_of` is that of each true cell when it was
+    last alone, `last_picture` when it was last in a blob, `cell_of` the true cell that had a number
+    last.
+    """
+
+    number_of: dict = field(default_factory=dict)
+    last_picture: dict = field(default_factory=dict)
+    cell_of: dict = field(default_factory=dict)
+
+    def forget(self, in_view, picture):
+        """Forget cells that are out of sight for so long that they may get another number."""
+        for i in list(self.number_of):
+            if i not in in_view and picture - self.last_picture[i] > GAP:
+                del self.number_of[i]
+
+    def note(self, i, number, picture):
+        """Note the number of a cell that is alone in a picture."""
+        self.number_of[i] = number
+        self.last_picture[i] = picture
+        self.cell_of[number] = i
 
 
 @dataclass
 class Score:
     """How films were followed: errors of free cells in position [um], axis and heading [rad], cells
-    seen that were `found`, `missed` or are none (`extra`), the numbers of each cell by its row, and
-    the probability stated where a cell got another number, `changed`, and where it got one that was
-    another cell's, `taken`. While cells share a blob, their numbers do not count."""
+    in view that were `right`, `missed` or are none (`extra`), the numbers of each cell by its row,
+    and the probability stated where a cell got another number, `changed`, and where it got one that
+    was another cell's, `taken`. While cells share a blob, their numbers do not count."""
 
     position: list = field(default_factory=list)
     axis: list = field(default_factory=list)
     heading: list = field(default_factory=list)
-    found: int = 0
+    right: int = 0
     missed: int = 0
     extra: int = 0
     numbers: dict = field(default_factory=dict)
@@ -90,52 +116,68 @@ class Score:
 
     @property
     def f1(self):
-        return 2 * self.found / max(2 * self.found + self.missed + self.extra, 1)
+        return 2 * self.right / max(2 * self.right + self.missed + self.extra, 1)
 
-    def add(self, made, followed):
-        """Compare what was found in a film with the truth; return this."""
-        shown = [[] for _ in made.times]
-        last = {}
-        when = {}
-        of = {}
-        self.numbers = {}
+    def add(self, synthetic, followed):
+        """Compare what was said of a film with the truth; return this."""
+        cells_in = [[] for _ in synthetic.times]
         for path in followed.paths:
             for k, cell in zip(path.frames, path.sightings, strict=True):
-                shown[k].append(cell)
-        events = made.script.events
-        divides = made.script.cells - 2
-        rests = made.script.cells - 1
-        for k, cells in enumerate(shown):
-            seen = [int(i) for i in np.flatnonzero(made.seen[k])]
-            for i in [i for i in last if i not in seen and k - when[i] > GAP]:
-                del last[i]
-            pairs = matched(made.body[k, :, :2], cells, last)
-            self.found += sum(i in pairs for i in seen)
-            self.missed += sum(i not in pairs for i in seen)
+                cells_in[k].append(cell)
+        so_far = NumbersSoFar()
+        self.numbers = {}
+        for k, cells in enumerate(cells_in):
+            in_view = np.flatnonzero(synthetic.in_view[k]).tolist()
+            so_far.forget(in_view, k)
+            places = synthetic.body[k, :, :2]
+            pairs = matched(places, cells, so_far.number_of)
+            cell_of = {i: cells[pairs[i]] for i in in_view if i in pairs}
+            self.right += len(cell_of)
+            self.missed += len(in_view) - len(cell_of)
             self.extra += len(cells) - len(pairs)
-            for i in seen:
-                if i not in pairs:
+            for i, cell in cell_of.items():
+                if cell.merged or together(places, i):
+                    so_far.last_picture[i] = k
                     continue
-                cell = cells[pairs[i]]
-                body = made.body[k, i]
-                if cell.merged or together(made.body[k, :, :2], i):
-                    when[i] = k
-                    continue
-                if not (events and i in (divides, made.body.shape[1] - 1)):
-                    changed = last.get(i, cell.identity) != cell.identity
-                    self.changed += [cell.probability] if changed else []
-                    other = of.get(cell.identity, i) != i
-                    self.taken += [cell.probability] if other else []
-                last[i] = cell.identity
-                when[i] = k
-                of[cell.identity] = i
+                if not divides(synthetic, i):
+                    self._add_changes(i, cell, so_far)
+                so_far.note(i, cell.identity, k)
                 self.numbers.setdefault(i, []).append(cell.identity)
                 if cell.has_blob:
-                    self.position.append((cell.x - body[0], cell.y - body[1]))
-                    self.axis.append((cell.axis - body[2] + math.pi / 2) % math.pi - math.pi / 2)
-                    off = (cell.heading - made.heading[k, i] + math.pi) % (2 * math.pi) - math.pi
-                    self.heading += [] if events and i == rests else [off]
+                    self._add_errors(synthetic, k, i, cell)
         return self
+
+    def _add_changes(self, i, cell, so_far):
+        """Add the stated probability, if the number of a cell is another than before."""
+        if so_far.number_of.get(i, cell.identity) != cell.identity:
+            self.changed.append(cell.probability)
+        if so_far.cell_of.get(cell.identity, i) != i:
+            self.taken.append(cell.probability)
+
+    def _add_errors(self, synthetic, k, i, cell):
+        """Add the errors of a cell's pose in picture k; a resting cell's heading has no truth."""
+        x, y, axis = synthetic.body[k, i]
+        self.position.append((cell.x - x, cell.y - y))
+        self.axis.append(wrapped(cell.axis - axis, math.pi))
+        if not rests(synthetic, i):
+            self.heading.append(wrapped(cell.heading - synthetic.heading[k, i], 2 * math.pi))
+
+
+def divides(synthetic, i):
+    """Whether a cell divides in a film, or is the daughter, which comes last."""
+    mother = synthetic.script.cells - 2
+    daughter = synthetic.body.shape[1] - 1
+    return synthetic.script.events and i in (mother, daughter)
+
+
+def rests(synthetic, i):
+    """Whether a cell rests for a while in a film."""
+    return synthetic.script.events and i == synthetic.script.cells - 1
+
+
+def wrapped(angle, turn):
+    """An angle within half a turn of 0, which is pi for an axis."""
+    return (angle + turn / 2) % turn - turn / 2
 
 
 def together(places, i):
@@ -146,12 +188,13 @@ def together(places, i):
 
 def matched(places, cells, last):
     """Which cell shown is which true one; one that was matched before stays so within reach."""
-    there = np.array([(c.x, c.y) for c in cells]).reshape(-1, 2)
-    gaps = np.linalg.norm(np.nan_to_num(places, nan=1e6)[:, None] - there[None], axis=-1)
+    said = np.array([(cell.x, cell.y) for cell in cells]).reshape(-1, 2)
+    true = np.nan_to_num(places, nan=1e6)
+    gaps = np.linalg.norm(true[:, None] - said[None], axis=-1)
     cost = np.minimum(gaps, 1e5)
     for i, number in last.items():
         for j, cell in enumerate(cells):
             if cell.identity == number and gaps[i, j] < REACH_UM:
                 cost[i, j] -= 1e6
-    own, near = linear_sum_assignment(cost)
-    return {int(i): int(j) for i, j in zip(own, near, strict=True) if gaps[i, j] < REACH_UM}
+    assigned = np.transpose(linear_sum_assignment(cost)).tolist()
+    return {i: j for i, j in assigned if gaps[i, j] < REACH_UM}

@@ -36,21 +36,21 @@ lab:
 """
 
 
-def samples_of(made, robots: int):
+def samples_of(synthetic, robots: int):
     """The loaded spec, and what its camera makes of a film: samples with pictures."""
-    starts = made.body[20, :robots, :2]
+    starts = synthetic.body[20, :robots, :2]
     listed = [
         f"{{name: c{i}, start: [{x:.1f}, {y:.1f}], target: [600, 600], a: 4, speed: 300}}"
         for i, (x, y) in enumerate(np.nan_to_num(starts, nan=500.0))
     ]
-    text = SPEC.format(robots="[" + ", ".join(listed) + "]", um_px=made.look.um_px)
+    text = SPEC.format(robots="[" + ", ".join(listed) + "]", um_px=synthetic.look.um_px)
     loaded = on_plant(parse_spec(text, "dish.yaml"), "lab")
     setup = loaded.experiment.setup
     camera = CellCamera(loaded.experiment.plant.camera, setup, VirtualClock())
     last = setup.starts.array()
     gathered = []
-    for k, picture in enumerate(made.pictures()):
-        exposed = round(1e9 * k / made.script.rate)
+    for k, picture in enumerate(synthetic.pictures()):
+        exposed = round(1e9 * k / synthetic.script.rate)
         looked = camera._see(picture, exposed)
         if looked is None:
             continue
@@ -59,17 +59,18 @@ def samples_of(made, robots: int):
         for i, pose in enumerate(looked.poses):
             if pose is not None:
                 last[i] = pose.x, pose.y, pose.heading
-        at = Observation(k, exposed, exposed + 9_000_000, Poses.of(last.copy()), valid)
-        gathered.append(Sample(at, None, added.messages))
+        poses = Poses.of(last.copy())
+        observation = Observation(k, exposed, exposed + 9_000_000, poses, valid)
+        gathered.append(Sample(observation, None, added.messages))
     return loaded, gathered
 
 
-def write_film(made, path, robots: int = 2):
+def write_film(synthetic, path, robots: int = 2):
     """Write a log of a film; return the samples in it."""
-    loaded, samples = samples_of(made, robots)
-    look = made.look
+    loaded, samples = samples_of(synthetic, robots)
+    look = synthetic.look
     facts = {"opencv": cv2.__version__, "resolution": f"{look.width}x{look.height}", "halts": "no"}
-    info = PlantInfo("lab", False, float(made.script.rate), facts)
+    info = PlantInfo("lab", False, float(synthetic.script.rate), facts)
     start = start_of(loaded, 0, info, 1_790_000_000_123_456_789)
     stop = Command(Stop(), samples[-1].observation.received_ns, (True,) * robots)
     recorder = Recorder()
@@ -79,10 +80,10 @@ def write_film(made, path, robots: int = 2):
             observer.on_samples(samples)
         setup = start.setup
         log = replace(recorder.trial, commands=(stop,))
-        track, known = trial_path(log)
+        track, were_seen = trial_path(log)
         result = Result.of(
             setup,
-            check_path(setup, track, known, samples[-1].observation.poses),
+            check_path(setup, track, were_seen, samples[-1].observation.poses),
             outcome=Outcome.INTERRUPTED,
             reason="interrupted before the first step",
             duration_s=stop.sent_ns / 1e9 - samples[0].observation.received_ns / 1e9,

@@ -18,7 +18,8 @@ def seen_cell(name, x, y, track, likely=1.0, has_blob=True, merged=False, measur
 
 def recorded(pictures, times):
     """The record of pictures at times [s], each with its cells by track."""
-    where = Whereabouts(list(times), list(range(len(times))))
+    numbers = list(range(len(times)))
+    where = Whereabouts(list(times), numbers)
     for picture, cells in enumerate(pictures):
         for track, cell in cells.items():
             row = TrackRow(picture, cell, cell.identity, cell.probability)

@@ -38,7 +38,8 @@ def one_strip(width, height, packed, compression=8, bits=8, following=0):
 def zeros(megabytes):
     """So many MB of zeros, deflated."""
     packer = zlib.compressobj(9)
-    return b"".join(packer.compress(bytes(2**20)) for _ in range(megabytes)) + packer.flush()
+    packed = [packer.compress(bytes(2**20)) for _ in range(megabytes)]
+    return b"".join(packed) + packer.flush()
 
 
 def png(width, height, rows=0):
@@ -46,7 +47,9 @@ def png(width, height, rows=0):
 
     def chunk(kind, data):
         body = kind + data
-        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
+        length = struct.pack(">I", len(data))
+        check = struct.pack(">I", zlib.crc32(body))
+        return length + body + check
 
     packed = zlib.compress(bytes(rows * (width // 8 + 1)), 9)
     head = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
@@ -81,7 +84,8 @@ def written(data):
 
 def czi_of_many(path):
     """One picture's entry in the index gives it the number of six millions."""
-    data = bytearray(czi(path, small()).read_bytes())
+    film = czi(path, small())
+    data = bytearray(film.read_bytes())
     entry = data.rindex(b"T\0\0\0")
     struct.pack_into("<i", data, entry + 4, 6_000_000)
     path.write_bytes(data)
@@ -129,9 +133,14 @@ def mjpeg(path):
     path.write_bytes(coded * 3)
 
 
+large_png = written(lambda: png(32768, 32768, 32768))
+claiming_png = written(png(2**31 - 1, 2**31 - 1))
+small_png = written(png(64, 64, 64))
+INFINITE = np.where(np.eye(64) > 0, np.inf, -1e38).astype(np.float32)
+
 BOMBS: dict[str, Callable[[Path], object]] = {
-    "png of 1 Gpx in a folder": in_folder("1.png")(written(lambda: png(32768, 32768, 32768))),
-    "png that only claims": in_folder("1.png")(written(png(2**31 - 1, 2**31 - 1))),
+    "png of 1 Gpx in a folder": in_folder("1.png")(large_png),
+    "png that only claims": in_folder("1.png")(claiming_png),
     "many large pictures": many_large,
     "bmp that claims": in_folder("1.bmp")(
         written(b"BM" + struct.pack("<IIIIiiHH24x", 54, 0, 54, 40, 65000, 65000, 1, 8))
@@ -141,7 +150,7 @@ BOMBS: dict[str, Callable[[Path], object]] = {
     "fifo": os.mkfifo,
     "fifo in a folder": in_folder("1.png")(os.mkfifo),
     "endless device": in_folder("1.png")(lambda path: path.symlink_to("/dev/zero")),
-    "name with a superscript": in_folder("²1.png")(written(png(64, 64, 64))),
+    "name with a superscript": in_folder("²1.png")(small_png),
     "fifo named by tags": fifo_named_by_tags,
     "deflate bomb": written(lambda: one_strip(64, 64, zeros(400))),
     "deflate bomb of many pages": written(lambda: one_strip(64, 64, zeros(400), following=8)),
@@ -181,7 +190,7 @@ BOMBS: dict[str, Callable[[Path], object]] = {
         folder(path, small()), (path / "times.csv").write_text("time_s\n" + "1e999\n" * 4)
     ),
     "no values": values(np.full((6, 64, 64), np.nan, np.float32)),
-    "infinite values": values(np.where(np.eye(64) > 0, np.inf, -1e38).astype(np.float32)),
+    "infinite values": values(INFINITE),
     "complex values": values(np.ones((6, 64, 64), np.complex64)),
 }  # fmt: skip
 

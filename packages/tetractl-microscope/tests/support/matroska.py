@@ -19,10 +19,12 @@ def number(name, value):
 def matroska(path, pictures, times_s):
     """Write pictures (height, width) as JPEG, at times in whole milliseconds."""
     height, width = pictures[0].shape
-    head = element("1A45DFA3", element("4282", b"matroska") + number("4287", 4) + number("4285", 2))
+    versions = number("4287", 4) + number("4285", 2)
+    head = element("1A45DFA3", element("4282", b"matroska") + versions)
     info = element("1549A966", number("2AD7B1", 1_000_000))  # a unit of time is 1 ms
     video = element("E0", number("B0", width) + number("BA", height))
-    track = number("D7", 1) + number("73C5", 1) + number("83", 1) + element("86", b"V_MJPEG")
+    first_video = number("D7", 1) + number("73C5", 1) + number("83", 1)
+    track = first_video + element("86", b"V_MJPEG")
     tracks = element("1654AE6B", element("AE", track + video))
     clusters = b""
     for picture, time_s in zip(pictures, times_s, strict=True):

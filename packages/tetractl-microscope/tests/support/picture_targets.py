@@ -32,9 +32,12 @@ def _dish() -> tuple[list, list[bytes]]:
         np.zeros((40, 9), np.uint8),
         pictures_shown[2],
     ]
-    return pictures_shown, [
-        b"".join(part(coded(one, 90)) for one in some) for some in (pictures_shown, absurd)
-    ]
+    return pictures_shown, [_answer(pictures_shown), _answer(absurd)]
+
+
+def _answer(sent: list) -> bytes:
+    """What a camera answers that sends some pictures."""
+    return b"".join(part(coded(picture, 90)) for picture in sent)
 
 
 def pictures(data: bytes) -> None:

@@ -42,8 +42,8 @@ class SyntheticFilm:
     """A film: `len(film.times)` pictures from `pictures()`, and the truth behind each.
 
     `turns` (T, 2) are times [s] and directions [rad] of the field. The truth is that at the middle
-    of each exposure: `seen` (K, N) is whether a cell is in view, `body` (K, N, 3) holds x, y [um]
-    and axis [rad] of each body, `heading` (K, N) the heading of its helix [rad].
+    of each exposure: whether a cell is `in_view` (K, N), x, y [um] and axis [rad] of each `body`
+    (K, N, 3), and the `heading` (K, N) of its helix [rad].
     """
 
     script: FilmScript
@@ -52,7 +52,7 @@ class SyntheticFilm:
     cells: Swimmers | None = None
     times: Floats = field(init=False)
     turns: Floats = field(init=False)
-    seen: Bools = field(init=False)
+    in_view: Bools = field(init=False)
     body: Floats = field(init=False)
     heading: Floats = field(init=False)
     _past: list[Swimmers] = field(init=False)
@@ -70,12 +70,12 @@ class SyntheticFilm:
         self._shift = np.zeros((len(self.cells), 2))
         self._set_out(random, count)
         self.times = np.arange(round(script.seconds * script.rate)) / script.rate
-        shown = [self._bodies(t) for t in self.times]
+        moments = [self._bodies(t) for t in self.times]
         alive = np.array([self._alive(t) for t in self.times])
-        self.body = np.array([np.column_stack([b.x, b.y, b.axis]) for b in shown])
+        self.body = np.array([np.column_stack([b.x, b.y, b.axis]) for b in moments])
         self.heading = np.array([self._at(t).heading for t in self.times])
         inside = (self.body[..., :2] > MARGIN_UM) & (self.body[..., :2] < self._span - MARGIN_UM)
-        self.seen = inside.all(axis=-1) & alive
+        self.in_view = inside.all(axis=-1) & alive
 
     @property
     def _span(self) -> Floats:
@@ -91,7 +91,8 @@ class SyntheticFilm:
             yield painter.picture(self.cells, moments, self._alive(t), float(t))
 
     def _at(self, t: float) -> Swimmers:
-        return self._past[min(max(round(t / STEP_S), 0), len(self._past) - 1)]
+        step = max(round(t / STEP_S), 0)
+        return self._past[min(step, len(self._past) - 1)]
 
     def _alive(self, t: float) -> Bools:
         return ~np.isnan(self._at(t).x)
@@ -118,20 +119,21 @@ class SyntheticFilm:
         middle = len(self._past) // 2
         end = self.script.seconds
         for i in range(len(self.cells or ())):
-            own = np.array([self._past[middle].x[i], self._past[middle].y[i]])
+            halfway = np.array([self._past[middle].x[i], self._past[middle].y[i]])
             if i >= count:  # a daughter starts where its mother is
                 self._shift[i] = self._shift[self._mother]
                 continue
-            self._shift[i] = random.uniform(0.15, 0.85, 2) * self._span - own
-            other = i - 1
+            self._shift[i] = random.uniform(0.15, 0.85, 2) * self._span - halfway
+            partner = i - 1
             share = self.script.crossings * end / 60 if i % 2 else 0.0
             crosses = share >= 1 or (share > 0 and random.random() < share)
             for _ in range(TRIES if crosses else 0):
                 when = random.uniform(0.15 * end, 0.95 * end)
-                at = self._at(when)
-                place = np.array([at.x[other], at.y[other]]) + self._shift[other]
+                then = self._at(when)
+                place = np.array([then.x[partner], then.y[partner]]) + self._shift[partner]
                 if ((place > 0.1 * self._span) & (place < 0.9 * self._span)).all():
-                    self._shift[i] = place - np.array([at.x[i], at.y[i]]) + random.normal(0, 5, 2)
+                    unshifted = np.array([then.x[i], then.y[i]])
+                    self._shift[i] = place - unshifted + random.normal(0, 5, 2)
                     break
 
     @property
@@ -172,7 +174,8 @@ def _swum(
         direction = turns[max(np.searchsorted(turns[:, 0], t + STEP_S / 2, side="right") - 1, 0), 1]
         cells.swim((math.cos(direction), math.sin(direction)), STEP_S, random, drift)
     if divides is not None:
-        absent = past[-1].kept(np.arange(len(past[-1])) == len(past[-1]) - 1)
+        is_daughter = np.arange(len(cells)) == len(cells) - 1
+        absent = past[-1].kept(is_daughter)
         absent.x[:] = absent.y[:] = np.nan
-        past = [each if len(each) == len(cells) else each.joined(absent) for each in past]
+        past = [then if len(then) == len(cells) else then.joined(absent) for then in past]
     return past

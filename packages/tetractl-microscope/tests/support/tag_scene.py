@@ -39,8 +39,8 @@ def section(source=None, **changes):
 
 
 def rendered(size=SMALL, seed=0, facing=None, **optics):
-    made = Optics.facing(FLOOR, MM, *size, **(facing or {}))
-    return Renderer(ROBOTS, FLOOR, MM, replace(made, **optics), seed)
+    facing_floor = Optics.facing(FLOOR, MM, *size, **(facing or {}))
+    return Renderer(ROBOTS, FLOOR, MM, replace(facing_floor, **optics), seed)
 
 
 def tracker(**changes):

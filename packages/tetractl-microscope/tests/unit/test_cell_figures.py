@@ -31,7 +31,7 @@ def swum(heading):
 
 def film(cells=6, field=True):
     """A film of some cells."""
-    made = [swum(0.5 * k) for k in range(cells)]
+    paths = [swum(0.5 * k) for k in range(cells)]
     listed = [
         {
             "cell": k + 1, "vcl_um_s": 400.0 + k, "vap_um_s": 390.0, "vsl_um_s": 300.0, "lin": 0.75,
@@ -48,9 +48,9 @@ def film(cells=6, field=True):
     return TrackLog(
         path="track.mcap",
         record=record,
-        time=np.concatenate([times for times, _ in made]) if made else np.zeros(0),
+        time=np.concatenate([times for times, _ in paths]) if paths else np.zeros(0),
         cell=np.repeat(np.arange(1, cells + 1), 180),
-        poses=np.concatenate([poses for _, poses in made]) if made else np.zeros((0, 3)),
+        poses=np.concatenate([poses for _, poses in paths]) if paths else np.zeros((0, 3)),
         picture=np.tile(np.arange(640, dtype=np.uint8), (480, 1)),
         damage=(),
     )
@@ -79,7 +79,8 @@ def test_the_turning_stated_is_that_of_the_cells_that_respond():
     (axes,) = turning_figure(log).axes
     assert "a = 3.00 [3.00, 3.00], n = 5 cells" in axes.get_xlabel()
     squares, curve = (line.get_data()[1] for line in axes.lines[-2:])
-    assert np.nanmax(np.abs(squares)) == pytest.approx(np.abs(curve).max(), rel=0.1)
+    highest = np.nanmax(np.abs(squares))
+    assert highest == pytest.approx(np.abs(curve).max(), rel=0.1)
 
 
 def test_the_rate_of_turning_is_that_of_the_model_at_any_strength():

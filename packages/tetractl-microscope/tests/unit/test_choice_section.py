@@ -37,13 +37,14 @@ def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         run_trial(spec, tmp_path / name)
-    one, two = (read_trial(tmp_path / name / "trial-000.mcap") for name in ("one", "two"))
-    assert one.experiment == two.experiment
-    assert not one.experiment.open
-    assert one.experiment.asked == spec.experiment.asked
-    a = np.array([robot.a for robot in one.experiment.robots])
+    first = read_trial(tmp_path / "one" / "trial-000.mcap")
+    again = read_trial(tmp_path / "two" / "trial-000.mcap")
+    assert first.experiment == again.experiment
+    assert not first.experiment.open
+    assert first.experiment.asked == spec.experiment.asked
+    a = np.array([robot.a for robot in first.experiment.robots])
     assert (np.diff(a) < 0).all()
-    assert packages(one.experiment).keys() == {"tetractl-microscope"}
+    assert packages(first.experiment).keys() == {"tetractl-microscope"}
 
 
 @pytest.mark.parametrize(

@@ -25,21 +25,21 @@ def log(tmp_path_factory):
 
 def test_a_picture_lies_where_its_cells_were_measured(log):
     pictures = DishPictures(log)
-    assert pictures.times == [at for at, _ in log.pictures]
+    assert pictures.times == [time_ns for time_ns, _ in log.pictures]
     low, right, up = pictures.corners
     place = np.linalg.inv(np.column_stack([right - low, up - low]))
-    seen = 0
-    for which, at in enumerate(pictures.times):
+    cells = 0
+    for which, time_ns in enumerate(pictures.times):
         grey = pictures.grey(which).astype(float)
-        row = int(np.searchsorted(log.mocap_ns, at))
-        assert pictures.at(at) == which
+        row = int(np.searchsorted(log.mocap_ns, time_ns))
+        assert pictures.at(time_ns) == which
         for i in np.flatnonzero(log.valid[row]):
             across, upwards = place @ (log.mocap[row, i, :2] - low)
             column = int(across * grey.shape[1])
             line = int((1 - upwards) * grey.shape[0])
             assert abs(grey[line, column] - np.median(grey)) > 15
-            seen += 1
-    assert seen >= 2
+            cells += 1
+    assert cells >= 2
     assert pictures.at(-1) == 0
 
 
@@ -47,7 +47,8 @@ def test_plot_and_page_have_the_picture(log):
     axes = trajectory_figure([log]).axes[0]
     (image,) = axes.get_images()
     corners = image.get_transform().transform([(0, 0), (1, 0), (0, 1)])
-    assert axes.transData.inverted().transform(corners) == pytest.approx(DishPictures(log).corners)
+    corners_in_dish = axes.transData.inverted().transform(corners)
+    assert corners_in_dish == pytest.approx(DishPictures(log).corners)
     data = trial_data(log, "trial-000.mcap")["dish"]
     assert len(data["jpeg"]) == len(log.pictures)
     first = Image.open(io.BytesIO(base64.b64decode(data["jpeg"][0])))
@@ -55,9 +56,9 @@ def test_plot_and_page_have_the_picture(log):
 
 
 def test_what_cannot_be_decoded_is_left_out(log):
-    at, good = log.pictures[0]
-    hostile = ((1, b""), (2, b"\xff\xd8" + bytes(99)), (3, good[:60]), (at, good))
-    assert DishPictures(replace(log, pictures=hostile)).times == [at]
+    time_ns, good = log.pictures[0]
+    hostile = ((1, b""), (2, b"\xff\xd8" + bytes(99)), (3, good[:60]), (time_ns, good))
+    assert DishPictures(replace(log, pictures=hostile)).times == [time_ns]
     none = replace(log, pictures=hostile[:2])
     assert trial_data(none, "trial-000.mcap")["dish"] is None
     assert trajectory_figure([none]).axes[0].get_images() == []

@@ -33,7 +33,11 @@ def paths(direction, mirrored=False, rotated=0.0, seed=1):
 
 
 def field_of(direction):
-    return lambda times: np.exp(1j * np.array([direction(round(t * SECOND)) for t in times]))
+    def field(times):
+        directions = np.array([direction(round(time_s * SECOND)) for time_s in times])
+        return np.exp(1j * directions)
+
+    return field
 
 
 @pytest.mark.long
@@ -53,7 +57,9 @@ def test_side_and_rotation_are_found(mirrored, rotated):
 
 
 def test_cells_that_do_not_follow_the_field_are_a_problem_and_so_are_too_few():
-    turning = handedness(paths(manoeuvre(3.2, 6)), field_of(manoeuvre(2.3, 9)))
+    driven = manoeuvre(3.2, 6)
+    turning = handedness(paths(driven), field_of(manoeuvre(2.3, 9)))
     assert handedness_lines(turning)[0][0].startswith("the cells do not turn with the field")
-    few = handedness(paths(manoeuvre(3.2, 6))[:2], field_of(manoeuvre(3.2, 6)))
-    assert few is None and "fewer than 3 cells" in handedness_lines(few)[0][0]
+    of_two = handedness(paths(driven)[:2], field_of(driven))
+    assert of_two is None
+    assert "fewer than 3 cells" in handedness_lines(of_two)[0][0]

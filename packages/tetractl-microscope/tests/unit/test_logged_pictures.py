@@ -10,14 +10,14 @@ from tetractl.replay.verify import verify
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory):
+def film_log(tmp_path_factory):
     path = tmp_path_factory.mktemp("film") / "trial-000.mcap"
     samples = write_film(film(seed=52, side=384, cells=3, seconds=1.6), path)
     return path, samples
 
 
-def test_what_the_camera_adds_is_logged_as_it_is_with_the_times_of_its_frame(shown):
-    path, samples = shown
+def test_what_the_camera_adds_is_logged_as_it_is_with_the_times_of_its_frame(film_log):
+    path, samples = film_log
     log = scan(path)
     begin = log.run.start_unix_ns
     added = [

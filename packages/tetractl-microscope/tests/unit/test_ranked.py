@@ -27,7 +27,7 @@ def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_rou
     choices = ranked(
         spec.experiment, cells, Noise.of(spec.experiment.plant), 12, lambda *n: counted.append(n)
     )
-    assert not np.isfinite([one.error for one in choices]).any()
+    assert not np.isfinite([choice.error for choice in choices]).any()
     assert len(counted) == 4  # one prediction for each three of four cells
 
 
@@ -46,9 +46,7 @@ def test_no_choice_has_cells_that_cannot_be_distinguished():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
     noise = Noise.of(spec.experiment.plant)
-    chosen = {
-        frozenset(c.number for c in one.cells) for one in ranked(spec.experiment, cells, noise, 12)
-    }
+    chosen = {frozenset(choice.numbers) for choice in ranked(spec.experiment, cells, noise, 12)}
     assert chosen == {frozenset((0, 2)), frozenset((1, 2))}
     assert ranked(spec.experiment, cells[:2], noise, 12) == []
 
@@ -57,5 +55,6 @@ def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_ar
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]
     noise = Noise.of(spec.experiment.plant)
-    (one,) = ranked(spec.experiment, cells, noise, 12)
-    assert one.error == RankedChoice(spec.experiment, one.cells, noise).along(12).error
+    (choice,) = ranked(spec.experiment, cells, noise, 12)
+    at_once = RankedChoice(spec.experiment, choice.cells, noise).along(12)
+    assert choice.error == at_once.error

@@ -8,9 +8,10 @@ from tetractl.core.errors import UsageError
 
 HZ = 25.0
 UM = 2.0
-NUMBER, K, Y, X = np.array(
-    [(cell, k, 40.0 + 3 * k, 100.0 * cell + 5 * k) for cell in (1, 2) for k in range(6)]
-).T
+SPOT_ROWS = [
+    (float(cell), float(k), 40.0 + 3 * k, 100.0 * cell + 5 * k) for cell in (1, 2) for k in range(6)
+]
+NUMBER, K, Y, X = np.array(SPOT_ROWS).T
 POSES = sorted(zip(K / HZ, UM * X, -UM * Y, strict=True))
 FRAME = {"unit": "frame", "scale": 1 / HZ, "scaled_unit": "second"}
 PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
@@ -21,7 +22,9 @@ SPACE = {"type": "space", **PIXEL}
 def poses(path, um=None, hz=None, said=None):
     rows = [row.cells for row in pose_rows(path, um, hz, [] if said is None else said)]
     assert len({cells["robot"] for cells in rows}) == 2
-    return sorted(tuple(float(cells[one]) for one in ("time_s", "x_um", "y_um")) for cells in rows)
+    return sorted(
+        (float(cells["time_s"]), float(cells["x_um"]), float(cells["y_um"])) for cells in rows
+    )
 
 
 def graph(path, axes, values):
@@ -37,8 +40,10 @@ def graph(path, axes, values):
         node_props_metadata={},
         edge_props_metadata={},
     )
-    nodes = {name: {"values": each, "missing": None} for name, each in values.items()}
-    edges = np.column_stack([ids[:-1], ids[1:]])[np.diff(NUMBER) == 0]
+    nodes = {name: {"values": column, "missing": None} for name, column in values.items()}
+    pairs = np.column_stack([ids[:-1], ids[1:]])
+    are_of_one_track = np.diff(NUMBER) == 0
+    edges = pairs[are_of_one_track]
     core_io.write_arrays(path, ids, nodes, edges, {}, about)
     return path
 
@@ -140,8 +145,7 @@ def test_numbers_of_pictures_that_are_fractions_are_times(tmp_path):
 def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
     """Regression: --scale multiplied micrometres, and --rate divided seconds."""
     rows = "".join(
-        f"ID,{cell:g},{UM * x!r},{UM * y!r},{k / HZ!r},{k:g}\n"
-        for cell, k, y, x in zip(*(each.tolist() for each in (NUMBER, K, Y, X)), strict=True)
+        f"ID,{cell:g},{UM * x!r},{UM * y!r},{k / HZ!r},{k:g}\n" for cell, k, y, x in SPOT_ROWS
     )
     path = tmp_path / "spots.csv"
     path.write_text(SPOTS.format(um="micron", s="sec") + rows)
@@ -176,7 +180,7 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
     """Regression: with frames such as 3.0 the table "has no spot of a track"."""
     rows = "".join(
         f"ID,{cell:g},{UM * x / factor!r},{UM * y / factor!r},{k / HZ!r},{written.format(k)}\n"
-        for cell, k, y, x in zip(*(each.tolist() for each in (NUMBER, K, Y, X)), strict=True)
+        for cell, k, y, x in SPOT_ROWS
     )
     (tmp_path / "spots.csv").write_text(SPOTS.format(um=um, s=s) + rows)
     assert np.allclose(poses(tmp_path / "spots.csv"), POSES)

@@ -67,7 +67,7 @@ def test_events_add_a_daughter_and_let_a_cell_rest():
     synthetic = film(seed=5, events=True)
     assert synthetic.body.shape[1] == 5
     half = len(synthetic.times) // 2
-    assert not synthetic.seen[: half - 1, 4].any()
+    assert not synthetic.in_view[: half - 1, 4].any()
     rest = (synthetic.times > 0.45 * 4) & (synthetic.times < 0.55 * 4)
     path = synthetic.body[rest, 3, :2]
     assert np.linalg.norm(path[-1] - path[0]) < 10

@@ -49,8 +49,8 @@ def standing(t_ns):
 
 def built(source, clock=None, **changes):
     woken = Woken()
-    made = section(source, **{"connect": PATIENCE_S, **changes})
-    return AprilTagCamera(made, SETUP, clock or VirtualClock(), woken), woken
+    options = {"connect": PATIENCE_S, **changes}
+    return AprilTagCamera(section(source, **options), SETUP, clock or VirtualClock(), woken), woken
 
 
 def pictures(renderer, count, poses_at=standing):
@@ -73,13 +73,14 @@ def test_every_picture_of_a_film_is_a_frame(tmp_path):
         assert frame.sampled_ns == frame.received_ns - SECOND // 10
         assert frame.fault == ""
         truth = driving(k * SECOND // 30)
-        found = [pose.x for pose in frame.poses if pose is not None]
-        assert found == pytest.approx(truth.x, abs=2.5)
+        x = [pose.x for pose in frame.poses if pose is not None]
+        assert x == pytest.approx(truth.x, abs=2.5)
     assert camera.damaged == 0
 
 
 def test_the_health_of_a_good_camera_tells_its_facts(tmp_path):
-    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 8)))
+    shots = pictures(rendered(), 8)
+    camera, woken = built(film(tmp_path / "film.avi", shots))
     with camera:
         woken.wait(lambda: woken.count == 8)
         health = camera.check()
@@ -116,7 +117,7 @@ DOWN = {"tilt": 0.0}
 
 
 @pytest.mark.parametrize(
-    ("shown", "facing", "changes", "problems", "warning"),
+    ("scene", "facing", "changes", "problems", "warning"),
     [
         (
             {"hidden": {101, 103, 7}},
@@ -142,9 +143,9 @@ DOWN = {"tilt": 0.0}
         ({}, {}, {"robots": SMALLER}, [], "green: its tag looks 11."),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path, shown, facing, changes, problems, warning):
+def test_what_is_wrong_is_named(tmp_path, scene, facing, changes, problems, warning):
     renderer = rendered(facing=facing)
-    for name, value in shown.items():
+    for name, value in scene.items():
         setattr(renderer, name, value)
     problems_found, warnings = checked(tmp_path, renderer, **changes)
     assert len(problems_found) == len(problems)
@@ -201,7 +202,8 @@ def test_pictures_of_another_size_are_damaged(tmp_path, monkeypatch):
     shots[1] = np.ascontiguousarray(shots[1][:100])
     feed = iter(shots)
     monkeypatch.setattr(module, "decoded", lambda picture, size: next(feed))
-    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 3)))
+    source = film(tmp_path / "film.avi", pictures(rendered(), 3))
+    camera, woken = built(source)
     with camera:
         woken.wait(lambda: woken.count == 2)
         assert [frame.number for frame in camera.frames()] == [1, 3]

@@ -34,7 +34,8 @@ def test_tags_are_drawn_as_the_apriltag_project_prints_them(number):
 def test_the_first_corner_is_the_top_left_one_of_the_tag_read_upright(turns):
     square = np.kron(published(CODES[1]), np.ones((9, 9), np.uint8))
     upright = np.pad(square, 30, constant_values=255)
-    (sighting,) = Detector().find(np.ascontiguousarray(np.rot90(upright, turns)))
+    picture = np.ascontiguousarray(np.rot90(upright, turns))
+    (sighting,) = Detector().find(picture)
     corners = np.array([(29.5, 29.5), (101.5, 29.5), (101.5, 101.5), (29.5, 101.5)])
     assert sighting.tag == 1
     assert sighting.corners == pytest.approx(np.roll(corners, turns, axis=0), abs=0.3)
@@ -52,16 +53,19 @@ def test_corners_are_found_within_a_fraction_of_a_pixel(size, bound):
     renderer = rendered(size)
     off = []
     for _ in range(10):
-        found = {each.tag: each for each in detector.find(renderer.picture(lambda t: STANDING, 0))}
-        off += [found[robot.tag].corners - truth(renderer, i) for i, robot in enumerate(ROBOTS)]
+        sightings = detector.find(renderer.picture(lambda t: STANDING, 0))
+        corners = {sighting.tag: sighting.corners for sighting in sightings}
+        off += [corners[robot.tag] - truth(renderer, i) for i, robot in enumerate(ROBOTS)]
     assert np.sqrt(np.mean(np.square(off))) < bound
     assert np.abs(np.mean(off, axis=(0, 1))).max() < bound / 2  # no bias
 
 
 @pytest.mark.parametrize("blur", [0.7, 1.2])
 def test_blur_is_measured(blur):
-    sightings = Detector().find(rendered(LARGE, blur_px=blur).picture(lambda t: STANDING, 0))
-    assert np.median([each.blur_px for each in sightings]) == pytest.approx(blur, abs=0.25)
+    renderer = rendered(LARGE, blur_px=blur)
+    sightings = Detector().find(renderer.picture(lambda t: STANDING, 0))
+    blurs_px = [sighting.blur_px for sighting in sightings]
+    assert np.median(blurs_px) == pytest.approx(blur, abs=0.25)
 
 
 def test_noise_and_plain_pictures_show_no_tags():

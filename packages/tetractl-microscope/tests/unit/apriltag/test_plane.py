@@ -19,7 +19,7 @@ def plane():
     return Plane(OPTICS.matrix, np.zeros(5), axes, -axes @ np.array(OPTICS.position))
 
 
-def corners(height, tilt, about=0.7, at=(1.2, 1.4)):
+def corners(height, tilt, about=0.7, middle=(1.2, 1.4)):
     """Pixels of a tag at a height [m], turned by `tilt` about a horizontal axis."""
     flat = np.column_stack([SIDE * SQUARE, np.zeros(4)])
     axis = np.array([math.cos(about), math.sin(about), 0.0])
@@ -28,14 +28,14 @@ def corners(height, tilt, about=0.7, at=(1.2, 1.4)):
         + np.cross(axis, flat) * math.sin(tilt)
         + np.outer(flat @ axis, axis) * (1 - math.cos(tilt))
     )
-    return OPTICS.project(turned + np.array([*at, height]))
+    return OPTICS.project(turned + np.array([*middle, height]))
 
 
 @pytest.mark.parametrize("height", [0.0, 0.09, 0.5, 1.45])
-@pytest.mark.parametrize("at", [(0.5, 0.4), (1.2, 1.4), (2.1, 2.0)])
-def test_a_flat_tag_is_flat_at_its_height(height, at):
-    found, tilt = plane().stance(corners(height, 0.0, at=at), SIDE)
-    assert found == pytest.approx(height, abs=1e-4)
+@pytest.mark.parametrize("middle", [(0.5, 0.4), (1.2, 1.4), (2.1, 2.0)])
+def test_a_flat_tag_is_flat_at_its_height(height, middle):
+    height_then, tilt = plane().stance(corners(height, 0.0, middle=middle), SIDE)
+    assert height_then == pytest.approx(height, abs=1e-4)
     assert tilt == pytest.approx(0.0, abs=1e-3)
 
 

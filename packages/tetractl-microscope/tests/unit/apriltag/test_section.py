@@ -8,8 +8,8 @@ pytestmark = pytest.mark.slow
 
 ROBOT = {"name": "green", "tag": 1, "size_mm": 80, "height_mm": 90}
 FLOOR = [
-    {"tag": 100 + i, "at": at, "size_mm": 120}
-    for i, at in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)])
+    {"tag": 100 + i, "at": place, "size_mm": 120}
+    for i, place in enumerate([(0, 0), (1, 0), (1, 1), (0, 1)])
 ]
 GOOD = {
     "type": "apriltag",

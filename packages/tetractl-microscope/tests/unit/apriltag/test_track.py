@@ -28,8 +28,8 @@ pytestmark = pytest.mark.slow
 OVERHEAD = {"tilt": 0.0}
 
 
-def off(seen, i=0, truth=STANDING):
-    pose = seen.poses[i]
+def off(looked, i=0, truth=STANDING):
+    pose = looked.poses[i]
     return math.hypot(pose.x - truth.x[i], pose.y - truth.y[i])
 
 
@@ -61,9 +61,9 @@ def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
     mine = tracker()
     distances = []
     for k in range(10):
-        at = k * 33_000_000
-        looked = mine.see(renderer.picture(moving, at))
-        distances += [off(looked, i, moving(at)) for i in range(3)]
+        time_ns = k * 33_000_000
+        looked = mine.see(renderer.picture(moving, time_ns))
+        distances += [off(looked, i, moving(time_ns)) for i in range(3)]
     assert np.median(distances) < 1.0
     assert max(distances) < 3.0
 

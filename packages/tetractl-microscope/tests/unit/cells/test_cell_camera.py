@@ -1,5 +1,6 @@
 """The `cells` camera on synthetic films, in virtual time: frames, robots, health."""
 
+import itertools
 import math
 import threading
 
@@ -44,10 +45,10 @@ lab:
 """
 
 
-def dish(folder, picture=lambda each: each):
+def dish(folder, change=lambda picture: picture):
     """A film of two cells and a file of it."""
     synthetic = film(seed=52, side=512, cells=2, crossings=False, seconds=3.0)
-    path = video(folder / "dish.avi", map(picture, synthetic.pictures()))
+    path = video(folder / "dish.avi", map(change, synthetic.pictures()))
     return synthetic, path
 
 
@@ -81,11 +82,14 @@ def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path
 
 def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
     """From picture 50 on all that is seen is shifted, and a rim is new; what is still tells."""
-    count, (down, right) = iter(range(1000)), (6, 12)
-    synthetic, path = dish(
-        tmp_path,
-        lambda each: np.roll(each, (down, right), (0, 1)) if next(count) >= 50 else each,
-    )
+    down = 6
+    right = 12
+    numbers = itertools.count()
+
+    def knocked(picture):
+        return np.roll(picture, (down, right), (0, 1)) if next(numbers) >= 50 else picture
+
+    synthetic, path = dish(tmp_path, knocked)
     _, cells = camera(path, synthetic.body[25, :, :2])
     with cells:
         assert cells._wait(lambda: bool(cells._ended), 120.0)
@@ -168,7 +172,7 @@ class Coils:
         return Transmission(action, 0, (True,), np.zeros(1), np.zeros(1))
 
     def stop(self, emergency=False):
-        return Transmission(Stop(), 0, (True,), np.zeros(1), np.zeros(1))
+        return self.send(Stop(), None, (True,), 0)
 
 
 def test_the_inner_loop_passes_on_what_it_sends():

@@ -56,7 +56,7 @@ def test_probabilities_count_only_for_frames_that_the_guard_has_accepted():
     watch = CellWatch(Dish(), waiting, SETUP, 3.0)
     assert list(watch.see(0)) == []
     assert [note.t_ns for note in watch.see(2)] == [2]
-    assert [one.exposed_ns for one in waiting] == [3]
+    assert [identities.exposed_ns for identities in waiting] == [3]
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
             sure[BLUE] = 1.0 if k < 3 else 0.6
             plant.observe()
             plant.send(Steer(1.5))
-            notes += [one.text for one in plant.news() if isinstance(one, Note)]
+            notes += [news.text for news in plant.news() if isinstance(news, Note)]
             lab.clock.sleep_until(lab.clock.now() + SECOND // 5)
     plant.stop()
     plant.close()

@@ -21,7 +21,9 @@ def step(beyond):
 
 def around(middle):
     """Where a body may be, along one side of a picture."""
-    return slice(max(0, int(middle - 3 * BODY[0])), max(0, int(middle + 3 * BODY[0])))
+    first = int(middle - 3 * BODY[0])
+    last = int(middle + 3 * BODY[0])
+    return slice(max(0, first), max(0, last))
 
 
 class Dish:
@@ -37,10 +39,10 @@ class Dish:
         self.still = {}  # specks and bubble by their shift
         self.specks = self.random.uniform((10, 10, 1.5), (SIDE - 10, SIDE - 10, 5), (12, 3))
 
-    def body(self, x, y, axis, here):
-        """How far pixels `here` are from a body's middle; its outline is at 1."""
-        across = self.across[here] - x
-        down = self.down[here] - y
+    def body(self, x, y, axis, part):
+        """How far pixels in a `part` of the picture are from a body's middle, 1 at its outline."""
+        across = self.across[part] - x
+        down = self.down[part] - y
         along = across * math.cos(axis) + down * math.sin(axis)
         aside = down * math.cos(axis) - across * math.sin(axis)
         return np.hypot(along / BODY[0], aside / BODY[1])
@@ -62,10 +64,10 @@ class Dish:
         for x, y, axis in cells:
             column = x + shift[0]
             row = y + shift[1]
-            here = around(row), around(column)
-            far = self.body(column, row, axis, here)
-            drawn[here] += self.contrast * step(8 * (far - 1))
-            drawn[here] += self.rim * np.exp(-((far - 1.25) ** 2) / 0.02)
+            part = around(row), around(column)
+            far = self.body(column, row, axis, part)
+            drawn[part] += self.contrast * step(8 * (far - 1))
+            drawn[part] += self.rim * np.exp(-((far - 1.25) ** 2) / 0.02)
         grey = light * (LIGHT * (1 + drawn) + self.random.normal(0, self.noise, drawn.shape))
         return np.clip(grey + 0.5, 0, 255).astype(np.uint8)
 
@@ -77,7 +79,8 @@ def cells_at(k, count=8):
 
 def finder(dish, **options):
     blob_finder = BlobFinder(90, 2800, **options)
-    blob_finder.learn([dish.picture(cells_at(k)) for k in range(15)])
+    pictures = [dish.picture(cells_at(k)) for k in range(15)]
+    blob_finder.learn(pictures)
     return blob_finder
 
 
@@ -85,8 +88,10 @@ def matched(blobs, cells, shift=(0.0, 0.0)):
     """The blob nearest to each cell within 8 px, or None."""
     pairs = []
     for x, y, _ in cells:
-        gaps = [math.dist((b.x, b.y), (x + shift[0], y + shift[1])) for b in blobs]
-        pairs.append(blobs[int(np.argmin(gaps))] if min(gaps, default=9) < 8 else None)
+        place = (x + shift[0], y + shift[1])
+        within = [blob for blob in blobs if math.dist((blob.x, blob.y), place) < 8]
+        nearest = min(within, key=lambda blob: math.dist((blob.x, blob.y), place), default=None)
+        pairs.append(nearest)
     return pairs
 
 
@@ -201,7 +206,8 @@ def test_a_dish_that_was_exchanged_is_learned_again():
 def test_pictures_of_any_size_are_searched(size):
     random = np.random.default_rng(2)
     blob_finder = BlobFinder(2, 50)
-    blob_finder.learn([random.integers(90, 110, size).astype(np.uint8) for _ in range(3)])
+    pictures = random.integers(90, 110, (3, *size)).astype(np.uint8)
+    blob_finder.learn(list(pictures))
     picture = cv2.GaussianBlur(random.integers(0, 255, size).astype(np.uint8), (0, 0), 2)
     assert all(math.isfinite(blob.x + blob.axis) for blob in blob_finder.find(picture))
     blob_finder.follow([(0, 0, 5, 5)])

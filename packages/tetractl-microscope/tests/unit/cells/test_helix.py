@@ -40,7 +40,7 @@ POSITION = 0.5
 AXIS = 0.03
 
 
-def followed(seed, known=True, seconds=6.0, cells=8):
+def followed(seed, field_known=True, seconds=6.0, cells=8):
     """A filter after a film of which positions and axes are known but for noise."""
     synthetic = film(seed=seed, seconds=seconds, cells=cells)
     random = np.random.default_rng(seed)
@@ -49,17 +49,18 @@ def followed(seed, known=True, seconds=6.0, cells=8):
         POSITION,
         AXIS,
     )
-    bank = HelixFilter(known)
+    bank = HelixFilter(field_known)
     field = record(synthetic).pieces
     rows = []
     for i in range(cells):
         vx, vy = np.polyfit(synthetic.times[:6], measured[:6, i, :2], 1)[0]
-        rows.append(bank.add(*measured[5, i, :2], math.atan2(vy, vx), math.hypot(vx, vy)))
+        heading = math.atan2(vy, vx)
+        rows.append(bank.add(*measured[5, i, :2], heading, math.hypot(vx, vy)))
     rows = np.array(rows)
     deviation = np.tile((POSITION, POSITION, AXIS), (cells, 1))
     for k in range(6, len(synthetic.times)):
         step = (synthetic.times[k - 1], synthetic.times[k])
-        bank.predict(field(*step) if known else [(step[1] - step[0], 0.0, 0.0)])
+        bank.predict(field(*step) if field_known else [(step[1] - step[0], 0.0, 0.0)])
         bank.update(rows, measured[k], deviation)
     return synthetic, bank, rows
 
@@ -68,16 +69,16 @@ def wrapped(angle):
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(known):
+@pytest.mark.parametrize("field_known", [True, False])
+def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(field_known):
     off = []
     sway = []
     for seed in range(3):
-        synthetic, bank, rows = followed(seed, known)
+        synthetic, bank, rows = followed(seed, field_known)
         off.append(wrapped(bank.mean[rows, HEADING] - synthetic.heading[-1]))
         sway.append(wrapped(synthetic.body[..., 2] - synthetic.heading).std())
     assert np.mean(sway) > 0.15
-    assert np.sqrt(np.mean(np.square(off))) < (0.05 if known else 0.12)
+    assert np.sqrt(np.mean(np.square(off))) < (0.05 if field_known else 0.12)
 
 
 def test_turning_rates_and_speeds_are_within_their_intervals():
@@ -156,7 +157,8 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
         return (bank.mean[rows, A] - cells.a) / np.sqrt(bank.covariance[rows, A, A])
 
     assert np.abs(learned(open_water)).max() > 5
-    assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 2.0
+    off = learned(lambda x, y: x > -WALL_UM)
+    assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
 @pytest.mark.long
@@ -176,7 +178,8 @@ def test_a_heading_that_walks_does_not_lower_a():
     model[SPEED] = 5.0
     first = cells.copy()
     angles = np.repeat(random.uniform(-math.pi, math.pi, 12), 20)
-    pieces = np.column_stack([np.full(len(angles), 1 / 30), np.cos(angles), np.sin(angles)])
+    seconds = np.full(len(angles), 1 / 30)
+    pieces = np.column_stack([seconds, np.cos(angles), np.sin(angles)])
     for _, *field in pieces.tolist():
         for _ in range(4):
             cells.swim(field, 1 / 120, random)
@@ -189,8 +192,10 @@ def test_a_heading_that_walks_does_not_lower_a():
         m = mean.copy()
         states = np.empty((len(gathered), STATES))
         m[[HEADING, SPEED]] = first.heading[i], first.speed[i]
-        given = np.array(gathered)[:, i], np.tile(sd, (len(gathered), 1)), pieces, pictures
-        smooth(m, start, model, *given, states, np.empty((len(gathered), 3)))
+        values = np.array(gathered)[:, i]
+        deviations = np.tile(sd, (len(gathered), 1))
+        places = np.empty((len(gathered), 3))
+        smooth(m, start, model, values, deviations, pieces, pictures, states, places)
         ratios.append(m[A] / cells.a[i])
     assert np.median(ratios) == pytest.approx(1.0, abs=0.015)  # 0.98 with noise after steps only
 

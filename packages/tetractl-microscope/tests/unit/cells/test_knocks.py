@@ -28,5 +28,6 @@ def test_a_far_knock_is_seen_under_uneven_light(by) -> None:
             dark += 50 * np.clip(2 - far, 0, 1)
         return np.clip(light - dark + random.normal(0, 3, light.shape), 0, 255).astype(np.uint8)
 
-    assert shift_of(picture(0, 0), picture(*by)) == pytest.approx(by, abs=2)
+    shift = shift_of(picture(0, 0), picture(*by))
+    assert shift == pytest.approx(by, abs=2)
     assert shift_of(picture(0, 0), picture(0, 0)) == (0.0, 0.0)

@@ -23,7 +23,7 @@ def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measure
     long = um / um_px
     axis = -rotation
     second = first[0] + long * math.cos(axis), first[1] - long * math.sin(axis)
-    places = ",".join(f"{each!r}" for each in (*first, *second, um))
+    places = ",".join(map(repr, (*first, *second, um)))
     out = tmp_path / "scale.yaml"
     done = tetractl(tmp_path, "lab", "survey", DISH, f"--micrometer={places}", "-o", out)
     assert done.returncode == 0, done.stderr
@@ -32,9 +32,10 @@ def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measure
     camera = calibrated(loaded.experiment, out.read_text(), "scale.yaml").plant.camera
     assert camera.um_px == pytest.approx(um_px)
     assert camera.rotation == pytest.approx(rotation)
-    at = [camera.placed(c * um_px, -r * um_px, 1e-6) for c, r in (first, second)]
-    assert at[1][0] - at[0][0] == pytest.approx(um)
-    assert at[1][1] - at[0][1] == pytest.approx(0.0, abs=1e-6)
+    start = camera.placed(first[0] * um_px, -first[1] * um_px, 1e-6)
+    end = camera.placed(second[0] * um_px, -second[1] * um_px, 1e-6)
+    assert end[0] - start[0] == pytest.approx(um)
+    assert end[1] - start[1] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("places", ["1,2,3", "0,0,nan,0,5", "0,0,9,0,100", "0,0,100,0,-1"])

@@ -1,6 +1,7 @@
 """Blobs and cells of synthetic pictures against their truth."""
 
 import math
+from collections import Counter
 from copy import copy
 from dataclasses import replace
 
@@ -25,13 +26,14 @@ from tetractl_microscope.organisms import TETRAHYMENA
 pytestmark = pytest.mark.slow
 
 SIZE = BodySize(50.0, 25.0)
+BLACK_OR_WHITE = 255 * np.random.default_rng(2).integers(0, 2, (20, 24))
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("seed", "known"), [(1, True), (1, False)])
-def test_poses_of_swimming_cells(seed, known):
-    synthetic = film(seed=seed, side=512, cells=5)
-    score = Score().add(synthetic, followed(synthetic, known))
+@pytest.mark.parametrize("field_known", [True, False])
+def test_poses_of_swimming_cells(field_known):
+    synthetic = film(seed=1, side=512, cells=5)
+    score = Score().add(synthetic, followed(synthetic, field_known))
     assert score.f1 > 0.98
     assert np.percentile(np.abs(score.position), 95) < 1.5
     assert np.median(np.abs(score.axis)) < 0.03
@@ -53,13 +55,14 @@ def test_a_slow_organism_is_followed_at_a_low_rate():
         speed_um_s=tuple(speed / 8 for speed in TETRAHYMENA.speed_um_s),
         helix_hz=tuple(turns / 8 for turns in TETRAHYMENA.helix_hz),
     )
-    reel = Reel(synthetic, list(synthetic.pictures())[::2], PictureTimes(30.0 / 8 / 2))
+    every_second = list(synthetic.pictures())[::2]
+    reel = Reel(synthetic, every_second, PictureTimes(30.0 / 8 / 2))
     tracked = follow(reel, synthetic.look.um_px, None, slow)
     half = copy(synthetic)
     half.times = synthetic.times[::2]
     half.body = synthetic.body[::2]
     half.heading = synthetic.heading[::2]
-    half.seen = synthetic.seen[::2]
+    half.in_view = synthetic.in_view[::2]
     assert Score().add(half, tracked).f1 > 0.96
 
 
@@ -91,8 +94,11 @@ def test_a_knock_moves_all_places_of_a_track():
 
 def test_numbers_are_kept_through_crossings():
     synthetic = film(seed=12, side=512, cells=4, seconds=4.0)
-    for numbers in Score().add(synthetic, followed(synthetic)).numbers.values():
-        assert max(numbers.count(n) for n in set(numbers)) >= 0.9 * len(numbers)
+    score = Score().add(synthetic, followed(synthetic))
+    assert len(score.numbers) == 4
+    for numbers in score.numbers.values():
+        (_, most_often), *_ = Counter(numbers).most_common(1)
+        assert most_often >= 0.9 * len(numbers)
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 30.0])
@@ -122,33 +128,31 @@ def test_the_polarity_is_found_and_specks_are_no_cells(bright):
 def test_a_resting_cell_is_not_lost_in_the_background():
     synthetic = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=0.0)
     resting = np.flatnonzero((synthetic.times > 0.42 * 6) & (synthetic.times < 0.58 * 6))[10:]
-    if not synthetic.seen[resting, 3].all():
+    if not synthetic.in_view[resting, 3].all():
         pytest.fail("the film does not show what it is for")
     places = {}
     for path in followed(synthetic).paths:
         for k, cell in zip(path.frames.tolist(), path.sightings, strict=True):
             places.setdefault(k, []).append((cell.x, cell.y))
-    gaps = [
-        min(math.dist(place, synthetic.body[k, 3, :2]) for place in places.get(k, [(1e9, 1e9)]))
+    is_shown = [
+        any(math.dist(place, synthetic.body[k, 3, :2]) < 15 for place in places.get(k, []))
         for k in resting.tolist()
     ]
-    assert np.mean(np.array(gaps) < 15) > 0.95
+    assert np.mean(is_shown) > 0.95
 
 
-@pytest.mark.parametrize(
-    "absurd",
-    [
-        np.zeros((200, 240), np.uint8),
-        np.full((200, 240), 255, np.uint8),
-        np.random.default_rng(1).integers(0, 256, (200, 240)).astype(np.uint8),
-        (255 * (np.indices((200, 240)).sum(axis=0) % 2)).astype(np.uint8),
-        np.kron(np.random.default_rng(2).integers(0, 2, (20, 24)), np.full((10, 10), 255)).astype(
-            np.uint8
-        ),
-    ],
-    ids=["black", "saturated", "noise", "checkerboard", "blobs"],
-)
-def test_absurd_pictures_have_few_blobs_and_no_cells(absurd):
+ABSURD = {
+    "black": np.zeros((200, 240)),
+    "saturated": np.full((200, 240), 255),
+    "noise": np.random.default_rng(1).integers(0, 256, (200, 240)),
+    "checkerboard": 255 * (np.indices((200, 240)).sum(axis=0) % 2),
+    "blobs": np.kron(BLACK_OR_WHITE, np.ones((10, 10))),
+}
+
+
+@pytest.mark.parametrize("name", ABSURD)
+def test_absurd_pictures_have_few_blobs_and_no_cells(name):
+    absurd = ABSURD[name].astype(np.uint8)
     synthetic = film(seed=1, side=240, cells=2, seconds=1.0)
     pictures = [picture[:200] for picture in synthetic.pictures()]
     tracker = CellTracker(2.3, field_known=False)
@@ -175,7 +179,8 @@ def drawn(cells, size):
     rows, columns = np.indices(size)
     level = np.full(size, 120.0)
     for column, row, long, wide in cells:
-        level[np.square((columns - column) / long) + np.square((rows - row) / wide) < 1] = 60.0
+        from_middle = np.square((columns - column) / long) + np.square((rows - row) / wide)
+        level = np.where(from_middle < 1, 60.0, level)
     return level.astype(np.uint8)
 
 
@@ -185,8 +190,8 @@ def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
     since = [0] * 6 + [20]
 
     def picture(k):
-        seen = [i for i in range(7) if k >= since[i]]
-        return drawn([(30 + 5 * (k - since[i]), rows[i], *halves[i]) for i in seen], (320, 600))
+        cells = [(30 + 5 * (k - since[i]), rows[i], *halves[i]) for i in range(7) if k >= since[i]]
+        return drawn(cells, (320, 600))
 
     tracker = CellTracker(2.3, field_known=False)
     stated = []
@@ -225,13 +230,19 @@ def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
 def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
     def picture(k):  # a cell comes near another, swims next to it, and is not seen any more
         middle = 30 + 5 * k
-        aside = [0, max(40 - 2 * k, 9)] if k < 25 else [0]
-        return drawn([(middle, 60 + each, 12, 6) for each in aside], (140, 600))
+        cells = [(middle, 60, 12, 6)]
+        if k < 25:
+            cells.append((middle, 60 + max(40 - 2 * k, 9), 12, 6))
+        return drawn(cells, (140, 600))
 
     tracker = CellTracker(2.3, field_known=False, splits=True)
     tracker.finder.learn([picture(12 * k) for k in range(9)])
-    counts = [len(tracker.see(picture(k), k / 30, no_field)) for k in range(100)]
-    assert counts[20:60] == [2] * 40 and counts[-1] == 1
+    counts = []
+    for k in range(100):
+        cells = tracker.see(picture(k), k / 30, no_field)
+        counts.append(len(cells))
+    assert counts[20:60] == [2] * 40
+    assert counts[-1] == 1
 
 
 @pytest.mark.parametrize(("came_from", "heading"), [(180.0, 0.0), (220.0, math.pi)])

@@ -110,8 +110,10 @@ def test_the_slew_limit_is_kept_and_what_was_really_asked_is_told():
         assert max(steps) <= 10 * actuator.period_ns / SECOND + 0.001
         x, y = actuator.coils.field(now)
         assert sent.outputs["field_direction_rad"] == pytest.approx(math.atan2(y, x))
-        seen = A * math.hypot(x, y) / 2 * np.sin(math.atan2(y, x) - np.array([0.2, -2.0]))
-        assert sent.turning == pytest.approx(seen)
+        # a times the field, relative to 2 mT, times the sine of its angle to the cell
+        to_cells = math.atan2(y, x) - np.array([0.2, -2.0])
+        turning = A * math.hypot(x, y) / 2 * np.sin(to_cells)
+        assert sent.turning == pytest.approx(turning)
         reports.append(sent.outputs["field_direction_rad"])
         before = now
     assert gap(reports[19], 0.0) == pytest.approx(0, abs=0.002)

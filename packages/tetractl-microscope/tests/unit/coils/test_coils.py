@@ -65,6 +65,7 @@ def test_approaching_is_a_straight_line_of_limited_steps(now, wished, step):
     moves = [g - n for g, n in zip(got, now, strict=True)]
     gaps = [w - n for w, n in zip(wished, now, strict=True)]
     peak = max(map(abs, gaps))
-    assert max(map(abs, moves)) == pytest.approx(min(step, peak), abs=1e-9)
+    largest_move = max(map(abs, moves))
+    assert largest_move == pytest.approx(min(step, peak), abs=1e-9)
     assert moves[0] * gaps[1] == pytest.approx(moves[1] * gaps[0], abs=1e-9)
     assert (got == wished) == (peak <= step) or step == pytest.approx(peak, abs=1e-9)

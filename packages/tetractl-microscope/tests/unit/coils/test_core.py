@@ -34,7 +34,8 @@ class Twin:
 
     def __init__(self, limits, now_ms=0):
         self.limits = limits
-        self.wished = self.at = (0, 0)  # uA
+        self.wished = (0, 0)  # uA
+        self.current = (0, 0)  # uA
         self.moved = self.heard = now_ms
         self.sequence = self.received = self.rejected = 0
         self.running = self.latched = self.limited = self.hot = False
@@ -91,11 +92,11 @@ class Twin:
 
     def watch(self, now_ms):
         room = (now_ms - self.moved) % 2**32 * self.limits.slew_ma_s
-        gaps = [wish - at for wish, at in zip(self.wished, self.at, strict=True)]
+        gaps = [wish - now for wish, now in zip(self.wished, self.current, strict=True)]
         peak = max(map(abs, gaps))
         if peak > room:
             gaps = [towards_zero(gap * room, peak) for gap in gaps]
-        self.at = tuple(at + gap for at, gap in zip(self.at, gaps, strict=True))
+        self.current = tuple(now + gap for now, gap in zip(self.current, gaps, strict=True))
         self.moved = now_ms
         self.silent |= (now_ms - self.heard) % 2**32 >= self.limits.watchdog_ms
         if self.silent or self.latched:
@@ -103,7 +104,7 @@ class Twin:
 
     def currents_ua(self, now_ms):
         self.watch(now_ms)
-        return self.at
+        return self.current
 
     def measured(self, x_ma, y_ma, supply_mv, temperature_dc):
         self.readings = (x_ma, y_ma, supply_mv, temperature_dc)
@@ -132,21 +133,23 @@ limits = st.builds(
     DriverLimits, st.integers(1, 32_767), st.integers(1, 2**32 - 1), st.integers(1, 400), ma
 )
 near = st.integers(0, 5)  # sequences that often repeat or go back
-commands = st.builds(FieldCommand, near | u8, st.integers(0, 7).map(Flag), ma, ma).map(
-    encode_command
-)
-replies = st.builds(FieldReply, u8, st.integers(0, 31).map(DriverStatus), *([st.just(0)] * 10))
+flags = st.integers(0, 7).map(Flag)
+commands = st.builds(FieldCommand, near | u8, flags, ma, ma).map(encode_command)
+status = st.integers(0, 31).map(DriverStatus)
+replies = st.builds(FieldReply, u8, status, *([st.just(0)] * 10))
+of_another_kind = st.tuples(u8, u8).map(lambda pair: bytes([0x53, *pair, 1, 2, 3, 4]))
 foreign = (
     replies.map(packed_reply)
     | st.binary(min_size=1, max_size=78).map(cobs.frame_with_crc)
-    | st.tuples(u8, u8).map(lambda pair: cobs.frame_with_crc(bytes([0x53, *pair, 1, 2, 3, 4])))
+    | of_another_kind.map(cobs.frame_with_crc)
 )
 
 
 @st.composite
 def damaged(draw):
     frame = bytearray(draw(commands))
-    frame[draw(st.integers(0, len(frame) - 1))] ^= draw(st.integers(1, 255))
+    index = draw(st.integers(0, len(frame) - 1))
+    frame[index] ^= draw(st.integers(1, 255))
     return bytes(frame)
 
 

@@ -29,7 +29,7 @@ replies = st.builds(
     st.integers(0, 31).map(DriverStatus),
     *(u8, i16, i16, u16, i16, u16, u16, u16, st.integers(0, 2**32 - 1), u16),
 )
-each = pytest.mark.parametrize(
+each_message = pytest.mark.parametrize(
     ("encode", "decode", "messages"),
     [
         (driver.encode_command, driver.decode_command, commands),
@@ -43,17 +43,18 @@ each = pytest.mark.parametrize(
 )
 def test_the_documented_bytes_are_those_sent(frame, size):
     page = (ROOT / "docs" / "reference" / "wires.md").read_text()
-    assert frame.hex(" ").upper() in " ".join(page.split())
+    on_one_line = " ".join(page.split())
+    assert frame.hex(" ").upper() in on_one_line
     assert len(frame) == size
 
 
-@each
+@each_message
 @given(data=st.data())
 def test_messages_round_trip_and_every_bit_error_is_detected(encode, decode, messages, data):
     check_round_trip(encode, decode, data.draw(messages))
 
 
-@each
+@each_message
 @given(raw=ANY_BYTES)
 def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
     check_any_bytes(encode, decode, raw)
@@ -95,8 +96,8 @@ def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
     class Port:
         failure = None
 
-        def __init__(self, *given):
-            hear.append(given[4])
+        def __init__(self, link, baud, device, clock, heard, *hints):
+            hear.append(heard)
 
         def write(self, frame):
             sent.append(driver.decode_command(frame[:-1]).sequence)
@@ -105,7 +106,8 @@ def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
 
     def answered():
         while waiting:
-            hear[0](packed_reply(replace(DRIVER, sequence=waiting.pop())), 0)
+            reply = replace(DRIVER, sequence=waiting.pop())
+            hear[0](packed_reply(reply), 0)
 
     clock.steps.append(answered)
     assert driver.Driver("coils", 115_200, clock, Port).ask() is None

@@ -1,5 +1,7 @@
 """What disturbs a film besides its cells is said, and an undisturbed film is not."""
 
+import re
+
 import numpy as np
 import pytest
 from support.dish_films import Reel, film
@@ -14,13 +16,13 @@ RATE = 10.0
 
 
 @pytest.fixture(scope="module")
-def made():
+def synthetic():
     return film(seed=31, side=SIDE, cells=2, crossings=False, seconds=4.2, rate=RATE)
 
 
 @pytest.fixture(scope="module")
-def pictures(made):
-    return list(made.pictures())
+def pictures(synthetic):
+    return list(synthetic.pictures())
 
 
 def undisturbed(k, picture):
@@ -50,12 +52,11 @@ def drifting(k, picture):
         (drifting, ["what does not swim moves by 21 um/s: the stage drifts"]),
     ],
 )
-def test_disturbances_are_said(change, said, made, pictures):
-    reel = Reel(made, [change(k, picture) for k, picture in enumerate(pictures)])
-    tracked = follow(reel, made.look.um_px, None, TETRAHYMENA).remarks
-    lines = [
-        line
-        for line in tracked
-        if any(word in line for word in ("wanders", "moves or grows", "does not swim"))
-    ]
-    assert len(lines) == len(said) and all(map(str.__contains__, lines, said)), tracked
+def test_disturbances_are_said(change, said, synthetic, pictures):
+    reel = Reel(synthetic, [change(k, picture) for k, picture in enumerate(pictures)])
+    tracked = follow(reel, synthetic.look.um_px, None, TETRAHYMENA).remarks
+    disturbance = re.compile("wanders|moves or grows|does not swim")
+    lines = [line for line in tracked if disturbance.search(line)]
+    assert len(lines) == len(said), tracked
+    for line, words in zip(lines, said, strict=True):
+        assert words in line

@@ -49,8 +49,8 @@ def test_every_container_gives_the_pictures_that_were_written(tmp_path, name):
         None if has_rate else RATE_HZ,
         None if has_scale else UM_PX,
     )
-    found = [picture for _, picture in film]
-    assert np.array_equal(found, pictures) and film.damaged == 0
+    assert np.array_equal([picture for _, picture in film], pictures)
+    assert film.damaged == 0
     assert (film.rate_hz, film.um_px) == pytest.approx((RATE_HZ, UM_PX))
     assert film.seconds(COUNT - 1) == pytest.approx((COUNT - 1) / RATE_HZ)
     assert film.remarks == []
@@ -199,8 +199,8 @@ def test_a_hostile_film_ends_with_one_line(tmp_path, name):
     BOMBS[name](tmp_path / "film")
     how, said, _ = outcome(tmp_path, tmp_path / "film")
     assert how in ("ended with 1", "ended with 2"), said
-    told = [line for line in said.splitlines() if "is used; the film" not in line]
-    assert len([line for line in told if not line.startswith("hint: ")]) == 1
+    lines = [line for line in said.splitlines() if "is used; the film" not in line]
+    assert len([line for line in lines if not line.startswith("hint: ")]) == 1
 
 
 @pytest.mark.long
@@ -210,5 +210,8 @@ def test_the_decoder_has_no_more_memory_than_it_says(tmp_path):
     BOMBS["deflate bomb"](path)
     words = [sys.executable, "-P", "-m", "tetractl_microscope.film.decode", str(path)]
     with io.BytesIO(subprocess.run(words, capture_output=True, check=True).stdout) as written:
-        (stated, error), picture = pickle.load(written), pickle.load(written)
-    assert stated["count"] == 1 and error is None and picture == (None, None)
+        stated, error = pickle.load(written)
+        picture = pickle.load(written)
+    assert stated["count"] == 1
+    assert error is None
+    assert picture == (None, None)

@@ -39,15 +39,15 @@ def czi(path, planes):
 
 
 def slices(path):
-    czi(path, [({"Z": k}, {}, one) for k, one in enumerate(PICTURES)])
+    czi(path, [({"Z": k}, {}, picture) for k, picture in enumerate(PICTURES)])
 
 
 def later_in_time(path):
-    czi(path, [({"T": 3 + k, "Z": 2}, {}, one) for k, one in enumerate(PICTURES)])
+    czi(path, [({"T": 3 + k, "Z": 2}, {}, picture) for k, picture in enumerate(PICTURES)])
 
 
 def later_channel(path):
-    czi(path, [({"T": k, "C": 2}, {}, one) for k, one in enumerate(PICTURES)])
+    czi(path, [({"T": k, "C": 2}, {}, picture) for k, picture in enumerate(PICTURES)])
 
 
 def inverted_palette(path):
@@ -64,8 +64,8 @@ def two_scenes(path):
     czi(
         path,
         [
-            ({"T": k}, {"scene": scene, "location": (0, 100 * scene)}, one // (1 + scene))
-            for k, one in enumerate(PICTURES)
+            ({"T": k}, {"scene": scene, "location": (0, 100 * scene)}, picture // (1 + scene))
+            for k, picture in enumerate(PICTURES)
             for scene in (0, 1)
         ],
     )
@@ -115,15 +115,15 @@ def test_a_picture_in_which_zero_is_white_is_one_whatever_its_compression(tmp_pa
     data = bytearray(path.read_bytes())
     with tifffile.TiffFile(path) as file:
         for page in file.pages:
-            at = page.tags["PhotometricInterpretation"].valueoffset
-            data[at : at + 2] = bytes(2)
+            place = page.tags["PhotometricInterpretation"].valueoffset
+            data[place : place + 2] = bytes(2)
     path.write_bytes(data)
     assert np.array_equal([picture for _, picture in open_film(path, 30.0)], PICTURES)
 
 
 def test_a_plane_that_a_czi_file_does_not_have_is_no_picture(tmp_path):
     """Regression: the library made black pictures of them, which were counted as seen."""
-    planes = [({"T": 2 * k}, {}, one) for k, one in enumerate(PICTURES)]
+    planes = [({"T": 2 * k}, {}, picture) for k, picture in enumerate(PICTURES)]
     czi(tmp_path / "gaps.czi", planes)
     opened = open_film(tmp_path / "gaps.czi", 30.0)
     numbers, pictures = zip(*opened, strict=True)

@@ -62,7 +62,8 @@ class Ellipses:
 
 def swimming(kind, um_px):
     """A film of the organism's usual size and speed."""
-    (long, wide), speed = kind.body_um, math.sqrt(math.prod(kind.speed_um_s))
+    long, wide = kind.body_um
+    speed = math.sqrt(math.prod(kind.speed_um_s))
     return Ellipses(long / um_px, wide / um_px, speed / um_px)
 
 
@@ -188,10 +189,10 @@ def test_drifting_specks_do_not_outvote_the_cells_that_swim():
     cells = swimming(TETRAHYMENA, 2.3)
     specks = swimming(HELICAL_MICROROBOT, 2.3)
 
-    class Both(Ellipses):
+    class CellsAndSpecks(Ellipses):
         def __iter__(self):
-            for (number, one), (_, two) in zip(cells, specks, strict=True):
-                yield number, np.minimum(one, two[::-1])
+            for (number, of_cells), (_, of_specks) in zip(cells, specks, strict=True):
+                yield number, np.minimum(of_cells, of_specks[::-1])
 
-    both = Both(0, 0, 0)
-    assert recognised(both, 2.3).organism is TETRAHYMENA
+    mixed = CellsAndSpecks(0, 0, 0)
+    assert recognised(mixed, 2.3).organism is TETRAHYMENA

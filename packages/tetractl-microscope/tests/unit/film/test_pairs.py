@@ -107,7 +107,8 @@ def test_a_cell_is_not_added_where_blobs_do_not_say_so(apart_um: list[float], wh
 
 def test_a_large_blob_says_nothing_where_sizes_vary_as_much() -> None:
     pictures = film([24.0] * APART_AT + [36.0] * 15)
-    longer = np.exp(np.random.default_rng(1).normal(0.0, 0.4, (len(pictures), 4)))
+    random = np.random.default_rng(1)
+    longer = np.exp(random.normal(0.0, 0.4, (len(pictures), 4)))
     for k, picture in enumerate(pictures):
         for i in range(4):
             picture[3 + i] = cell_on(3 + i, 300.0, 500.0 + 100 * i, LONG * longer[k, i])

@@ -24,7 +24,7 @@ from tetractl.core.table.table import Column, Table
 pytestmark = pytest.mark.slow
 
 
-def made(count, side=48):
+def drawn(count, side=48):
     """Pictures that all differ."""
     return np.random.default_rng(count).integers(0, 256, (count, side, side + 16), np.uint8)
 
@@ -87,7 +87,7 @@ def test_measured_times_are_used_though_one_is_repeated(tmp_path, planned, unit,
     times[7] = times[6]
     delta = {"DeltaT": (times * factor).tolist(), "DeltaTUnit": [unit] * 20}
     path = tmp_path / "film.ome.tif"
-    tifffile.imwrite(path, made(20), ome=True, metadata={"axes": "TYX", **planned, "Plane": delta})
+    tifffile.imwrite(path, drawn(20), ome=True, metadata={"axes": "TYX", **planned, "Plane": delta})
     film = open_film(path)
     assert seconds_of(film) == pytest.approx(np.arange(20) / 10)
     assert any("1 picture states the time of the picture before" in r for r in film.remarks)
@@ -98,7 +98,7 @@ def test_a_planned_interval_is_said_where_no_measured_times_can_be_used(tmp_path
     delta = {"DeltaT": [0.0] * 6, "DeltaTUnit": ["s"] * 6}
     planned = {"TimeIncrement": 0.5, "TimeIncrementUnit": "s"}
     path = tmp_path / "film.ome.tif"
-    tifffile.imwrite(path, made(6), ome=True, metadata={"axes": "TYX", **planned, "Plane": delta})
+    tifffile.imwrite(path, drawn(6), ome=True, metadata={"axes": "TYX", **planned, "Plane": delta})
     film = open_film(path)
     assert film.rate_hz == 2.0
     assert film.remarks == [
@@ -109,14 +109,14 @@ def test_a_planned_interval_is_said_where_no_measured_times_can_be_used(tmp_path
 
 def test_a_unit_of_time_that_is_unknown_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr("support.film_containers.times_ms", lambda count: list(range(count)))
-    path = ome(tmp_path / "film.ome.tif", made(4))
+    path = ome(tmp_path / "film.ome.tif", drawn(4))
     path.write_bytes(path.read_bytes().replace(b'DeltaTUnit="ms"', b'DeltaTUnit="yr"'))
     with pytest.raises(UsageError, match="unit of time 'yr' is unknown"):
         open_film(path)
 
 
 def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
-    path = czi(tmp_path / "film.czi", made(4))
+    path = czi(tmp_path / "film.czi", drawn(4))
     times = [0.0, 0.5, 0.6, 1.5]
     data = bytearray(path.read_bytes())
     content = struct.pack("<ii4d", 8 + 32, 4, *times)
@@ -130,7 +130,8 @@ def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
         return struct.pack("<16sqq", name, len(body), len(body)) + body
 
     data += segment(b"ZISRAWATTDIR", struct.pack("<i252x", 1) + entry(attachment))
-    head = struct.pack("<i12x", len(content)) + entry(attachment) + bytes(112)
+    size = struct.pack("<i12x", len(content))
+    head = size + entry(attachment) + bytes(112)
     data += segment(b"ZISRAWATTACH", head + content)
     data[32 + 72 : 32 + 80] = struct.pack("<q", directory)
     path.write_bytes(data)
@@ -142,7 +143,7 @@ def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("names", "kept", "places"),
+    ("names", "chosen_names", "places"),
     [
         (["p1.png", "p2.png", "p4.png"], "p1.png p2.png p4.png", [0, 1, 3]),
         (["t0005_c1.png", "t0010_c1.png", "t0015_c1.png"], "all", None),
@@ -155,12 +156,12 @@ def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
         (["a1.tif", "a2.tiff", "a3.tif", "a4.TIF"], "all", None),
     ],
 )
-def test_only_what_is_like_most_files_is_a_picture(names, kept, places):
+def test_only_what_is_like_most_files_is_a_picture(names, chosen_names, places):
     chosen = picture_names(names)
-    if kept == "all":
+    if chosen_names == "all":
         assert chosen.names == names
     else:
-        assert chosen.names[: len(kept.split())] == kept.split()
+        assert chosen.names[: len(chosen_names.split())] == chosen_names.split()
     assert chosen.places == places
 
 
@@ -175,7 +176,7 @@ def test_only_what_is_like_most_files_is_a_picture(names, kept, places):
 def test_pictures_of_two_channels_are_not_one_film(names, tmp_path):
     """Regression: they were pictures one after the other, so that a film took twice its time."""
     for name in names:
-        cv2.imwrite(str(tmp_path / name), made(1)[0])
+        cv2.imwrite(str(tmp_path / name), drawn(1)[0])
     with pytest.raises(UsageError, match="of one film, and one after the other") as error:
         open_film(tmp_path, 20.0)
     assert names[0] in str(error.value) and names[1] in str(error.value)
@@ -210,20 +211,22 @@ def test_times_in_names_are_not_guessed_in_silence(names, tmp_path):
 )
 @pytest.mark.parametrize("begins", [0.0, 7.0])
 def test_times_of_a_video_are_those_of_its_pictures(tmp_path, times, begins):
-    path = matroska(tmp_path / "film.mkv", made(len(times)), times + begins)
+    path = matroska(tmp_path / "film.mkv", drawn(len(times)), times + begins)
     film = open_film(path)
     assert seconds_of(film) == pytest.approx(times - times[0], abs=2e-3)
     assert film.rate_hz == pytest.approx((len(times) - 1) / np.ptp(times), rel=1e-2)
     assert (film.time_line() or "").startswith("times are those of the film")
     assert seconds_of(film) == pytest.approx(times - times[0], abs=2e-3)  # read again
-    given = open_film(path, 20.0)
-    assert seconds_of(given) == pytest.approx(np.arange(20) / 20)
-    assert (given.time_line() or "").startswith("warning: --rate replaces the times of the film")
+    at_20_hz = open_film(path, 20.0)
+    assert seconds_of(at_20_hz) == pytest.approx(np.arange(20) / 20)
+    line = at_20_hz.time_line() or ""
+    assert line.startswith("warning: --rate replaces the times of the film")
 
 
 @pytest.mark.parametrize("rate", [30.0, 29.97, 12.5])
 def test_a_video_of_an_even_rate_has_exactly_even_times(tmp_path, rate):
-    film = open_film(matroska(tmp_path / "film.mkv", made(40), np.arange(40) / rate + 3.0))
+    times = np.arange(40) / rate + 3.0
+    film = open_film(matroska(tmp_path / "film.mkv", drawn(40), times))
     assert seconds_of(film) == [number / film.rate_hz for number in range(40)]
     assert film.rate_hz == pytest.approx(rate, rel=1e-3) and film.time_line() is None
 
@@ -233,19 +236,21 @@ def test_the_turning_rate_does_not_depend_on_an_uneven_rate():
     """At 30 pictures a second, and with every second picture left out from 4 s on."""
     even = film(seed=41, side=512, cells=4, crossings=False, seconds=8.0)
     pictures = list(even.pictures())
-    kept = [k for k in range(len(pictures)) if k < 120 or k % 2 == 0]
-    timing = PictureTimes(len(kept) / 8.0, [k / 30 for k in kept])
-    reel = Reel(even, [pictures[k] for k in kept], timing)
-    fitted, cells = fit_cells(follow(reel, 2.3, record(even), TETRAHYMENA), record(even))
+    numbers = [k for k in range(len(pictures)) if k < 120 or k % 2 == 0]
+    timing = PictureTimes(len(numbers) / 8.0, [k / 30 for k in numbers])
+    reel = Reel(even, [pictures[k] for k in numbers], timing)
+    tracked = follow(reel, 2.3, record(even), TETRAHYMENA)
+    fitted, cells = fit_cells(tracked, record(even))
     assert any("0.0333 to 0.0667 s apart" in remark for remark in fitted.remarks)
     intervals = [cell.a for cell in cells if cell.a is not None and cell.seconds > 3]
     truth = even.cells.a
     assert len(intervals) >= 2
-    assert all(any(interval.low <= a <= interval.high for a in truth) for interval in intervals)
+    for interval in intervals:
+        assert any(interval.low <= a <= interval.high for a in truth)
 
 
 def test_hidden_and_odd_files_neither_count_nor_spoil_the_others(tmp_path):
-    pictures = made(8)
+    pictures = drawn(8)
     path = folder(tmp_path / "film", pictures)
     for name in ("._picture-0.png", ".DS_Store", "Thumbs.db", "README.txt"):
         (path / name).write_bytes(b"\0\5\x16\7 no picture")
@@ -261,7 +266,7 @@ def test_hidden_and_odd_files_neither_count_nor_spoil_the_others(tmp_path):
 
 
 def test_a_first_picture_of_another_size_is_the_only_one_lost(tmp_path):
-    pictures = made(6)
+    pictures = drawn(6)
     path = folder(tmp_path / "film", pictures)
     cv2.imwrite(str(path / "picture-0.png"), np.zeros((9, 9), np.uint8))
     film = open_film(path, 20.0)
@@ -270,7 +275,7 @@ def test_a_first_picture_of_another_size_is_the_only_one_lost(tmp_path):
 
 
 def test_times_follow_the_numbers_of_names_some_of_which_are_missing(tmp_path):
-    path = folder(tmp_path / "film", made(10))
+    path = folder(tmp_path / "film", drawn(10))
     for number in (4, 5, 6):
         (path / f"picture-{number}.png").unlink()
     film = open_film(path, 10.0)
@@ -282,7 +287,7 @@ def test_times_follow_the_numbers_of_names_some_of_which_are_missing(tmp_path):
 
 
 def test_one_picture_is_no_film(tmp_path):
-    path = folder(tmp_path / "film", made(1))
+    path = folder(tmp_path / "film", drawn(1))
     with pytest.raises(UsageError, match="is one picture, and no film"):
         open_film(path, 30.0)
 
@@ -291,7 +296,8 @@ def test_velocities_do_not_depend_on_the_rate_of_the_pictures():
     """A circle at a constant speed of 100 pi um/s, filmed at 30, then at 15 pictures a second."""
     times = np.concatenate([np.arange(60) / 30, 2 + np.arange(31) / 15])
     angle = np.pi * times
-    circle = velocities(times, 100 * np.column_stack([np.cos(angle), np.sin(angle)]), np.nan)
+    around = 100 * np.column_stack([np.cos(angle), np.sin(angle)])
+    circle = velocities(times, around, np.nan)
     assert circle["vsl_um_s"] == pytest.approx(200, rel=0.01)  # half a turn a second
     assert circle["vcl_um_s"] == pytest.approx(100 * np.pi, rel=0.01)
 
@@ -303,7 +309,7 @@ def test_velocities_do_not_depend_on_the_rate_of_the_pictures():
 def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many, code, name):
     path = tmp_path / "film.tif"
     with tifffile.TiffWriter(path) as tif:
-        for picture in made(2):
+        for picture in drawn(2):
             tif.write(picture, photometric="minisblack", metadata=None, contiguous=False)
     data = path.read_bytes()
     with tifffile.TiffFile(path) as tif:
@@ -327,9 +333,11 @@ def test_a_graph_of_uneven_pictures_has_their_times(tmp_path):
     core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
     um = {"time_s": [0.0, 0.1, 0.4], "heading": [0.0] * 3, "axis": [0.0] * 3, "sure": [True] * 3}
     units = {"heading": "rad", "axis": "rad"}
-    poses = Table("Poses", tuple(Column(k, v, units.get(k, "")) for k, v in um.items()))
+    pose_columns = [Column(name, values, units.get(name, "")) for name, values in um.items()]
+    poses = Table("Poses", tuple(pose_columns))
     pixels = {"id": [1] * 3, "t": [0, 1, 4], "y": [5.0] * 3, "x": [6.0, 7.0, 10.0]}
-    tracks = Table("Tracks", tuple(Column(name, values) for name, values in pixels.items()))
+    track_columns = [Column(name, values) for name, values in pixels.items()]
+    tracks = Table("Tracks", tuple(track_columns))
     write_geff(tmp_path / "uneven.geff", poses, tracks, (), None, 2.3)
     graph = core_io.read_to_memory(tmp_path / "uneven.geff")
     assert graph["node_props"]["t"]["values"].tolist() == [0.0, 0.1, 0.4]
@@ -340,7 +348,7 @@ def test_a_rate_that_no_film_has_is_not_used_in_silence(tmp_path):
     """Regression: "states no rate; ... taken at 0.01 Hz, by their times, which are used"."""
     (tmp_path / "film").mkdir()
     for k in range(4):
-        cv2.imwrite(str(tmp_path / "film" / f"{k}.png"), made(1)[0])
+        cv2.imwrite(str(tmp_path / "film" / f"{k}.png"), drawn(1)[0])
     (tmp_path / "film" / TIMES_FILE).write_text("time_s\n0\n50\n100\n150\n")
     with pytest.raises(UsageError, match=r"for --rate, 0\.02, is not used: not in 0\.1 to 2000"):
         open_film(tmp_path / "film")

@@ -28,11 +28,11 @@ def middle(lane, number):
 
 
 def picture(number):
-    shown = np.full((SIDE, SIDE), 200, np.uint8)
+    grey = np.full((SIDE, SIDE), 200, np.uint8)
     for lane in range(3):
         column, row = middle(lane, number)
-        shown[row - WIDE // 2 : row + WIDE // 2, column - LONG // 2 : column + LONG // 2] = 120
-    return shown
+        grey[row - WIDE // 2 : row + WIDE // 2, column - LONG // 2 : column + LONG // 2] = 120
+    return grey
 
 
 def path(lane):
@@ -40,7 +40,13 @@ def path(lane):
     for number in range(COUNT):
         column, row = middle(lane, number)
         gathered.append(seen_cell(lane, (column + 0.5) * UM_PX, (SIDE - 0.5 - row) * UM_PX, lane))
-    return CellPath(lane, np.arange(COUNT) / 30, np.arange(COUNT), tuple(gathered))
+    frames = np.arange(COUNT)
+    return CellPath(lane, frames / 30, frames, tuple(gathered))
+
+
+def rows_of(tracked):
+    """In how many pictures cells were followed, all cells together."""
+    return sum(len(path.sightings) for path in tracked.paths)
 
 
 @pytest.mark.parametrize(("lanes", "share"), [((0, 1), 0.0), ((0,), 0.5), ((0, 2), 0.5)])
@@ -72,13 +78,13 @@ def test_a_film_says_that_half_of_its_cells_are_not_followed(monkeypatch):
     tracked = followed(synthetic)
     assert tracked.not_followed is not None and tracked.not_followed < 0.1
     assert not any("is not followed" in line for line in notes(tracked, ()))
-    whole = following.Whereabouts.paths
+    all_paths = following.Whereabouts.paths
 
     def half(where, organism):
-        yield from list(whole(where, organism))[::2]
+        yield from list(all_paths(where, organism))[::2]
 
     monkeypatch.setattr(following.Whereabouts, "paths", half)
     few = followed(synthetic)
-    rows = [sum(len(path.sightings) for path in each.paths) for each in (few, tracked)]
-    assert few.not_followed == pytest.approx(1 - rows[0] / rows[1], abs=0.08)
+    share = rows_of(few) / rows_of(tracked)
+    assert few.not_followed == pytest.approx(1 - share, abs=0.08)
     assert any("of what moves, " in line for line in notes(few, ()))

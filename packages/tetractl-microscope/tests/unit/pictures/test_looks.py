@@ -23,13 +23,13 @@ GOOD = {"ended": "", "now": 0.7, "declared": 30.0, "damaged": 0, "every": 1, "hz
     ],
 )
 def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
-    given = GOOD | changes
-    every = given["every"]
-    hz = given["hz"]
-    looks = [Look(k * every, round(k * every * SECOND / hz), 5_000_000, None) for k in range(20)]
-    now_ns = round(given["now"] * SECOND) + (every - 1) * 19 * SECOND // 30
+    stream = GOOD | changes
+    step = stream["every"]
+    hz = stream["hz"]
+    looks = [Look(k * step, round(k * step * SECOND / hz), 5_000_000, None) for k in range(20)]
+    now_ns = round(stream["now"] * SECOND) + (step - 1) * 19 * SECOND // 30
     problems, warnings = stream_lines(
-        looks, "film", given["ended"], now_ns, given["declared"], given["damaged"]
+        looks, "film", stream["ended"], now_ns, stream["declared"], stream["damaged"]
     )
     assert problems == ([] if problem is None else [problem])
     assert [line.startswith(warning) for line in warnings] == ([] if warning is None else [True])

@@ -33,13 +33,15 @@ class Core:
     waiting = ()
 
     def __init__(self):
-        self.done, self.left = [], list(self.waiting)
+        self.done = []
+        self.not_read = list(self.waiting)
 
     def setDeviceAdapterSearchPaths(self, folders):  # noqa: N802
         self.folders = folders
 
     def loadSystemConfiguration(self, config):  # noqa: N802
-        assert list(Path().iterdir()) == [] and Path(config).is_file()
+        assert list(Path().iterdir()) == []
+        assert Path(config).is_file()
         if self.fails:
             raise self.fails
 
@@ -50,10 +52,10 @@ class Core:
         assert interval == 0.0
 
     def getRemainingImageCount(self):  # noqa: N802
-        return len(self.left)
+        return len(self.not_read)
 
     def popNextImage(self):  # noqa: N802
-        return self.left.pop(0)
+        return self.not_read.pop(0)
 
     def isSequenceRunning(self):  # noqa: N802
         return True

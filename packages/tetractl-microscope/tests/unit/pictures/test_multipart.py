@@ -21,17 +21,20 @@ def part(body, length=True, mark=MARK):
 def fed(parser, stream, sizes=(7, 1, 64)):
     """Feed a stream in pieces of these sizes, over and over."""
     bodies = []
-    at = 0
+    start = 0
     turn = 0
-    while at < len(stream):
+    while start < len(stream):
         size = max(1, sizes[turn % len(sizes)])
-        bodies += parser.feed(stream[at : at + size])
-        at = at + size
-        turn = turn + 1
+        bodies += parser.feed(stream[start : start + size])
+        start += size
+        turn += 1
     return bodies
 
 
-@given(BODIES, st.booleans(), st.lists(st.integers(1, 200), min_size=1, max_size=5))
+SIZES = st.lists(st.integers(1, 200), min_size=1, max_size=5)
+
+
+@given(BODIES, st.booleans(), SIZES)
 def test_parts_come_out_however_the_stream_is_cut(bodies, length, sizes):
     parser = Multipart(MARK)
     stream = b"preamble\r\n" + b"".join(part(body, length) for body in bodies)
@@ -46,15 +49,16 @@ def test_parts_come_out_however_the_stream_is_cut(bodies, length, sizes):
     st.integers(0, 10_000),
     st.integers(0, 300),
 )
-def test_whatever_is_damaged_later_parts_come_out(body, garbage, at, dropped):
+def test_whatever_is_damaged_later_parts_come_out(body, garbage, place, dropped):
     """A random place of the stream is overwritten; the parser gets over it."""
     parser = Multipart(MARK)
     good = part(b"first") + part(body) + part(b"third")
-    at %= len(good)
-    spoiled = good[:at] + garbage + good[at + dropped :]
+    place %= len(good)
+    spoiled = good[:place] + garbage + good[place + dropped :]
     fed(parser, spoiled)
     assert len(parser.feed(b"")) == 0
-    bodies = fed(parser, part(b"x" * 20) + part(b"last but one") + part(b"last"))
+    later = part(b"x" * 20) + part(b"last but one") + part(b"last")
+    bodies = fed(parser, later)
     assert bodies[-1:] == [b"last"]
 
 

@@ -49,12 +49,14 @@ def test_a_film_plays_at_its_own_rate(tmp_path):
 
 
 def test_no_file_and_no_film_are_told_apart(tmp_path):
+    no_file = FileSource(type="file", path=str(tmp_path / "no.avi"))
     with pytest.raises(AbortError, match="there is no file"):
-        FileSource(type="file", path=str(tmp_path / "no.avi")).open(VirtualClock(), 1.0)
+        no_file.open(VirtualClock(), 1.0)
     text = tmp_path / "text.avi"
     text.write_text("no film")
+    no_film = FileSource(type="file", path=str(text))
     with pytest.raises(AbortError, match="not a video that OpenCV can read"):
-        FileSource(type="file", path=str(text)).open(VirtualClock(), 1.0)
+        no_film.open(VirtualClock(), 1.0)
 
 
 def test_a_camera_that_is_not_there_is_said_once(capfd):
@@ -71,7 +73,7 @@ class Capture:
 
     opened = True
     size = (640, 480)
-    left = 3
+    not_read = 3
 
     def __init__(self, index, system):
         self.settings = {}
@@ -91,8 +93,8 @@ class Capture:
         return self.size[0] if what == cv2.CAP_PROP_FRAME_WIDTH else self.size[1]
 
     def grab(self):
-        self.left -= 1
-        return self.left >= 0
+        self.not_read -= 1
+        return self.not_read >= 0
 
     def retrieve(self):
         return True, np.full((480, 640, 3), 7, np.uint8)
@@ -110,7 +112,9 @@ def test_a_device_is_set_up_read_and_released(monkeypatch):
     assert Capture.last.settings[cv2.CAP_PROP_FPS] == 30
     assert not feed.emulated
     assert Capture.last.settings[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"MJPG")
-    assert all((decoded(feed.read()) == 7).all() for _ in range(3))
+    for _ in range(3):
+        picture = decoded(feed.read())
+        assert (picture == 7).all()
     with pytest.raises(SourceEndedError, match="camera 2 delivers no more"):
         feed.read()
     feed.close()
@@ -177,7 +181,9 @@ def test_a_stream_is_read_to_its_end():
     server, source = answering(200, 'multipart/x-mixed-replace; boundary="b"', 3 * part + b"--b--")
     feed = source.open(VirtualClock(), 5.0)
     assert not feed.emulated  # though it is on loopback
-    assert all(decoded(feed.read()).shape == PICTURE.shape for _ in range(3))
+    for _ in range(3):
+        picture = decoded(feed.read())
+        assert picture.shape == PICTURE.shape
     with pytest.raises(SourceEndedError, match="closed the stream"):
         feed.read()
     feed.close()
@@ -201,8 +207,8 @@ def test_what_is_no_jpeg_is_no_picture():
 
 def claiming(width, height, content):
     """A JPEG whose header claims another size than its data have."""
-    at = content.index(b"\xff\xc0") + 5
-    return content[:at] + struct.pack(">HH", height, width) + content[at + 4 :]
+    place = content.index(b"\xff\xc0") + 5
+    return content[:place] + struct.pack(">HH", height, width) + content[place + 4 :]
 
 
 @pytest.mark.parametrize("size", [None, PICTURE.shape])
@@ -215,10 +221,10 @@ def test_a_jpeg_that_claims_to_be_huge_is_not_decoded(size, monkeypatch):
 
 
 def test_a_jpeg_of_another_size_than_the_first_is_not_decoded(monkeypatch):
-    other = Picture(jpeg(PICTURE[:80]), 0)
-    assert decoded(other).shape == (80, 120)
+    smaller = Picture(jpeg(PICTURE[:80]), 0)
+    assert decoded(smaller).shape == (80, 120)
     monkeypatch.setattr(JpegImageFile, "load", lambda self: pytest.fail("it is decoded"))
-    assert decoded(other, PICTURE.shape) is None
+    assert decoded(smaller, PICTURE.shape) is None
 
 
 @pytest.mark.parametrize("colour", [False, True])
@@ -227,7 +233,8 @@ def test_a_jpeg_cut_short_before_an_end_marker_is_damaged(colour, restarts):
     """Regression: it was decoded into a picture that is partly grey."""
     pixels = np.dstack([PICTURE, PICTURE[::-1], PICTURE]) if colour else PICTURE
     whole_jpeg = jpeg(pixels, restarts=restarts)
-    assert np.abs(decoded(Picture(whole_jpeg, 0)).astype(int) - cv2grey(whole_jpeg)).max() == 0
+    grey = decoded(Picture(whole_jpeg, 0))
+    assert np.array_equal(grey, cv2grey(whole_jpeg))
     start = whole_jpeg.index(b"\xff\xda") + 10
     for cut in range(start, len(whole_jpeg) - 24):
         assert decoded(Picture(whole_jpeg[:cut] + b"\xff\xd9", 0)) is None
@@ -260,7 +267,8 @@ def test_a_source_of_another_package_is_found_by_its_name(monkeypatch):
     source = TypeAdapter(Annotated[PictureSource, mark]).validate_python(
         {"type": "still", "grey": 9}
     )
-    assert (decoded(source.open(VirtualClock(), 1.0).read()) == 9).all()
+    feed = source.open(VirtualClock(), 1.0)
+    assert (decoded(feed.read()) == 9).all()
     assert source.shown == "still"
     assert failed(source.checked()) == []
     with pytest.raises(ValidationError, match="unknown type"):

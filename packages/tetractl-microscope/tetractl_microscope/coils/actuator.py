@@ -8,6 +8,7 @@ actuator's `strength_mt`, so the heading changes at the rate a (B / B0) sin(u - 
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -33,6 +34,17 @@ from tetractl_microscope.coils.section import FieldSection, Pair, approach
 OFF: Pair = (0.0, 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Requested:
+    """Currents that were requested from the driver at `sent_ns` [ns]; it holds them until
+    `held_until_ns`, and then lets them go to 0.
+    """
+
+    currents: Pair
+    sent_ns: int
+    held_until_ns: int
+
+
 class FieldActuator:
     """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
 
@@ -55,9 +67,8 @@ class FieldActuator:
         self._clock = clock
         self._reference_mt = section.reference_mt(setup)
         self._lock = threading.Lock()
-        self._currents = OFF  # currents requested from the driver at `_sent_ns` [A]
-        self._sent_ns = clock.now() - self.period_ns
-        self._held_until_ns = self._sent_ns  # from this time on, the currents go to 0
+        before_ns = clock.now() - self.period_ns
+        self._requested = Requested(OFF, before_ns, before_ns)
 
     def __enter__(self) -> Self:
         try:
@@ -111,13 +122,14 @@ class FieldActuator:
             wished = self.coils.currents(
                 action.direction, self._reference_mt, section.current_max_a
             )
-            passed_ns = min(now_ns - self._sent_ns, self.period_ns)
-            self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
-            x_ma, y_ma = (round(1000 * current) for current in self._currents)
-            self._sent_ns = self.driver.send(Flag.RUN, x_ma, y_ma)
-            self._held_until_ns = self._sent_ns + round(self.section.watchdog * SECOND)
+            passed_ns = min(now_ns - self._requested.sent_ns, self.period_ns)
+            currents = approach(self._now(now_ns), wished, self._room(passed_ns))
+            x_ma, y_ma = (round(1000 * current) for current in currents)
+            sent_ns = self.driver.send(Flag.RUN, x_ma, y_ma)
+            held_until_ns = sent_ns + round(section.watchdog * SECOND)
+            self._requested = Requested(currents, sent_ns, held_until_ns)
         headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
-        return self._transmission(action, (x_ma / 1000, y_ma / 1000), headings)
+        return self._transmission(action, sent_ns, (x_ma / 1000, y_ma / 1000), headings)
 
     def stop(self, emergency: bool = False) -> Transmission:
         """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
@@ -127,13 +139,13 @@ class FieldActuator:
         AbortError if the port has failed.
         """
         with self._lock:
-            self._currents = self._now(self._clock.now())
+            currents = self._now(self._clock.now())
             flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
             # three frames, so that one damaged frame does not lose the stop
-            self._sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
-            self._held_until_ns = self._sent_ns
+            sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
+            self._requested = Requested(currents, sent_ns, held_until_ns=sent_ns)
         no_turning = np.full(len(self._a), np.nan)
-        return self._transmission(Stop(), OFF, no_turning)
+        return self._transmission(Stop(), sent_ns, OFF, no_turning)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Return one status per cell, with `answers` None, since cells cannot be polled."""
@@ -153,9 +165,12 @@ class FieldActuator:
 
     def _now(self, now_ns: int) -> Pair:
         """Return the driver's set points [A] at a time [ns]; without commands they fall to 0."""
-        return approach(self._currents, OFF, self._room(max(0, now_ns - self._held_until_ns)))
+        falling_ns = max(0, now_ns - self._requested.held_until_ns)
+        return approach(self._requested.currents, OFF, self._room(falling_ns))
 
-    def _transmission(self, action: Action, currents: Pair, headings: Floats) -> Transmission:
+    def _transmission(
+        self, action: Action, sent_ns: int, currents: Pair, headings: Floats
+    ) -> Transmission:
         x_mt, y_mt = self.coils.field(currents)
         strength = float(np.hypot(x_mt, y_mt))
         towards = float(np.arctan2(y_mt, x_mt))
@@ -163,7 +178,7 @@ class FieldActuator:
         turning = rates(headings, towards, a, self._speed)[2]
         return Transmission(
             action,
-            self._sent_ns,
+            sent_ns,
             (True,) * len(self._a),
             self._speed.copy(),
             np.nan_to_num(turning),

@@ -27,10 +27,51 @@ RATES_HZ = (0.1, 2000.0)
 SCALES_UM = (0.05, 100.0)
 KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
 ONE_PICTURE = "is one picture, and no film"
+DAMAGED = -1  # place of a picture that is not in the file of those kept
 ONE_PICTURE_HINT = "give the film, or the folder of its pictures"
 
 
 @dataclass(slots=True, weakref_slot=True)
+class PictureStore:
+    """Keeps the first pictures of a film, all of one size, in a temporary file: up to KEPT_MAX."""
+
+    _file: IO[bytes] = field(default_factory=partial(TemporaryFile, buffering=0))
+    _places: list[int] = field(default_factory=list)  # of the pictures in the file, or DAMAGED
+    _shape: tuple[int, ...] = (0, 0)
+
+    def __post_init__(self) -> None:
+        finalize(self, self._file.close)
+
+    def __len__(self) -> int:
+        """The number of pictures, damaged ones included."""
+        return len(self._places)
+
+    @property
+    def damaged(self) -> int:
+        """The number of damaged pictures."""
+        return self._places.count(DAMAGED)
+
+    def __iter__(self) -> Iterator[tuple[int, Grey]]:
+        """Yield number and grey levels of each picture that is not damaged."""
+        for number, place in enumerate(self._places):
+            if place != DAMAGED:
+                pixels = os.pread(self._file.fileno(), math.prod(self._shape), place)
+                yield number, np.frombuffer(pixels, np.uint8).reshape(self._shape)
+
+    def add(self, picture: Grey | None) -> None:
+        """Keep the next picture, None if it is damaged, as long as there is room."""
+        if picture is None:
+            self._places.append(DAMAGED)
+            return
+        place = self._file.tell()
+        self._shape = picture.shape
+        if place + picture.size <= KEPT_MAX:
+            with suppress(OSError):  # the disk may be full
+                if self._file.write(picture.data) == picture.size:
+                    self._places.append(place)
+
+
+@dataclass(slots=True)
 class FilmPictures:
     """The pictures at a path, which can be iterated over repeatedly, and their scale `um_px`: the
     one given, or the film's own, None if it is unknown.
@@ -48,45 +89,28 @@ class FilmPictures:
     _stream: Iterator[Any]  # pictures that are not decoded yet
     damaged: int = 0
     _next: int = 0  # number of the picture that the stream gives next
-    _file: IO[bytes] = field(default_factory=partial(TemporaryFile, buffering=0))
-    _kept: list[int] = field(default_factory=list)  # places of pictures in the file; -1: damaged
-    _shape: tuple[int, ...] = (0, 0)
-
-    def __post_init__(self) -> None:
-        finalize(self, self._file.close)
+    _store: PictureStore = field(default_factory=PictureStore)
 
     def __iter__(self) -> Iterator[tuple[int, Grey]]:
         """Yield number and grey levels (height, width) of each picture that can be read.
 
         A film is decoded once: its pictures are kept in a file, except those beyond KEPT_MAX.
         """
-        for number, place in enumerate(self._kept):
-            if place >= 0:
-                pixels = os.pread(self._file.fileno(), math.prod(self._shape), place)
-                yield number, np.frombuffer(pixels, np.uint8).reshape(self._shape)
-        if self._next > len(self._kept):  # those beyond KEPT_MAX are decoded again
-            self._next = len(self._kept)
-            self.damaged = self._kept.count(-1)
+        yield from self._store
+        if self._next > len(self._store):  # those beyond KEPT_MAX are decoded again
+            self._next = len(self._store)
+            self.damaged = self._store.damaged
             self._stream = itertools.islice(_decoded(self.path), self._next + 1, None)
         for number, (picture, clock_s) in enumerate(self._stream, self._next):
             self._next = number + 1
             if self.own_timing is not None and clock_s is not None:
                 self.own_timing.note(number, clock_s)
-            if number == len(self._kept):
-                self._keep(picture)
+            if number == len(self._store):
+                self._store.add(picture)
             if picture is None:
                 self.damaged += 1
             else:
-                self._shape = picture.shape
                 yield number, picture
-
-    def _keep(self, picture: Grey | None) -> None:
-        """Keep the next picture in the file, if there is room."""
-        place = -1 if picture is None else self._file.tell()
-        if picture is None or place + picture.size <= KEPT_MAX:
-            with suppress(OSError):  # the disk may be full
-                if picture is None or self._file.write(picture.data) == picture.size:
-                    self._kept.append(place)
 
     @property
     def rate_hz(self) -> float:

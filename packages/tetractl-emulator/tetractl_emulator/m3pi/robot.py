@@ -116,22 +116,22 @@ class EmulatedRobot:
     @property
     def x(self) -> float:
         """Position x [mm]."""
-        return self.robots.now()[1][self.row][0]
+        return self.robots.now().places[self.row][0]
 
     @property
     def y(self) -> float:
         """Position y [mm]."""
-        return self.robots.now()[1][self.row][1]
+        return self.robots.now().places[self.row][1]
 
     @property
     def heading(self) -> float:
         """Heading [rad]."""
-        return self.robots.now()[1][self.row][2]
+        return self.robots.now().places[self.row][2]
 
     @property
     def wheels(self) -> Speeds:
         """The speeds of the left and the right wheel [mm/s]."""
-        return self.robots.now()[2][self.row]
+        return self.robots.now().wheels[self.row]
 
     @property
     def load(self) -> float:
@@ -176,6 +176,14 @@ class EmulatedRobot:
         self.robots.place(self.row, x, y, heading)
 
 
+class RobotsNow(NamedTuple):
+    """The poses [mm, rad] of all robots at a time [ns], and the speeds of their wheels [mm/s]."""
+
+    time_ns: int
+    places: list[Place]
+    wheels: list[Speeds]
+
+
 class EmulatedRobots:
     """The true state of N robots [mm, rad], in the spec's axes, at rest at `start_ns`.
 
@@ -201,9 +209,8 @@ class EmulatedRobots:
         self._drivetrains = drivetrains
         self._now_ns = self._settled_ns = start_ns
         self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
-        # what `now` returns, `standing`, and when they were computed [ns]
-        self._known: tuple[int, list[Place], list[Speeds]] = -1, [], []
-        self._stood: tuple[int, list[bool]] = -1, []
+        self._newest: RobotsNow | None = None  # what `now` returned last
+        self._stood: tuple[int, list[bool]] = -1, []  # `standing`, and when it was computed [ns]
         # speeds, targets and lags of each robot's wheels at `_settled_ns`, [] if not yet read
         self._rolling: list[RollingWheels] = []
         self._held: list[Held] = []
@@ -257,16 +264,19 @@ class EmulatedRobots:
         self._forget()
 
     def _forget(self) -> None:
-        self._known = (-1, [], [])
+        self._newest = None
         self._stood = (-1, [])
 
-    def now(self) -> tuple[int, list[Place], list[Speeds]]:
-        """Return the present time [ns], poses, and speeds of each robot's wheels."""
-        if self._known[0] != self._now_ns:
+    def now(self) -> RobotsNow:
+        """Return where the robots are now, and how fast their wheels turn."""
+        newest = self._newest
+        if newest is None or newest.time_ns != self._now_ns:
             body = self._settled().body
             places = list(zip(*body[:3].tolist(), strict=True))
-            self._known = self._now_ns, places, list(zip(*body[3:5].tolist(), strict=True))
-        return self._known
+            wheels = list(zip(*body[3:5].tolist(), strict=True))
+            newest = RobotsNow(self._now_ns, places, wheels)
+            self._newest = newest
+        return newest
 
     def _settled(self) -> WheeledRobots:
         """Return the robots as they are now."""

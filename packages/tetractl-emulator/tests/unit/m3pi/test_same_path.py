@@ -56,7 +56,7 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
                 robot.hear(encode_command(frame))
             command = next(sent, None)
         fleet.advance(sample.observation.sampled_ns)
-        differences.append(np.abs(np.array(fleet.now()[1]) - sample.truth.array()).max())
+        differences.append(np.abs(np.array(fleet.now().places) - sample.truth.array()).max())
     assert np.abs(samples[-1].truth.xy - samples[0].truth.xy).max() > 50
     assert np.abs(samples[-1].truth.xy - samples[-30].truth.xy).max() < 1e-6  # stopped
     assert max(differences) < 1e-9

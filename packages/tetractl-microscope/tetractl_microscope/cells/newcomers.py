@@ -184,7 +184,7 @@ class Newcomers:
 
 
 def _lengthen(speck: Speck, entry: PathBlob, now: PictureNow) -> None:
-    """Add the newest blob to a speck's path, which begins anew if the speck was hidden."""
+    """Add the newest blob to a speck's path, which starts again if the speck was hidden."""
     was_hidden = entry.seconds - speck.path[-1].seconds > now.brief_s
     speck.path = [entry] if was_hidden else [*speck.path[1 - PATH :], entry]
 

@@ -271,11 +271,12 @@ def _with_weights(document: Document, folder: Path, attached: Attached) -> Attac
 
 def validated_experiment(document: Document, written: bool) -> Experiment:
     """Return the experiment of a document; InvalidSpecError with all its problems at once."""
-    entries = _valid_entries(document.data)
+    data = with_tuples(document.data)
+    entries = _valid_entries(data)
     experiment = None
     try:
-        data = _with_entries(document.data, entries)
-        experiment = Experiment.model_validate(data, strict=True, context=STRICT)
+        parts = _with_entries(data, entries)
+        experiment = Experiment.model_validate(parts, strict=True, context=STRICT)
     except ValidationError as error:
         document.problems.extend(explain(error, document))
     for error in errors_of(entries, experiment, written):
@@ -288,31 +289,31 @@ def validated_experiment(document: Document, written: bool) -> Experiment:
 
 def _with_entries(data: Mapping[str, Any], entries: Entries) -> dict[str, Any]:
     """Return a spec's data for validation, in which valid parts are not validated again."""
-    values = with_tuples(data)
+    parts = dict(data)
     if entries.arena is not None:
-        values["arena"] = entries.arena
+        parts["arena"] = entries.arena
     for key, valid in (("robots", entries.robots), ("obstacles", entries.obstacles)):
         if valid:
-            values[key] = tuple(valid.get(i, value) for i, value in enumerate(values[key]))
-    return values
+            parts[key] = tuple(valid.get(i, value) for i, value in enumerate(data[key]))
+    return parts
 
 
-def _valid_entries(data: dict[str, Any]) -> Entries:
+def _valid_entries(data: Mapping[str, Any]) -> Entries:
     """Return the valid arena, robots and obstacles, even if other parts of the spec are invalid."""
     return Entries(
-        arena=_valid_by_index(Arena, [data.get("arena")]).get(0),
+        arena=_valid_by_index(Arena, (data.get("arena"),)).get(0),
         robots=_valid_by_index(Robot, data.get("robots")),
         obstacles=_valid_by_index(Obstacle, data.get("obstacles")),
     )
 
 
 def _valid_by_index(kind: Any, values: Any) -> dict[int, Any]:
-    """Return the valid sections of a kind, by their index in the list `values`."""
+    """Return the valid sections of a kind, by their index in `values`; none if it is no list."""
     adapter = TypeAdapter(kind)
     valid: dict[int, Any] = {}
-    for i, value in enumerate(values if isinstance(values, list) else ()):
+    for i, value in enumerate(values if isinstance(values, tuple) else ()):
         try:
-            valid[i] = adapter.validate_python(with_tuples(value), strict=True, context=STRICT)
+            valid[i] = adapter.validate_python(value, strict=True, context=STRICT)
         except ValidationError:
             continue  # the validation of the whole spec reports it
     return valid

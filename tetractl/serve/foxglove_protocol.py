@@ -42,14 +42,14 @@ def greeting(name: str) -> list[str]:
 
 def _channel(number: int, topic: str) -> dict[str, object]:
     """Return the description of a topic."""
-    schema_name, encoding, schema = protobuf_schema(CHANNELS[topic])
+    schema = protobuf_schema(CHANNELS[topic])
     return {
         "id": number,
         "topic": topic,
         "encoding": MessageEncoding.Protobuf,
-        "schemaName": schema_name,
-        "schemaEncoding": encoding,
-        "schema": b64encode(schema).decode(),
+        "schemaName": schema.name,
+        "schemaEncoding": schema.encoding,
+        "schema": b64encode(schema.data).decode(),
     }
 
 

@@ -13,6 +13,9 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from tetractl.core.version import __version__
 from tetractl.log.format.channels import CHANNELS, METADATA, NUMBERS, WRITER, Entry
 
+UNNUMBERED = 0
+"""MCAP's number of no schema."""
+
 
 class FileWriter(Writer):
     """The file of a log, begun with its metadata.
@@ -57,7 +60,7 @@ class FileWriter(Writer):
         return channel.id
 
     def _own(self, topic: str) -> Channel:
-        schema_id = self._record_schema(*protobuf_schema(CHANNELS[topic]))
+        schema_id = self._record_schema(protobuf_schema(CHANNELS[topic]))
         return Channel(
             id=NUMBERS[topic],
             topic=topic,
@@ -68,22 +71,23 @@ class FileWriter(Writer):
 
     def _other(self, topic: str) -> Channel:
         channel, schema = self._others[topic]
-        schema_id = 0  # MCAP's number of no schema
+        schema_id = UNNUMBERED
         if schema is not None:
-            schema_id = self._record_schema(schema.name, schema.encoding, schema.data)
+            schema_id = self._record_schema(schema)
         number = max(*NUMBERS.values(), *self._numbers.values()) + 1
         return replace(channel, id=number, schema_id=schema_id)
 
-    def _record_schema(self, name: str, encoding: str, data: bytes) -> int:
+    def _record_schema(self, schema: Schema) -> int:
         """Record a schema, unless one of its name is recorded, and return its number."""
-        if name not in self._schemas:
-            self._schemas[name] = self.register_schema(name, encoding, data)
-        return self._schemas[name]
+        if schema.name not in self._schemas:
+            number = self.register_schema(schema.name, schema.encoding, schema.data)
+            self._schemas[schema.name] = number
+        return self._schemas[schema.name]
 
 
 @cache
-def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
-    """Return name, encoding and data of the schema of a message."""
+def protobuf_schema(message: type[Message]) -> Schema:
+    """Return the schema of a message, without a number of its own."""
     descriptor = message.DESCRIPTOR
     files = build_file_descriptor_set(message)
     used = _used(descriptor)
@@ -92,7 +96,12 @@ def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
             used_types = [kind for kind in file.message_type if kind.name in used]
             del file.message_type[:]
             file.message_type.extend(used_types)
-    return descriptor.full_name, SchemaEncoding.Protobuf, files.SerializeToString()
+    return Schema(
+        id=UNNUMBERED,
+        name=descriptor.full_name,
+        encoding=SchemaEncoding.Protobuf,
+        data=files.SerializeToString(),
+    )
 
 
 def _used(descriptor: Any) -> set[str]:

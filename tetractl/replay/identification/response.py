@@ -403,8 +403,9 @@ def _search(steps: _Steps, units: ResponseParameters) -> tuple[Floats, Floats]:
 def _response(name: str, steps: _Steps, dead_time: float) -> RobotResponse:
     """Fit one robot, for an expected dead time [s], and return its values with their intervals."""
     units = ResponseParameters.of_units(dead_time, steps.speed)
-    vector, std = _search(steps, units)
+    vector, std_vector = _search(steps, units)
     likeliest = units.at(vector)
+    std = ResponseParameters(*std_vector.tolist())  # in the units of the search
     turns = _regress_turns(steps, likeliest)
     ways = _regress_ways(steps, likeliest)
     residuals = np.column_stack([turns.residuals, ways.residuals])
@@ -417,16 +418,16 @@ def _response(name: str, steps: _Steps, dead_time: float) -> RobotResponse:
         misfit_names.append("speed")
     return RobotResponse(
         name=name,
-        dead_time=_normal(likeliest.dead_time, DEAD_TIME_UNIT_S * std[0], wider_turns),
-        turning_lag=_log_normal(likeliest.turning_lag, std[1], wider_turns),
-        speed_lag=_log_normal(likeliest.speed_lag, std[2], wider_ways),
+        dead_time=_normal(likeliest.dead_time, DEAD_TIME_UNIT_S * std.dead_time, wider_turns),
+        turning_lag=_log_normal(likeliest.turning_lag, std.turning_lag, wider_turns),
+        speed_lag=_log_normal(likeliest.speed_lag, std.speed_lag, wider_ways),
         turning_gain=_normal(turns.gains[1], turns.gains_std[1], wider_turns),
         speed_gain=_normal(ways.gains[0], ways.gains_std[0], wider_ways),
         veer=_normal(turns.gains[0], turns.gains_std[0], wider_turns),
-        heading_walk=_log_normal(likeliest.heading_walk, std[3], wider_turns),
-        heading_noise=_log_normal(likeliest.heading_noise, std[5], wider_turns),
-        way_walk=_log_normal(likeliest.way_walk, std[4], wider_ways),
-        position_noise=_log_normal(likeliest.position_noise, std[6], wider_ways),
+        heading_walk=_log_normal(likeliest.heading_walk, std.heading_walk, wider_turns),
+        heading_noise=_log_normal(likeliest.heading_noise, std.heading_noise, wider_turns),
+        way_walk=_log_normal(likeliest.way_walk, std.way_walk, wider_ways),
+        position_noise=_log_normal(likeliest.position_noise, std.position_noise, wider_ways),
         intervals=len(steps.rows),
         left_out=steps.left_out,
         misfits=tuple(misfit_names),

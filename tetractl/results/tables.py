@@ -193,7 +193,7 @@ def error_table(
     named: Sequence[tuple[str, Distribution]],
     unit: str,
     least: float | None = None,
-    decimals_most: int = 9,
+    decimals_most: int = DECIMALS_MAX,
 ) -> Table:
     """Return one row per named distribution of errors, in the format for the least mean or, if
     given, for `least`.

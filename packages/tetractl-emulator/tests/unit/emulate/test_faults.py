@@ -1,10 +1,12 @@
 """What each fault does to its device and takes back; what a run makes of it is in `tests/plays`."""
 
+import itertools
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
@@ -56,16 +58,36 @@ PROCESS = {get_args(kind.model_fields["fault"].annotation)[0] for kind in PROCES
 ELSEWHERE = {"unplug", "stuck_port", "pushed", "stopped_elsewhere", *PROCESS}  # nothing to undo
 
 
-def shipped():
-    """The faults of all shipped scripts, one of each kind, and those of a field's driver."""
-    found = {}
+def shipped_faults():
+    """The faults of all shipped scripts that are undone, the last of each kind, by its name."""
+    faults = {}
     for path in sorted(SCRIPTS.glob("*.yaml")):
-        for fault in parse_document(path.read_text(), "script").data.get("faults", ()):
-            if fault["fault"] not in ELSEWHERE:
-                found[fault["fault"]] = json.dumps(fault).replace('"red"', '"blue"')
-    rows = [pytest.param(SPEC, text, id=kind) for kind, text in found.items()]
-    rows.append(pytest.param(APRILTAG_SPEC, "{fault: untracked, robot: green}", id="hidden tag"))
-    return [*rows, *(pytest.param(FIELD_SPEC, f"{{fault: {text}}}", id=text) for text in FIELD)]
+        script = parse_document(path.read_text(), "script").data
+        for fault in script.get("faults", ()):
+            faults[fault["fault"]] = json.dumps(fault).replace('"red"', '"blue"')
+    return {name: fault for name, fault in faults.items() if name not in ELSEWHERE}
+
+
+def undone_faults():
+    """Specs of labs, and a fault of each: those of shipped scripts, and of a field's driver."""
+    cases = [pytest.param(SPEC, fault, id=name) for name, fault in shipped_faults().items()]
+    cases.append(pytest.param(APRILTAG_SPEC, "{fault: untracked, robot: green}", id="hidden tag"))
+    of_field = [pytest.param(FIELD_SPEC, f"{{fault: {text}}}", id=text) for text in FIELD]
+    return [*cases, *of_field]
+
+
+def fields(thing):
+    return {name: getattr(thing, name) for name in type(thing).__dataclass_fields__}
+
+
+def body_state(body):
+    state = fields(body)
+    del state["robot"]
+    return state
+
+
+def robot_state(robot):
+    return {**vars(robot), "core": 0, "robots": 0}
 
 
 def state(lab):
@@ -75,14 +97,10 @@ def state(lab):
     parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else [camera.swapped]
     if hasattr(camera, "trouble"):
         parts += [camera.trouble, camera.clock, camera.view]
-        parts += [
-            {k: v for k, v in fields(body).items() if k != "robot"} for body in camera.tracked
-        ]
+        parts += [body_state(body) for body in camera.tracked]
     if hasattr(actuator, "radio"):
-        parts += [
-            *(getattr(actuator.radio, name) for name in RADIO),
-            *({**vars(r), "core": 0, "robots": 0} for r in actuator.robots),
-        ]
+        parts += [getattr(actuator.radio, name) for name in RADIO]
+        parts += [robot_state(robot) for robot in actuator.robots]
     else:
         driver = actuator.driver
         parts += [driver.powered, driver.mute, driver.supply_mv, driver.temperature_dc]
@@ -90,139 +108,178 @@ def state(lab):
     return repr(parts)
 
 
-def fields(thing):
-    return {name: getattr(thing, name) for name in type(thing).__dataclass_fields__}
-
-
-def begun(folder, fault, spec=SPEC):
+@dataclass(frozen=True)
+class FaultyLab:
     """A lab that is not open, its script's one fault, and the device that has it."""
+
+    lab: Any
+    fault: Any
+    device: Any
+
+    def begin(self):
+        """Begin the fault; return what ends it."""
+        return self.fault.begin(self.device)
+
+
+def faulty_lab(folder, fault, spec=SPEC):
     lab = emulated(folder, script=f"faults: [{fault}]", spec=spec)
-    (found,) = lab.injector.faults
-    return lab, found, lab._device_of(found)
+    (only_fault,) = lab.injector.faults
+    return FaultyLab(lab, only_fault, lab.injector.device_of(only_fault))
 
 
-@pytest.mark.parametrize(("spec", "fault"), shipped())
+@pytest.mark.parametrize(("spec", "fault"), undone_faults())
 def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault):
     if spec == APRILTAG_SPEC:
         pytest.importorskip("cv2")
-    lab, found, device = begun(tmp_path, fault, spec)
-    before = state(lab)
-    undo = found.begin(device)
-    assert state(lab) != before
-    undo()
-    assert state(lab) == before
+    faulty = faulty_lab(tmp_path, fault, spec)
+    before = state(faulty.lab)
+    end = faulty.begin()
+    assert state(faulty.lab) != before
+    end()
+    assert state(faulty.lab) == before
 
 
 @pytest.mark.parametrize("text", MICROSCOPE)
 def test_a_fault_of_pictures_is_taken_back(tmp_path, text):
     pytest.importorskip("cv2")
-    side = EXAMPLES / "tetrahymena_dish.yaml"
-    many = f"faults: [{{fault: {text}}}]"
-    with virtual_lab(tmp_path, spec=side, script=many) as lab:
-        camera, (fault,) = lab.emulation.camera, lab.emulation.injector.faults
+    dish = EXAMPLES / "tetrahymena_dish.yaml"
+    script = f"faults: [{{fault: {text}}}]"
+    with virtual_lab(tmp_path, spec=dish, script=script) as lab:
+        camera = lab.emulation.camera
         stream = camera.camera
+        (fault,) = lab.emulation.injector.faults
 
-        def now():
-            sent = len(stream.changes), stream.latency_ns, stream.every, stream.frozen.is_set()
-            return repr((sent, camera.painter.look, camera.hidden))
+        def picture_state():
+            stream_state = [stream.latency_ns, stream.every, stream.frozen.is_set()]
+            return repr([len(stream.changes), *stream_state, camera.painter.look, camera.hidden])
 
-        before = now()
-        undo = fault.begin(camera)
-        assert now() != before
-        undo()
-        assert now() == before
+        before = picture_state()
+        end = fault.begin(camera)
+        assert picture_state() != before
+        end()
+        assert picture_state() == before
 
 
 def test_pictures_are_late_lost_or_doubled_and_what_is_shown_is_known(tmp_path):
+    """From 1 s on pictures come 0.2 s later, from 2 s on all are lost, those under way too."""
     pytest.importorskip("cv2")
-    came = []
-    faults = "{fault: late_pictures, since: start, at: 1, by: 0.2}"
+    late = "{fault: late_pictures, since: start, at: 1, by: 0.2}"
     lost = "{fault: bad_pictures, since: start, at: 2, share: 1, how: lost}"
-    with virtual_lab(tmp_path, spec=APRILTAG_SPEC, script=f"faults: [{faults}, {lost}]") as lab:
+    received_s = []
+    with virtual_lab(tmp_path, spec=APRILTAG_SPEC, script=f"faults: [{late}, {lost}]") as lab:
         camera = lab.emulation.camera
-        clock = lab.clock
         latency_s = camera.camera.latency_ns / SECOND
-        camera.join(lambda jpeg: came.append(clock.now() / SECOND))
-        ages = []
-        for seconds in (0.9, 1.9, 2.9):
-            clock.sleep_until(round(seconds * SECOND))
-            ages.append(seconds - max(camera.shown_ns) / SECOND)
-    assert ages[0] == pytest.approx(latency_s, abs=0.04)
-    assert ages[1] == pytest.approx(latency_s + 0.2, abs=0.04)
-    assert ages[2] == pytest.approx(0.9 + latency_s + 0.2, abs=0.04)  # those under way are lost
-    assert max(came) < 2.01
+        camera.join(lambda jpeg: received_s.append(lab.clock.now() / SECOND))
+
+        def age_shown_at(time_s):
+            lab.clock.sleep_until(round(time_s * SECOND))
+            return time_s - max(camera.shown_ns) / SECOND
+
+        assert age_shown_at(0.9) == pytest.approx(latency_s, abs=0.04)
+        assert age_shown_at(1.9) == pytest.approx(latency_s + 0.2, abs=0.04)
+        assert age_shown_at(2.9) == pytest.approx(0.9 + latency_s + 0.2, abs=0.04)
+    assert max(received_s) < 2.01
+
+
+TICKS_PER_S = 1e7
 
 
 @pytest.mark.parametrize(
-    ("fault", "gained"),
+    ("fault", "gained_s"),
     [("{fault: clock_jump, by: -0.5}", -0.5), ("{fault: clock_rate, rate: 3}", 2.0)],
 )
-def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained):
-    lab, found, device = begun(tmp_path, fault)
-    then = lab.timeline.now_ns + SECOND
-    before = lab.camera.clock.ticks(then)
-    found.begin(device)
-    assert (lab.camera.clock.ticks(then) - before) / 1e7 == pytest.approx(gained)
+def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained_s):
+    """What it has gained a second later."""
+    faulty = faulty_lab(tmp_path, fault)
+    clock = faulty.lab.camera.clock
+    then_ns = faulty.lab.timeline.now_ns + SECOND
+    before = clock.ticks(then_ns)
+    faulty.begin()
+    assert (clock.ticks(then_ns) - before) / TICKS_PER_S == pytest.approx(gained_s)
 
 
 def test_faults_of_the_servers_clock_add_up_and_each_takes_its_own_back(tmp_path):
     """Regression: of two that overlapped, the first one's end changed nothing, and a change of rate
     took back what the one before had gained."""
-    lab, jump, device = begun(tmp_path, "{fault: clock_jump, by: 1}")
-    fast = type(begun(tmp_path, "{fault: clock_rate, rate: 3}")[1])(fault="clock_rate", rate=3)
-    clock = lab.camera.clock
-    then = lab.timeline.now_ns + SECOND
-    right = clock.ticks(then)
+    jump = faulty_lab(tmp_path, "{fault: clock_jump, by: 1}")
+    fast = faulty_lab(tmp_path, "{fault: clock_rate, rate: 3}").fault
+    clock = jump.lab.camera.clock
+    then_ns = jump.lab.timeline.now_ns + SECOND
+    right = clock.ticks(then_ns)
 
     def gained_s():
-        return (clock.ticks(then) - right) / 1e7
+        return (clock.ticks(then_ns) - right) / TICKS_PER_S
 
-    ends = [jump.begin(device), fast.begin(device), jump.begin(device), fast.begin(device)]
-    assert gained_s() == pytest.approx(6.0)
-    ends[0]()
-    assert gained_s() == pytest.approx(5.0)
-    ends[1]()
-    assert gained_s() == pytest.approx(3.0)
-    ends[3]()
-    ends[2]()
-    assert clock.ticks(then) == right
+    end_first_jump = jump.begin()
+    end_first_rate = fast.begin(jump.device)
+    end_second_jump = jump.begin()
+    end_second_rate = fast.begin(jump.device)
+    assert gained_s() == pytest.approx(2 * 1 + 2 * (3 - 1))
+    end_first_jump()
+    assert gained_s() == pytest.approx(1 + 2 * (3 - 1))
+    end_first_rate()
+    assert gained_s() == pytest.approx(1 + (3 - 1))
+    end_second_rate()
+    end_second_jump()
+    assert clock.ticks(then_ns) == right
 
 
 def test_a_change_of_the_picture_takes_only_itself_back(tmp_path):
     """Regression: of two that overlapped, the first one's end changed nothing, and the end of a
     change took back how the picture had crept during it."""
-    lab, change, device = begun(tmp_path, "{fault: picture, by: [40, 0], scale: 2, turn: 0.5}")
-    other = type(change)(fault="picture", by=(0, 10))
-    creeping = type(change)(fault="picture", by=(1, 0), turn=0.25, creeps=True)
-    view = lab.camera.view
-    end = change.begin(device)
-    end_other = other.begin(device)
-    end_creeping = creeping.begin(device)
+    knock = faulty_lab(tmp_path, "{fault: picture, by: [40, 0], scale: 2, turn: 0.5}")
+    kind = type(knock.fault)
+    shift = kind(fault="picture", by=(0, 10))
+    creeping = kind(fault="picture", by=(1, 0), turn=0.25, creeps=True)
+    view = knock.lab.camera.view
+    end_knock = knock.begin()
+    end_shift = shift.begin(knock.device)
+    end_creeping = creeping.begin(knock.device)
     view.creep()
-    assert (view.shift, view.grown, view.turned) == (41 + 10j, 2.0, 0.75)
-    end()
-    assert (view.shift, view.grown, view.turned) == (1 + 10j, 1.0, 0.25)
-    end_other()
+    assert view.shift == 40 + 10j + 1
+    assert view.grown == 2.0
+    assert view.turned == 0.5 + 0.25
+    end_knock()
+    assert view.shift == 10j + 1
+    assert view.grown == 1.0
+    assert view.turned == 0.25
+    end_shift()
     end_creeping()
-    assert (view.shift, view.grown, view.turned) == (1 + 0j, 1.0, 0.25)
+    assert view.shift == 1  # where it has crept
+    assert view.grown == 1.0
+    assert view.turned == 0.25
+
+
+def body_at_origin():
+    """What the cameras track of a robot at the origin that looks along x."""
+    robot = SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0)
+    return TrackedBody(robot, 1, "green")
+
+
+def begin_on(body, name, **fields):
+    """Begin a fault of this name on a body; return what ends it."""
+    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
+    fault = kinds[name](fault=name, robot="green", **fields)
+    return fault.begin(SimpleNamespace(tracked_body=lambda name: body))
 
 
 def test_a_jump_of_a_body_that_moves_away_does_not_hold_it_up():
-    """Regression: after a jump, the body was where it had been when it jumped."""
-    body = TrackedBody(SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0), 1, "green")
-    device = SimpleNamespace(tracked_body=lambda name: body)
-    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
-    kinds["ghost"](fault="ghost", robot="green", by=(1, 0)).begin(device)
-    end_jump = kinds["jump"](fault="jump", robot="green", by=(100, 0)).begin(device)
+    """Regression: after a jump, the body was where it had been when it jumped.
+
+    A ghost moves on by 1 mm each frame.
+    """
+    body = body_at_origin()
+    begin_on(body, "ghost", by=(1, 0))
+    end_jump = begin_on(body, "jump", by=(100, 0))
     assert body.expose(View()).position[0] == pytest.approx(0.101)
     end_jump()
     assert body.expose(View()).position[0] == pytest.approx(0.002)
 
 
 def test_a_robot_with_another_number_obeys_that_one(tmp_path):
-    lab, fault, device = begun(tmp_path, "{fault: wrong_id, robot: green, id: 1}")
-    fault.begin(device)
-    robot = lab.actuator.robot("green")
+    faulty = faulty_lab(tmp_path, "{fault: wrong_id, robot: green, id: 1}")
+    faulty.begin()
+    robot = faulty.lab.actuator.robot("green")
     robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, ((10, 10), (20, 20)))))
     assert robot.counts() == (20, 20)
 
@@ -239,7 +296,9 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         turn_until(lab, lambda: not lab.camera.tracked[0].tracked)
         assert not robot.powered
         turn_until(lab, lambda: "placed" in reports)
-        assert (robot.x, robot.y, robot.heading) == (500, 500, 0.5)
+        assert robot.x == 500
+        assert robot.y == 500
+        assert robot.heading == 0.5
         robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
         assert robot.counts() == (60, 60)
 
@@ -284,46 +343,44 @@ def test_nothing_is_left_open(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]
 
 
-class Thing:
-    value = 0
-    other = 0
+class Lamp:
+    """Stands for a device with two settings that faults may change."""
+
+    brightness = 0
+    blinks = 0
 
 
-@pytest.mark.parametrize(
-    "order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)]
-)
+@pytest.mark.parametrize("order", list(itertools.permutations((1, 2, 3))))
 def test_what_faults_set_remains_until_each_has_ended(order):
     """Regression: a body that was tipped for a second hid for that second that it was untracked."""
-    thing = Thing()
-    running = {n: n + 1 for n in range(3)}
-    ends = [setting(thing, value=n + 1) for n in range(3)]
-    for n in order:
-        ends[n]()
-        del running[n]
-        assert thing.value == max(running.values(), default=0)
+    lamp = Lamp()
+    ends = {brightness: setting(lamp, brightness=brightness) for brightness in (1, 2, 3)}
+    for brightness in order:
+        end = ends.pop(brightness)
+        end()
+        assert lamp.brightness == max(ends, default=0)
 
 
-def test_faults_that_set_other_values_do_not_meet():
-    thing = Thing()
-    first = setting(thing, value=1)
-    second = setting(thing, other=2)
-    first()
-    assert (thing.value, thing.other) == (0, 2)
-    second()
-    assert (thing.value, thing.other) == (0, 0)
+def test_faults_that_set_different_values_do_not_meet():
+    lamp = Lamp()
+    end_bright = setting(lamp, brightness=1)
+    end_blinking = setting(lamp, blinks=2)
+    end_bright()
+    assert lamp.brightness == 0
+    assert lamp.blinks == 2
+    end_blinking()
+    assert lamp.blinks == 0
 
 
 def test_faults_of_one_body_act_together():
     """Regression: a body without a position had one again once it was tipped."""
-    body = TrackedBody(SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0), 1, "green")
-    device = SimpleNamespace(tracked_body=lambda name: body)
-    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
-    first = kinds["nan"](fault="nan", robot="green")
-    second = kinds["tipped"](fault="tipped", robot="green", angle=1.0)
-    end_first, end_second = (type(each).begin(each, device) for each in (first, second))
+    body = body_at_origin()
+    end_nan = begin_on(body, "nan")
+    end_tipped = begin_on(body, "tipped", angle=1.0)
     assert math.isnan(body.expose(View()).position[0])
-    end_first()
-    assert body.expose(View()).position[0] == 0.0
-    assert body.expose(View()).quaternion[0] == pytest.approx(math.sin(0.5))
-    end_second()
+    end_nan()
+    tipped = body.expose(View())
+    assert tipped.position[0] == 0.0
+    assert tipped.quaternion[0] == pytest.approx(math.sin(1.0 / 2))
+    end_tipped()
     assert body.expose(View()).quaternion == (0.0, 0.0, 0.0, 1.0)

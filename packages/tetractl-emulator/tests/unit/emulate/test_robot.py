@@ -13,13 +13,23 @@ from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_comma
 from tetractl.lab.cobs import Flag
 
 MS = 1_000_000
-LAG = 0.04
+LAG_S = 0.04
+GAIN_MM_S = 5.0  # of a wheel for each count above the dead zone
+DEAD_ZONE = 4  # counts
+AXLE_MM = 80.0  # between the wheels, which are 40 mm from the centre
+START_X_MM = 100.0
+START_Y_MM = 200.0
+START_HEADING = 0.3
+
+counts = st.integers(-127, 127)
+gaps_ns = st.integers(1, 400 * MS)
 
 
-def robot():
+def robot_at_start():
     robot = EmulatedRobot("green", 0)
-    EmulatedRobots([robot], train((5.0, 5.0), (4, 4)), np.array([40.0]), np.array([LAG]))
-    robot.place(100.0, 200.0, 0.3)
+    wheels = train((GAIN_MM_S, GAIN_MM_S), (DEAD_ZONE, DEAD_ZONE))
+    EmulatedRobots([robot], wheels, np.array([AXLE_MM / 2]), np.array([LAG_S]))
+    robot.place(START_X_MM, START_Y_MM, START_HEADING)
     return robot
 
 
@@ -27,66 +37,78 @@ def frame(sequence, *wheels, flags=Flag.RUN):
     return encode_command(BroadcastCommand(sequence, flags, wheels))
 
 
-def covered(speed, seconds):
-    """How far a wheel came that was at rest: the integral of speed (1 - exp(-t/lag))."""
-    return speed * (seconds - LAG * -math.expm1(-seconds / LAG))
+def wheel_speed(count):
+    """The speed of a wheel that is commanded a count for long [mm/s]."""
+    return math.copysign(GAIN_MM_S * max(0, abs(count) - DEAD_ZONE), count)
 
 
-@given(st.integers(-127, 127), st.integers(-127, 127), st.integers(1, 2000))
-def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
-    one = robot()
-    for k in range(-(-millis // 200)):  # the watchdog ends after 250 ms
-        one.hear(frame(k + 1, (left, right)))
-        one.robots.advance(min(200 * (k + 1), millis) * MS)
-    speeds = [math.copysign(5.0 * max(0, abs(count) - 4), count) for count in (left, right)]
-    ways = [covered(speed, millis / 1000) for speed in speeds]
-    assert one.heading == pytest.approx(0.3 + (ways[1] - ways[0]) / 80.0, abs=2e-3)
-    # v and the turning rate keep their ratio while the wheels speed up: an arc of a circle
-    half = (ways[1] - ways[0]) / 160.0
-    chord = (ways[0] + ways[1]) / 2 * (math.sin(half) / half if half else 1.0)
-    assert one.x == pytest.approx(100 + chord * math.cos(0.3 + half), abs=0.2)
-    assert one.y == pytest.approx(200 + chord * math.sin(0.3 + half), abs=0.2)
+def wheel_way(count, seconds):
+    """How far a wheel came that was at rest [mm]: the integral of speed (1 - exp(-t/lag))."""
+    return wheel_speed(count) * (seconds - LAG_S * -math.expm1(-seconds / LAG_S))
 
 
-@given(st.lists(st.integers(1, 400 * MS), min_size=1, max_size=6), st.integers(-127, 127))
-def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, left):
-    watched = robot()
-    alone = robot()
+@given(counts, counts, st.integers(1, 2000))
+def test_motion_is_that_of_two_lagging_wheels(count_left, count_right, millis):
+    """Speed and turning rate keep their ratio while the wheels speed up: an arc of a circle."""
+    robot = robot_at_start()
+    for k in range(math.ceil(millis / 200)):  # the watchdog ends after 250 ms
+        robot.hear(frame(k + 1, (count_left, count_right)))
+        robot.robots.advance(min(200 * (k + 1), millis) * MS)
+    way_left = wheel_way(count_left, millis / 1000)
+    way_right = wheel_way(count_right, millis / 1000)
+    half_turn = (way_right - way_left) / AXLE_MM / 2
+    arc = (way_left + way_right) / 2
+    chord = arc * (math.sin(half_turn) / half_turn if half_turn else 1.0)
+    course = START_HEADING + half_turn
+    assert robot.heading == pytest.approx(START_HEADING + 2 * half_turn, abs=2e-3)
+    assert robot.x == pytest.approx(START_X_MM + chord * math.cos(course), abs=0.2)
+    assert robot.y == pytest.approx(START_Y_MM + chord * math.sin(course), abs=0.2)
+
+
+def stands(robot):
+    return max(abs(speed) for speed in robot.wheels) < 1
+
+
+@given(st.lists(gaps_ns, min_size=1, max_size=6), counts)
+def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, count_left):
+    """One robot is read each millisecond, the other only when it hears a command; 250 ms after
+    one, the watchdog stops both. During the third gap a wheel of both sticks."""
+    watched = robot_at_start()
+    alone = robot_at_start()
     now = 0
-    for k, gap in enumerate(gaps):  # 250 ms after a command, the watchdog stops the robots
-        for one in (watched, alone):
-            one.hear(frame(k + 1, (left, 60)))
-            one.stuck = (k == 2, False)
+    for k, gap in enumerate(gaps):
+        for robot in (watched, alone):
+            robot.hear(frame(k + 1, (count_left, 60)))
+            robot.stuck = (k == 2, False)
         for step in range(now + MS, now + gap, MS):
             watched.robots.advance(step)
-            assert watched.standing == (max(map(abs, watched.wheels)) < 1)
+            assert watched.standing == stands(watched)
         now += gap
-        for one in (watched, alone):
-            one.robots.advance(now)
+        watched.robots.advance(now)
+        alone.robots.advance(now)
         assert watched.standing == alone.standing
-    for ours, theirs in (
-        (watched.x, alone.x),
-        (watched.y, alone.y),
-        (watched.heading, alone.heading),
-    ):
-        assert ours == pytest.approx(theirs, abs=1e-9)
+    assert watched.x == pytest.approx(alone.x, abs=1e-9)
+    assert watched.y == pytest.approx(alone.y, abs=1e-9)
+    assert watched.heading == pytest.approx(alone.heading, abs=1e-9)
     assert watched.wheels == pytest.approx(alone.wheels, abs=1e-9)
 
 
 def test_a_wheel_that_sticks_stands_at_once():
-    one = robot()
-    one.hear(frame(1, (40, 40)))
-    one.robots.advance(200 * MS)
-    one.stuck = (True, False)
-    one.robots.advance(202 * MS)
-    assert one.wheels[0] == 0 < one.wheels[1]
+    robot = robot_at_start()
+    robot.hear(frame(1, (40, 40)))
+    robot.robots.advance(200 * MS)
+    robot.stuck = (True, False)
+    robot.robots.advance(202 * MS)
+    assert robot.wheels[0] == 0
+    assert robot.wheels[1] > 0
 
 
 def test_a_robot_stops_by_its_watchdog():
-    one = robot()
-    one.hear(frame(1, (40, 40)))
-    one.robots.advance(200 * MS)
-    assert one.wheels[0] == pytest.approx(180 * -math.expm1(-0.2 / LAG), rel=1e-6)
-    one.robots.advance(3000 * MS)
-    assert one.standing
-    assert one.x < 100 + 180 * 0.3
+    robot = robot_at_start()
+    robot.hear(frame(1, (40, 40)))
+    robot.robots.advance(200 * MS)
+    speed = wheel_speed(40)
+    assert robot.wheels[0] == pytest.approx(speed * -math.expm1(-0.2 / LAG_S), rel=1e-6)
+    robot.robots.advance(3000 * MS)
+    assert robot.standing
+    assert robot.x < START_X_MM + speed * 0.3

@@ -19,28 +19,38 @@ def full_frame(version, bodies=(BODY, BODY), params=0):
     """Return a frame with something of every kind; what the version does not have is left out."""
     layout = layout_of(version)
     frame = natnet.NatNetFrame(1234, bodies, params)
-    at = packed("3f", *BODY.position)
+    position = packed("3f", *BODY.position)
     body = packed_body(BODY, version, markers=3)
     marker = packed("i3ffH", 1, *BODY.position, 0.01, 0)
-
-    def listed(*parts):
-        return packed("i", len(parts)) + b"".join(parts)
-
-    plate = packed("i", 1) + listed(packed("i2f", 2, 1.0, 2.0), packed("i", 0))
-    device = packed("i", 2) + listed(packed("if", 1, 3.0))
-    asset = packed("i", 5) + listed(body) + listed(*[marker + bytes(4)] * 2)
-    sections = [
-        [packed_name("green") + listed(at, at), packed_name("all") + listed(*[at] * 5)],
-        [at],
-        [packed_body(body, version, markers=3) for body in bodies],
-        [packed("i", 3) + listed(body, body), packed("i", 4) + listed()],
-        *[[asset]] * layout.sized,
-        [marker + bytes(4 * layout.timed)] * 2,
-        *[[plate], [device]][: layout.channels],
+    marker_sets = [
+        numbered(packed_name("green"), position, position),
+        numbered(packed_name("all"), *[position] * 5),
     ]
-    parts = b"".join(section(found, version) for found in sections)
-    payload = packed("i", frame.number) + parts + suffix(frame, version)
+    skeletons = [numbered(packed("i", 3), body, body), numbered(packed("i", 4))]
+    sections = [
+        marker_sets,
+        [position],  # of an unlabelled marker
+        [packed_body(body, version, markers=3) for body in bodies],
+        skeletons,
+    ]
+    if layout.sized:
+        markers_of_asset = numbered(b"", marker + bytes(4), marker + bytes(4))
+        asset = numbered(packed("i", 5), body) + markers_of_asset
+        sections.append([asset])
+    labelled_marker = marker + bytes(4 * layout.timed)
+    sections.append([labelled_marker, labelled_marker])
+    analogue = [packed("i2f", 2, 1.0, 2.0), packed("i", 0)]  # channels of two samples and of none
+    force_plate = numbered(packed("i", 1), *analogue)
+    device = numbered(packed("i", 2), packed("if", 1, 3.0))
+    sections.extend([[force_plate], [device]][: layout.channels])
+    parts = [section(items, version) for items in sections]
+    payload = packed("i", frame.number) + b"".join(parts) + suffix(frame, version)
     return datagram(natnet.MessageKind.FRAME, payload)
+
+
+def numbered(head, *items):
+    """A head, the number of items, and these."""
+    return head + packed("i", len(items)) + b"".join(items)
 
 
 def full_modeldef(version, awkward=True):

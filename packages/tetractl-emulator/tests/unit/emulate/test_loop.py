@@ -4,8 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tetractl_emulator.loop import Loop, Timeline
 
+planned_times = st.lists(st.integers(0, 100), max_size=30)
 
-@given(st.lists(st.integers(0, 100), max_size=30), st.integers(0, 120))
+
+@given(planned_times, st.integers(0, 120))
 def test_events_happen_in_order_at_their_times(times, until):
     moved = []
     happened = []

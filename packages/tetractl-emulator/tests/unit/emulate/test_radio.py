@@ -7,6 +7,7 @@ import serial
 from support.lab_processes import emulated, turn_until
 from tetractl_emulator.port import PseudoPort
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.actuators.xbee.frames import BROADCAST, Decoder, at_command, at_response, encode
@@ -65,13 +66,14 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     lab, port = opened()
     command = encode_command(BroadcastCommand(1, Flag.RUN, ((60, 60),) * 2))
     frame = encode(BROADCAST + command)
-    at = {"command": [], "heard": []}
-    lab.actuator.radio.note = lambda event, **_: at[event].append(lab.timeline.now_ns)
+    times_ns = {"command": [], "heard": []}
+    lab.actuator.radio.note = lambda event, **_: times_ns[event].append(lab.timeline.now_ns)
     port.write(frame)
-    turn_until(lab, lambda: len(at["heard"]) == 2)
-    took = at["heard"][0] - at["command"][0]
-    serial_ns = (len(frame) + 12) * 10 * 10**9 // 57600  # 12 bytes leave the robot's module
-    assert serial_ns + 500_000 < took < serial_ns + 2_000_000
+    turn_until(lab, lambda: len(times_ns["heard"]) == 2)
+    way_ns = times_ns["heard"][0] - times_ns["command"][0]
+    serial_bits = 10 * (len(frame) + 12)  # 12 bytes leave the robot's module
+    serial_ns = serial_bits * SECOND // 57600
+    assert serial_ns + 500_000 < way_ns < serial_ns + 2_000_000  # and some time in the air
     turn_until(lab, lambda: lab.actuator.robots[0].wheels[0] > 100)
     assert lab.actuator.robots[1].counts() == (60, 60)
 

@@ -89,19 +89,19 @@ def test_a_port_without_a_module_is_told():
 
 
 class Sleepy(Module):
-    """A module that wakes once it has received some requests, and then answers all of them."""
+    """Stands for a module that wakes once it has received some requests, and then answers all."""
 
     def __init__(self, wakes_after):
         super().__init__()
         self.wakes_after = wakes_after
-        self.held = []
+        self.unanswered = []
 
     def say(self, frame):
-        self.held.append(frame)
-        if len(self.held) >= self.wakes_after:
-            for one in self.held:
-                super().say(one)
-            self.held.clear()
+        self.unanswered.append(frame)
+        if len(self.unanswered) >= self.wakes_after:
+            for answer in self.unanswered:
+                super().say(answer)
+            self.unanswered.clear()
             self.wakes_after = 0
 
 
@@ -172,8 +172,8 @@ def test_a_reply_to_another_command_is_not_believed():
     def forge(content):
         sequence = decode_command(content[len(BROADCAST) : -1]).sequence
         stale = Reply(0, (sequence + 7) % 256, Status.RUNNING, 9999, 1, 0)
-        own = Reply(1, sequence, Status.RUNNING, 4800, 1, 0)
-        return [b"\x81\x12\x34\x28\0" + packed_reply(reply) for reply in (stale, own)]
+        right = Reply(1, sequence, Status.RUNNING, 4800, 1, 0)
+        return [b"\x81\x12\x34\x28\0" + packed_reply(reply) for reply in (stale, right)]
 
     radio = Module(respond=forge)
     first, second = Broadcaster(radio.opened(), radio.clock, (0, 1)).poll(1.0)

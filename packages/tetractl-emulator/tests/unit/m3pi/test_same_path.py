@@ -16,47 +16,82 @@ from tetractl.plant import wheel_kernel
 
 pytestmark = pytest.mark.long
 
-COUNT = 1000 / 127
 ROBOTS = experiment().robots
+LAG_S = 0.04
+RADIUS_MM = 40
+DRIVE = {
+    "count": 1000 / 127,
+    "dead_zone": 6,
+    "dead_zone_error": 2,
+    "gain_error": 0.1,
+    "lag": LAG_S,
+}
+
+
+def simulated_drive():
+    """A simulation that drives, stops by its watchdog, and rests; its commands and samples."""
+    spec = experiment(
+        plant={"drive": DRIVE, "camera_rate": 100, "truth_rate": 1000},
+        wheels={"radius": RADIUS_MM, "watchdog": 0.25},
+        obstacles=[],
+    )
+    simulated = sim(spec)
+    commands, samples = driven(simulated, DIRECTIONS * 3, SECOND // 25)
+    simulated.clock.sleep_until(3 * SECOND)
+    samples += simulated.samples()
+    return simulated, commands, samples
+
+
+def emulated_fleet(true_wheels):
+    """Emulated robots with these wheels at the same starts."""
+    count = len(ROBOTS)
+    robots = [EmulatedRobot(robot.name, i) for i, robot in enumerate(ROBOTS)]
+    fleet = EmulatedRobots(
+        robots, true_wheels, np.full(count, float(RADIUS_MM)), np.full(count, LAG_S)
+    )
+    for robot, of_spec in zip(robots, ROBOTS, strict=True):
+        robot.place(*of_spec.start, of_spec.heading)
+    return fleet
+
+
+def broadcast_to(fleet, number, command, known_wheels):
+    """Send a command by radio as the counts that the lab computes from the wheels it knows."""
+    speeds = np.array([command.left, command.right])
+    counts, _ = known_wheels.counts(speeds, np.zeros((2, len(ROBOTS))))
+    of_robots = tuple(tuple(pair) for pair in counts.T.tolist())
+    frame = encode_command(BroadcastCommand(number, Flag.RUN, of_robots))
+    for robot in fleet.robots:
+        robot.hear(frame)
 
 
 def test_simulated_and_emulated_robots_drive_the_same_path():
     """The same counts at the same times, until the watchdogs of the simulation and of the firmware
     stop the robots: at a common time step of 1 ms, the paths differ by rounding only.
     """
-    drive = {"count": COUNT, "dead_zone": 6, "dead_zone_error": 2, "gain_error": 0.1, "lag": 0.04}
-    rates = {"camera_rate": 100, "truth_rate": 1000}
-    wheels = {"radius": 40, "watchdog": 0.25}
-    spec = experiment(plant={"drive": drive, **rates}, wheels=wheels, obstacles=[])
-    simulated = sim(spec)
-    commands, samples = driven(simulated, DIRECTIONS * 3, SECOND // 25)
-    simulated.clock.sleep_until(3 * SECOND)
-    samples += simulated.samples()
-    robots = [EmulatedRobot(robot.name, i) for i, robot in enumerate(ROBOTS)]
+    simulated, commands, samples = simulated_drive()
     trains = simulated.drive.host.trains
-    limit = trains[wheel_kernel.COUNT_LIMIT, 0]
-    gain = trains[wheel_kernel.TRUE_GAIN]
-    zone = trains[wheel_kernel.TRUE_DEAD_ZONE]
-    true = Drivetrains(gain, zone, limit, np.zeros(3, np.bool_))
-    fleet = EmulatedRobots(robots, true, np.full(3, 40.0), np.full(3, 0.04))
-    for robot, given in zip(robots, ROBOTS, strict=True):
-        robot.place(*given.start, given.heading)
-    known_gain = trains[wheel_kernel.GAIN]
-    known_zone = trains[wheel_kernel.DEAD_ZONE]
-    known = replace(true, gain=known_gain, dead_zone=known_zone)
-    sent = iter(commands)
-    command = next(sent)
+    true_wheels = Drivetrains(
+        gain=trains[wheel_kernel.TRUE_GAIN],
+        dead_zone=trains[wheel_kernel.TRUE_DEAD_ZONE],
+        limit=trains[wheel_kernel.COUNT_LIMIT, 0],
+        swap=np.zeros(len(ROBOTS), np.bool_),
+    )
+    known_wheels = replace(
+        true_wheels, gain=trains[wheel_kernel.GAIN], dead_zone=trains[wheel_kernel.DEAD_ZONE]
+    )
+    fleet = emulated_fleet(true_wheels)
+    waiting = list(commands)
     differences = []
     for number, sample in enumerate(samples):
-        while command is not None and command.sent_ns <= sample.observation.sampled_ns:
+        now_ns = sample.observation.sampled_ns
+        while waiting and waiting[0].sent_ns <= now_ns:
+            command = waiting.pop(0)
             fleet.advance(command.sent_ns)
-            counts, _ = known.counts(np.array([command.left, command.right]), np.zeros((2, 3)))
-            frame = BroadcastCommand(number, Flag.RUN, tuple(map(tuple, counts.T.tolist())))
-            for robot in robots:
-                robot.hear(encode_command(frame))
-            command = next(sent, None)
-        fleet.advance(sample.observation.sampled_ns)
-        differences.append(np.abs(np.array(fleet.now().places) - sample.truth.array()).max())
-    assert np.abs(samples[-1].truth.xy - samples[0].truth.xy).max() > 50
-    assert np.abs(samples[-1].truth.xy - samples[-30].truth.xy).max() < 1e-6  # stopped
+            broadcast_to(fleet, number, command, known_wheels)
+        fleet.advance(now_ns)
+        places = fleet.now().places
+        differences.append(np.abs(np.array(places) - sample.truth.array()).max())
+    first, late, last = (samples[k].truth.xy for k in (0, -30, -1))
+    assert np.abs(last - first).max() > 50
+    assert np.abs(last - late).max() < 1e-6  # stopped
     assert max(differences) < 1e-9

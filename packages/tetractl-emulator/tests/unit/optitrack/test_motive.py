@@ -42,7 +42,11 @@ class Client:
 
     def comes(self, kind):
         """Let time pass until a message of a kind comes; return whether it does."""
-        return self.clock.wait(lambda: any(isinstance(each, kind) for each in self.got()))
+
+        def has_come():
+            return any(isinstance(message, kind) for message in self.got())
+
+        return self.clock.wait(has_come)
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """NatNet packing and parsing: round trips, layouts written out by hand, and damage."""
 
 import struct
+from dataclasses import dataclass
 
 import pytest
 from hypothesis import given
@@ -43,16 +44,17 @@ def test_frames_round_trip(version, data):
     frame = data.draw(frames(version))
     assert parse(pack_answer(frame, version), version) == frame
     among_all_else = parse(full_frame(version, frame.bodies, frame.params), version)
-    assert (among_all_else.bodies, among_all_else.params) == (frame.bodies, frame.params)
+    assert among_all_else.bodies == frame.bodies
+    assert among_all_else.params == frame.params
 
 
 @given(
     version=st.sampled_from(VERSIONS),
-    found=tuples(st.tuples(names, i32)),
+    names_and_ids=tuples(st.tuples(names, i32)),
     markers=st.integers(0, 3),
 )
-def test_models_round_trip(version, found, markers):
-    model = natnet.ModelDef(found)
+def test_models_round_trip(version, names_and_ids, markers):
+    model = natnet.ModelDef(names_and_ids)
     payload = pack_modeldef(model, version, markers=markers)
     assert parse(datagram(natnet.MessageKind.MODELDEF, payload), version) == model
 
@@ -74,49 +76,84 @@ def test_an_unknown_data_set_ends_the_reading_and_says_so(version, kind):
 
 
 def test_a_skeletons_bones_are_not_robots():
+    version = natnet.Version(3, 1)
     bone = b"hip\0" + struct.pack("<ii3fi", 1, 0, 0, 0, 0, 0)
-    other = (2, b"actor\0" + struct.pack("<ii", 5, 1) + bone)
-    payload = pack_modeldef(natnet.ModelDef((("green", 4),)), natnet.Version(3, 1), [other])
-    assert parse(datagram(natnet.MessageKind.MODELDEF, payload), natnet.Version(3, 1)).ids() == {
-        "green": 4
-    }
+    skeleton = (2, b"actor\0" + struct.pack("<ii", 5, 1) + bone)
+    payload = pack_modeldef(natnet.ModelDef((("green", 4),)), version, [skeleton])
+    model = parse(datagram(natnet.MessageKind.MODELDEF, payload), version)
+    assert model.ids() == {"green": 4}
 
 
-POSE = struct.pack("<i7f", 3, 1, 2, 3, 0, 0, 0, 1)
+POSE = struct.pack("<i7f", 3, 1, 2, 3, 0, 0, 0, 1)  # of body 3: its position and quaternion
 MARKER = struct.pack("<i3fif", 1, 9, 9, 9, 1, 0.01)  # in bodies before 3.0
 
 
-@pytest.mark.parametrize(
-    ("version", "head", "body", "rest", "suffix", "read"),
-    [
-        ("2.9", "iiii", MARKER, 3 * 4, ("fIIdHi", 0.25, 6, 7, 8.5, 5, 0), (True, 5, None)),
-        ("3.0", "iiii", b"", 4 * 4, ("IIdQQQHi", 6, 7, 8.5, 10, 11, 12, 4, 0), (True, 4, 10)),
-        (
-            "4.2",
-            "iiiiiii",
-            b"",
-            5 * 8,
-            ("IIdQQQIIHi", 6, 7, 8.5, 10, 11, 12, 13, 14, 3, 0),
-            (False, 3, 10),
-        ),
-    ],
-)
-def test_frames_as_written_by_hand(version, head, body, rest, suffix, read):
-    counts = (0, 0, 1) if len(head) == 4 else (0, 0, 0, 0, 1, 38)
-    tracked, params, exposure = read
-    payload = (
-        struct.pack("<" + head, 42, *counts)
-        + POSE
-        + body
-        + struct.pack("<fH", 0.5, 1 if tracked else 2)
-    )
-    layout, *fields = suffix
-    payload += bytes(rest) + struct.pack("<" + layout, *fields)
-    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, natnet.Version.of(version))
-    shown = natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), tracked)
-    assert frame == natnet.NatNetFrame(42, (shown,), params, exposure)
-    assert (frame.edit_mode, frame.models_changed) == (bool(params & 4), bool(params & 2))
-    assert struct.unpack_from("<H", payload, len(payload) - 6) == (params,)  # from the tail
+@dataclass(frozen=True)
+class HandwrittenFrame:
+    """Frame 42 with one body, packed by the layout of a version.
+
+    `head` are the frame's number, the counts of the sections before that of bodies, the number of
+    bodies and, since 4.1, the size of each section; `others` bytes of empty sections follow the
+    body. `tracked`, `params` and `exposure` are what body and suffix say.
+    """
+
+    version: str
+    head: bytes
+    body: bytes
+    others: int
+    suffix: bytes
+    tracked: bool
+    params: int
+    exposure: int | None
+
+    @property
+    def payload(self):
+        return self.head + self.body + bytes(self.others) + self.suffix
+
+
+FRAMES = [
+    HandwrittenFrame(
+        version="2.9",
+        head=struct.pack("<iiii", 42, 0, 0, 1),
+        body=POSE + MARKER + struct.pack("<fH", 0.5, 1),
+        others=3 * 4,
+        suffix=struct.pack("<fIIdHi", 0.25, 6, 7, 8.5, 5, 0),
+        tracked=True,
+        params=5,
+        exposure=None,
+    ),
+    HandwrittenFrame(
+        version="3.0",
+        head=struct.pack("<iiii", 42, 0, 0, 1),
+        body=POSE + struct.pack("<fH", 0.5, 1),
+        others=4 * 4,
+        suffix=struct.pack("<IIdQQQHi", 6, 7, 8.5, 10, 11, 12, 4, 0),
+        tracked=True,
+        params=4,
+        exposure=10,
+    ),
+    HandwrittenFrame(
+        version="4.2",
+        head=struct.pack("<iiiiiii", 42, 0, 0, 0, 0, 1, 38),
+        body=POSE + struct.pack("<fH", 0.5, 2),
+        others=5 * 8,
+        suffix=struct.pack("<IIdQQQIIHi", 6, 7, 8.5, 10, 11, 12, 13, 14, 3, 0),
+        tracked=False,
+        params=3,
+        exposure=10,
+    ),
+]
+
+
+@pytest.mark.parametrize("written", FRAMES, ids=lambda written: written.version)
+def test_frames_as_written_by_hand(written):
+    payload = written.payload
+    header = struct.pack("<HH", natnet.MessageKind.FRAME, len(payload))
+    frame = parse(header + payload, natnet.Version.of(written.version))
+    body = natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), written.tracked)
+    assert frame == natnet.NatNetFrame(42, (body,), written.params, written.exposure)
+    assert frame.edit_mode == bool(written.params & 4)
+    assert frame.models_changed == bool(written.params & 2)
 
 
 @pytest.mark.parametrize(
@@ -143,12 +180,20 @@ def test_handshake_messages_round_trip_in_their_sizes(pack, parse, message, size
     assert parse(packed) == message
 
 
-def test_details_of_the_handshake():
+def test_garbage_after_the_name_of_a_server_is_not_read():
     info = natnet.ServerInfo("Motive", V41, 10**7, 1511)
     packed = bytearray(pack_answer(info))
-    packed[4 + 7 : 4 + 256] = b"\xff" * 249  # garbage after the name's NUL
+    header = 4
+    name = len(b"Motive\0")
+    packed[header + name : header + 256] = b"\xff" * (256 - name)
     assert parse(bytes(packed)) == info
+
+
+def test_versions_are_ordered_by_their_numbers():
     assert natnet.Version(2, 9) < natnet.Version.of("2.10")
+
+
+def test_the_number_of_a_response_is_read_as_its_question_asks():
     assert number_in(natnet.Response(struct.pack("<f", 120.0)), "f") == 120.0
     assert number_in(natnet.Response(struct.pack("<i", 1)), "i") == 1
     with pytest.raises(WireError):
@@ -179,9 +224,10 @@ def test_bad_datagrams_raise_the_one_exception(packed, version):
 
 @every_version
 def test_every_truncation_is_refused(version):
-    for whole in (full_frame(version), full_modeldef(version)[1]):
-        for size in range(4, len(whole)):
-            cut = whole[:2] + struct.pack("<H", size - 4) + whole[4:size]
+    _, modeldef = full_modeldef(version)
+    for packed in (full_frame(version), modeldef):
+        for size in range(4, len(packed)):
+            cut = packed[:2] + struct.pack("<H", size - 4) + packed[4:size]
             with pytest.raises(WireError):
                 parse(cut, version)
 

@@ -38,7 +38,7 @@ def test_a_viewer_sees_the_frames_of_the_log_while_robots_drive(tmp_path):
         log = tmp_path / "logs" / "trial-000.mcap"
         topics = CHANNELS.keys() - {FRAMES, TRANSFORMS}  # of which a log has fewer messages
         logged = {(entry.topic, entry.log_ns, entry.data) for entry in scan(log).entries}
-        seen = {got for got in viewer.all if got[0] in topics}
-        assert seen <= logged
+        received = {message for message in viewer.all if message[0] in topics}
+        assert received <= logged
     finally:
         emulator.close()

@@ -66,7 +66,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("fault", "at", "says"),
+    ("fault", "at_s", "says"),
     [
         ("light, share: 0.02", 2, "0 of 0 cells respond to the field"),
         ("off", 2, "the current driver does not answer"),
@@ -74,12 +74,12 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
         ("repeat", 6, "no new camera frame"),
     ],
 )
-def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
+def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at_s, says):
     """Wrong pictures never steer: there is no trial, or it is aborted, and the field is off."""
-    script = f"faults: [{{fault: {fault}, at: {at}}}]"
+    script = f"faults: [{{fault: {fault}, at: {at_s}}}]"
     sets = (*SMALL, "controller.accept_error=0.1")
     with virtual_dish(tmp_path, 7, sets, FEW + script) as dish:
-        if at == 2:  # before the choice
+        if at_s == 2:  # before the choice
             with pytest.raises(AbortError, match=says):
                 run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
         else:
@@ -112,8 +112,8 @@ def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, note
     assert "cell 2 has divided" in text
     assert all(note in text for note in notes)
     assert verify(tmp_path / "trial-000.mcap").problems == ()
-    left = [0] if on_lost == "drop" else [0, 1]
-    assert max(np.array(result.robot_errors)[left]) < 60
+    steered = [0] if on_lost == "drop" else [0, 1]
+    assert max(result.robot_errors[i] for i in steered) < 60
 
 
 def test_a_cell_that_rests_is_still_that_cell(tmp_path):
@@ -123,18 +123,18 @@ def test_a_cell_that_rests_is_still_that_cell(tmp_path):
     assert log.result.lost == ()
 
 
-@pytest.mark.parametrize("told", [False, True])
-def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(told, tmp_path):
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(stated, tmp_path):
     script = "emulation: {actuator: {cells: 7}, camera: {mirrored: true}}\n"
-    sets = (*SMALL, f"lab.camera.mirrored={told}".lower())
+    sets = (*SMALL, f"lab.camera.mirrored={stated}".lower())
     with virtual_dish(tmp_path, 3, sets, script) as dish:
         words = [word for setting in dish.settings for word in ("--set", setting)]
         done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "--plans", "1", *words)
         dish.clock.sleep_until(dish.clock.now() + SECOND)
         assert not dish.emulation.actuator.driver.running
     warned = "warning: cells turn right where the field turns left" in done.stderr
-    assert warned is not told
-    assert ("is towards the mirror image of the field" in done.stdout) is not told
+    assert warned is not stated
+    assert ("is towards the mirror image of the field" in done.stdout) is not stated
 
 
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):

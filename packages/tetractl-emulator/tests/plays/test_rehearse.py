@@ -36,13 +36,19 @@ def rehearse(folder, *words):
 
 def without_tracking(monkeypatch):
     """Plant a defect: no robot is lost, and no run ends, since a robot is not tracked."""
-    left = tuple(check for check in RUN_CHECKS if check is not untracked_robots)
-    monkeypatch.setattr(guard, "RUN_CHECKS", left)
+    other_checks = tuple(check for check in RUN_CHECKS if check is not untracked_robots)
+    monkeypatch.setattr(guard, "RUN_CHECKS", other_checks)
 
 
 def rows(folder):
-    printed = [json.loads(file.read_text()) for file in (folder / "days").glob("record-*.json")]
-    return {one["record"]["day"]: one["record"] for one in printed}
+    """The records of the days that a folder holds, by their numbers."""
+    texts = [file.read_text() for file in (folder / "days").glob("record-*.json")]
+    records = [json.loads(text)["record"] for text in texts]
+    return {record["day"]: record for record in records}
+
+
+def digests(folder):
+    return {day: record["digest"] for day, record in rows(folder).items()}
 
 
 @pytest.mark.long
@@ -52,9 +58,7 @@ def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp
     assert done.stdout.endswith("2 days, 0 violations\n")
     rehearse(tmp_path, "--days", "4").ok()
     rehearse(tmp_path / "two", "--days", "4", "--jobs", "2").ok()
-    one = rows(tmp_path)
-    two = rows(tmp_path / "two")
-    assert {n: row["digest"] for n, row in one.items()} == {n: r["digest"] for n, r in two.items()}
+    assert digests(tmp_path) == digests(tmp_path / "two")
     assert "| frames frozen |" in done.stdout
 
 
@@ -153,13 +157,12 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
     assert done.returncode == 1
     assert "driven blind: " in done.stderr
     assert done.stdout.endswith("1 day, 1 violation\n")
-    script, other = (
-        (folder / "days" / "seed-1-day-0.yaml").read_text()
-        for folder in (tmp_path, tmp_path / "two")
-    )
-    assert script == other
-    one, two = (rows(folder)[0] for folder in (tmp_path, tmp_path / "two"))
-    assert {**one, "seconds": 0} == {**two, "seconds": 0}
+    script = (tmp_path / "days" / "seed-1-day-0.yaml").read_text()
+    by_two_jobs = (tmp_path / "two" / "days" / "seed-1-day-0.yaml").read_text()
+    assert script == by_two_jobs
+    record = rows(tmp_path)[0]
+    record_by_two_jobs = rows(tmp_path / "two")[0]
+    assert {**record, "seconds": 0} == {**record_by_two_jobs, "seconds": 0}
     assert "untracked" in script
     assert "doubled_packets" not in script
 

@@ -71,21 +71,23 @@ def check_motion(expect, played):
     """Robots stop in time, and none moves again after a run that ended."""
     names = played.of("ready")[0]["robots"]
     ended = expect.outcome != "done"
-    seen = played.seen_ns()
+    visible_ns = played.seen_ns()
     slack = 0.02
-    if seen is not None:
+    if visible_ns is not None:
         span = (expect.still or expect.tolerance or 0.0) + REACTION_S + ROLLING_S
-        slack += 2 * played.lag_s(seen, seen + round(span * 1e9))  # both processes share the host
-    if seen is not None and expect.tolerance is not None:
+        lag = played.lag_s(visible_ns, visible_ns + round(span * 1e9))
+        slack += 2 * lag  # both processes share the host
+    if visible_ns is not None and expect.tolerance is not None:
         limit = expect.tolerance + REACTION_S + slack
         for name in expect.robots or names:
-            assert played.stop_after(name, seen) <= limit, f"{name}'s stop came late"
+            assert played.stop_after(name, visible_ns) <= limit, f"{name}'s stop came late"
             if ended:  # else it may start again before it came to rest
-                assert played.rest_after(name, seen) <= limit + ROLLING_S, f"{name} stood late"
-                assert not played.moves_after(name, seen), f"{name} moved again"
-    if seen is not None and expect.still is not None:
+                rest = played.rest_after(name, visible_ns)
+                assert rest <= limit + ROLLING_S, f"{name} stood late"
+                assert not played.moves_after(name, visible_ns), f"{name} moved again"
+    if visible_ns is not None and expect.still is not None:
         for name in names:
-            assert played.moved_until(name, seen) <= expect.still + slack
+            assert played.moved_until(name, visible_ns) <= expect.still + slack
     assert played.of("robot", moving=True), "the run did drive"
     last = {event["name"]: event["moving"] for event in played.of("robot")}
     assert not any(last.values())

@@ -19,9 +19,12 @@ WHEEL_M = 0.04  # from a wheel to the robot's centre
 KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn", "slip")
 NUMBERS = "numbers"
 PUSH_S = 0.2
+PUSHED = 0.6 + 0.8j  # the direction in which the origin goes, as do pushes and steps
 STEP_M = 0.004
 STEPS_S = 0.5
 CAMERA = ("origin", "scale", "rotation")
+COURSES = {"along": 0.0, "against": math.pi, "sideways": math.pi / 2}  # against the heading [rad]
+MM_PER_M = 1000
 
 
 @dataclass
@@ -56,7 +59,7 @@ class Ghost:
         self._began: int | None = None
         self._from = [(robot.x, robot.y) for robot in lab.robots]
         self._turned = 0.0
-        self._paths = {}
+        self._ways = {}
         self._shown = {}
         self._last = {}
         if self.kind == NUMBERS:
@@ -70,14 +73,15 @@ class Ghost:
         """What the cameras report, of bodies that are put where the ghost is."""
 
         def exposed():
-            true = tuple(Pose(robot.x, robot.y, robot.heading) for robot in self.lab.robots)
-            shown = self._show(true)
+            true_poses = tuple(Pose(robot.x, robot.y, robot.heading) for robot in self.lab.robots)
+            ghost_poses = self._show(true_poses)
             bodies = self.lab.emulation.camera.tracked
-            for body, pose, now in zip(bodies, true, shown, strict=True):
-                body.shift = complex(now.x - pose.x, now.y - pose.y)
-                body.turned = now.heading - pose.heading
-            for i in self._shown if self.kind == "frozen" else ():
-                bodies[i].repeats = True
+            for body, true, ghost in zip(bodies, true_poses, ghost_poses, strict=True):
+                body.shift = complex(ghost.x - true.x, ghost.y - true.y)
+                body.turned = ghost.heading - true.heading
+            if self.kind == "frozen":
+                for i in self._shown:
+                    bodies[i].repeats = True
             return expose()
 
         return exposed
@@ -87,60 +91,78 @@ class Ghost:
         return (self.lab.clock.timeline.now_ns - (self._began or 0)) / SECOND
 
     def _show(self, poses: tuple[Pose, ...]) -> tuple[Pose, ...]:
+        """Return the poses that are shown of robots with these, and move the ghosts on."""
         now = self.lab.clock.timeline.now_ns
-        last = self.lab.plant.rig.loop.last
-        if self._began is None and self.at_s == -math.inf:
-            self._began = now
-        elif self._began is None and last is not None and last.direction is not None:
-            self._began = now + round(self.at_s * SECOND)
-        dt = (now - self._then) / SECOND
+        self._begin_when_due(now)
+        dt_s = (now - self._then) / SECOND
         self._then = now
         if self._began is None or now < self._began:
             self._last = dict(enumerate(poses))
             return poses
-        if self.kind != "slip" or not self.lab.robots[self.who[0]].standing:
-            self._turned += (
-                self.speed / (WHEEL_M if self.kind in ("heading", "curve") else 1.0) * dt
-            )
-        shown = list(poses)
+        self._turn_on(dt_s)
+        ghost_poses = list(poses)
         for i in self.who:
-            shown[i] = self._ghost(i, poses[i], 1000 * self.speed * dt)
-            self._shown[i] = shown[i]
+            ghost_poses[i] = self._ghost(i, poses[i], MM_PER_M * self.speed * dt_s)
+            self._shown[i] = ghost_poses[i]
             self._last[i] = poses[i]
-        return tuple(shown)
+        return tuple(ghost_poses)
 
-    def _ghost(self, i: int, pose: Pose, step: float) -> Pose:
-        before = self._last.get(i, pose)
+    def _begin_when_due(self, now: int) -> None:
+        """Begin at once, or so long after the first command."""
+        if self._began is not None:
+            return
+        last = self.lab.plant.rig.loop.last
+        if self.at_s == -math.inf:
+            self._began = now
+        elif last is not None and last.direction is not None:
+            self._began = now + round(self.at_s * SECOND)
+
+    def _turn_on(self, dt_s: float) -> None:
+        """Let what turns, grows or moves go on: a slip only while its robot drives."""
+        if self.kind == "slip" and self.lab.robots[self.who[0]].standing:
+            return
+        rate = self.speed / WHEEL_M if self.kind in ("heading", "curve") else self.speed
+        self._turned += rate * dt_s
+
+    def _ghost(self, i: int, pose: Pose, step_mm: float) -> Pose:
+        """Return where robot i is shown, whose ghost goes on by a step if it goes straight."""
         if self.kind == NUMBERS:
             return pose
         if self.kind == "frozen":
-            return self._shown.get(i, before)
+            return self._shown.get(i, self._last.get(i, pose))
         if self.kind == "heading":
             return Pose(pose.x, pose.y, pose.heading + self._turned)
-        if self.kind in ("push", "steps"):
-            share = min(1.0, self._since_s / PUSH_S)
-            way = self.speed * share if self.kind == "push" else STEP_M * (self._since_s // STEPS_S)
-            return Pose(pose.x + 600 * way, pose.y + 800 * way, pose.heading)
-        if self.kind in CAMERA:
-            grown = self._turned * (self.kind == "scale")
-            turn = self._turned
-            turn, way = turn * (self.kind == "rotation"), 1000 * turn * (self.kind == "origin")
-            z = complex(pose.x, pose.y) * cmath.rect(1.0 + grown, turn) + way * (0.6 + 0.8j)
-            return Pose(z.real, z.imag, pose.heading + turn)
-        dx, dy = self._paths.get(i, (0.0, 0.0))
+        if self.kind == "push":
+            return _pushed(pose, self.speed * min(1.0, self._since_s / PUSH_S))
+        if self.kind == "steps":
+            return _pushed(pose, STEP_M * (self._since_s // STEPS_S))
+        if self.kind == "origin":
+            return _moved(pose, MM_PER_M * self._turned * PUSHED)
+        if self.kind == "scale":
+            return Pose(pose.x * (1.0 + self._turned), pose.y * (1.0 + self._turned), pose.heading)
+        if self.kind == "rotation":
+            turned = complex(pose.x, pose.y) * cmath.rect(1.0, self._turned)
+            return Pose(turned.real, turned.imag, pose.heading + self._turned)
         if self.kind in ("curve", "turn", "slip"):
-            x = pose.x - before.x
-            y = pose.y - before.y
-            cos = math.cos(self._turned)
-            sin = math.sin(self._turned)
-            self._paths[i] = dx + cos * x - sin * y - x, dy + sin * x + cos * y - y
-            dx, dy = self._paths[i]
-            return Pose(pose.x + dx, pose.y + dy, pose.heading + self._turned)
-        angle = {"along": 0.0, "against": math.pi, "sideways": math.pi / 2}[self.kind]
-        course = self.lab.robots[i].heading + angle
-        self._paths[i] = dx + step * math.cos(course), dy + step * math.sin(course)
-        dx, dy = self._paths[i]
-        return Pose(pose.x + dx, pose.y + dy, pose.heading)
+            self._drive_on(i, pose)
+            ghost = _moved(pose, self._ways[i])
+            return Pose(ghost.x, ghost.y, pose.heading + self._turned)
+        course = self.lab.robots[i].heading + COURSES[self.kind]
+        self._ways[i] = self._ways.get(i, 0j) + cmath.rect(step_mm, course)
+        return _moved(pose, self._ways[i])
+
+    def _drive_on(self, i: int, pose: Pose) -> None:
+        """Let a ghost go as its robot went since the last exposure, in its turned course [mm]."""
+        before = self._last.get(i, pose)
+        x = pose.x - before.x
+        y = pose.y - before.y
+        cos = math.cos(self._turned)
+        sin = math.sin(self._turned)
+        way = self._ways.get(i, 0j)
+        self._ways[i] = complex(
+            way.real + cos * x - sin * y - x,
+            way.imag + sin * x + cos * y - y,
+        )
 
     def _watch(self) -> None:
         if self._began is None or self.lab.clock.timeline.now_ns < self._began:
@@ -159,13 +181,24 @@ class Ghost:
             stopped = guard.state is GuardState.ABORT
             if stopped and all(robot.standing for robot in self.lab.robots):
                 self.rest_s = self._since_s
-        elif frame := self.lab.plant.rig.frames.newest:
+            return
+        frame = self.lab.plant.rig.frames.newest
+        if frame:
             self.late += [frame.fresh[i] for i in self.who]
 
     def _off(self, i: int) -> float:
+        """Return how far robot i is shown from where it is [mm]."""
         robot = self.lab.robots[i]
-        shown = self._shown[i]
-        return math.hypot(shown.x - robot.x, shown.y - robot.y)
+        ghost = self._shown[i]
+        return math.hypot(ghost.x - robot.x, ghost.y - robot.y)
+
+
+def _moved(pose: Pose, way: complex) -> Pose:
+    return Pose(pose.x + way.real, pose.y + way.imag, pose.heading)
+
+
+def _pushed(pose: Pose, way_m: float) -> Pose:
+    return Pose(pose.x + 600 * way_m, pose.y + 800 * way_m, pose.heading)
 
 
 def slow_radio(lab: VirtualLab, delay_s: float) -> None:

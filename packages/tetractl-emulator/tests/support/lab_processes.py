@@ -98,7 +98,8 @@ class Emulator:
         hung = time.monotonic() + PATIENCE_S
         while time.monotonic() < hung:
             with suppress(queue.Empty):
-                if (event := self.next(timeout=0.05))["event"] == name:
+                event = self.next(timeout=0.05)
+                if event["event"] == name:
                     return event
             meanwhile()
         raise AssertionError(f"no {name} came")
@@ -284,7 +285,8 @@ def emulated(folder, *sets, script=NOTHING, tell=None, spec=TWO, **options):
 def turn_until(lab, condition, turns=20_000):
     """Turn the emulation's loop until `condition()`; return what it returned."""
     for _ in range(turns):
-        if found := condition():
-            return found
+        result = condition()
+        if result:
+            return result
         lab.loop.turn()
     raise AssertionError("it did not happen")

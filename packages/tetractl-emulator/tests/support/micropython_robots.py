@@ -36,8 +36,8 @@ def micropython_robots():
             ran.add(ask("push", self._row, now_ms, data.hex()))
 
         def wheels(self, now_ms):
-            left, right = ask("wheels", self._row, now_ms).split()
-            return int(left), int(right)
+            words = ask("wheels", self._row, now_ms).split()
+            return tuple(int(word) for word in words)
 
         def status(self, now_ms):
             return Status(int(ask("status", self._row, now_ms)))

@@ -83,9 +83,9 @@ def joined(lab, clock):
         if loop.step_if_due in clock.steps:
             clock.steps.remove(loop.step_if_due)
 
-    def live(own):
+    def start_live(live_clock):
         def step():
-            own._step_to(own.now())
+            live_clock._step_to(live_clock.now())
 
         clock.steps.append(step)
         return lambda: clock.steps.remove(step)
@@ -98,15 +98,15 @@ def joined(lab, clock):
             ("tetractl.lab.serial_port.require_port", lambda name, device: None),
         ):
             stack.enter_context(mock.patch(name, value))
-        made = mock.patch.object(RigSection, "clock", lambda *_: TrialClock(clock))
-        stack.enter_context(made)
+        of_rig = mock.patch.object(RigSection, "clock", lambda *_: TrialClock(clock))
+        stack.enter_context(of_rig)
         start = mock.patch.object(
             InnerLoop, "start", lambda loop: clock.steps.append(loop.step_if_due)
         )
         stack.enter_context(start)
         host = mock.patch(f"{LiveClock.__module__}.MonotonicClock", lambda: TrialClock(clock))
         stack.enter_context(host)
-        stack.enter_context(mock.patch.object(LiveClock, "start", live))
+        stack.enter_context(mock.patch.object(LiveClock, "start", start_live))
         stack.enter_context(mock.patch.object(InnerLoop, "close", close))
         for kind in Joined.devices:
             device = f"{__name__}:{Joined.__name__}"

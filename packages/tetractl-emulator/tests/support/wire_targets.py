@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections.abc import Iterator
 
 from support.paths import SCRIPTS
 from support.targets import Target, files, only, text
@@ -49,26 +50,33 @@ def natnet_datagrams(data: bytes) -> None:
     """One byte for a version, then datagrams, cut where their headers say."""
     version = VERSIONS[data[0] % len(VERSIONS)] if data else None
     rest = data[1:]
-    for known in (version, None):
+    for server_version in (version, None):
         with only(WireError):
-            parse(rest, known)
-    fed = stream()
+            parse(rest, server_version)
+    hearing = stream()
     for question in (
         natnet.Connect(),
         natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF),
         natnet.EchoRequest(ECHOED_NS),
     ):
-        fed.asked(question)
-    at = count = 0
-    while at < len(rest):
-        size = 4 + int.from_bytes(rest[at + 2 : at + 4], "little")
-        fed.asked(natnet.NatNetRequest((UP_AXIS, UNITS)[count % 2]))
-        fed.feed(rest[at : at + size], 500 * MS * count)
-        at = at + size
-        count = count + 1
-    seen = fed.counts
-    assert seen.frames + seen.bad + seen.unasked <= count
-    fed.missing()
+        hearing.asked(question)
+    fed = 0
+    for datagram in cut_by_headers(rest):
+        hearing.asked(natnet.NatNetRequest((UP_AXIS, UNITS)[fed % 2]))
+        hearing.feed(datagram, 500 * MS * fed)
+        fed += 1
+    counts = hearing.counts
+    assert counts.frames + counts.bad + counts.unasked <= fed
+    hearing.missing()
+
+
+def cut_by_headers(data: bytes) -> Iterator[bytes]:
+    """Yield the datagrams of which data consist: each begins with 2 bytes and its size after 4."""
+    start = 0
+    while start < len(data):
+        end = start + 4 + int.from_bytes(data[start + 2 : start + 4], "little")
+        yield data[start:end]
+        start = end
 
 
 def datagrams() -> list[bytes]:

@@ -1,5 +1,8 @@
 """The simulated bench and the emulated lab: the same trials, alike in distribution."""
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -34,61 +37,102 @@ def test_total_errors_agree_in_distribution(paths):
     labs = [path.result for path in paths]
     sims = [bench_trial(bench_spec(), trial).result for trial in range(TRIALS)]
     assert all(result.outcome.complete for result in (*labs, *sims))
-    ours, theirs = ([result.total_error for result in results] for results in (labs, sims))
-    assert stats.ks_2samp(ours, theirs).pvalue > LOSSES
-    means = stats.permutation_test(
-        (np.log(ours), np.log(theirs)), lambda a, b: a.mean() - b.mean(), rng=1
-    )
-    assert means.pvalue > LOSSES
+    lab_errors = np.array([result.total_error for result in labs])
+    sim_errors = np.array([result.total_error for result in sims])
+    assert stats.ks_2samp(lab_errors, sim_errors).pvalue > LOSSES
+
+    def difference_of_means(a, b):
+        return a.mean() - b.mean()
+
+    logarithms = (np.log(lab_errors), np.log(sim_errors))
+    assert stats.permutation_test(logarithms, difference_of_means, rng=1).pvalue > LOSSES
+
+
+PREDICTED_FRAMES = 24  # 0.2 s
+FRAMES_BETWEEN_STARTS = 12
+
+
+@dataclass(frozen=True)
+class Steered:
+    """A direction [rad], and when it acts [ns]."""
+
+    since_ns: float
+    direction: float
+
+
+def predicted_headings(pose, start_ns, end_ns, steered, a, bias, speed):
+    """The headings (N,) by (1)-(3) at `end_ns` of robots with poses (N, 3) at `start_ns`."""
+    x, y, heading = pose.T
+    acting = max((entry for entry in steered if entry.since_ns <= start_ns), key=_since)
+    changes = [entry for entry in steered if start_ns < entry.since_ns < end_ns]
+    now_ns = start_ns
+    for change in [*changes, Steered(end_ns, math.nan)]:
+        toward = np.array(acting.direction) + bias
+        seconds = (change.since_ns - now_ns) / SECOND
+        x, y, heading = exact(x, y, heading, toward, a, speed, seconds)
+        now_ns = change.since_ns
+        acting = change
+    return heading
+
+
+def _since(entry):
+    return entry.since_ns
 
 
 def dead_time_s(path, setup):
-    """The dead time, a and bias with which (1)-(3) predict a path best over 0.2 s [s]."""
-    sent = [(s.observation.sampled_ns, s.command.direction) for s in path.steps]
-    times = path.mocap_ns
-    poses = path.mocap
-    span = 24
-    first, last = np.searchsorted(times, [sent[0][0] + SECOND // 4, sent[-1][0] - SECOND // 5])
-    starts = range(first, last, 12)
+    """The dead time with which, by a and biases fitted too, (1)-(3) predict headings best [s]."""
+    observed_ns = np.array([step.observation.sampled_ns for step in path.steps])
+    directions = [step.command.direction for step in path.steps]
+    inside = [observed_ns[0] + SECOND // 4, observed_ns[-1] - SECOND // 5]
+    first, last = np.searchsorted(path.mocap_ns, inside)
+    starts = range(first, last, FRAMES_BETWEEN_STARTS)
 
-    def misses(q):
-        acting = [(when + q[0] * SECOND, u) for when, u in sent]
-        a = setup.a * q[1:4]
-        bias = q[4:7] / setup.a
-        gathered = []
-        for i in starts:
-            now = times[i]
-            end = times[i + span]
-            x, y, heading = poses[i].T
-            u = next(u for when, u in reversed(acting) if when <= now)
-            for when, new in [*((w, n) for w, n in acting if now < w < end), (end, u)]:
-                x, y, heading = exact(
-                    x, y, heading, np.array(u) + bias, a, setup.speed, (when - now) / SECOND
-                )
-                now = when
-                u = new
-            gathered.append(
-                np.remainder(heading - poses[i + span, :, 2] + np.pi, 2 * np.pi) - np.pi
-            )
-        return np.concatenate(gathered)
+    def misses(parameters):
+        """Errors of headings predicted with a dead time [s], factors of a, and biases times a."""
+        dead_time, a_factors, scaled_biases = np.split(parameters, [1, 4])
+        since_ns = observed_ns + dead_time[0] * SECOND
+        steered = [Steered(*entry) for entry in zip(since_ns, directions, strict=True)]
+        a = setup.a * a_factors
+        bias = scaled_biases / setup.a
+        errors = []
+        for start in starts:
+            end = start + PREDICTED_FRAMES
+            span_ns = (path.mocap_ns[start], path.mocap_ns[end])
+            heading = predicted_headings(path.mocap[start], *span_ns, steered, a, bias, setup.speed)
+            errors.append(wrap(heading - path.mocap[end, :, 2]))
+        return np.concatenate(errors)
 
     guess = [0.05, *([1.0] * 3), *([0.0] * 3)]
     return least_squares(misses, guess, diff_step=1e-3, loss="soft_l1", f_scale=0.05).x[0]
 
 
-def headings(plant, clock, directions, period_ns):
-    """Steer from a whole period on; return the times since then [s] and headings (M, N)."""
+@dataclass(frozen=True)
+class Headings:
+    """The headings (M, N) of N robots at times (M,) [s]."""
+
+    time_s: np.ndarray
+    heading: np.ndarray
+
+    def at(self, times):
+        """The headings of each robot at other times, (N, times)."""
+        return np.array([np.interp(times, self.time_s, robot) for robot in self.heading.T])
+
+
+def steered_headings(plant, clock, directions, period_ns):
+    """Steer from a whole period on; return the headings from then on."""
     plant.open()
-    began = (clock.now() // period_ns + 1) * period_ns
-    clock.sleep_until(began)
+    began_ns = (clock.now() // period_ns + 1) * period_ns
+    clock.sleep_until(began_ns)
     samples = []
     for k, direction in enumerate(directions):
         plant.observe()
         plant.send(Steer(direction))
-        clock.sleep_until(began + (k + 1) * period_ns)
+        clock.sleep_until(began_ns + (k + 1) * period_ns)
         samples += plant.samples()
-    times = [sample.observation.sampled_ns - began for sample in samples]
-    return np.array(times) / SECOND, np.array([s.observation.poses.heading for s in samples])
+    observations = [sample.observation for sample in samples]
+    times_ns = np.array([observation.sampled_ns for observation in observations])
+    headings = np.array([observation.poses.heading for observation in observations])
+    return Headings((times_ns - began_ns) / SECOND, headings)
 
 
 @pytest.mark.parametrize(("period", "step"), [(0.2, 3.0), (0.05, 0.6)])
@@ -100,18 +144,18 @@ def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
     simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
     period_ns = round(period * SECOND)
     with virtual_lab(None, spec=lab_spec("obstacles=[]"), seed=3) as lab:
-        theirs = headings(lab.plant, lab.clock, directions, period_ns)
-    ours = headings(simulated, clock, directions, period_ns)
-    at = np.arange(0.3, 3.8, 0.01)
+        of_lab = steered_headings(lab.plant, lab.clock, directions, period_ns)
+    of_simulation = steered_headings(simulated, clock, directions, period_ns)
+    times = np.arange(0.3, 3.8, 0.01)
 
-    def gap(shift):
-        pairs = zip(ours[1].T, theirs[1].T, strict=True)
-        return [np.interp(at - shift, ours[0], o) - np.interp(at, theirs[0], t) for o, t in pairs]
+    def gaps(shift_s):
+        return of_simulation.at(times - shift_s) - of_lab.at(times)
 
-    assert np.abs(gap(0.0)).max() < 0.02
-    shifts = np.arange(-0.02, 0.02, 0.0005)
-    best = shifts[np.argmin([np.square(gap(shift)).sum() for shift in shifts])]
-    assert abs(best) < 0.003
+    assert np.abs(gaps(0.0)).max() < 0.02
+    shifts_s = np.arange(-0.02, 0.02, 0.0005)
+    squares = [np.square(gaps(shift_s)).sum() for shift_s in shifts_s]
+    best_s = shifts_s[np.argmin(squares)]
+    assert abs(best_s) < 0.003
 
 
 def turned_on_the_spot(plant, clock):
@@ -120,21 +164,27 @@ def turned_on_the_spot(plant, clock):
     clock.sleep_until(clock.now() + SECOND // 10)
     plant.observe()
     plant.send(Steer(0.5))
-    gathered = []
-    for facing in (None, -0.8, -0.8, None):
+
+    def act_after_half_a_second(action):
         clock.sleep_until(clock.now() + SECOND // 2)
-        gathered.append(plant.observe().poses)
-        action = Stop() if facing is None else Turn(facing)
+        poses = plant.observe().poses
         assert plant.send(action).action == action
+        return poses
+
+    turn = Turn(-0.8)
+    act_after_half_a_second(Stop())
+    before = act_after_half_a_second(turn)
+    act_after_half_a_second(turn)
+    act_after_half_a_second(Stop())
     clock.sleep_until(clock.now() + SECOND // 2)
-    repeats = [one.action for one in plant.news() if isinstance(one, Command)]
-    assert repeats.count(Turn(-0.8)) > 20
+    actions = [news.action for news in plant.news() if isinstance(news, Command)]
+    assert actions.count(turn) > 20  # it is repeated
     after = plant.observe().poses
     verdict = plant.settle()
     plant.stop()
     plant.close()
     assert verdict.not_at_rest == ""
-    return gathered[1], after
+    return before, after
 
 
 def test_robots_of_both_turn_on_the_spot_alike():
@@ -142,17 +192,21 @@ def test_robots_of_both_turn_on_the_spot_alike():
     clock = VirtualClock()
     simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
     with virtual_lab(None, spec=lab_spec(), seed=3) as lab:
-        turned = [turned_on_the_spot(lab.plant, lab.clock), turned_on_the_spot(simulated, clock)]
-    for before, after in turned:
-        assert np.hypot(*(after.xy - before.xy).T).max() < 3
-        off = [wrap(poses.heading + 0.8) for poses in (before, after)]
-        expected = 2 * np.arctan(np.tan(off[0] / 2) * np.exp(-bench.setup.a * 1.0))  # (3), 1 s
-        assert np.abs(off[1] - expected).max() < 0.1
+        of_lab = turned_on_the_spot(lab.plant, lab.clock)
+    of_simulation = turned_on_the_spot(simulated, clock)
+    turned_for_s = 1.0
+    remains = np.exp(-bench.setup.a * turned_for_s)  # of tan(off / 2), by (3)
+    for before, after in (of_lab, of_simulation):
+        ways = np.linalg.norm(after.xy - before.xy, axis=1)
+        assert ways.max() < 3
+        off_before = wrap(before.heading + 0.8)
+        off_after = wrap(after.heading + 0.8)
+        expected = 2 * np.arctan(np.tan(off_before / 2) * remains)
+        assert np.abs(off_after - expected).max() < 0.1
 
 
 def test_the_labs_dead_time_is_what_its_parts_add_up_to(paths):
     """Regression: 0.05 s left no time for frames to be waited for and plans to be computed."""
     experiment = lab_spec().experiment
-    found = [dead_time_s(path, experiment.setup) for path in paths[:6]]
-    stated = experiment.controller.dead_time
-    assert np.median(found) == pytest.approx(stated, abs=0.008)
+    fitted_s = [dead_time_s(path, experiment.setup) for path in paths[:6]]
+    assert np.median(fitted_s) == pytest.approx(experiment.controller.dead_time, abs=0.008)

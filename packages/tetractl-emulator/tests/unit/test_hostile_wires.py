@@ -15,13 +15,20 @@ def test_anything_may_come(name):
 
 def test_good_conversations_come_through():
     """Else mutants of them would be refused at the door."""
-    fed = []
-    before = wire_targets.stream
+    new_stream = wire_targets.stream
+    streams = []
+
+    def recorded_stream():
+        stream = new_stream()
+        streams.append(stream)
+        return stream
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wire_targets, "stream", lambda: fed.append(before()) or fed[-1])
+        patch.setattr(wire_targets, "stream", recorded_stream)
         for seed in wire_targets.datagrams():
             wire_targets.natnet_datagrams(seed)
-    whole = [stream for stream in fed if stream.newest and stream.newest.poses[0]]
-    assert len(whole) == len(wire_targets.VERSIONS)
-    assert sum(stream.sync is not None and stream.sync.synced for stream in fed) == 4
-    assert all(stream.unit_mm == 1000 for stream in whole)
+    with_poses = [stream for stream in streams if stream.newest and stream.newest.poses[0]]
+    assert len(with_poses) == len(wire_targets.VERSIONS)
+    assert all(stream.unit_mm == 1000 for stream in with_poses)
+    synced = [stream for stream in streams if stream.sync is not None and stream.sync.synced]
+    assert len(synced) == 4

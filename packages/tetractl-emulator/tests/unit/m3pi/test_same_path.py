@@ -89,8 +89,8 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
             fleet.advance(command.sent_ns)
             broadcast_to(fleet, number, command, known_wheels)
         fleet.advance(now_ns)
-        places = fleet.now().places
-        differences.append(np.abs(np.array(places) - sample.truth.array()).max())
+        difference = np.array(fleet.now().places) - sample.truth.array()
+        differences.append(np.abs(difference).max())
     first, late, last = (samples[k].truth.xy for k in (0, -30, -1))
     assert np.abs(last - first).max() > 50
     assert np.abs(last - late).max() < 1e-6  # stopped

@@ -58,16 +58,16 @@ def truth_of(*events, fault=DARK, said=ERROR):
     return DishTruth(Day(plan, events, 1, said, None, "", 1.0), EXPERIMENT.setup, LIMITS, 0.25)
 
 
-def found(*events, **more):
-    names = {
-        cell_violation.name
-        for cell_violation in cell_violations(truth_of(*events, **more), EXPERIMENT.lab)
-    }
+def broken(*events, **more):
+    """The names of what a day without a log breaks, but that a log has to be there."""
+    truth = truth_of(*events, **more)
+    names = {violation.name for violation in cell_violations(truth, EXPERIMENT.lab)}
     return names - {"log"}
 
 
 def test_a_good_end_breaks_nothing():
-    assert not found(SEEN, STOP, command(2.9), command(3.0, 0), truth_at(3.0, 0.5), truth_at(3.4))
+    stopped = [STOP, command(3.0, 0), truth_at(3.0, 0.5), truth_at(3.4)]
+    assert not broken(SEEN, command(2.9), *stopped)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_good_end_breaks_nothing():
     ],
 )
 def test_a_sentence_is_broken(name, events, more):
-    assert name in found(*events, **more)
+    assert name in broken(*events, **more)
 
 
 def test_a_cell_that_was_born_is_one_of_the_dish():
@@ -100,37 +100,47 @@ def test_a_cell_that_was_born_is_one_of_the_dish():
 
 def test_pictures_that_were_late_make_the_bound_later():
     late = {"kind": "pictures late", "strength": 0.5, "fault": "late_pictures", "by": 0.2, "at": 1}
-    assert not found(SEEN, STOP, command(2.1, unseen=450.0), fault=late)
+    assert not broken(SEEN, STOP, command(2.1, unseen=450.0), fault=late)
+
+
+def give_log(truth, **fields):
+    """Give a day a log with these fields; all others are None."""
+    empty = dict.fromkeys(TrialLog.__dataclass_fields__)
+    vars(truth)["log"] = TrialLog(**empty | fields)
 
 
 def test_a_frame_whose_number_comes_twice_is_that_of_its_time():
     events = [{**truth_at(t), "frame": n} for t, n in ((1.5, 7), (1.6, 8), (1.7, 7), (1.8, 8))]
     truth = truth_of(*events)
-    fields = dict.fromkeys(TrialLog.__dataclass_fields__)
-    times = np.array([1_500_000_000, 1_600_000_000, 1_700_000_000])
-    vars(truth)["log"] = TrialLog(**fields | {"frames": np.array([7, 8, 7]), "mocap_ns": times})
+    times_ns = np.array([1_500_000_000, 1_600_000_000, 1_700_000_000])
+    give_log(truth, frames=np.array([7, 8, 7]), mocap_ns=times_ns)
     assert truth.exposure_of_frame == [1, 2, 3]  # the first exposure of all has no number
 
 
-def logged(seconds, seen, meets=False):
-    """What is found of a log in which robot 0 was seen at `seen` [um] for so long."""
+def day_with_shown_cell(seconds, shown_um, meets=False):
+    """A day with a log whose camera showed cell 0 at one place for so long, while all stood.
+
+    If it `meets` the second cell, both are 30 um apart as the log begins.
+    """
     times = np.arange(1.0, 1.0 + seconds, 0.1)
-    near = [[1.0, 1.0, 0.0], [1.03, 1.0, 0.0], *STARTS[2:]] if meets else STARTS
-    events = [truth_at(times[1], 0.0, near), *(truth_at(t, 0.0) for t in times[2:])]
-    poses = np.array([[STARTS[0], STARTS[1], STARTS[2]]] * len(times)) * 1000
-    poses[1:, 0, :2] = seen
+    at_first = [[1.0, 1.0, 0.0], [1.03, 1.0, 0.0], *STARTS[2:]] if meets else STARTS
+    events = [truth_at(times[1], 0.0, at_first)]
+    events += [truth_at(time, 0.0) for time in times[2:]]
     truth = truth_of(SEEN, *events)
+    poses = np.array([STARTS[:3]] * len(times)) * 1000
+    poses[1:, 0, :2] = shown_um
     setup = EXPERIMENT.setup
-    errors = np.hypot(*(poses[-1, :, :2] - setup.targets.reshape(-1, 2)).T)
-    fields = dict.fromkeys(TrialLog.__dataclass_fields__) | {
-        "start": SimpleNamespace(setup=setup),
-        "mocap_ns": np.round(times * 1e9).astype(int),
-        "mocap": poses,
-        "valid": np.ones(poses.shape[:2], bool),
-        "stop": SimpleNamespace(sent_ns=round(times[-1] * 1e9)),
-        "result": SimpleNamespace(outcome=Outcome.ARRIVED, robot_errors=errors, lost=(), reason=""),
-    }
-    vars(truth)["log"] = TrialLog(**fields)
+    ways = poses[-1, :, :2] - setup.targets.reshape(-1, 2)
+    errors = np.linalg.norm(ways, axis=1)
+    give_log(
+        truth,
+        start=SimpleNamespace(setup=setup),
+        mocap_ns=np.round(times * 1e9).astype(int),
+        mocap=poses,
+        valid=np.ones(poses.shape[:2], bool),
+        stop=SimpleNamespace(sent_ns=round(times[-1] * 1e9)),
+        result=SimpleNamespace(outcome=Outcome.ARRIVED, robot_errors=errors, lost=(), reason=""),
+    )
     return truth
 
 
@@ -148,7 +158,7 @@ def test_a_knock_is_of_a_class_only_where_nothing_that_stands_shows_it(specks, b
 
 
 @pytest.mark.parametrize(
-    ("seconds", "seen", "meets", "expected"),
+    ("seconds", "shown_um", "meets", "expected"),
     [
         (6.0, (1010.0, 1000.0), False, set()),
         (3.0, (1990.0, 1000.0), False, {("untrue", "")}),
@@ -156,7 +166,10 @@ def test_a_knock_is_of_a_class_only_where_nothing_that_stands_shows_it(specks, b
         (6.0, (1990.0, 1000.0), True, {("untrue", "met")}),
     ],
 )
-def test_a_wrong_pose_is_found_unless_its_cell_has_met_the_other(seconds, seen, meets, expected):
-    truth = logged(seconds, seen, meets)
-    broken = [*_identity(truth, EXPERIMENT.lab.limits), *_result(truth)]
-    assert {(one.name, one.predicted.partition(":")[0]) for one in broken} == expected
+def test_a_wrong_pose_is_found_unless_its_cell_has_met_the_other(
+    seconds, shown_um, meets, expected
+):
+    truth = day_with_shown_cell(seconds, shown_um, meets)
+    violations = [*_identity(truth, EXPERIMENT.lab.limits), *_result(truth)]
+    kinds = {(violation.name, violation.predicted.partition(":")[0]) for violation in violations}
+    assert kinds == expected

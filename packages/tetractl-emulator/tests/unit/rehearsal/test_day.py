@@ -27,12 +27,13 @@ def test_a_day_that_gets_little_time_of_a_busy_machine_does_not_hang(child, monk
     pid, ended, write = child
     used = count()
 
-    def little(_):
-        if (ticks := next(used)) == 5:
+    def ten_milliseconds_more(_):
+        ticks = next(used)
+        if ticks == 5:
             os.write(write, b"x")
         return ticks / 100
 
-    monkeypatch.setattr(day, "_used_s", little)
+    monkeypatch.setattr(day, "_used_s", ten_milliseconds_more)
     assert day._wait(pid, ended)[0] == 0
 
 

@@ -27,15 +27,16 @@ def test_steps_of_the_lab_come_in_order(tmp_path):
 )
 def test_a_frame_counter_goes_back_only_as_a_trial_aborts(outcome, after, wrong, tmp_path):
     """For whatever reason it aborts: robots may be lost just before."""
-    log = read_trial(random_trials.write(random_trials.trial(simulated=False), tmp_path / "t.mcap"))
+    lab_trial = random_trials.trial(simulated=False)
+    log = read_trial(random_trials.write(lab_trial, tmp_path / "t.mcap"))
     steps = log.steps[:3]
     last = int(np.searchsorted(log.mocap_ns, steps[-1].observation.sampled_ns))
     numbers = log.frames.copy()
     numbers[last + after :] -= 30
     result = replace(log.result, outcome=outcome, reason="red is lost")
     changed = replace(log, frames=numbers, steps=steps, result=result)
-    differences = log_differences(changed)
-    assert ("mocap.frames" in {one.field for one in differences}) == wrong
+    fields = {difference.field for difference in log_differences(changed)}
+    assert ("mocap.frames" in fields) == wrong
 
 
 @pytest.mark.parametrize("metres", [0.001, 1.0])
@@ -57,7 +58,7 @@ def test_a_complete_lab_trial_shows_every_robot_at_rest(
 ):
     log = lab_log(tmp_path, valid, speed_mm, halts, metres)
     differences = log_differences(log)
-    found = [
+    of_outcome = [
         difference.message for difference in differences if difference.field == "result.outcome"
     ]
-    assert found == ([said] if said else [])
+    assert of_outcome == ([said] if said else [])

@@ -64,11 +64,11 @@ END = truth_at(5.0)
 GOOD = [*RUN, *DRIVES, starts(2.0), ABORT, *STOPS, truth_at(2.2, 180.0), END]
 
 
-def day(events, fault=LOST, said=ERROR, code=1, left="", setup=SETUP):
+def day(events, fault=LOST, said=ERROR, code=1, leftovers="", setup=SETUP):
     """A day of such events without a log."""
     plan = DayPlan(1, {"actuator": {}}, [fault], "")
     in_order = sorted(events, key=lambda event: event["t_ns"])
-    return Truth(Day(plan, in_order, code, said, None, left, 1.0), setup, LabLimits(), 0.25)
+    return Truth(Day(plan, in_order, code, said, None, leftovers, 1.0), setup, LabLimits(), 0.25)
 
 
 def broken(events, **more):
@@ -88,7 +88,7 @@ SEEN_SELDOM = [
     truth_at(1.0 + k / 60, unseen=(200.0, 10.0, 10.0) if k % 5 else (10.0, 10.0, 10.0))
     for k in range(300)
 ]
-DRIVEN_AT_TIMES = [command(1.0 + k / 5, 20 * (k % 2 == 0)) for k in range(23)]
+DRIVEN_AT_TIMES = [command(1.0 + k / 5, 20 if k % 2 == 0 else 0) for k in range(23)]
 
 
 @pytest.mark.parametrize(
@@ -116,17 +116,24 @@ def test_a_robot_that_is_lifted_is_not_shown_though_it_is_tracked(height, at_s, 
     assert ("driven blind" in broken(events, fault=lifted)) == wrong
 
 
+def give_log(truth, **fields):
+    """Give a day a log with these fields; all others are None."""
+    empty = dict.fromkeys(TrialLog.__dataclass_fields__)
+    vars(truth)["log"] = TrialLog(**empty | fields)
+
+
+WITHOUT_RESULT = None
+WITH_RESULT = SimpleNamespace()
+
+
 @pytest.mark.parametrize(
-    ("sent_s", "whole", "wrong"), [(1.6, True, False), (1.4, True, True), (1.4, False, False)]
+    ("sent_s", "result", "wrong"),
+    [(1.6, WITH_RESULT, False), (1.4, WITH_RESULT, True), (1.4, WITHOUT_RESULT, False)],
 )
-def test_no_robot_is_driven_without_a_direction(sent_s, whole, wrong):
+def test_no_robot_is_driven_without_a_direction(sent_s, result, wrong):
     """Regression: what a log that a full disk broke off no longer has counted as not sent."""
     truth = day(GOOD)
-    log_fields = dict.fromkeys(TrialLog.__dataclass_fields__)
-    result = SimpleNamespace() if whole else None
-    vars(truth)["log"] = TrialLog(
-        **log_fields | {"steps": [step(sent_s, sent_s)], "result": result}
-    )
+    give_log(truth, steps=[step(sent_s, sent_s)], result=result)
     assert names_of(0, truth) == ({"driven blind"} if wrong else set())
 
 
@@ -172,12 +179,12 @@ def test_a_plan_that_begins_in_the_tick_of_the_end_is_stopped_at_once():
 
 
 def test_a_robot_that_latched_an_emergency_stop_and_rests_breaks_nothing():
+    latched = (2, 2, 2)
+    abort = at(2.0, "guard", state="abort", reason="emergency stop by the operator")
     stops = [command(2.0 + k / 50, 0, 2) for k in range(10)]
-    left = at(2.0, "guard", state="abort", reason="emergency stop by the operator")
+    rest = [truth_at(2.1, status=latched), truth_at(5.0, status=latched)]
     said = "error: trial 1: emergency stop by the operator\n"
-    events = [*RUN, *DRIVES[:9], PRESSED, left, *stops, truth_at(2.1, status=(2, 2, 2)), END]
-    events[-1]["status"] = [2, 2, 2]
-    assert not broken(events, fault=KEY, said=said)
+    assert not broken([*RUN, *DRIVES[:9], PRESSED, abort, *stops, *rest], fault=KEY, said=said)
 
 
 @pytest.mark.parametrize(
@@ -195,14 +202,12 @@ def test_robots_stay_inside_the_arena_and_apart(green, blue, wrong):
     assert ("outside" in broken([*GOOD, truth_at(2.25, 0.0, poses)])) == wrong
 
 
-def with_log(accepted, **fields):
+def with_log(accepted, fault=FREEZES, **fields):
     """A day with a log that has one pose of each robot in one exposure, while green drives."""
-    fault = fields.pop("fault", FREEZES)
     truth = day([*RUN, truth_at(2.2, 180.0), truth_at(2.3, 180.0), END], fault=fault)
     truth.day.events.append(starts(2.1))
-    log_fields = dict.fromkeys(TrialLog.__dataclass_fields__)
     mm = SETUP.metres * 1000
-    log_fields |= {
+    of_one_exposure = {
         "frames": np.array([264]),
         "mocap_ns": np.array([2_200_000_000]),
         "exposed_ns": np.array([[2_200_000_000] * 3]),
@@ -211,12 +216,13 @@ def with_log(accepted, **fields):
         "steps": (),
         "result": SimpleNamespace(outcome=Outcome.ABORTED, reason=ERROR, lost=()),
     }
-    vars(truth)["log"] = TrialLog(**log_fields | fields)
+    give_log(truth, **of_one_exposure | fields)
     return truth
 
 
 def names_of(sentence, truth):
-    return {one.name for one in SENTENCES[sentence](truth)}
+    """The names of what a day breaks of one sentence."""
+    return {violation.name for violation in SENTENCES[sentence](truth)}
 
 
 @pytest.mark.parametrize(
@@ -307,7 +313,7 @@ def test_a_run_that_was_refused_needs_no_log():
     [
         {"said": "error: trial 1: KeyError: 3\n"},
         {"code": 0},
-        {"left": "a thread"},
+        {"leftovers": "a thread"},
         {"code": -100},
     ],
 )

@@ -3,6 +3,7 @@
 from tetractl_emulator.rehearsal.day import DayPlan
 from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, SHRINKS_S, shrunk
 
+PLAY_S = 1.0  # how long a play takes; a play returns this and whether the plan breaks a sentence
 FAULTS = [
     {"fault": "jump", "robot": "green", "by": [300.0, 40.0], "at": 3.217},
     {"fault": "loss", "share": 0.5, "at": 1.0},
@@ -13,10 +14,11 @@ FAULTS = [
 def test_only_the_fault_that_matters_is_left_and_it_is_milder():
     plan = DayPlan(1, {"camera": {}, "robots": []}, FAULTS, "")
 
-    def breaks(one):
-        return any(f["fault"] == "late_radio" and f["by"] >= 0.1 for f in one.faults), 1.0
+    def breaks_by_a_late_radio(plan):
+        late = [fault for fault in plan.faults if fault["fault"] == "late_radio"]
+        return any(fault["by"] >= 0.1 for fault in late), PLAY_S
 
-    small, plays = shrunk(plan, breaks)
+    small, plays = shrunk(plan, breaks_by_a_late_radio)
     (fault,) = small.faults
     assert fault["fault"] == "late_radio"
     assert fault["by"] == 0.1
@@ -26,9 +28,11 @@ def test_only_the_fault_that_matters_is_left_and_it_is_milder():
 
 def test_a_plan_that_needs_all_stays():
     plan = DayPlan(1, {}, FAULTS, "")
-    assert shrunk(plan, lambda one: (False, 1.0))[0] == plan
+    small, _ = shrunk(plan, lambda plan: (False, PLAY_S))
+    assert small == plan
 
 
 def test_long_plays_end_the_shrinking():
     plan = DayPlan(1, {"camera": {}, "robots": []}, FAULTS, "")
-    assert shrunk(plan, lambda one: (False, SHRINKS_S / 3))[1] == 3
+    _, plays = shrunk(plan, lambda plan: (False, SHRINKS_S / 3))
+    assert plays == 3

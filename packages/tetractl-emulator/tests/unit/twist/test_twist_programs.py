@@ -8,6 +8,7 @@ import sys
 from contextlib import contextmanager
 from types import ModuleType, SimpleNamespace
 
+import numpy as np
 import pytest
 from support.paths import EMULATOR
 from tetractl_emulator import firmware
@@ -129,10 +130,8 @@ def test_core_program_and_codec_agree_on_what_a_command_is(tmp_path):
                 counts_of_event[event] += 1
             assert core.wheels(0) == robot.wheels(0)
             assert core.status(0) == robot.status(0)
-            assert (robot.received, robot.rejected) == (
-                events.count(CoreEvent.ACCEPTED),
-                events.count(CoreEvent.REJECTED),
-            )
+            assert robot.received == events.count(CoreEvent.ACCEPTED)
+            assert robot.rejected == events.count(CoreEvent.REJECTED)
             try:
                 decode_command(line)
             except WireError:
@@ -143,118 +142,152 @@ def test_core_program_and_codec_agree_on_what_a_command_is(tmp_path):
     assert counts_of_event[CoreEvent.FOREIGN] > 20
 
 
-class Bench:
-    """A 3pi+ 2040 without its hardware: what main.py writes and reads, for `steps` of 1 ms; wheels
-    run at a share of the speed that their duty stands for."""
+COUNTS_PER_MM = 3.57  # of an encoder
+DUTY_PER_MM_S = 4.0  # of a motor without load
+WATCHDOG_RESET = 3
+STANDING = (0.0, 0.0)
 
-    def __init__(self, steps, lines, share=0.8, battery_mv=5000, reset=0):
-        self.steps = steps
+
+class Bench:
+    """Stands for a 3pi+ 2040 without its hardware: what main.py writes and reads, for some
+    milliseconds.
+
+    Its wheels run at a share of the speed that their duty stands for. `lines` are what the radio
+    receives, by the time [ms]; `speeds_by_ms` are those of the wheels [mm/s] after each step.
+    """
+
+    def __init__(self, duration_ms, lines, share=0.8, battery_mv=5000, reset_cause=0):
+        self.duration_ms = duration_ms
         self.lines = dict(lines)
         self.share = share
-        self.reset = reset
+        self.battery_mv = battery_mv
+        self.reset_cause = reset_cause
         self.now = 0
-        self.speeds = (0.0, 0.0)
+        self.speeds = STANDING
         self.counts = [0.0, 0.0]
         self.sent = b""
-        self.path = []
-        self.fed = 0
-        self.battery_mv = battery_mv
+        self.speeds_by_ms = []
+        self.watchdog_fed = 0
 
     def sleep_ms(self, ms):
         self.now += ms
         for i in (0, 1):
-            self.counts[i] += self.speeds[i] * ms / 1000 * 3.57
-        self.path.append(self.speeds)
-        if self.now >= self.steps:
+            self.counts[i] += self.speeds[i] * ms / 1000 * COUNTS_PER_MM
+        self.speeds_by_ms.append(self.speeds)
+        if self.now >= self.duration_ms:
             raise StopIteration
 
-    def drive(self, left, right):
-        assert all(isinstance(duty, int) for duty in (left, right))
-        self.speeds = left / 4.0 * self.share, right / 4.0 * self.share
+    def drive(self, *duties):
+        assert all(isinstance(duty, int) for duty in duties)
+        duty_left, duty_right = duties
+        speed_per_duty = self.share / DUTY_PER_MM_S
+        self.speeds = (duty_left * speed_per_duty, duty_right * speed_per_duty)
 
-    def modules(self):
-        def feed():
-            self.fed += 1
+    def send(self, data):
+        self.sent += data
 
+    def feed_watchdog(self):
+        self.watchdog_fed += 1
+
+    def machine(self):
+        """The module `machine` of MicroPython."""
         radio = SimpleNamespace(
-            any=lambda: self.now in self.lines, read=lambda: self.lines.pop(self.now)
+            any=lambda: self.now in self.lines,
+            read=lambda: self.lines.pop(self.now),
+            write=self.send,
         )
-        radio.write = lambda data: setattr(self, "sent", self.sent + data)
-        machine, time, pololu = (
-            ModuleType(n) for n in ("machine", "time", "pololu_3pi_2040_robot")
-        )
-        machine.UART = lambda *_, **__: radio
-        machine.Pin = lambda number: number
-        machine.WDT = lambda timeout: SimpleNamespace(feed=feed)
-        machine.WDT_RESET = 3
-        machine.reset_cause = lambda: self.reset
-        time.sleep_ms = self.sleep_ms
-        time.ticks_ms = lambda: self.now
-        time.ticks_diff = lambda now, before: now - before
-        pololu.robot = SimpleNamespace(
+        module = ModuleType("machine")
+        module.UART = lambda *_, **__: radio
+        module.Pin = lambda number: number
+        module.WDT = lambda timeout: SimpleNamespace(feed=self.feed_watchdog)
+        module.WDT_RESET = WATCHDOG_RESET
+        module.reset_cause = lambda: self.reset_cause
+        return module
+
+    def pololu_robot(self):
+        """The module that Pololu's programs have of their robot."""
+        module = ModuleType("pololu_3pi_2040_robot")
+        module.robot = SimpleNamespace(
             Motors=lambda: SimpleNamespace(set_speeds=self.drive),
-            Encoders=lambda: SimpleNamespace(get_counts=lambda: tuple(map(int, self.counts))),
+            Encoders=lambda: SimpleNamespace(get_counts=self.whole_counts),
             Battery=lambda: SimpleNamespace(get_level_millivolts=lambda: self.battery_mv),
         )
-        return {"machine": machine, "time": time, "pololu_3pi_2040_robot": pololu}
+        return module
+
+    def whole_counts(self):
+        return tuple(int(count) for count in self.counts)
 
 
 def play(bench):
+    """Run main.py on a bench until its time is over; MicroPython's `time` has three more names."""
     import time
 
-    modules = bench.modules()
-    kept = modules.pop("time")
-    names = {name: getattr(kept, name) for name in ("sleep_ms", "ticks_ms", "ticks_diff")}
-    for name, value in names.items():
-        setattr(time, name, value)
+    added = {
+        "sleep_ms": bench.sleep_ms,
+        "ticks_ms": lambda: bench.now,
+        "ticks_diff": lambda now, before: now - before,
+    }
+    modules = {"machine": bench.machine(), "pololu_3pi_2040_robot": bench.pololu_robot()}
+    for name, function in added.items():
+        setattr(time, name, function)
     try:
         with programs(**modules), pytest.raises(StopIteration):
             importlib.import_module("main")
     finally:
-        for name in names:
+        for name in added:
             delattr(time, name)
 
 
-def lines(*pairs):
+def lines(*commands):
+    """Lines with numbers from 1 on, by their times; `commands` are time [ms], flags, entries."""
     return {
-        at: encode_command(LineCommand("W", i % 256, flags, entries))
-        for i, (at, flags, entries) in enumerate(pairs, 1)
+        time_ms: encode_command(LineCommand("W", number % 256, flags, entries))
+        for number, (time_ms, flags, entries) in enumerate(commands, 1)
     }
 
 
-def test_a_robot_drives_at_its_speed_and_stops_by_its_watchdog():
-    sent = lines(*[(at, Flag.RUN, ((0, 150, -75),)) for at in range(20, 1000, 25)])
+def runs(end_ms, *speeds):
+    """Commands to run at these speeds of both wheels, every 25 ms."""
+    return lines(*[(time_ms, Flag.RUN, ((0, *speeds),)) for time_ms in range(20, end_ms, 25)])
+
+
+def test_a_robot_drives_at_its_speed():
+    bench = Bench(1600, runs(1000, 150, -75))
+    play(bench)
+    settled = bench.speeds_by_ms[400:990]  # single steps jitter by a count of the encoder
+    mean_left, mean_right = np.mean(settled, axis=0)
+    assert mean_left == pytest.approx(150, abs=4)
+    assert mean_right == pytest.approx(-75, abs=4)
+    assert bench.watchdog_fed == 1600
+
+
+def test_a_robot_stops_by_its_watchdog():
+    sent = runs(1000, 150, -75)
     bench = Bench(1600, sent)
     play(bench)
-    # single steps jitter by a count of the encoder
-    settled = bench.path[400:990]
-    last = max(sent)
-    left, right = (sum(side) / len(settled) for side in zip(*settled, strict=True))
-    assert (left, right) == (pytest.approx(150, abs=4), pytest.approx(-75, abs=4))
-    stopped = next(i for i, speeds in enumerate(bench.path) if i > last and speeds == (0, 0))
-    assert 250 <= stopped - last <= 253
-    assert bench.path[-1] == (0, 0)
-    assert bench.fed == 1600
+    last_ms = max(sent)
+    stopped_ms = bench.speeds_by_ms.index(STANDING, last_ms + 1)
+    assert 250 <= stopped_ms - last_ms <= 253
+    assert bench.speeds_by_ms[-1] == STANDING
 
 
-def test_a_robot_replies_with_its_battery_and_keeps_an_emergency_stop():
-    sent = lines(
-        (20, Flag.POLL, ()),
-        (60, Flag.RUN, ((0, 100, 100),)),
-        (80, Flag.EMERGENCY_STOP, ()),
-        (100, Flag.RUN, ((0, 100, 100),)),
-    )
-    bench = Bench(200, sent, battery_mv=4321)
+def test_a_robot_replies_with_its_battery():
+    bench = Bench(200, lines((20, Flag.POLL, ())), battery_mv=4321)
     play(bench)
     assert re.fullmatch(rb"S 0 1 0 4321 1 0\*[0-9A-F]{4}\n", bench.sent)
-    assert any(left > 0 for left, _ in bench.path[60:80])
-    assert set(bench.path[82:]) == {(0.0, 0.0)}
 
 
-@pytest.mark.parametrize("wrong", [{"battery_mv": 3900}, {"reset": 3}])
-def test_a_robot_with_an_empty_battery_or_after_its_watchdog_stands(wrong):
-    bench = Bench(
-        200, lines(*[(at, Flag.RUN, ((0, 99, 99),)) for at in range(20, 190, 25)]), **wrong
-    )
+def test_a_robot_keeps_an_emergency_stop():
+    run = ((0, 100, 100),)
+    sent = lines((60, Flag.RUN, run), (80, Flag.EMERGENCY_STOP, ()), (100, Flag.RUN, run))
+    bench = Bench(200, sent)
     play(bench)
-    assert set(bench.path) == {(0.0, 0.0)}
+    assert any(speeds != STANDING for speeds in bench.speeds_by_ms[60:80])
+    assert set(bench.speeds_by_ms[82:]) == {STANDING}
+
+
+@pytest.mark.parametrize("wrong", [{"battery_mv": 3900}, {"reset_cause": WATCHDOG_RESET}])
+def test_a_robot_with_an_empty_battery_or_after_its_watchdog_stands(wrong):
+    bench = Bench(200, runs(190, 99, 99), **wrong)
+    play(bench)
+    assert set(bench.speeds_by_ms) == {STANDING}

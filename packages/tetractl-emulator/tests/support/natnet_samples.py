@@ -26,7 +26,8 @@ def full_frame(version, bodies=(BODY, BODY), params=0):
         numbered(packed_name("green"), position, position),
         numbered(packed_name("all"), *[position] * 5),
     ]
-    skeletons = [numbered(packed("i", 3), body, body), numbered(packed("i", 4))]
+    skeleton = numbered(packed("i", 3), body, body)
+    skeletons = [skeleton, numbered(packed("i", 4))]
     sections = [
         marker_sets,
         [position],  # of an unlabelled marker

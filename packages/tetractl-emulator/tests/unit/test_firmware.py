@@ -84,7 +84,11 @@ def test_core_and_codec_agree_on_what_a_frame_is(library):
 def random_command(rng):
     """A valid command to up to three robots."""
     robots = rng.randrange(4)
-    wheels = tuple((rng.randint(-127, 127), rng.choice([0, 5])) for _ in range(robots))
+
+    def random_wheels():
+        return rng.randint(-127, 127), rng.choice([0, 5])
+
+    wheels = tuple(random_wheels() for _ in range(robots))
     flags = rng.choice([Flag.RUN, Flag.RUN, Flag.RUN | Flag.POLL, Flag(0), Flag.EMERGENCY_STOP])
     return BroadcastCommand(rng.randrange(256), flags, wheels)
 

@@ -18,6 +18,7 @@ thread's processor time of these plans is printed too.
 import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from tetractl.core.commands import Command
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import Plant
+from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.model.obstacles import Obstacles
 from tetractl.results.estimate import percent, proportion_interval
@@ -136,34 +138,51 @@ class Timed(Mpc):
         return plan
 
 
+@dataclass(frozen=True)
+class Driven:
+    """What came of an instance; `plans_s` are the processor times of plans for moving robots."""
+
+    count: int
+    result: Result
+    plans_s: list[float]
+
+    @property
+    def is_solved(self) -> bool:
+        return self.result.total_error <= SOLVED_MM * self.count
+
+    @property
+    def is_unsafe(self) -> bool:
+        return bool(self.result.entered_obstacle or self.result.left_arena)
+
+
+def drive_once(spec: Experiment) -> Driven:
+    plans_s: list[float] = []
+
+    def build(spec: Experiment, key: int, plant: Plant) -> Timed:
+        controller = counted(Timed, spec.controller, spec.setup, key)
+        controller.seconds = plans_s
+        return controller
+
+    (result,) = run(spec, 1, build)
+    return Driven(len(spec.robots), result, plans_s)
+
+
 def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool) -> None:
     """Drive every instance once, and print a row for each number of robots."""
-    solved: dict[int, list[bool]] = {size: [] for size in SIZES}
-    unsafe = 0
+    all_driven = []
     predicted = []
     measured = []
     none = 0
-    spent: dict[int, list[float]] = {size: [] for size in SIZES}
     for number in numbers:
         progress(f"instance {number}")
         spec = instance(number, seed, disturbed, free)
-        count = len(spec.robots)
-        seconds = spent[count]
-
-        def build(
-            spec: Experiment, key: int, plant: Plant, seconds: list[float] = seconds
-        ) -> Timed:
-            controller = counted(Timed, spec.controller, spec.setup, key)
-            controller.seconds = seconds
-            return controller
-
-        before = len(seconds)
-        (result,) = run(spec, 1, build)
-        times_ms = 1e3 * np.array(seconds[before:] or [0.0])
-        solved[count].append(result.total_error <= SOLVED_MM * count)
-        unsafe += result.entered_obstacle or result.left_arena
+        driven = drive_once(spec)
+        all_driven.append(driven)
+        result = driven.result
+        times_ms = 1e3 * np.array(driven.plans_s or [0.0])
         print(
-            f"<!-- {number}: {count} robots, {result.total_error / count:.1f} mm a robot, "
+            f"<!-- {number}: {driven.count} robots, "
+            f"{result.total_error / driven.count:.1f} mm a robot, "
             f"{result.duration_s:.0f} s, {result.outcome.value}; plans {times_ms.mean():.1f} ms, "
             f"p99 {np.quantile(times_ms, 0.99):.0f}, max {times_ms.max():.0f} -->",
             flush=True,
@@ -176,23 +195,33 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
             else:
                 predicted.append(trials.error)
                 measured.append(result.total_error)
-    print("\n| robots | solved | 95 % interval of the share | plan, mean / p99 / max [ms] |")
-    print("|---|---|---|---|")
-    all_ms = [solve_ms for solves in solved.values() for solve_ms in solves]
-    for name, solves_ms in (*solved.items(), ("all", all_ms)):
-        interval = proportion_interval(sum(solves_ms), len(solves_ms))
-        share = percent(interval).strip(" ()")
-        sizes = SIZES if name == "all" else [name]
-        mine = np.concatenate([np.empty(0), *(spent[int(size)] for size in sizes)])
-        times = ""
-        if len(mine):
-            p99 = np.quantile(mine, 0.99)
-            times = f"{1e3 * mine.mean():.1f} / {1e3 * p99:.1f} / {1e3 * mine.max():.1f}"
-        print(f"| {name} | {sum(solves_ms)} of {len(solves_ms)} | {share} | {times} |")
-    print(f"\n{unsafe} of {len(all_ms)} entered an obstacle or left the arena.")
+    print_rows(all_driven)
     if predict:
         rank = float(spearmanr(predicted, measured).statistic)
         print(f"Predicted: rank correlation {rank:.2f} over {len(measured)}; no plan for {none}.")
+
+
+def print_rows(all_driven: Sequence[Driven]) -> None:
+    """Print what came of the instances of each size, and of all."""
+    print("\n| robots | solved | 95 % interval of the share | plan, mean / p99 / max [ms] |")
+    print("|---|---|---|---|")
+    for size in SIZES:
+        print(row(f"{size}", [driven for driven in all_driven if driven.count == size]))
+    print(row("all", all_driven))
+    unsafe = sum(driven.is_unsafe for driven in all_driven)
+    print(f"\n{unsafe} of {len(all_driven)} entered an obstacle or left the arena.")
+
+
+def row(name: str, all_driven: Sequence[Driven]) -> str:
+    solved = sum(driven.is_solved for driven in all_driven)
+    interval = proportion_interval(solved, len(all_driven))
+    share = percent(interval).strip(" ()")
+    plans_ms = [1e3 * plan_s for driven in all_driven for plan_s in driven.plans_s]
+    times = ""
+    if plans_ms:
+        p99 = np.quantile(plans_ms, 0.99)
+        times = f"{np.mean(plans_ms):.1f} / {p99:.1f} / {max(plans_ms):.1f}"
+    return f"| {name} | {solved} of {len(all_driven)} | {share} | {times} |"
 
 
 def many(robots: int, seed: int) -> Problem:

@@ -12,7 +12,7 @@ import itertools
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,27 +128,18 @@ def survey(count: int) -> None:
     is the least among the first choices with the estimates and with perfect knowledge. That of
     perfect knowledge, by other random numbers, shows what ratio the number of plans allows.
     """
+    noise = Noise.of(load_spec(DISH).experiment.plant)
     ratios = []
     floors = []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
-        noise = Noise.of(load_spec(DISH).experiment.plant)
-        with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
-            experiment = dish.spec.experiment
-            rig = build_rig(experiment.plant, experiment.setup, dish.clock)
-            with rig:
-                cells = turn_field(rig, choice_of(experiment), seed, LabSupervision())
-            true_of = true_cells(cells, dish)
+        experiment, cells, true_of = surveyed(seed)
         with_truth = reseeded(experiment, seed + 10_000)
         choices = [
             ranked(experiment, cells, noise, PLANS),
             ranked(with_truth, list(true_of.values()), noise, PLANS),
         ]
         test = reseeded(experiment, seed + 20_000)
-        errors = {}
-        for choice in itertools.chain(*choices):
-            true = tuple(true_of[cell.number] for cell in choice.cells)
-            if numbers(true) not in errors:
-                errors[numbers(true)] = RankedChoice(test, true, noise).along(TESTED).error
+        errors = true_errors(itertools.chain(*choices), true_of, test, noise)
         best = min(errors.values(), default=math.inf)
         if not math.isfinite(best) or not all(choices):
             print(f"seed {seed}: no choice of {len(cells)} cells can be steered", flush=True)
@@ -168,6 +159,34 @@ def survey(count: int) -> None:
             f"over the best: median {np.median(ratios_of):.2f}, worst {max(ratios_of):.2f}, "
             f"at most 1.2: {good}"
         )
+
+
+def surveyed(
+    seed: int,
+) -> tuple[Experiment, Sequence[RobotCandidate], dict[int, RobotCandidate]]:
+    """Turn the field in an emulated dish; return its experiment, the cells that were found, and
+    those cells with the numbers that they truly have."""
+    with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
+        experiment = dish.spec.experiment
+        rig = build_rig(experiment.plant, experiment.setup, dish.clock)
+        with rig:
+            cells = turn_field(rig, choice_of(experiment), seed, LabSupervision())
+        return experiment, cells, true_cells(cells, dish)
+
+
+def true_errors(
+    choices: Iterable[RankedChoice],
+    true_of: dict[int, RobotCandidate],
+    test: Experiment,
+    noise: Noise,
+) -> dict[frozenset[int], float]:
+    """The error predicted of each choice of cells with the a and speed that they truly have."""
+    errors = {}
+    for choice in choices:
+        true = tuple(true_of[cell.number] for cell in choice.cells)
+        if numbers(true) not in errors:
+            errors[numbers(true)] = RankedChoice(test, true, noise).along(TESTED).error
+    return errors
 
 
 def reseeded(experiment: Experiment, seed: int) -> Experiment:

@@ -120,6 +120,18 @@ def child(name: str, seconds: float, seed: int, keep: Path) -> None:
         fuzz(mutant(seeds, rng))
 
 
+def fuzzed(name: str, seconds: float, seed: int, keep: Path) -> subprocess.CompletedProcess[str]:
+    """Fuzz a target in a process of its own, with a folder of its own for files."""
+    words = ["--target", name, "--seconds", str(seconds), "--seed", str(seed), "--keep", str(keep)]
+    with tempfile.TemporaryDirectory() as scratch:
+        return subprocess.run(
+            [sys.executable, __file__, "--child", *words],
+            env=os.environ | {"TMPDIR": scratch},
+            capture_output=True,
+            text=True,
+        )
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--target", action="append", metavar="T")
@@ -141,21 +153,7 @@ def main() -> int:
     print("| target | runs | crashes | slowest input | memory |\n|---|---|---|---|---|", flush=True)
     failed = False
     for name in options.target or known():
-        with tempfile.TemporaryDirectory() as scratch:
-            words = [
-                "--target",
-                name,
-                "--seconds",
-                str(options.seconds),
-                "--seed",
-                str(options.seed),
-            ]
-            done = subprocess.run(
-                [sys.executable, __file__, "--child", "--keep", str(keep), *words],
-                env=os.environ | {"TMPDIR": scratch},
-                capture_output=True,
-                text=True,
-            )
+        done = fuzzed(name, options.seconds, options.seed, keep)
         if done.returncode:
             print(f"| {name} | died with {done.returncode} | | | |\n\n{done.stderr}", flush=True)
             failed = True

@@ -253,33 +253,34 @@ def alarms(first: int, last: int) -> None:
             )
 
 
+def trial_of_batch(batch: int, trial: int, rate: float = 0.0) -> ResultSummary:
+    """Run a trial with the robots of a batch, in which the pose of one robot turns at a rate."""
+    play = Ghost("turn", rate, (batch % 3,), at_s=0.0, limit_s=60.0)
+    haunt = play.haunt if rate else lambda lab: None
+    result = trial_of(haunt, trial, RATE_HZ, robots_of=batch)
+    what = f"{rate:g} rad/s, {play.off_mm:.0f} mm off; " if rate else ""
+    turns = zip(result.verdict.turn, result.verdict.turn_std, strict=True)
+    said = ", ".join(f"{turn:+.3f} ± {error:.3f}" for turn, error in turns)
+    print(f"batch {batch}, trial {trial}: {what}{result.summary}; {said} rad/s", flush=True)
+    spec = lab_spec().experiment
+    return ResultSummary(f"{trial}", spec, 0, trial, Origin.EMULATED, result, False, None)
+
+
 def batches(first: int, last: int) -> None:
     """Print what `stats` marks in each batch, whose robots are those of the trial of its number:
     of BATCH trials in which nothing is wrong; and of the same trials, but for the one of the
     batch's number, in which the pose of one robot turns from the first command on.
     """
-    spec = lab_spec().experiment
-
-    def run(batch: int, trial: int, rate: float = 0.0) -> ResultSummary:
-        play = Ghost("turn", rate, (batch % 3,), at_s=0.0, limit_s=60.0)
-        haunt = play.haunt if rate else lambda lab: None
-        result = trial_of(haunt, trial, RATE_HZ, robots_of=batch)
-        what = f"{rate:g} rad/s, {play.off_mm:.0f} mm off; " if rate else ""
-        turns = zip(result.verdict.turn, result.verdict.turn_std, strict=True)
-        said = ", ".join(f"{turn:+.3f} ± {error:.3f}" for turn, error in turns)
-        print(f"batch {batch}, trial {trial}: {what}{result.summary}; {said} rad/s", flush=True)
-        return ResultSummary(f"{trial}", spec, 0, trial, Origin.EMULATED, result, False, None)
-
     stopped = Counter()
     alone = Counter()
     verdicts = Counter()
     n = last - first
     for batch in range(first, last):
-        honest = [run(batch, trial) for trial in range(BATCH)]
+        honest = [trial_of_batch(batch, trial) for trial in range(BATCH)]
         k = batch % BATCH
         verdicts[0.0] += len(turned_otherwise(honest))
         for rate in TURNS:
-            false = run(batch, k, rate)
+            false = trial_of_batch(batch, k, rate)
             marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
             noticed = any(text in false.result.reason for text in (*NOTICED, "still moves"))
             if noticed:

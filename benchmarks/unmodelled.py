@@ -16,7 +16,7 @@ import argparse
 import csv
 import time
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -33,7 +33,8 @@ from tetractl.core.commands import Command, Note, PlantInfo
 from tetractl.core.plan import End, Estimate, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller, LabSupervision
-from tetractl.core.trial import EPOCH_NS
+from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.plant.simulation import SimPlant
@@ -87,16 +88,24 @@ class Noted(Kept):
         self.texts.append(note.text)
 
 
-def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -> Row:
-    """Run one trial of a world in virtual time."""
-    world, trial = controller_asked
-    name, slow, _ = world.partition("-5hz")
-    spec = WORLDS[name].spec(5 if slow else 20, seed, trial, settings)
+@dataclass(frozen=True)
+class Played:
+    """A trial that has ended, with what took part in it."""
+
+    result: Result
+    plant: SimPlant
+    controller: Timed
+    noted: Noted
+
+
+def play(spec: Experiment, trial: int) -> Played:
+    """Run a trial in virtual time."""
     key, seeds = trial_seeds(spec.trials.seed, trial)
     clock = VirtualClock()
     nowhere = PlantInfo("", True, 0.0, {})
     noted = Noted()
     plant = spec.plant.build(spec.setup, clock, seeds, LabSupervision())
+    assert isinstance(plant, SimPlant)
     controller = Timed(build_controller(spec, key))
     result = Trial(
         start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
@@ -107,13 +116,22 @@ def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -
         observers=[noted],
         interrupt=Interrupt(),
     ).run()
-    assert isinstance(plant, SimPlant)
-    truth = true(plant)
+    return Played(result, plant, controller, noted)
+
+
+def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -> Row:
+    """Run one trial of a world in virtual time."""
+    world, trial = controller_asked
+    name, slow, _ = world.partition("-5hz")
+    spec = WORLDS[name].spec(5 if slow else 20, seed, trial, settings)
+    played = play(spec, trial)
+    result = played.result
+    truth = true(played.plant)
     verdict = result.verdict
     radius = spec.controller.body_radius
-    gaps = min(verdict.edge), min(verdict.clearance), min(verdict.apart) - radius
     errors = np.array(result.robot_errors)[truth["lives"]]
-    period_s = spec.setup.period_s
+    ms = played.controller.ms
+    steps = played.noted.steps
     return {
         "seed": seed,
         "trial": trial,
@@ -122,14 +140,14 @@ def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -
         "seconds": result.duration_s,
         "complete": int(result.outcome.complete),
         TOLD: result.outcome.value + (f": {result.reason}" if result.reason else ""),
-        "edge_mm": gaps[0] - radius,
-        "obstacle_mm": gaps[1] - radius,
-        "apart_mm": gaps[2] - radius,
-        "pauses": sum(step.plan.pauses for step in noted.steps),
-        "misfit": int(any(MISFIT in text for text in noted.texts)),
-        "late_steps": sum(ms > 1e3 * period_s for ms in controller.ms),
-        "step_max_ms": max(controller.ms, default=0.0),
-        **held(noted.steps[-1].plan.estimate if noted.steps else None, truth),
+        "edge_mm": min(verdict.edge) - radius,
+        "obstacle_mm": min(verdict.clearance) - radius,
+        "apart_mm": min(verdict.apart) - radius - radius,
+        "pauses": sum(step.plan.pauses for step in steps),
+        "misfit": int(any(MISFIT in text for text in played.noted.texts)),
+        "late_steps": sum(step_ms > 1e3 * spec.setup.period_s for step_ms in ms),
+        "step_max_ms": max(ms, default=0.0),
+        **held(steps[-1].plan.estimate if steps else None, truth),
     }
 
 

@@ -135,12 +135,11 @@ class AtLeast:
 
 
 @dataclass(frozen=True, slots=True)
-class Within:
-    """The mean is to be a published number, whose own uncertainty is unknown: our interval lies
-    within `low` to `high`, or, if both are that number, holds it."""
+class SameNumber:
+    """The mean is to be a published number, whose own uncertainty is unknown: our interval holds
+    it."""
 
-    low: float
-    high: float
+    published: float
     words = "agreement"
 
     def number(self, values: Floats) -> OurNumber:
@@ -148,11 +147,9 @@ class Within:
         return mean_of(values)
 
     def verdict(self, values: Floats) -> Fate:
-        """Compare the interval of the mean with the published number, or with its range."""
+        """Compare the interval of the mean with the published number."""
         mean = mean_of(values)
-        inside = self.low <= mean.low and mean.high <= self.high
-        around = self.low == self.high and mean.low <= self.low <= mean.high
-        return Fate.AGREES if inside or around else Fate.MISSED
+        return Fate.AGREES if mean.low <= self.published <= mean.high else Fate.MISSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,8 +280,7 @@ class Claim:
 
     `measure` turns a trial of the arm `arm` into a number, or a fact into 1 or 0, in `unit`. With
     `minus`, the same is measured of that arm, and the paired differences are assessed. `expected`
-    is the verdict that the page states, and `why` its reason, if it is not reached. `first` limits
-    the trials that are measured: 1 for what does not depend on the trial.
+    is the verdict that the page states, and `why` its reason, if it is not reached.
     """
 
     figure: str
@@ -296,7 +292,6 @@ class Claim:
     minus: str | None = None
     expected: Fate = Fate.REACHED
     why: str = ""
-    first: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +320,6 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
 
 def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:
     """Return the measure (n,) of the trials of one arm."""
-    values = np.array([claim.measure(trial) for trial in trials[: claim.first]], dtype=float)
+    values = np.array([claim.measure(trial) for trial in trials], dtype=float)
     assert np.isfinite(values).all(), f"{claim.figure}: a trial has no such number"
     return values

@@ -8,12 +8,6 @@ from tetractl.log.read.trial_log import TrialLog
 
 REVERSAL = 0.3
 """A field that turns back by up to this angle [rad] has not changed its sense."""
-ROBOTS_FIELD_MM2 = 1600 * 1800
-"""The field of view of the paper's robots (section V)."""
-CELLS_FIELD_UM = 5000
-"""Side of the field of view of its cells (section V)."""
-CELL_SPEED_UM_S = 300
-"""Speed of its cells (section V)."""
 EARLY = 10
 """Number of iterations in which J falls quickly."""
 
@@ -111,15 +105,6 @@ def _box(points: Floats) -> float:
     known_points = points[np.isfinite(points).all(axis=1)]
     width, height = np.ptp(known_points, axis=0)
     return float(width * height)
-
-
-def field_of_cells(log: TrialLog) -> float:
-    """Return the field of view of cells over their speed, over that of the robots of a trial.
-
-    An area over a speed depends on units, so the root of the area is taken: both are times.
-    """
-    robots_s = np.sqrt(ROBOTS_FIELD_MM2) / float(np.mean(log.start.setup.speed))
-    return CELLS_FIELD_UM / CELL_SPEED_UM_S / robots_s
 
 
 def spins(log: TrialLog) -> bool:

@@ -64,9 +64,9 @@ class Cursor:
 
     __slots__ = ("at", "data", "end")
 
-    def __init__(self, data: bytes, end: int | None = None, at: int = 0) -> None:
+    def __init__(self, data: bytes, end: int | None = None, begin: int = 0) -> None:
         self.data = data
-        self.at = at
+        self.at = begin
         self.end = len(data) if end is None else end
 
     @property

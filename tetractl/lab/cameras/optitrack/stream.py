@@ -135,6 +135,55 @@ class StreamCounts:
     unread_models: int = 0  # bad datagrams that were models
 
 
+class OpenRequests:
+    """The requests that a server has not answered yet; of those that are text, the last alone."""
+
+    def __init__(self) -> None:
+        self._text: str | None = None
+        self._counts: Counter[type[natnet.ServerMessage]] = Counter()  # by their answers
+        self._echoes: deque[int] = deque(maxlen=64)  # times in requests for the server's
+
+    def add(self, request: natnet.ClientMessage) -> None:
+        """Take a request that was sent."""
+        match request:
+            case natnet.NatNetRequest(text):
+                self._text = text
+            case natnet.Connect():
+                self._counts[natnet.ServerInfo] += 1
+            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
+                self._counts[natnet.ModelDef] += 1
+            case natnet.EchoRequest(client):
+                self._echoes.append(client)
+            case _:
+                pass
+
+    def allow(self, message: natnet.ServerMessage) -> bool:
+        """Return whether a message answers an open request, or is of a kind that needs none."""
+        match message:
+            case natnet.ServerInfo() | natnet.ModelDef():
+                return self._counts[type(message)] > 0
+            case natnet.EchoResponse(client):
+                return client in self._echoes
+            case _:
+                return True
+
+    def close(self, answer: natnet.ServerMessage) -> None:
+        """Close the request that a message answers, if it is one of those that need one."""
+        match answer:
+            case natnet.ServerInfo() | natnet.ModelDef():
+                self._counts[type(answer)] -= 1
+            case natnet.EchoResponse(client):
+                self._echoes.remove(client)
+            case _:
+                pass
+
+    def take_text(self) -> str | None:
+        """Close the last request that is text, and return it; None if it has been answered."""
+        text = self._text
+        self._text = None
+        return text
+
+
 class Stream:
     """What is known of a server, and its newest frame.
 
@@ -172,9 +221,7 @@ class Stream:
         self._pinned = pinned
         self._on_frame = on_frame
         self._ids: dict[str, int] = {}  # the bodies of the model
-        self._asked: str | None = None
-        self._awaited: Counter[type[natnet.ServerMessage]] = Counter()
-        self._echoes: deque[int] = deque(maxlen=64)  # requests without an answer so far
+        self._requests = OpenRequests()
         self._fault = ""
         self._mistimed = 0  # number of successive frames with an impossible time
         self._twins = ""  # fault text if two bodies have one name, otherwise ""
@@ -196,25 +243,16 @@ class Stream:
 
     def asked(self, message: natnet.ClientMessage) -> None:
         """Record a request that was sent: only answers to recorded requests are accepted."""
-        match message:
-            case natnet.NatNetRequest(text):
-                self._asked = text
-            case natnet.Connect():
-                self._awaited[natnet.ServerInfo] += 1
-            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
-                self._awaited[natnet.ModelDef] += 1
-            case natnet.EchoRequest(client):
-                self._echoes.append(client)
-            case _:
-                pass
+        self._requests.add(message)
 
     def feed(self, datagram: bytes, received_ns: int) -> natnet.ServerMessage | None:
         """Take one datagram; return its message, None if the datagram was dropped and counted."""
         try:
             message = parse(datagram, self.version)
-            if not self._expected(message):
+            if not self._requests.allow(message):
                 self.counts.unasked += 1
                 return None
+            self._requests.close(message)
             self._take(message, received_ns)
         except WireError:
             self._unread(datagram)
@@ -231,21 +269,6 @@ class Stream:
             self.unread_frame = datagram
         elif kind == natnet.MessageKind.MODELDEF:
             self.counts.unread_models += 1
-
-    def _expected(self, message: natnet.ServerMessage) -> bool:
-        """Return whether an answer belongs to an open request, which it then closes."""
-        match message:
-            case natnet.ServerInfo() | natnet.ModelDef():
-                awaited = self._awaited[type(message)] > 0
-                self._awaited[type(message)] -= awaited
-                return awaited
-            case natnet.EchoResponse(client):
-                if client not in self._echoes:
-                    return False
-                self._echoes.remove(client)
-                return True
-            case _:
-                return True
 
     def _take(self, message: natnet.ServerMessage, received_ns: int) -> None:
         match message:
@@ -268,13 +291,12 @@ class Stream:
                 pass
 
     def _response(self, response: natnet.Response) -> None:
-        requests = self._asked
-        self._asked = None
-        if requests == UP_AXIS and self.up is None:
+        request = self._requests.take_text()
+        if request == UP_AXIS and self.up is None:
             self.up_answer = int(number_in(response, "i"))
             if self.up_answer in (UpAxis.Y, UpAxis.Z):
                 self.up = UpAxis(self.up_answer)
-        elif requests == UNITS:
+        elif request == UNITS:
             unit_mm = number_in(response, "f")
             if not 1e-3 <= unit_mm <= 1e6:
                 raise WireError(f"a unit of length of {unit_mm:g} mm is not plausible")

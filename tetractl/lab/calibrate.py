@@ -230,9 +230,15 @@ class _Bench:
         ]
         # a right wheel that drives forwards turns the robot to the left
         swapped = channels[0].sign * signs[0] > 0
-        left, right = reversed(wheels) if swapped else wheels
+        left_wheel, right_wheel = reversed(wheels) if swapped else wheels
         whole_offset = math.remainder(self._offset_before + offset, math.tau)
-        return Found(round(whole_offset, 5), round(radius, 3), left, right, swapped)
+        return Found(
+            heading_offset=round(whole_offset, 5),
+            radius_mm=round(radius, 3),
+            left=left_wheel,
+            right=right_wheel,
+            swap=swapped,
+        )
 
     def _radius(
         self, straight: DrivenPath, channels: Sequence[Channel], outputs: Sequence[int]
@@ -283,8 +289,8 @@ class _Bench:
         """Return how long after the sending of outputs a robot at rest is seen to turn [s]; None if
         it is not seen, or does not turn."""
         frames = self.rig.frames.last(SECOND // 10)
-        shown = [frame.pose(0) for frame in frames]
-        poses = [pose for pose in shown if pose is not None]
+        recent = [frame.pose(0) for frame in frames]
+        poses = [pose for pose in recent if pose is not None]
         first = self.rig.frames.count
         if not poses:
             return None

@@ -503,6 +503,6 @@ class DriftCheck:
             if heading_is_wrong:
                 return DriftFault(f"{name} {ANOTHER.format(KINDS[1])}")
             if left_is_wrong or right_is_wrong:
-                left, right, _ = errors[i]
-                return DriftFault(WRONG.format(name, left, right))
+                left_error, right_error, _ = errors[i]
+                return DriftFault(WRONG.format(name, left_error, right_error))
         return NO_FAULT

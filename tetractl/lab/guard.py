@@ -279,7 +279,7 @@ class Guard:
         robot = self._robots[i]
         if robot.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
             return
-        others = [other for other in self._robots if other is not robot and not other.lost]
+        others = [track for track in self._robots if track is not robot and not track.lost]
         if not self.rules.goes_on or not others:
             self.abort(reason)
             return

@@ -64,7 +64,7 @@ class HeldAction:
 class StopSeries:
     """Stops that are sent one after the other."""
 
-    left: int = 0
+    to_send: int = 0
     """How many are still to be sent."""
     first: Transmission | None = None
     """The first that was sent since `stop` was called."""
@@ -158,12 +158,12 @@ class InnerLoop:
             self._begin_stops(self._clock.now())
         if not is_locked:
             return self._stop_past_thread()
-        while self._stops.left:
+        while self._stops.to_send:
             with self._locked(STOP_S) as is_locked:
                 if not is_locked:
                     return self._stop_past_thread()
                 self._step_safely()
-            if self._stops.left:
+            if self._stops.to_send:
                 self._clock.sleep_until(self._transmit_ns)
         return self._stops.first
 
@@ -235,7 +235,7 @@ class InnerLoop:
             now = self._clock.now()
             self.guard.abort(reason)
             self._begin_stops_of_abort(now)
-            if self._stops.left:  # here, as the next step may fail before its stop
+            if self._stops.to_send:  # here, as the next step may fail before its stop
                 with suppress(Exception, SystemExit):
                     self._repeat_stop(now)
             fault = plugin_fault(error)  # slow, so after the stop
@@ -284,7 +284,7 @@ class InnerLoop:
     def _transmit(self, ruling: Ruling, now: int) -> Transmission | None:
         """Transmit what the table above says, if it is due; return the transmission of the held
         action, None if it was not sent."""
-        if self._stops.left:
+        if self._stops.to_send:
             self._repeat_stop(now)
             self.guard.name_culprit()  # slow, so after the first stop
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
@@ -295,7 +295,7 @@ class InnerLoop:
 
     def _begin_stops(self, now: int) -> None:
         """Let STOPS stops be sent, the first at once."""
-        self._stops.left = STOPS
+        self._stops.to_send = STOPS
         self._transmit_ns = now
 
     def _begin_stops_of_abort(self, now: int) -> None:
@@ -309,14 +309,14 @@ class InnerLoop:
         if now < self._transmit_ns:
             return
         self._transmit_ns = now + STOP_GAP_NS
-        self._stops.left -= 1
+        self._stops.to_send -= 1
         try:
             sent = self._actuator.stop(emergency=self.guard.emergency)
             self._note(sent)
             if self._stops.first is None:
                 self._stops.first = sent
         except AbortError as error:  # a failed actuator cannot send the remaining stops either
-            self._stops.left = 0
+            self._stops.to_send = 0
             self.guard.abort(error.message)
 
     def _send_held(self, held: HeldAction, ruling: Ruling, now: int) -> Transmission | None:

@@ -176,11 +176,11 @@ class MotionCheck:
         self._allowed = self._allowed.copy()
         for span in set(spans):
             since_ns, until_ns = span
-            robots = [i for i, own in enumerate(spans) if own == span]
-            own = slice(None) if len(robots) == len(spans) else robots  # which is faster
-            bounds = self._bounds_between(since_ns, until_ns)[:, own]
-            self._bounds[:, own] = bounds
-            self._allowed[:, own] += bounds * ((until_ns - since_ns) / SECOND)
+            robots = [i for i, span_of_robot in enumerate(spans) if span_of_robot == span]
+            rows = slice(None) if len(robots) == len(spans) else robots  # which is faster
+            bounds = self._bounds_between(since_ns, until_ns)[:, rows]
+            self._bounds[:, rows] = bounds
+            self._allowed[:, rows] += bounds * ((until_ns - since_ns) / SECOND)
         self.times = times
 
     def _bounds_between(self, since_ns: int, now_ns: int) -> Floats:

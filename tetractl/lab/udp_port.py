@@ -87,8 +87,9 @@ class UdpPort(SerialPort):
     def open(self, alone: bool = True) -> None:
         """Open a socket and start to read; PortHeldError if `alone` and another program uses the
         devices at this address."""
-        if (own := heard_at(self._name)) is not None:
-            self._listen(own)
+        listening_port = heard_at(self._name)
+        if listening_port is not None:
+            self._listen(listening_port)
             return
         address = address_of(self._name)
         if address is None:

@@ -25,9 +25,9 @@ STOPS_MAX = 3000
 class SentSpeeds:
     """The wheel speeds of one transmission [length unit/s]; None for robots without wheels."""
 
-    left: Floats | None = None
-    """As the host knows and logs them, (N,)."""
-    right: Floats | None = None
+    left_speed: Floats | None = None
+    """Of left wheels, as the host knows and logs them, (N,)."""
+    right_speed: Floats | None = None
     true: Floats | None = None
     """As the wheels run, (2, N); None if the robots receive the direction itself."""
 
@@ -104,7 +104,7 @@ class CommandSender:
         )
         received = self._transit.send(command, now_ns)
         delivered = tuple(received.reached.tolist())
-        return Command(self._held, now_ns, delivered, speeds.left, speeds.right)
+        return Command(self._held, now_ns, delivered, speeds.left_speed, speeds.right_speed)
 
     def _due_ns(self, sent_ns: int, answered: Observation) -> int:
         """Return the time [ns] at which a command acts if `dead_time` is the only delay: so long
@@ -120,8 +120,7 @@ class CommandSender:
         if self._setup.wheel_radius is None:
             return SentSpeeds()
         # the robots have wheels, but wheels are not simulated: the speeds of (24)-(25) are logged
-        left, right = self._equation_speeds(self._setup.wheel_radius, answered.poses.heading)
-        return SentSpeeds(left, right)
+        return SentSpeeds(*self._equation_speeds(self._setup.wheel_radius, answered.poses.heading))
 
     def _equation_speeds(self, radius: float, headings: Floats) -> tuple[Floats, Floats]:
         """Return the left and right wheel speeds (N,) of (24)-(25) at the headings (N,)."""

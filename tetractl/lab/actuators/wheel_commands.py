@@ -81,9 +81,12 @@ def polled(
     for _ in range(max(1, min(TRIES, tries_in_time))):
         poll = ask()
         sequences.add(poll.sequence)
-        until = poll.sent_ns + wait_ns
-        while not wanted <= replies.keys() and (left := until - clock.now()) > 0:
-            for reply in poll.hear(left / SECOND):
+        until_ns = poll.sent_ns + wait_ns
+        while not wanted <= replies.keys():
+            remaining_ns = until_ns - clock.now()
+            if remaining_ns <= 0:
+                break
+            for reply in poll.hear(remaining_ns / SECOND):
                 if reply.sequence in sequences:
                     replies[reply.id] = reply
             if failed():
@@ -232,8 +235,8 @@ class WheeledActuator(ABC):
     ) -> Transmission:
         """Return what was sent, by wheel speeds (2, N) [mm/s]."""
         speed, turning = self._commands.sent(sent_ns, speeds)
-        left, right = speeds / self._commands.mm
-        return Transmission(action, sent_ns, moving, speed, turning, left, right)
+        left_speed, right_speed = speeds / self._commands.mm
+        return Transmission(action, sent_ns, moving, speed, turning, left_speed, right_speed)
 
 
 def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:

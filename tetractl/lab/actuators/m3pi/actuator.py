@@ -45,7 +45,8 @@ class M3piActuator(WheeledActuator):
         return self._transmission(sent_ns, Stop(), still, (False,) * count)
 
     def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
-        sent_ns = self._radio.drive([(left, right) for left, right in outputs.T.tolist()])
+        by_robot = outputs.T.tolist()
+        sent_ns = self._radio.drive([(counts[0], counts[1]) for counts in by_robot])
         return self._transmission(sent_ns, action, self.drivetrains.speeds(outputs), moving)
 
 
@@ -56,11 +57,13 @@ def _signed_gains(wheels: Sequence[WheelSection]) -> list[float]:
 
 def drivetrains(robots: Sequence[M3piRobot]) -> Drivetrains:
     """Return robots' wheels."""
-    left = [robot.left for robot in robots]
-    right = [robot.right for robot in robots]
+    left_wheels = [robot.left for robot in robots]
+    right_wheels = [robot.right for robot in robots]
+    left_zones = [wheel.dead_zone for wheel in left_wheels]
+    right_zones = [wheel.dead_zone for wheel in right_wheels]
     return Drivetrains(
-        np.array([_signed_gains(left), _signed_gains(right)]),
-        np.array([[wheel.dead_zone for wheel in left], [wheel.dead_zone for wheel in right]]),
-        np.array([robot.limit for robot in robots]),
-        np.array([robot.swap for robot in robots]),
+        gain=np.array([_signed_gains(left_wheels), _signed_gains(right_wheels)]),
+        dead_zone=np.array([left_zones, right_zones]),
+        limit=np.array([robot.limit for robot in robots]),
+        swap=np.array([robot.swap for robot in robots]),
     )

@@ -105,12 +105,10 @@ class M3piSection(XbeeSection, ActuatorSection):
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's r and wheels."""
-        left = calibrated.left._asdict()
-        right = calibrated.right._asdict()
         return {
             "radius_mm": calibrated.radius_mm,
-            "left": left,
-            "right": right,
+            "left": calibrated.left._asdict(),
+            "right": calibrated.right._asdict(),
             "swap": calibrated.swap,
         }
 

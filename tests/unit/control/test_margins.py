@@ -93,13 +93,14 @@ def test_robots_keep_the_separation_they_have():
 
 
 def test_the_separation_grows_by_what_both_robots_may_be_off():
+    """Targets and starts are farther apart than that."""
     spec = experiment(controller={"type": "mpc", "collision": {"separation": 50}})
-    problem = spec.controller.problem(spec.setup)
     section = spec.controller
-    with_margins = section.build(spec.setup, 3)._with_margins(problem, None)
-    assert with_margins.separation == pytest.approx(
-        50 + 2 * off_course(problem.speed, section.period, section.dead_time, None)
-    )
+    problem = section.problem(spec.setup)
+    margins = Margins(section.collision, [], None, spec.setup.targets)
+    applied = margins.applied(problem, section.period, section.dead_time, None)
+    off_mm = off_course(problem.speed, section.period, section.dead_time, None)
+    assert applied.separation == pytest.approx(50 + 2 * off_mm)
 
 
 def test_what_is_uncertain_takes_more_room():

@@ -50,13 +50,12 @@ def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path,
     run_trial(spec, tmp_path, 0, (), Interrupt())
     steps = read_trial(log_path(tmp_path, 0)).steps
     moving = [now.plan for last, now in itertools.pairwise(steps) if not last.plan.pauses]
-    work = [
-        sum(
-            SEARCH_NS + 4 * search.length * search.evaluations * ROBOT_STEP_NS
-            for search in plan.searches
-        )
-        for plan in moving
-    ]
+
+    def work_of_search_ns(search):
+        robot_steps = 4 * search.length * search.evaluations
+        return SEARCH_NS + robot_steps * ROBOT_STEP_NS
+
+    work = [sum(map(work_of_search_ns, plan.searches)) for plan in moving]
     look = 2 * BETWEEN_LOOKS * ROBOT_STEP_NS + SEARCH_NS
     deadline_ns = spec.experiment.controller.deadline * SECOND
     assert max(work) <= deadline_ns + look

@@ -244,7 +244,7 @@ def turning_of_straight_robots(seconds, astray):
     `astray` (3,) [rad/s], green and blue while they drive; red is commanded to stand."""
     random = np.random.default_rng(3)
     speed = np.array([SPEED, SPEED, 0.0])
-    robots = Robots(random, share=0.0, astray=lambda t: astray * (speed > 0))
+    robots = Robots(random, share=0.0, astray=lambda t: np.where(speed > 0, astray, 0.0))
     watched = Watched()
     for now_ns in range(FRAME_NS, round(seconds * SECOND), FRAME_NS):
         watched.check.sent(now_ns - RADIO_NS, speed, np.zeros(3))

@@ -53,10 +53,11 @@ def test_the_body_goes_round_the_axis_and_points_along_its_way():
     for _ in range(800):
         swum(swimmers, dt, step=dt)
         positions.append(bodies(swimmers))
-    x, y = (np.array([getattr(b, name)[0] for b in positions]) for name in "xy")
+    x = np.array([body.x[0] for body in positions])
+    y = np.array([body.y[0] for body in positions])
     assert np.ptp(y) == pytest.approx(16.0, rel=0.01)  # two radii
     way = np.arctan2(np.diff(y), np.diff(x))
-    axis = np.array([b.axis[0] for b in positions])
+    axis = np.array([body.axis[0] for body in positions])
     assert np.abs(way - axis[1:]).max() < 0.02
     tilt = math.atan(2 * math.pi * 2.5 * 8.0 / 300.0)  # 0.40 rad, as in the notes of the doc
     assert np.abs(axis).max() == pytest.approx(tilt, abs=0.01)

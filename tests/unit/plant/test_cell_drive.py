@@ -51,8 +51,8 @@ def swum(cells, seconds, since=0.0):
     return path.transpose(1, 0, 2)
 
 
-def command(direction, reached=(True, True), off=False):
-    action = FieldOff() if off else Stop() if direction is None else Steer(direction)
+def sent(action, reached=(True, True)):
+    """A command as it acts on the cells that it reaches."""
     return DelayedCommand(0, 0, action, np.array(reached))
 
 
@@ -66,7 +66,7 @@ def test_bodies_begin_at_their_starts_and_wait_for_the_first_command():
 
 def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
     cells = drive()
-    cells.apply(command(math.pi / 2))
+    cells.apply(sent(Steer(math.pi / 2)))
     x, y, heading = swum(cells, np.linspace(0.01, 0.4, 40))
     for i, a in enumerate((5.0, 3.0)):
         angle_left = 2 * math.atan(math.exp(-a * 0.4))
@@ -81,7 +81,7 @@ def test_it_makes_no_difference_how_often_they_are_read():
     once = drive(walk=0.3)
     twice = drive(walk=0.3)
     for cells in (once, twice):
-        cells.apply(command(1.0))
+        cells.apply(sent(Steer(1.0)))
     times = np.arange(1, 101) / 240
     swum(once, times)
     swum(twice, times[:37])
@@ -111,14 +111,14 @@ def test_compiled_they_swim_as_the_readable_ones_do():
 
 def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
     cells = drive()
-    cells.apply(command(math.pi, reached=(True, False)))
+    cells.apply(sent(Steer(math.pi), reached=(True, False)))
     assert cells.moving.tolist() == [1, 0]
-    cells.apply(command(None, off=True))
+    cells.apply(sent(FieldOff()))
     before = cells.poses.heading.copy()
     swum(cells, 0.3)
     assert cells.moving.tolist() == [1, 1]
     assert np.allclose(cells.poses.heading, before)  # no field turns them
-    cells.apply(command(None))
+    cells.apply(sent(Stop()))
     places = cells.poses.array()
     swum(cells, 0.3)
     assert np.allclose(cells.poses.array(), places)

@@ -129,7 +129,7 @@ def test_a_lost_robot_counts_no_more_where_it_was_last_seen():
 
 
 class Watch:
-    """A camera's watch, for which blue is lost."""
+    """Stands for a camera's watch to which blue is lost, and replaced by `instead`."""
 
     def __init__(self, instead):
         self.instead = instead
@@ -400,7 +400,8 @@ def test_robots_are_waited_for_while_somebody_places_them(metres):
     lab.world.poses[1, 0] += off
 
     def place(count):
-        lab.world.poses[1, 0] -= off * (count == 3)
+        if count == 3:
+            lab.world.poses[1, 0] -= off
 
     lab.supervision.prompt = person = Person(place, 7)
     info = lab.plant.open()

@@ -86,7 +86,9 @@ def test_a_dead_time_is_not_questioned_while_the_model_fits():
 
 
 def test_a_robot_that_stands_is_named_once():
-    stands = replace(FITS, stands=0.95 * (np.arange(ROBOTS) == 0))
+    probabilities = np.zeros(ROBOTS)
+    probabilities[0] = 0.95
+    stands = replace(FITS, stands=probabilities)
     assert stands.standing(SETUP.names) == [NAME]
     texts = said((1, FITS), (2, stands), (3, FITS), (4, stands))
     assert texts == [f"{NAME} stands although it is sent a direction"]

@@ -34,9 +34,16 @@ WHOLE = SLATES[0]
 """What belongs to no single robot: the signal, a total error, the chosen search."""
 _DASHES = ("-", "--", ":")
 
-COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of one and two columns of an IEEE page
+COLUMN_IN = 3.5  # width of a column of an IEEE page
+PAGE_IN = 7.16  # width of two columns with the gap between them
 FORMATS = ("png", "svg", "pdf")
-PRINT_DPI, SCREEN_DPI = 300, 200  # dots per inch of pictures for paper, and for slides
+PRINT_DPI = 300  # dots per inch of pictures for paper
+SCREEN_DPI = 200  # dots per inch of pictures for slides
+
+HEADLINE_IN = 0.135  # height of a line of a headline, at 7 points
+HEADLINE_GAP_IN = 0.03  # between a headline and the upper edge of the figure
+HEADLINE_LETTERS_PER_IN = 17
+LEGEND_GAP_IN = 0.06  # between a legend and the axes below it
 
 RC: dict[str, Any] = {
     "font.family": "sans-serif",
@@ -91,15 +98,17 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
 
     The figure becomes higher by these lines; its axes keep their size.
     """
-    wrapped = textwrap.wrap(alarm, int(17 * drawing.get_figwidth()))  # characters per inch
-    old_in, line_in = drawing.get_figheight(), 0.135
-    new_in = old_in + line_in * (1 + len(wrapped)) + 0.03
+    alarm_lines = textwrap.wrap(alarm, int(HEADLINE_LETTERS_PER_IN * drawing.get_figwidth()))
+    old_in = drawing.get_figheight()
+    new_in = old_in + HEADLINE_IN * (1 + len(alarm_lines)) + HEADLINE_GAP_IN
     above_in = _lower_legends(drawing, old_in / new_in)
     drawing.set_figheight(new_in)
-    if isinstance(engine := drawing.get_layout_engine(), ConstrainedLayoutEngine):
+    engine = drawing.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
         engine.set(rect=(0.0, 0.0, 1.0, (old_in - above_in) / new_in))
-    for row, (line, color) in enumerate([(text, GREY), *((line, ALARM) for line in wrapped)]):
-        top = 1 - (0.03 + row * line_in) / new_in
+    for row, line in enumerate([text, *alarm_lines]):
+        color = ALARM if row else GREY
+        top = 1 - (HEADLINE_GAP_IN + row * HEADLINE_IN) / new_in
         with styled():
             drawing.text(0.01, top, line, va="top", ha="left", fontsize=7, color=color)
 
@@ -116,14 +125,15 @@ def _lower_legends(drawing: Figure, share: float) -> float:
     for legend in drawing.legends:
         box = legend.get_window_extent()
         if box.y0 > drawing.bbox.height / 2:
-            above_in = max(above_in, box.height / drawing.dpi + 0.06)
+            above_in = max(above_in, box.height / drawing.dpi + LEGEND_GAP_IN)
             legend.set_bbox_to_anchor((0.0, 0.0, 1.0, share), transform=drawing.transFigure)
     return above_in
 
 
 def lay_out(drawing: Figure) -> None:
     """Compute the positions of axes and legends without drawing."""
-    if (engine := drawing.get_layout_engine()) is not None:
+    engine = drawing.get_layout_engine()
+    if engine is not None:
         engine.execute(drawing)
 
 
@@ -141,8 +151,8 @@ def panel(axes: Axes, letter: str, title: str, x: str = "", y: str = "") -> None
 
 def sign(label: str, **look: Any) -> Line2D:
     """Return an entry of a legend: by default a grey marker without a line."""
-    shown: dict[str, Any] = {"color": GREY, "ls": "none", "label": label, **look}
-    return Line2D([], [], **shown)
+    whole_look: dict[str, Any] = {"color": GREY, "ls": "none", "label": label, **look}
+    return Line2D([], [], **whole_look)
 
 
 def legend(drawing: Figure, signs: Sequence[Artist], columns: int = 3, **look: Any) -> None:
@@ -157,12 +167,11 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
     """
     wanted = path.suffix.lower().removeprefix(".")
     if wanted not in formats:
-        raise UsageError(
-            f"{path}: cannot write '{path.suffix}' {what}s"
-            if wanted
-            else f"{path}: the name of a {what} needs an ending",
-            f"end the name in {', '.join('.' + name for name in formats)}",
-        )
+        problem = f"cannot write '{path.suffix}' {what}s"
+        if not wanted:
+            problem = f"the name of a {what} needs an ending"
+        endings = ", ".join(f".{name}" for name in formats)
+        raise UsageError(f"{path}: {problem}", f"end the name in {endings}")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}")
     return wanted

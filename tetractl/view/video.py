@@ -6,17 +6,19 @@ GIF and animated WebP.
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
-from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -24,6 +26,8 @@ from tetractl.core.children import Child
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, UsageError, unit_of
+from tetractl.core.setup import Bounds
+from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import Moment, Recording, tracked
 from tetractl.view import style
@@ -35,6 +39,23 @@ FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
 HOLD_S = 1.5
 """Time for which the last picture is shown [s]."""
 LONGEST_S = 60.0
+"""Longest time that a video plays; a longer trial plays faster [s]."""
+SCENE_WIDTH_IN = 5.0
+SCENE_HEIGHT_IN = 4.4
+"""Most that the arena takes of a picture."""
+SIDE_IN = 2.2
+"""Width of the curve and the words, to the right of the arena."""
+SIDE_HEIGHT_IN = 3.0
+"""Least height of the two together."""
+LABELS_IN = 0.62
+"""Room for the labels of an axis, on its left."""
+TOP_IN = 0.3
+"""Room for the heading."""
+HEADING_LETTERS = 120
+BODY_LEAST = 0.014
+"""Least half length of a robot's body as a share of the arena, so that it is seen."""
+TRAIL_POINTS = 600
+"""About as many points of a trail are drawn."""
 ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
 """The line of an arrow along +x: its points x + iy."""
 WEDGE = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j])
@@ -74,8 +95,7 @@ def write_video(
     frames = VideoFrames(log, width)
     recording = frames.recording
     end_s = max(recording.elapsed_s(recording.end_ns), 0.0)
-    steps = (m * 10**power for power in count() for m in (1, 2, 5))
-    speed = next(s for s in steps if end_s / s <= LONGEST_S)
+    speed = _speed(end_s)
     times = np.append(np.arange(0, end_s, speed / rate), end_s).tolist()
     hold = round(HOLD_S * rate)
 
@@ -95,6 +115,12 @@ def write_video(
     return speed
 
 
+def _speed(duration_s: float) -> int:
+    """Return the first of 1, 2, 5, 10, 20 ... at which a trial plays in at most LONGEST_S."""
+    speeds = (digit * 10**power for power in count() for digit in (1, 2, 5))
+    return next(speed for speed in speeds if duration_s / speed <= LONGEST_S)
+
+
 def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, hold: int) -> None:
     """Write a GIF or a WebP; the last picture is shown `hold` times as long."""
     milliseconds = round(1000 / rate)
@@ -104,8 +130,9 @@ def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, h
     options: dict[str, Any] = {"quality": 80, "method": 1, "kmin": 25, "kmax": 50}
     if path.suffix.lower() == ".gif":
         palette = first.quantize(256, dither=Image.Dither.NONE)
-        first = first.quantize(palette=palette, dither=Image.Dither.NONE)
-        images = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in images)
+        to_palette = partial(Image.Image.quantize, palette=palette, dither=Image.Dither.NONE)
+        first = to_palette(first)
+        images = map(to_palette, images)
         options = {"optimize": False, "disposal": 1}
     first.save(path, save_all=True, append_images=images, duration=durations, loop=0, **options)
 
@@ -131,6 +158,190 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
             raise OSError((encoder.said() or ["ffmpeg failed"])[-1])
 
 
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """A rectangle of a picture [in], from the picture's lower left corner."""
+
+    left: float
+    low: float
+    width: float
+    height: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Where things are in a picture of `width` x `height` [in]: the scene with the robots on the
+    left, to its right the curve of the error above the words."""
+
+    width: float
+    height: float
+    dpi: float
+    scene: _Box
+    curve: _Box
+    words: _Box
+
+    @classmethod
+    def fit(cls, arena: Bounds, width_px: int) -> "_Layout":
+        """Return the layout for an arena; width and height of the picture are even numbers [px],
+        as MP4 demands."""
+        scale = min(SCENE_WIDTH_IN / arena.width, SCENE_HEIGHT_IN / arena.height)
+        scene_width = scale * arena.width
+        scene_height = scale * arena.height
+        width = scene_width + SIDE_IN + 1.36
+        dpi = 2 * round(width_px / 2) / width
+        least_height = max(scene_height, SIDE_HEIGHT_IN) + 0.75
+        height = 2 * round(least_height * dpi / 2) / dpi
+        top = height - TOP_IN
+        middle = 0.56 * height
+        side = scene_width + 2 * LABELS_IN
+        return cls(
+            width,
+            height,
+            dpi,
+            scene=_Box(LABELS_IN, top - scene_height, scene_width, scene_height),
+            curve=_Box(side, middle, SIDE_IN, top - middle),
+            words=_Box(side, 0.1, SIDE_IN, middle - 0.7),
+        )
+
+    def axes(self, figure: Figure, box: _Box) -> Axes:
+        """Add axes in a rectangle."""
+        return figure.add_axes(
+            (
+                box.left / self.width,
+                box.low / self.height,
+                box.width / self.width,
+                box.height / self.height,
+            )
+        )
+
+
+class _Scene:
+    """The robots in their arena, each with its plan and its trail."""
+
+    def __init__(self, axes: Axes, log: TrialLog, colors: list[str]) -> None:
+        setup = log.start.setup
+        arena = setup.arena
+        draw_scene(axes, [setup], colors, [tracked(log.mocap, log.valid)])
+        axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
+        visible = BODY_LEAST * max(arena.width, arena.height)
+        self._half_length = max(setup.wheel_radius or 0.0, visible)
+        self._robots = [_RobotArtists.on(axes, color) for color in colors]
+
+    @property
+    def artists(self) -> list[Artist]:
+        """What moves, in order of depth."""
+        return [part for robot in self._robots for part in (robot.plan, robot.trail, robot.body)]
+
+    def show(self, moment: Moment) -> None:
+        """Move the robots to where they are at a moment."""
+        step = _followed(moment)
+        trail = moment.trail[:: max(1, len(moment.trail) // TRAIL_POINTS)]
+        for number, robot in enumerate(self._robots):
+            x, y, heading = moment.poses[number]
+            robot.plan.set_data(*(step.plan.path[:, number, :2].T if step else ([], [])))
+            robot.trail.set_data(*np.vstack([trail[:, number], [x, y]]).T)
+            corners = self._half_length * WEDGE * np.exp(1j * heading)
+            robot.body.set_xy(np.column_stack([x + corners.real, y + corners.imag]))
+
+
+@dataclass(frozen=True, slots=True)
+class _RobotArtists:
+    """What is drawn of one robot."""
+
+    plan: Line2D
+    trail: Line2D
+    body: Polygon
+
+    @classmethod
+    def on(cls, axes: Axes, color: str) -> "_RobotArtists":
+        """Return the parts of a robot of a colour, without a place yet."""
+        (plan,) = axes.plot([], [], ".", color=color, ms=2.5, mew=0)
+        (trail,) = axes.plot([], [], color=color, lw=1.3)
+        body = Polygon(np.zeros((4, 2)), fc=color, ec="white", lw=0.6)
+        axes.add_patch(body)
+        return cls(plan, trail, body)
+
+
+class _ErrorCurve:
+    """The total error over time: the whole course in grey, up to a moment in colour."""
+
+    def __init__(self, axes: Axes, recording: Recording) -> None:
+        self._times_s = (recording.step_ns - recording.began_ns) / SECOND
+        axes.plot(self._times_s, recording.totals, color=style.FAINT, lw=1.2)
+        axes.set_xlim(0, max(recording.elapsed_s(recording.end_ns), 1e-9))
+        axes.set_ylim(0, 1.05 * float(np.nanmax(recording.totals, initial=1e-9)))
+        unit = unit_of(recording.log.start.setup.unit)
+        axes.set(xlabel="time [s]", ylabel=f"total error [{unit}]")
+        (self.line,) = axes.plot([], [], color=style.WHOLE, lw=1.5)
+
+    def show(self, moment: Moment) -> None:
+        """Draw the curve up to a moment."""
+        times_s = self._times_s[: len(moment.totals)]
+        self.line.set_data(
+            np.append(times_s, moment.time_s), np.append(moment.totals, _total_error(moment))
+        )
+
+
+class _Words:
+    """The numbers of a moment in words: time, plan and error, then the error of each robot; and the
+    direction u as an arrow."""
+
+    def __init__(self, axes: Axes, names: tuple[str, ...], colors: list[str]) -> None:
+        self._names = robot_labels(names) if len(names) < NUMBERED else []
+        axes.set_axis_off()
+        inks = [style.INK, style.INK, style.INK, *colors[: len(self._names)]]
+        rows = max(len(inks), 7)
+        heights = 0.92 - np.arange(len(inks)) / rows
+        look: dict[str, Any] = {
+            "fontsize": 8.5, "transform": axes.transAxes, "in_layout": False,
+        }  # fmt: skip
+        self.lines = [
+            axes.text(-0.2, float(height), "", color=ink, **look)
+            for height, ink in zip(heights, inks, strict=True)
+        ]
+        dial = axes.inset_axes((0.8, 0.85, 0.2, 0.22))
+        dial.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
+        dial.set_axis_off()
+        dial.text(-1.6, 0, "$u$", ha="right", va="center")
+        (self.arrow,) = dial.plot([], [], color=style.WHOLE, lw=1.4, clip_on=False)
+
+    def show(self, moment: Moment) -> None:
+        """Write the numbers of a moment, and turn the arrow."""
+        step = _followed(moment)
+        direction = None if step is None else step.plan.direction
+        arrow = np.zeros(0) if direction is None else ARROW * np.exp(1j * direction)
+        self.arrow.set_data(arrow.real, arrow.imag)
+        for line, words in zip(self.lines, self._written(moment), strict=True):
+            line.set_text(words)
+
+    def _written(self, moment: Moment) -> list[str]:
+        """Return the text of each line."""
+        unit = unit_of(moment.setup.unit)
+        step = moment.step
+        time = f"{moment.time_s:.1f} s"
+        plan = ""
+        if step is not None:
+            time += f", step {step.k}"
+        if step is not None and not step.plan.pauses:
+            plan = f"{len(step.plan.signals)} signals planned, J {step.plan.cost:.3g} {unit}"
+        total = f"total error {_total_error(moment):.1f} {unit}, {moment.known}"
+        robots = [
+            f"{name} {distance:.1f} {unit}"
+            for name, distance in zip(self._names, moment.distances, strict=False)
+        ]
+        return [time, plan, total, *robots]
+
+
+def _followed(moment: Moment) -> Step | None:
+    """Return the control step whose plan robots follow; None before the first and at the end."""
+    return None if moment.result else moment.step
+
+
+def _total_error(moment: Moment) -> float:
+    """Return the sum of the distances that are known [length unit]."""
+    return float(np.nansum(moment.distances))
+
+
 class VideoFrames:
     """Draws the pictures of a video of a trial: arrays (height, width, 3) with even height and
     width.
@@ -142,100 +353,35 @@ class VideoFrames:
     def __init__(self, log: TrialLog, width: int) -> None:
         need_steps(log)
         self.recording = Recording(log)
-        setup = self._setup = log.start.setup
-        heading = f"{setup.name}, trial {log.start.trial}: {log.origin.value}"
-        if text := unfinished(log):
-            heading += f" ({text})"
-        arena = setup.arena
-        # inches: at most 5 x 4.4 of the arena, its labels, and to its right 2.2 of numbers
-        scale = min(5.0 / arena.width, 4.4 / arena.height)
-        wide, high, side = scale * arena.width, scale * arena.height, 2.2
-        size = wide + side + 1.36, max(high, 3.0) + 0.75
-        dpi = 2 * round(width / 2) / size[0]
-        size = size[0], 2 * round(size[1] * dpi / 2) / dpi
-        figure = Figure(size, dpi)
+        setup = log.start.setup
+        colors = robot_colors(setup.names, setup.colors)
+        layout = _Layout.fit(setup.arena, width)
+        figure = Figure((layout.width, layout.height), layout.dpi)
         self._canvas = FigureCanvasAgg(figure)
-
-        def axes(left: float, low: float, width: float, height: float) -> Axes:
-            inches = left / size[0], low / size[1], width / size[0], height / size[1]
-            return figure.add_axes(inches)
-
-        figure.text(0.01, 0.985, heading[:120], va="top", color=style.GREY, fontsize=7.5)
-        scene = axes(0.62, size[1] - 0.3 - high, wide, high)
-        self._ground = DishGround(scene, log)
-        self._robots = self._draw_robots(scene, log)
-        middle = 0.56 * size[1]
-        self._curve = self._draw_curve(axes(wide + 1.24, middle, side, size[1] - 0.3 - middle))
-        words = axes(wide + 1.24, 0.1, side, middle - 0.7)
-        self._arrow, self._texts = self._draw_words(words)
-        robots = [artist for robot in self._robots for artist in robot]
-        self._moving = [*robots, self._curve, self._arrow, *self._texts]
+        figure.text(0.01, 0.985, _heading(log), va="top", color=style.GREY, fontsize=7.5)
+        scene_axes = layout.axes(figure, layout.scene)
+        self._ground = DishGround(scene_axes, log)
+        scene = _Scene(scene_axes, log, colors)
+        curve = _ErrorCurve(layout.axes(figure, layout.curve), self.recording)
+        words = _Words(layout.axes(figure, layout.words), setup.names, colors)
+        self._parts = (scene, curve, words)
+        self._moving = [*scene.artists, curve.line, words.arrow, *words.lines]
         for artist in self._moving:
             artist.set_animated(True)
         self._draw_still()
 
     def _draw_still(self) -> None:
+        """Draw what does not move, and keep it."""
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
 
-    def _draw_robots(self, axes: Axes, log: TrialLog) -> list[tuple[Line2D, Line2D, Polygon]]:
-        """Draw the arena, and return each robot's plan, trail and body, in order of depth."""
-        setup = self._setup
-        self._colors = robot_colors(setup.names, setup.colors)
-        draw_scene(axes, [setup], self._colors, [tracked(log.mocap, log.valid)])
-        arena = setup.arena
-        axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
-        least = 0.014 * max(arena.width, arena.height)  # to be seen
-        self._body = max(setup.wheel_radius or 0.0, least)
-        robots = []
-        for color in self._colors:
-            (plan,) = axes.plot([], [], ".", color=color, ms=2.5, mew=0)
-            (trail,) = axes.plot([], [], color=color, lw=1.3)
-            body = Polygon(np.zeros((4, 2)), fc=color, ec="white", lw=0.6)
-            axes.add_patch(body)
-            robots.append((plan, trail, body))
-        return robots
-
-    def _draw_curve(self, axes: Axes) -> Line2D:
-        """Draw the axes and the course of the total error; return the curve up to a time."""
-        recording = self.recording
-        self._times = (recording.step_ns - recording.began_ns) / SECOND
-        axes.plot(self._times, recording.totals, color=style.FAINT, lw=1.2)
-        axes.set_xlim(0, max(recording.elapsed_s(recording.end_ns), 1e-9))
-        axes.set_ylim(0, 1.05 * float(np.nanmax(recording.totals, initial=1e-9)))
-        axes.set(xlabel="time [s]", ylabel=f"total error [{unit_of(self._setup.unit)}]")
-        return axes.plot([], [], color=style.WHOLE, lw=1.5)[0]
-
-    def _draw_words(self, axes: Axes) -> tuple[Line2D, list[Text]]:
-        """Return the arrow of the direction u, and a line of text for each number."""
-        names = self._setup.names
-        self._names = robot_labels(names) if len(names) < NUMBERED else []
-        axes.set_axis_off()
-        inks = [*[style.INK] * 3, *self._colors[: len(self._names)]]
-        heights = 0.92 - np.arange(len(inks)) / max(len(inks), 7)
-        texts = [
-            axes.text(
-                -0.2,
-                float(y),
-                "",
-                color=ink,
-                fontsize=8.5,
-                transform=axes.transAxes,
-                in_layout=False,
-            )
-            for y, ink in zip(heights, inks, strict=True)
-        ]
-        dial = axes.inset_axes((0.8, 0.85, 0.2, 0.22))
-        dial.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
-        dial.set_axis_off()
-        dial.text(-1.6, 0, "$u$", ha="right", va="center")
-        return dial.plot([], [], color=style.WHOLE, lw=1.4, clip_on=False)[0], texts
-
     def at(self, elapsed_s: float) -> Picture:
         """Return the picture at `elapsed_s` [s] after the first direction sent."""
-        when = self.recording.began_ns + round(elapsed_s * SECOND)
-        self._show(self.recording.at(when))
-        if self._ground.show(when):
+        time_ns = self.recording.began_ns + round(elapsed_s * SECOND)
+        moment = self.recording.at(time_ns)
+        for part in self._parts:
+            part.show(moment)
+        if self._ground.show(time_ns):
             self._draw_still()
         self._canvas.restore_region(self._still)
         renderer = self._canvas.get_renderer()
@@ -243,31 +389,11 @@ class VideoFrames:
             artist.draw(renderer)
         return np.asarray(self._canvas.buffer_rgba())[..., :3]
 
-    def _show(self, moment: Moment) -> None:
-        trail, step = moment.trail, moment.step
-        thin = trail[:: max(1, len(trail) // 600)]
-        next_plan = None if step is None or moment.result else step.plan
-        for i, (plan, path, body) in enumerate(self._robots):
-            x, y, heading = moment.poses[i]
-            plan.set_data(*(next_plan.path[:, i, :2].T if next_plan else ([], [])))
-            path.set_data(*np.vstack([thin[:, i], [x, y]]).T)
-            corners = self._body * WEDGE * np.exp(1j * heading)
-            body.set_xy(np.column_stack([x + corners.real, y + corners.imag]))
-        u = next_plan.direction if next_plan else None
-        arrow = np.zeros(0) if u is None else ARROW * np.exp(1j * u)
-        self._arrow.set_data(arrow.real, arrow.imag)
-        done, unit = len(moment.totals), unit_of(self._setup.unit)
-        total = float(np.nansum(moment.distances))
-        self._curve.set_data(
-            np.append(self._times[:done], moment.time_s), np.append(moment.totals, total)
-        )
-        words = [f"{moment.time_s:.1f} s", "", f"total error {total:.1f} {unit}, {moment.known}"]
-        if step:
-            words[0] += f", step {step.k}"
-        if step and not step.plan.pauses:
-            words[1] = f"{len(step.plan.signals)} signals planned, J {step.plan.cost:.3g} {unit}"
-        words += [
-            f"{n} {e:.1f} {unit}" for n, e in zip(self._names, moment.distances, strict=False)
-        ]
-        for text, line in zip(self._texts, words, strict=True):
-            text.set_text(line)
+
+def _heading(log: TrialLog) -> str:
+    """Return what the trial is, and what its log lacks."""
+    heading = f"{log.start.setup.name}, trial {log.start.trial}: {log.origin.value}"
+    lacks = unfinished(log)
+    if lacks:
+        heading += f" ({lacks})"
+    return heading[:HEADING_LETTERS]

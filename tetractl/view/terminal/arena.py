@@ -17,11 +17,20 @@ from tetractl.core.shape import Shape
 from tetractl.replay.player import Moment, first_seen
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 
+DOWN = 4
+ACROSS = 2
+"""Dots of a braille cell; it is twice as high as wide, so they lie on a square grid."""
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
-DOWN, ACROSS = (
-    _BITS.shape
-)  # dots of a braille cell; it is twice as high as wide, so they are square
+"""The bit of each dot of a cell (DOWN, ACROSS) in the number of its braille character."""
+BRAILLE = 0x2800
+"""The braille character without a dot in Unicode, from which the others count."""
+DOT_MOST = 1e6
+"""Largest column and row of a dot, far outside of every terminal; numbers of dots stay integers."""
 _PLAIN = Style()
+TICKS = "-/|\\"
+"""The tick ahead of a robot in ASCII, by the eighth of a turn; after four they repeat."""
+TICK_PLACES = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
+"""Where it is next to the robot: columns to the right and rows up, by the eighth of a turn."""
 OBSTACLE_STYLE = Style(color=OBSTACLE_EDGE)
 BORDER_STYLE = Style(dim=True)
 
@@ -38,10 +47,12 @@ class Projection:
     @classmethod
     def fit(cls, arena: Bounds, width: int, height: int) -> "Projection":
         """Return the projection that shows the arena as large as `width` x `height` cells allow."""
-        width, height = max(width, 1), max(height, 1)
-        scale = max(arena.width / (ACROSS * width - 1), arena.height / (DOWN * height - 1))
-        across, down = round(arena.width / scale) + 1, round(arena.height / scale) + 1
-        return cls(arena, math.ceil(across / ACROSS), math.ceil(down / DOWN), scale)
+        columns_most = ACROSS * max(width, 1)
+        rows_most = DOWN * max(height, 1)
+        scale = max(arena.width / (columns_most - 1), arena.height / (rows_most - 1))
+        columns = round(arena.width / scale) + 1
+        rows = round(arena.height / scale) + 1
+        return cls(arena, math.ceil(columns / ACROSS), math.ceil(rows / DOWN), scale)
 
     def dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the columns and rows of the dots at positions (..., 2), from (0, 0) at the top
@@ -52,30 +63,30 @@ class Projection:
         xy = xy[np.isfinite(xy).all(axis=-1)]
         column = np.rint((xy[:, 0] - self.arena.left) / self.scale)
         row = np.rint((self.arena.bottom + self.arena.height - xy[:, 1]) / self.scale)
-        limit = 1e6
         return (
-            np.clip(column, -limit, limit).astype(np.int64),
-            np.clip(row, -limit, limit).astype(np.int64),
+            np.clip(column, -DOT_MOST, DOT_MOST).astype(np.int64),
+            np.clip(row, -DOT_MOST, DOT_MOST).astype(np.int64),
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """Return the column and row of the cell at a position or, if that is outside, of the
-        nearest cell.
+        nearest cell; of an unknown position (NaN), those of the lower left cell.
         """
-        if not (math.isfinite(x) and math.isfinite(y)):
-            x, y = self.arena.left, self.arena.bottom
-        (column,), (row,) = self.dots(np.array([[x, y]]))
-        return (
-            min(max(int(column) // ACROSS, 0), self.width - 1),
-            min(max(int(row) // DOWN, 0), self.height - 1),
-        )
+        position = np.array([[x, y]])
+        if not np.isfinite(position).all():
+            position = np.array([[self.arena.left, self.arena.bottom]])
+        columns, rows = self.dots(position)
+        column = int(columns[0]) // ACROSS
+        row = int(rows[0]) // DOWN
+        return min(max(column, 0), self.width - 1), min(max(row, 0), self.height - 1)
 
 
 class Canvas:
     """Character cells of braille dots with one style each: the style of the newest dots."""
 
     def __init__(self, width: int, height: int, glyphs: Glyphs) -> None:
-        self.width, self.height = width, height
+        self.width = width
+        self.height = height
         self._ascii = glyphs.ascii
         self._bits = np.zeros((height, width), dtype=np.uint8)
         self._styles: list[Style] = [_PLAIN]
@@ -86,10 +97,11 @@ class Canvas:
         self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style, char: str
     ) -> None:
         """Draw dots; an ASCII canvas shows `char` in each cell with a dot."""
-        seen = (columns >= 0) & (columns < ACROSS * self.width)
-        seen &= (rows >= 0) & (rows < DOWN * self.height)
-        columns, rows = columns[seen], rows[seen]
-        cells = rows // DOWN, columns // ACROSS
+        inside = (columns >= 0) & (columns < ACROSS * self.width)
+        inside &= (rows >= 0) & (rows < DOWN * self.height)
+        columns = columns[inside]
+        rows = rows[inside]
+        cells = (rows // DOWN, columns // ACROSS)
         np.bitwise_or.at(self._bits, cells, _BITS[rows % DOWN, columns % ACROSS])
         self._style[cells] = self._index(style)
         self._chars[cells] = char
@@ -105,7 +117,7 @@ class Canvas:
         """Return the rows of the canvas as text."""
         chars = self._chars
         if not self._ascii:
-            braille = (0x2800 + self._bits.astype(np.uint32)).view("<U1")
+            braille = (BRAILLE + self._bits.astype(np.uint32)).view("<U1")
             chars = np.where(self._bits > 0, braille, chars)
         return ["".join(row) for row in chars]
 
@@ -134,17 +146,18 @@ def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: i
     canvas = Canvas(view.width, view.height, glyphs)
     for obstacle in setup.obstacles:
         canvas.dots(*view.dots(_filling(obstacle, view)), OBSTACLE_STYLE, "#")
-    for robot, color in enumerate(colors):
-        if frame.step is not None and frame.result is None:
-            plan = frame.step.plan.path[:, robot, :2]
-            canvas.dots(*view.dots(plan), Style(color=color, dim=True), ":")
+    if frame.step is not None and frame.result is None:
+        plan = frame.step.plan.path
+        for robot, color in enumerate(colors):
+            dotted = Style(color=color, dim=True)
+            canvas.dots(*view.dots(plan[:, robot, :2]), dotted, ":")
     for robot, color in enumerate(colors):
         canvas.dots(*view.dots(frame.trail[:, robot]), Style(color=color), ".")
-    begin = first_seen(frame.trail, setup.starts.xy)
+    starts = first_seen(frame.trail, setup.starts.xy)
     for robot, color in enumerate(colors):
-        canvas.put(*view.cell(*begin[robot]), glyphs.start, Style(color=color))
-        for place in setup.legs[:, robot]:
-            _target(canvas, view, place, robot, color, glyphs)
+        canvas.put(*view.cell(*starts[robot]), glyphs.start, Style(color=color))
+        for target in setup.legs[:, robot]:
+            _target(canvas, view, target, robot, color, glyphs)
     for robot, color in enumerate(colors):
         _robot(canvas, view, frame.poses[robot], robot, color, glyphs)
     return canvas
@@ -153,13 +166,15 @@ def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: i
 def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]]:
     """Add a thin border to a canvas, with a label in the lower edge if there is space."""
     nw, ne, se, sw, line, side = glyphs.box
-    label = f" {label} " if len(label) + 2 <= canvas.width else ""
+    words = f" {label} "
+    if len(words) > canvas.width:
+        words = ""
+    before = (canvas.width - len(words)) // 2
+    after = canvas.width - len(words) - before
     yield [Segment(nw + line * canvas.width + ne, BORDER_STYLE)]
     for row in canvas.segments():
         yield [Segment(side, BORDER_STYLE), *row, Segment(side, BORDER_STYLE)]
-    rest = canvas.width - len(label)
-    edge = line * (rest // 2) + label + line * (rest - rest // 2)
-    yield [Segment(sw + edge + se, BORDER_STYLE)]
+    yield [Segment(sw + line * before + words + line * after + se, BORDER_STYLE)]
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
@@ -168,19 +183,22 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 
     A shape smaller than a dot has only outline points.
     """
-    arena, outline = view.arena, shape.outline()
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    x = _ticks(max(low[0], arena.left), min(high[0], arena.right), view.scale)
-    y = _ticks(max(low[1], arena.bottom), min(high[1], arena.top), view.scale)
+    arena = view.arena
+    outline = shape.outline()
+    left, bottom = outline.min(axis=0)
+    right, top = outline.max(axis=0)
+    x = _ticks(max(left, arena.left), min(right, arena.right), view.scale)
+    y = _ticks(max(bottom, arena.bottom), min(top, arena.top), view.scale)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return np.vstack([grid[shape.contain(grid[:, 0], grid[:, 1])], outline])
+    inside = shape.contain(grid[:, 0], grid[:, 1])
+    return np.vstack([grid[inside], outline])
 
 
 def _ticks(low: float, high: float, step: float) -> Floats:
     """Return coordinates from low to high, at most `step` apart; none if high < low."""
-    return (
-        np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
-    )
+    if high < low:
+        return np.empty(0)
+    return np.linspace(low, high, math.ceil((high - low) / step) + 1)
 
 
 def _target(
@@ -191,6 +209,7 @@ def _target(
     color: str,
     glyphs: Glyphs,
 ) -> None:
+    """Draw a target of a robot: a square, or in ASCII the robot's number in brackets."""
     column, row = view.cell(*xy)
     style = Style(color=color)
     if not glyphs.ascii:
@@ -203,18 +222,19 @@ def _target(
 def _robot(
     canvas: Canvas, view: Projection, pose: Floats, robot: int, color: str, glyphs: Glyphs
 ) -> None:
-    x, y, heading = (float(value) for value in pose)
+    """Draw a robot: an arrow, or in ASCII its number with a tick ahead."""
+    x, y, heading = pose.tolist()
     column, row = view.cell(x, y)
     style = Style(color=color, bold=True)
     if not glyphs.ascii:
         canvas.put(column, row, arrow(glyphs, heading), style)
         return
     turn = eighth(heading)
-    across = (1, 1, 0, -1, -1, -1, 0, 1)[turn]
-    up = (0, 1, 1, 1, 0, -1, -1, -1)[turn]
-    canvas.put(column + across, row - up, "-/|\\"[turn % 4], style)
+    across, up = TICK_PLACES[turn]
+    canvas.put(column + across, row - up, TICKS[turn % len(TICKS)], style)
     canvas.put(column, row, _digit(robot), style)
 
 
 def _digit(robot: int) -> str:
+    """Return the last digit of a robot's number, which counts from 1."""
     return str(robot + 1)[-1]

@@ -66,22 +66,22 @@ EVENTS_SHOWN = ((36, 6), (24, 2), (16, 1))
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """The lowest line: text on the left, a bar, text on the right, and the `hints` that fit."""
+    """The lowest line: text `before` a bar, the bar, text `after` it, and the `hints` that fit."""
 
-    left: str
+    before: str
     fraction: float
-    right: str
+    after: str
     hints: tuple[str, ...] = ()
 
     def text(self, glyphs: Glyphs, width: int) -> Text:
         """Return the line; if it is too long, hints are left out, then the bar is shortened."""
-        words = len(self.left) + len(self.right) + 2
+        words = len(self.before) + len(self.after) + 2
         hints = list(self.hints)
         while hints and words + BAR_WANTED + _width_of_hints(hints) > width:
             hints.pop()
         bar_width = max(width - words - _width_of_hints(hints), 0)
         filled = bar(glyphs, min(bar_width, BAR_MOST), self.fraction, "bold")
-        line = Text.assemble(f"{self.left} ", filled, f" {self.right}")
+        line = Text.assemble(f"{self.before} ", filled, f" {self.after}")
         for hint in hints:
             key, _, action = hint.partition(" ")
             line.append_text(Text.assemble(" " * GAP, (key, "bold"), (f" {action}", "dim")))
@@ -117,7 +117,8 @@ class _RobotColumns:
 
         Values have four digits at a distance of `full`: 854.0 mm.
         """
-        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)
+        digits = math.floor(math.log10(full)) + 1  # before the decimal point
+        decimals = min(max(4 - digits, 0), 6)
         values = [f"{distance:.{decimals}f}" for distance in (full, *distances)]
         value_width = max(len(value) for value in values)
         rest = width - value_width - 5  # the mark, three gaps, and a column to spare
@@ -172,8 +173,7 @@ class Dashboard:
     def _arena(self, glyphs: Glyphs, width: int, height: int) -> list[list[Segment]]:
         """Return exactly `height` rows of equal width: the arena in its frame, then blanks."""
         arena = self._moment.setup.arena
-        most = min(max(round(ARENA_SHARE * width), width - GAP - NUMBERS_WANTED), _most(width))
-        inside = Projection.fit(arena, max(most, 3) - 2, height - 2)
+        inside = Projection.fit(arena, max(_arena_width(width), 3) - 2, height - 2)
         canvas = draw(self._moment, self._colors, glyphs, inside.width, inside.height)
         size = f"{arena.width:g} {glyphs.times} {arena.height:g} {self._moment.setup.unit}"
         rows = list(framed(canvas, size, glyphs))
@@ -228,8 +228,8 @@ class Dashboard:
             lines.append(_row(width, "robots", "do", step.plan.doing))
         else:
             degrees = math.degrees(math.remainder(direction, math.tau))
-            shown = f"{arrow(glyphs, direction)} {degrees:+.0f}{glyphs.degree}"
-            lines.append(_row(width, "direction", "u", shown))
+            turned = f"{arrow(glyphs, direction)} {degrees:+.0f}{glyphs.degree}"
+            lines.append(_row(width, "direction", "u", turned))
         return lines
 
     def _robots(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
@@ -238,18 +238,19 @@ class Dashboard:
         """
         setup = self._moment.setup
         distances = self._moment.distances
-        most = max(height - LINES_OF_OTHERS, ROBOTS_LEAST)
-        shown = len(distances) if len(distances) <= most else most - 1
-        full = max(float(np.nanmax(setup.distances(setup.starts.xy))), SMALLEST)
-        columns = _RobotColumns.fit(width, setup.names[:shown], distances[:shown], full)
+        lines_most = max(height - LINES_OF_OTHERS, ROBOTS_LEAST)
+        listed = len(distances) if len(distances) <= lines_most else lines_most - 1
+        at_start = setup.distances(setup.starts.xy)
+        full = max(float(np.nanmax(at_start)), SMALLEST)
+        columns = _RobotColumns.fit(width, setup.names[:listed], distances[:listed], full)
         what = f"to target [{setup.unit}]"
-        known = self._moment.known
-        title = _first_fitting(width, f"distance {what}, {known}", f"{what}, {known}", what)
+        how = self._moment.known
+        title = _first_fitting(width, f"distance {what}, {how}", f"{what}, {how}", what)
         lines = [Text(title, "dim", no_wrap=True)]
-        lines += [self._robot(glyphs, robot, columns, full) for robot in range(shown)]
-        if shown < len(distances):
-            worst = _number(float(distances[shown:].max()))
-            lines.append(Text(f"and {len(distances) - shown} more, at most {worst}", "dim"))
+        lines += [self._robot(glyphs, robot, columns, full) for robot in range(listed)]
+        if listed < len(distances):
+            worst = _number(float(distances[listed:].max()))
+            lines.append(Text(f"and {len(distances) - listed} more, at most {worst}", "dim"))
         return lines
 
     def _robot(self, glyphs: Glyphs, robot: int, columns: "_RobotColumns", full: float) -> Text:
@@ -363,9 +364,12 @@ def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
         yield from Segment.adjust_line_length(row, width)
 
 
-def _most(width: int) -> int:
-    """Return the greatest width of the arena with its frame."""
-    return width - GAP - NUMBERS_LEAST
+def _arena_width(width: int) -> int:
+    """Return the greatest width of the arena with its frame on a terminal of a width."""
+    share = round(ARENA_SHARE * width)
+    with_wanted_numbers = width - GAP - NUMBERS_WANTED
+    with_least_numbers = width - GAP - NUMBERS_LEAST
+    return min(max(share, with_wanted_numbers), with_least_numbers)
 
 
 def _height_of(blocks: list[_Block]) -> int:

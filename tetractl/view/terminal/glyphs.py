@@ -32,6 +32,8 @@ class Glyphs:
     to: str = "→"
 
 
+LEAST = 1e-12
+"""Values below it are shown as if they were this, on a logarithmic scale."""
 UNICODE = Glyphs()
 ASCII = Glyphs(
     True, ">/^\\</v\\", "o", "+", "++++-|", "=-", "_.-~=*%#", ".", " deg", ">", "=", "x", "+/-",
@@ -61,9 +63,12 @@ def eighth(angle: float) -> int:
 
 
 def bar(glyphs: Glyphs, width: int, fraction: float, style: str) -> Text:
-    """Return a bar of `width` characters, `fraction` of it filled."""
-    done = round(width * min(max(fraction, 0.0), 1.0)) if math.isfinite(fraction) else width
-    return Text.assemble((glyphs.bar[0] * done, style), (glyphs.bar[1] * (width - done), "dim"))
+    """Return a bar of `width` characters, `fraction` of it filled; all for an unknown one."""
+    filled = width
+    if math.isfinite(fraction):
+        filled = round(width * min(max(fraction, 0.0), 1.0))
+    full, empty = glyphs.bar
+    return Text.assemble((full * filled, style), (empty * (width - filled), "dim"))
 
 
 def sparkline(
@@ -84,17 +89,26 @@ def sparkline(
     y = np.where(np.isfinite(y), y, np.nan)
     if not len(y) or np.isnan(y).all() or width < 1:
         return Text(glyphs.rest * max(width, 0), "dim")
-    if log:
-        y = np.log(np.maximum(y, 1e-12))
-    low, high = (np.nanmin(y) if log else 0.0), np.nanmax(y)
-    y = np.clip(y, low, high)
-    shape = (y - low) / (high - low) if high > low else np.zeros_like(y)
-    level = np.nan_to_num(shape * (len(glyphs.spark) - 1), nan=len(glyphs.spark) - 1).round()
-    total = max(total, len(y))
+    bars = [glyphs.spark[level] for level in _levels(y, len(glyphs.spark), log)]
+    total = max(total, len(bars))
     cells = min(width, total)
     edges = (np.arange(cells) + 1) * total / cells
-    last = np.ceil(edges).astype(int) - 1  # the newest value of each cell
-    drawn = [glyphs.spark[int(level[i])] for i in last if i < len(y)]
-    if len(drawn) < cells and len(y) > (last[len(drawn) - 1] + 1 if drawn else 0):
-        drawn.append(glyphs.spark[int(level[-1])])
+    newest = np.ceil(edges).astype(int) - 1  # index of the newest value of each cell
+    drawn = [bars[index] for index in newest if index < len(bars)]
+    shown_to = newest[len(drawn) - 1] + 1 if drawn else 0
+    if len(drawn) < cells and len(bars) > shown_to:  # the first values of the next cell
+        drawn.append(bars[-1])
     return Text.assemble("".join(drawn), (glyphs.rest * (cells - len(drawn)), "dim"))
+
+
+def _levels(y: Floats, count: int, log: bool) -> list[int]:
+    """Return the level of each value, 0 to count - 1: the highest for a value that is unknown."""
+    if log:
+        y = np.log(np.maximum(y, LEAST))
+    low = np.nanmin(y) if log else 0.0
+    high = np.nanmax(y)
+    share = np.zeros_like(y)
+    if high > low:
+        share = (np.clip(y, low, high) - low) / (high - low)
+    highest = count - 1
+    return np.nan_to_num(share * highest, nan=highest).round().astype(int).tolist()

@@ -43,13 +43,14 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
     like the beginning of a sequence, until ESCAPE_S have passed.
     """
     keys: list[str] = []
-    for found in _KEY.finditer(data.decode("latin-1")):
-        if found["unfinished"]:
-            return keys, data[found.start() :]
-        if found["alt"]:  # of a key with Alt, whose sequence follows
+    for sequence in _KEY.finditer(data.decode("latin-1")):
+        if sequence["unfinished"]:
+            return keys, data[sequence.start() :]
+        if sequence["alt"]:  # of a key with Alt, whose sequence follows
             continue
-        if found[0] in _NAMES or found["printable"]:
-            keys.append(_NAMES.get(found[0], found[0]))
+        text = sequence[0]
+        if text in _NAMES or sequence["printable"]:
+            keys.append(_NAMES.get(text, text))
     return keys, b""
 
 
@@ -97,7 +98,8 @@ class Keyboard:
     """
 
     def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
-        self._leave, self._back = leave, back
+        self._leave = leave
+        self._back = back
         self._rest = b""
         self._stop_wanted = False
         self.interrupted = False
@@ -159,7 +161,9 @@ class StopKey:
         self, stop: Callable[[], None], enter: Callable[[], None], unattended: bool = False
     ) -> None:
         self.listening = sys.stdin is not None and sys.stdin.isatty()
-        self._stop, self._enter, self._unattended = stop, enter, unattended
+        self._stop = stop
+        self._enter = enter
+        self._unattended = unattended
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._listen, name="stop key", daemon=True)
 

@@ -137,11 +137,12 @@ class BatchSoFar:
         """Return the number of the trial, and how long the others will take."""
         ended = len(self._tally.errors)
         taken_s = 0.0 if self._began_s is None else self._wall() - self._began_s
-        left = ""
+        time_left = ""
         if ended and taken_s:
-            left = f"{duration(taken_s / ended * (self._count - ended))} left"
+            per_trial_s = taken_s / ended
+            time_left = f"{duration(per_trial_s * (self._count - ended))} left"
         number = f"trial {self._trial + 1} of {self._count}"
-        return Footer(number, ended / self._count, left, hints)
+        return Footer(number, ended / self._count, time_left, hints)
 
 
 class LiveView(Observer):

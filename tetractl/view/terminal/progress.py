@@ -13,6 +13,7 @@ from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 
 LINES = 10  # number of progress lines that a study prints without a terminal
+RESULTS_TO_EXPECT = 3  # least number of results from which a study's duration is estimated
 PAUSE_S = 10.0  # least time between two progress lines of a script or notebook [s]
 
 
@@ -35,8 +36,10 @@ class Tally:
         if not self.errors:
             return ""
         words = [f"mean total error {sum(self.errors) / len(self.errors):.1f} {unit}"]
-        words += [f"{self.entered} entered an obstacle"] * bool(self.entered)
-        words += [f"{self.aborted} aborted"] * bool(self.aborted)
+        if self.entered:
+            words.append(f"{self.entered} entered an obstacle")
+        if self.aborted:
+            words.append(f"{self.aborted} aborted")
         return ", ".join(words)
 
 
@@ -44,10 +47,11 @@ class _TrialsBar:
     """A progress bar, shown on a terminal unless `quiet`; a context manager."""
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
-        self._console, self._total = console, total
+        self._console = console
+        self._total = total
         live = console.is_terminal and not (console.is_dumb_terminal or console.quiet or quiet)
         self._done = 0
-        columns = TextColumn("trials"), BarColumn(bar_width=30), MofNCompleteColumn()
+        columns = (TextColumn("trials"), BarColumn(bar_width=30), MofNCompleteColumn())
         words = TextColumn("{task.description}")
         self._bar = Progress(*columns, words, console=console, transient=True) if live else None
 
@@ -82,7 +86,8 @@ class BatchProgress(_TrialsBar):
 
     def __init__(self, console: Console, total: int, unit: str = "mm") -> None:
         super().__init__(console, total)
-        self._tally, self._unit = Tally(), unit
+        self._tally = Tally()
+        self._unit = unit
 
     def trial_ended(self, ending: Ending) -> None:
         """Advance the bar, or print the trial's line."""
@@ -105,20 +110,29 @@ class StudyProgress(_TrialsBar):
 
     def trial_ended(self, ending: Ending) -> None:
         """Print a failure and the expected duration; advance the bar, or print a line."""
-        task, left_s = ending.task, ending.left_s
         if ending.failure:
-            self._say(f"failed: {task.arm}/{task.trial}: {ending.failure}")
-        self._results += ending.result is not None
-        if not (self._expected or self._quiet) and self._results >= 3 and ending.every_arm:
+            self._say(f"failed: {ending.task.arm}/{ending.task.trial}: {ending.failure}")
+        if ending.result is not None:
+            self._results += 1
+        enough = self._results >= RESULTS_TO_EXPECT and ending.every_arm
+        if enough and not (self._expected or self._quiet):
             self._expected = True
-            if left_s:
-                by = f"estimated from the first {self._results} trials"
-                self._say(f"expected duration {duration(left_s)}, {by}")
-        before = self._done * LINES // self._total
+            self._say_expected(ending.left_s)
+        lines_before = self._lines()
         self._advance(_left(ending))
-        if self._done * LINES // self._total > before and not (self._bar or self._quiet):
-            words = f"{self._done} of {self._total} trials", _left(ending)
+        if self._lines() > lines_before and not (self._bar or self._quiet):
+            words = (f"{self._done} of {self._total} trials", _left(ending))
             self._say(", ".join(filter(None, words)))
+
+    def _say_expected(self, left_s: float | None) -> None:
+        """Print how long the other trials will take [s], if that is known."""
+        if left_s:
+            by = f"estimated from the first {self._results} trials"
+            self._say(f"expected duration {duration(left_s)}, {by}")
+
+    def _lines(self) -> int:
+        """Return how many of the LINES are due after the trials done."""
+        return self._done * LINES // self._total
 
 
 class ScriptProgress:
@@ -149,6 +163,7 @@ class ScriptProgress:
 
 
 def _left(ending: Ending) -> str:
+    """Return how long the other trials will take, "" if that is unknown."""
     return "" if ending.left_s is None else f"{duration(ending.left_s)} left"
 
 
@@ -164,9 +179,9 @@ def trial_line(task: Task, result: Result, unit: str) -> str:
 
 def duration(seconds: float) -> str:
     """Return a time [s] as text such as 45 s, 3 min 20 s or 2 h 5 min."""
-    whole = max(round(seconds), 0)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+    whole_s = max(round(seconds), 0)
+    if whole_s < 60:
+        return f"{whole_s} s"
+    if whole_s < 3600:
+        return f"{whole_s // 60} min {whole_s % 60} s"
+    return f"{whole_s // 3600} h {whole_s % 3600 // 60} min"

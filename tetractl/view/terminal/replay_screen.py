@@ -115,9 +115,9 @@ def _footer(player: Player, glyphs: Glyphs, place: TrialOfSeveral) -> Footer:
         hints.append("n next trial")
     hints += [f"{glyphs.left_right} {glyphs.plus_minus}1 s", ". step", "e event", "+/- rate"]
     return Footer(
-        left=f"{sign} {player.rate:g}{glyphs.times}",
+        before=f"{sign} {player.rate:g}{glyphs.times}",
         fraction=now_s / end_s if end_s > 0 else 1.0,
-        right=f"{now_s:{len(end)}.1f} / {end} s",
+        after=f"{now_s:{len(end)}.1f} / {end} s",
         hints=tuple(hints),
     )
 
@@ -193,11 +193,13 @@ def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[_Line]:
     the result comes last.
     """
     lines = [
-        _Line(int(step_ns), step_line(recording, index))
-        for index, step_ns in enumerate(recording.step_ns)
+        _Line(step_ns, step_line(recording, index))
+        for index, step_ns in enumerate(recording.step_ns.tolist())
     ]
-    for event_ns, event in zip(recording.event_ns, recording.events, strict=True):
-        lines.append(_Line(int(event_ns), event_line(event)))
+    lines += [
+        _Line(event_ns, event_line(event))
+        for event_ns, event in zip(recording.event_ns.tolist(), recording.events, strict=True)
+    ]
     lines.sort(key=lambda line: line.time_ns)
     if recording.log.result is not None:
         lines.append(_Line(recording.end_ns, result_line(recording)))

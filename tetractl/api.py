@@ -121,8 +121,10 @@ def run_trial(
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(place)
         spec_trial.run_trial(spec, place, trial, observers, interrupt)
-        found = read_trial(path)
-    return replace(found, log=f"{spec.name}, trial {trial}") if folder is None else found
+        simulated = read_trial(path)
+    if folder is None:  # the file is gone
+        return replace(simulated, log=f"{spec.name}, trial {trial}")
+    return simulated
 
 
 def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTrial":
@@ -144,9 +146,9 @@ def stepped(spec: Spec) -> LoadedSpec:
     `open_trial`."""
     from tetractl.run.open_trial import stepped_spec
 
-    found = stepped_spec(_spec(spec))
-    _check(found, logging.getLogger("tetractl").info)
-    return found
+    opened = stepped_spec(_spec(spec))
+    _check(opened, logging.getLogger("tetractl").info)
+    return opened
 
 
 def write_weights(path: str | Path, modules: Iterable[Any]) -> None:
@@ -163,13 +165,17 @@ def write_weights(path: str | Path, modules: Iterable[Any]) -> None:
     policy_weights.write_weights(Path(path), modules)
 
 
+def _ignore(trial: int, result: Result) -> None:
+    """Do nothing with a result."""
+
+
 def run_batch(
     spec: Spec,
     folder: str | Path,
     *,
     jobs: int = 1,
     resume: bool = False,
-    on_result: Callable[[int, Result], object] = lambda trial, result: None,
+    on_result: Callable[[int, Result], object] = _ignore,
     progress: bool = True,
 ) -> "Batch":
     """Simulate all trials of a spec, `jobs` at a time, and return the results in the folder.
@@ -238,8 +244,7 @@ def run_study(
         tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), False)
         options.warm_up_arms(loaded, _announcer(progress))
         executor = on_this_machine(jobs, len(tasks), interrupt)
-        shown = ScriptProgress(len(tasks)) if progress else None
-        watcher = _Watcher(lambda trial, result: None, shown)
+        watcher = _Watcher(_ignore, ScriptProgress(len(tasks)) if progress else None)
         report = batch.run_batch(tasks, store, executor, watcher, fail_fast=False)
         arm_table.write_tables(loaded, store)
         figure.write_figures(loaded, store)
@@ -303,7 +308,8 @@ class TrialArrays:
 def to_arrays(trial: Trial) -> TrialArrays:
     """Return poses, commands and decisions of a trial, or of its log, as arrays."""
     trial = _trial(trial)
-    setup, steps = trial.start.setup, trial.steps
+    setup = trial.start.setup
+    steps = trial.steps
     unknown = np.full_like(trial.mocap, np.nan)
     return TrialArrays(
         unit=setup.unit,
@@ -342,11 +348,13 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
     from tetractl.results.trial_tables import poses, trials_table
 
     if isinstance(data, str | Path):
-        data = read_batch(data) if Path(data).is_dir() else read_log(data)
-    table = poses(data) if isinstance(data, TrialLog) else trials_table(_batch(data))
-    frame = pandas.DataFrame(table.as_dict())
-    if isinstance(data, TrialLog):
-        frame.attrs["origin"] = data.origin.value
+        is_folder = Path(data).is_dir()
+        data = read_batch(data) if is_folder else read_log(data)
+    if not isinstance(data, TrialLog):
+        rows = trials_table(_batch(data))
+        return pandas.DataFrame(rows.as_dict())
+    frame = pandas.DataFrame(poses(data).as_dict())
+    frame.attrs["origin"] = data.origin.value
     return frame
 
 
@@ -435,7 +443,7 @@ def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
     if isinstance(data, TrialLog | str | Path):
         return [_trial(data)]
     demand(data, Iterable, "what is drawn is a trial, a list of them, a batch or its statistics")
-    trials = [_trial(one) for one in data]
+    trials = [_trial(trial) for trial in data]
     if not trials:
         raise UsageError("no trial to draw is given")
     return trials

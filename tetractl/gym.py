@@ -75,7 +75,6 @@ class TrialEnv(gymnasium.Env[Features, Features]):
                 "the robots start on their targets, so that no reward can be had",
                 "place starts or targets apart",
             )
-        self._worst_error = greatest_error(setup)
         size = features_of(len(setup.names))
         high = np.ones(size, dtype=np.float32)
         high[: 2 * len(setup.names)] = GAP_MAX
@@ -127,7 +126,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         if result is None:
             return self._observed(), self._take_reward(self._measured_error()), False, False, {}
         failed = self.trial.failed
-        error = self._worst_error if failed else result.total_error
+        error = greatest_error(self.trial.setup) if failed else result.total_error
         terminated = failed or result.outcome is Outcome.ARRIVED
         info = {"outcome": "failed" if failed else result.outcome.value, "total_error": error}
         return self._observed(), self._take_reward(error), terminated, not terminated, info
@@ -155,10 +154,10 @@ class TrialEnv(gymnasium.Env[Features, Features]):
     def _observed(self) -> Features:
         """Return the newest observation within the bounds of its space."""
         trial = self.trial
-        seen = features(trial.setup, trial.observation, trial.last_direction)
+        unbounded = features(trial.setup, trial.observation, trial.last_direction)
         space = self.observation_space
         assert isinstance(space, spaces.Box)
-        return np.clip(seen.astype(np.float32), space.low, space.high)
+        return np.clip(unbounded.astype(np.float32), space.low, space.high)
 
 
 def greatest_error(setup: Setup) -> float:

@@ -155,7 +155,7 @@ def cell_violations(truth: DishTruth, lab: LabSection) -> list[Violation]:
     off_a = OFF * field.current_max_a
     violations = [*_commands(truth, limits), *_field(truth, off_s, off_a)]
     if isinstance(truth.log, TrialLog) and len(truth.logged_exposures):
-        violations += [*_identity(truth, limits), *_result(truth)]
+        violations += [*cells_are_not_mistaken(truth, limits), *errors_are_true(truth)]
     violations += log_is_whole(truth)
     if truth.numbered:
         violations += logged(truth)
@@ -202,7 +202,7 @@ def _field(truth: DishTruth, off_s: float, off_a: float) -> Iterator[Violation]:
             yield Violation("not at rest", float(truth.times_s[row]), finding)
 
 
-def _identity(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
+def cells_are_not_mistaken(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
     """No valid pose is that of another cell, or of none, for long; none is where no cell can be."""
     times_s = truth.times_s[truth.logged_exposures]
     bound_um = WRONG_UM
@@ -246,7 +246,7 @@ def _jumps(truth: DishTruth, i: int, frames: Integers, off_um: Floats) -> Iterat
         yield Violation("untrue", float(times_s[row]), finding)
 
 
-def _result(truth: DishTruth) -> Iterator[Violation]:
+def errors_are_true(truth: DishTruth) -> Iterator[Violation]:
     """The errors of a complete trial are true, but of lost robots."""
     log = truth.log
     assert isinstance(log, TrialLog), "a log was read"

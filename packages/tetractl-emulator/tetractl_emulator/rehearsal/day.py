@@ -14,7 +14,7 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +34,8 @@ HANGS_S = 600.0
 STILL_S = 60.0
 """Wall time in which a day that is not over has to use processor time [s]: a busy machine makes
 days long, and must not make them hang."""
+HUNG = -100
+"""Stands for the exit code of a day that hangs; no signal has this number."""
 KEPT = 20_000
 """Blocks of memory that a run may leave in its process, if it has loaded no module."""
 OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
@@ -117,7 +119,7 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     if not pid:
         _run(words, folder)
     os.close(ends)
-    code, seconds = _wait(pid, ended)
+    code, seconds = wait_for_child(pid, ended)
     os.close(ended)
     _load_ahead(folder / "modules.txt")
     record = folder / "truth-000.jsonl"
@@ -201,25 +203,30 @@ def _open_files() -> set[str]:
     return names
 
 
-def _wait(pid: int, ended: int) -> tuple[int, float]:
-    """Wait for a process, which closes the other end of the pipe `ended`; return its exit code, or
-    the number of the signal that killed it less than 0, -100 if it hangs; and its processor time
-    [s].
-    """
-    hangs = False
-    used_s = -1.0
-    while not hangs and not select.select([ended], [], [], STILL_S)[0]:
-        before_s = used_s
-        used_s = _used_s(pid)
-        hangs = used_s == before_s or used_s > HANGS_S
-    if hangs:
-        os.kill(pid, signal.SIGKILL)
-    _, status, used = os.wait4(pid, 0)
-    return -100 if hangs else os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
-
-
-def _used_s(pid: int) -> float:
+def processor_time_s(pid: int) -> float:
     """Return the processor time that a process has used [s]."""
     stat = Path(f"/proc/{pid}/stat").read_text()
     fields = stat.rpartition(")")[2].split()  # after the program's name
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def wait_for_child(
+    pid: int,
+    ended: int,
+    used_s: Callable[[int], float] = processor_time_s,
+    still_s: float = STILL_S,
+) -> tuple[int, float]:
+    """Wait for a process, which closes the other end of the pipe `ended`; return its exit code, or
+    the number of the signal that killed it less than 0, HUNG if it hangs; and its processor time
+    [s]. `used_s` returns that of a process, which is read every `still_s`.
+    """
+    hangs = False
+    now_s = -1.0
+    while not hangs and not select.select([ended], [], [], still_s)[0]:
+        before_s = now_s
+        now_s = used_s(pid)
+        hangs = now_s == before_s or now_s > HANGS_S
+    if hangs:
+        os.kill(pid, signal.SIGKILL)
+    _, status, used = os.wait4(pid, 0)
+    return HUNG if hangs else os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime

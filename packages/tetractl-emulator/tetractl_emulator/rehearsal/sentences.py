@@ -24,6 +24,7 @@ import numpy as np
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
+from tetractl_emulator.rehearsal.day import HUNG
 from tetractl_emulator.rehearsal.log_checks import log_differences
 from tetractl_emulator.rehearsal.logged import MUTE, logged
 from tetractl_emulator.rehearsal.schedule import FRAME_S, MOTION
@@ -393,7 +394,7 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
     """A log is there, whole but for a full disk or a kill, and consistent."""
     log = truth.log
     spoilt = truth.killed or truth.met("disk_full")
-    if truth.day.exit == -100:
+    if truth.day.exit == HUNG:
         return
     if isinstance(log, str):
         if log or truth.began_s < np.inf:
@@ -419,7 +420,7 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
         if ERROR.search(text):
             yield _exit(text[-500:])
             break
-    if day.exit == -100:
+    if day.exit == HUNG:
         yield _exit("hangs")
         return
     if day.left:

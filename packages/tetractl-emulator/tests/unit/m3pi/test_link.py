@@ -23,7 +23,8 @@ SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", 
 
 
 class Module:
-    """The other end of a port in memory: answers AT commands, keeps what is to be sent."""
+    """Stands for an XBee module at the other end of a port in memory: answers AT commands, keeps
+    what is to be sent."""
 
     def __init__(self, answers=SERIES_1, respond=lambda frame: []):
         self.name = "radio"
@@ -38,9 +39,14 @@ class Module:
         self.sent = []
 
     def opened(self, **radio):
-        link = Link(XbeeSection(port=self.name, **radio), self.clock, self.wires.ports)
+        link = Link(XbeeSection(port=self.name, **radio), self.clock, self._ports)
         link.open()
         return link
+
+    def _ports(self, *args):
+        """Make the port of the link, whose baud rate a test may read."""
+        self.port_of_link = self.wires.ports(*args)
+        return self.port_of_link
 
     def _hear(self):
         for content in self.decoder.feed(self.port.read()):
@@ -110,21 +116,30 @@ def test_a_late_answer_is_not_one_at_the_next_baud_rate(wakes_after):
     """Regression: "the module answers at 38400 baud, not the spec's 57600"."""
     radio = Sleepy(wakes_after)
     link = radio.opened()
-    assert link._port.bits_a_second == 57600
+    assert radio.port_of_link.bits_a_second == 57600
     assert link.ask(b"AP") == b"\x02"
 
 
 def test_an_answer_to_another_question_is_dropped():
     radio = Module()
     link = radio.opened()
-    radio.port.written = lambda: radio.say(at_response(link._frame_id, b"BD", b"\x07"))
+    questions = []
+
+    def answer_as_if_asked_for_the_baud_rate():
+        (question,) = radio.decoder.feed(radio.port.read())
+        questions.append(question)
+        frame_id = question[1]
+        radio.say(at_response(frame_id, b"BD", b"\x07"))
+
+    radio.port.written = answer_as_if_asked_for_the_baud_rate
     assert link.ask(b"AP") is None
+    assert len(questions) == 1
 
 
 def test_a_broadcast_puts_every_robot_at_its_number():
     radio = Module()
     link = radio.opened()
-    Broadcaster(link, link._clock, [2, 0]).drive([(10, -20), (30, 40)])
+    Broadcaster(link, radio.clock, [2, 0]).drive([(10, -20), (30, 40)])
     (frame,) = Splitter().feed(radio.sent[0].removeprefix(BROADCAST))
     assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
 

@@ -9,9 +9,9 @@ import pytest
 from support.paths import EXAMPLES
 from tetractl_emulator.rehearsal.cell_sentences import (
     DishTruth,
-    _identity,
-    _result,
     cell_violations,
+    cells_are_not_mistaken,
+    errors_are_true,
 )
 from tetractl_emulator.rehearsal.day import Day, DayPlan
 from tetractl_emulator.rehearsal.picture_faults import microscope_rows
@@ -170,6 +170,7 @@ def test_a_wrong_pose_is_found_unless_its_cell_has_met_the_other(
     seconds, shown_um, meets, expected
 ):
     truth = day_with_shown_cell(seconds, shown_um, meets)
-    violations = [*_identity(truth, EXPERIMENT.lab.limits), *_result(truth)]
+    mistaken = cells_are_not_mistaken(truth, EXPERIMENT.lab.limits)
+    violations = [*mistaken, *errors_are_true(truth)]
     kinds = {(violation.name, violation.predicted.partition(":")[0]) for violation in violations}
     assert kinds == expected

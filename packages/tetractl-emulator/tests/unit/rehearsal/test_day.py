@@ -1,16 +1,31 @@
 """When a day counts as one that hangs: by the time that its process uses, not by the clock."""
 
 import os
+from dataclasses import dataclass
 from itertools import count
 
 import pytest
-from tetractl_emulator.rehearsal import day
+from tetractl_emulator.rehearsal.day import HANGS_S, HUNG, processor_time_s, wait_for_child
+
+
+@dataclass(frozen=True)
+class Child:
+    """A process that ends once a byte comes; a pipe whose other end it closes as it ends."""
+
+    pid: int
+    ended: int
+    write: int
+
+    def end(self):
+        os.write(self.write, b"x")
+
+    def exit_code(self, used_s=processor_time_s):
+        code, _ = wait_for_child(self.pid, self.ended, used_s, still_s=0.01)
+        return code
 
 
 @pytest.fixture
-def child(monkeypatch):
-    """A process that ends once a byte comes; its number, and the ends of both pipes."""
-    monkeypatch.setattr(day, "STILL_S", 0.01)
+def child():
     read, write = os.pipe()
     ended, ends = os.pipe()
     pid = os.fork()
@@ -18,30 +33,27 @@ def child(monkeypatch):
         os.read(read, 1)
         os._exit(0)
     os.close(ends)
-    yield pid, ended, write
+    yield Child(pid, ended, write)
     for end in (read, write, ended):
         os.close(end)
 
 
-def test_a_day_that_gets_little_time_of_a_busy_machine_does_not_hang(child, monkeypatch):
-    pid, ended, write = child
-    used = count()
+def test_a_day_that_gets_little_time_of_a_busy_machine_does_not_hang(child):
+    looks = count()
 
     def ten_milliseconds_more(_):
-        ticks = next(used)
-        if ticks == 5:
-            os.write(write, b"x")
-        return ticks / 100
+        look = next(looks)
+        if look == 5:
+            child.end()
+        return look / 100
 
-    monkeypatch.setattr(day, "_used_s", ten_milliseconds_more)
-    assert day._wait(pid, ended)[0] == 0
+    assert child.exit_code(ten_milliseconds_more) == 0
 
 
 def test_a_day_that_waits_for_ever_hangs(child):
-    assert day._wait(*child[:2])[0] == -100
+    assert child.exit_code() == HUNG
 
 
-def test_a_day_that_never_ends_hangs(child, monkeypatch):
-    used = count(start=day.HANGS_S - 2)
-    monkeypatch.setattr(day, "_used_s", lambda _: next(used))
-    assert day._wait(*child[:2])[0] == -100
+def test_a_day_that_never_ends_hangs(child):
+    seconds = count(start=HANGS_S - 2)
+    assert child.exit_code(lambda _: next(seconds)) == HUNG

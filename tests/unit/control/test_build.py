@@ -57,6 +57,8 @@ def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes(monkeyp
     said = []
 
     class New:
+        """Stands for a section whose kernels are in the cache, but for two functions."""
+
         type = "mpc"
         motion = "exact"
         optimizer = spec.controller.optimizer

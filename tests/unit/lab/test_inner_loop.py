@@ -131,6 +131,8 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     sent = []
 
     class Asked:
+        """Stands for who finds the culprit; it looks what was sent last when it is asked."""
+
         suspect = None
 
         def why(self, reason):

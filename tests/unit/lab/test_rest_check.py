@@ -19,6 +19,8 @@ SETUP = experiment().setup
 
 
 class CameraKind(NamedTuple):
+    """How fast and how noisy a camera is."""
+
     rate_hz: float
     noise: tuple[float, float, float]  # of a pose [mm, mm, rad]
 

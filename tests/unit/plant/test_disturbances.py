@@ -16,10 +16,19 @@ from tetractl.experiment.disturbance import Disturbance
 
 pytestmark = pytest.mark.slow
 
-STRAIGHT = [0.0] * 5  # directions of five periods
+STRAIGHT = [0.0] * 5  # directions of five periods: a second
+START_X = 900  # of both robots of PAIR [mm]
+SPEEDS = np.array([100, 50])  # of PAIR, which head to the right [mm/s]
+PERIOD_S = PERIOD / SECOND
+
+
+def way(simulated):
+    """How far each robot is seen to have come [mm]."""
+    return simulated.observe().poses.x - START_X
 
 
 def plant(*disturbances, seed=1, **fields):
+    """A simulation of PAIR with these disturbances."""
     sections = [BuiltSection.holding(disturbance) for disturbance in disturbances]
     section = {"disturbances": sections, **fields}
     return sim(experiment(robots=PAIR, obstacles=[], plant=section), seed)
@@ -32,30 +41,34 @@ def test_parameters_are_those_the_robots_move_by():
 
     simulated = plant(Slower())
     driven(simulated, STRAIGHT)
-    assert simulated.observe().poses.x - 900 == pytest.approx([50, 50])
+    assert way(simulated) == pytest.approx([50, 50])
 
 
-def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
+def test_a_command_that_is_lost_is_so_in_the_motion_and_in_the_record():
     class OneLosesAll(Disturbance):
         def sent(self, command):
             return replace(command, reached=command.reached & [False, True])
 
     simulated = plant(OneLosesAll())
     sent, _ = driven(simulated, STRAIGHT)
-    assert simulated.observe().poses.x - 900 == pytest.approx([0, 50])
+    assert way(simulated) == pytest.approx([0, 50])
     assert all(command.delivered == (False, True) for command in sent)
 
+
+def test_no_command_overtakes_one_that_is_late():
+    """The first acts three periods late, and those after it not before."""
+
     class FirstIsLate(Disturbance):
-        late = 3 * PERIOD
+        late_ns = 3 * PERIOD
 
         def sent(self, command):
-            late = self.late
-            self.late = 0
-            return replace(command, due_ns=command.due_ns + late)
+            late_ns = self.late_ns
+            self.late_ns = 0
+            return replace(command, due_ns=command.due_ns + late_ns)
 
     simulated = plant(FirstIsLate())
     driven(simulated, STRAIGHT)
-    assert simulated.observe().poses.x - 900 == pytest.approx([40, 20])
+    assert way(simulated) == pytest.approx(SPEEDS * 2 * PERIOD_S)
 
 
 def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
@@ -67,7 +80,7 @@ def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
     simulated.open()
     simulated.send(Steer(0.0))
     simulated.stop()
-    assert simulated.settle().final.x == pytest.approx([900, 900])
+    assert simulated.settle().final.x == pytest.approx([START_X, START_X])
     assert simulated.clock.now() > SECOND
 
 
@@ -78,17 +91,20 @@ def test_one_robot_alone_may_hear_later():
 
     simulated = plant(SecondIsLate())
     driven(simulated, STRAIGHT)
-    assert simulated.observe().poses.x - 900 == pytest.approx([100, 40])
-    simulated.stop()
-    assert simulated.settle().final.x - 900 == pytest.approx([100, 50])
+    assert way(simulated) == pytest.approx(SPEEDS * [1.0, 1.0 - PERIOD_S])
+    simulated.stop()  # which it hears later, too
+    assert simulated.settle().final.x - START_X == pytest.approx(SPEEDS)
 
 
 @pytest.mark.parametrize("drive", [None, {}])
 @pytest.mark.parametrize("motion", ["exact", "arc", "euler"])
 def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, drive):
     class Held(Disturbance):
+        """Stands for something that holds the second robot from 0.2 to 0.6 s."""
+
         def varied(self, a, speed, time_s):
-            free = np.array([1.0, not 0.2 <= time_s < 0.6])
+            is_held = 0.2 <= time_s < 0.6
+            free = np.array([1.0, 0.0 if is_held else 1.0])
             return a * free, speed * free
 
     robots = [robot | {"a": 2.0, "heading": 1.0} for robot in PAIR]
@@ -114,6 +130,8 @@ def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, d
 
 def test_moved_acts_on_the_true_poses_before_a_frame_is_exposed():
     class Drift(Disturbance):
+        """Stands for something that carries who moves upwards at 10 mm/s; it adds up how long."""
+
         seconds = 0.0
 
         def moved(self, poses, moving, seconds, time_s):
@@ -133,6 +151,8 @@ def test_moved_acts_on_the_true_poses_before_a_frame_is_exposed():
 
 def test_measured_acts_on_the_frame_alone_and_who_is_lost_keeps_the_last_pose():
     class Blind(Disturbance):
+        """Stands for a camera that is 1 mm off, and loses the second robot after half a second."""
+
         def measured(self, poses, valid, time_s):
             shifted = Poses(poses.x + 1, poses.y, poses.heading)
             return shifted, valid & [True, time_s < 0.5]
@@ -188,7 +208,7 @@ PLANTS = {
 
 
 class Holds(Disturbance):
-    """Holds the first robot from 1 s on, for `time`, counted by its time of moving."""
+    """Stands for something that holds the first robot from 1 s of its own moving on, for `time`."""
 
     def __init__(self, time):
         self.time = time

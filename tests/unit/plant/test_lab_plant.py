@@ -353,7 +353,8 @@ def test_a_bug_in_a_device_stops_the_robots_and_is_told(device, method):
 
 
 class Person:
-    """Who places the robots: what was `shown`, after which `act(count)` is called."""
+    """Stands for who places the robots; `shown` is what this person was shown, and after each time
+    `act(count)` is called."""
 
     def __init__(self, act=lambda count: None, shows=1):
         self.shown = []

@@ -25,6 +25,8 @@ SPEC = parse_spec(QUICK.replace("count: 3", "count: 4"), "quick.yaml")
 
 
 class Watcher:
+    """Stands for who watches a batch, and writes down which trials started and how they ended."""
+
     def __init__(self):
         self.events = []
 

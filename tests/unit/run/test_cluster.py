@@ -14,7 +14,8 @@ distributed = pytest.importorskip("distributed")
 
 
 class Client:
-    """Runs each task when it is submitted; workers with a trial of `deadly` are killed."""
+    """Stands for Dask's client: it runs each task when it is submitted, and kills the workers with
+    a trial of `deadly`."""
 
     status = "running"
 
@@ -36,6 +37,8 @@ class Client:
 
 
 class Future:
+    """Stands for Dask's future of tasks that have ended, with an error or results."""
+
     def __init__(self, error, tasks):
         self.error = error
         self.tasks = tasks
@@ -54,6 +57,7 @@ class Future:
 
 
 def run(client, count, tmp_path):
+    """What becomes of so many trials that a cluster with this client runs."""
     executor = Cluster("tcp://nowhere:1", Interrupt())
     executor._client = client
     watcher = Watcher()
@@ -112,5 +116,7 @@ def test_no_module_of_distributed_logs_a_lost_connection(monkeypatch):
 
 
 class Closed:
+    """Stands for a client of Dask that can do nothing but be closed."""
+
     def close(self):
         pass

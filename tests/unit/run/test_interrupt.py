@@ -102,6 +102,8 @@ def test_handlers_of_the_program_around_are_left_alone():
 
 def test_an_interruption_lost_in_a_finaliser_is_silent_and_raised_at_the_next(capsys):
     class Finalised:
+        """Stands for an object during whose finaliser Ctrl-C is pressed."""
+
         def __del__(self):
             signal.raise_signal(signal.SIGINT)
 

@@ -1,3 +1,5 @@
+"""The relay that passes a trial's events on to an observer in another thread."""
+
 import threading
 from contextlib import closing
 
@@ -5,6 +7,8 @@ from tetractl.run.spec_trial import ObserverRelay
 
 
 class Watcher:
+    """Stands for an observer that writes down its calls, and the threads from which they came."""
+
     def __init__(self):
         self.calls = []
         self.threads = set()

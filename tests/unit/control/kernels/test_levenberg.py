@@ -26,6 +26,8 @@ PATIENCE = 6
 
 
 class Polished(NamedTuple):
+    """What a polish has found."""
+
     signals: np.ndarray
     history: np.ndarray  # the merit after each iteration
     evaluations: int

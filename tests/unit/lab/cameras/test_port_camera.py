@@ -1,8 +1,10 @@
 """Cameras that send messages to a port, at the other end of it."""
 
+import threading
 import types
 
 import pytest
+from support.running import PATIENCE_S
 
 from tetractl.cli.specs import template
 from tetractl.core.clock import VirtualClock
@@ -14,7 +16,7 @@ from tetractl.lab.client_port import ClientPort
 
 
 class Port:
-    """A port whose other end answers with `messages` once it is asked."""
+    """Stands for a port whose other end answers with `messages` once it is asked."""
 
     def __init__(self, messages):
         self.messages = messages
@@ -39,6 +41,8 @@ class Port:
 
 
 class OneRobot(PortCamera):
+    """Stands for a camera of one robot, whose messages are x, or x@seconds on its own clock."""
+
     def poses(self, message):
         x, _, stamp = message.partition(b"@")
         self.stamp_s = float(stamp) if stamp else None
@@ -90,6 +94,8 @@ def test_messages_that_cannot_be_read_are_counted_and_the_first_is_shown():
         camera(Port([b"nothing", b"again"])).__enter__()
 
     class TwoRobots(OneRobot):
+        """Stands for a camera that gives a pose too many."""
+
         def poses(self, message):
             return (*super().poses(message), None)
 
@@ -108,10 +114,13 @@ def test_times_on_the_cameras_own_clock_say_which_frames_came_late():
 
 
 def test_a_client_that_fails_is_said_and_released():
-    ended = []
-    taken = []
+    messages = []
+    releases = []
+    is_released = threading.Event()
 
     class Client(ClientPort):
+        """Stands for a client that gives its name as its first message, and then fails."""
+
         def connect(self):
             self.take(self.name.encode())
 
@@ -119,20 +128,27 @@ def test_a_client_that_fails_is_said_and_released():
             raise OSError("server gone")
 
         def disconnect(self):
-            ended.append(True)
+            releases.append(self.name)
+            is_released.set()
 
-    settings = "there", 0, "the camera", VirtualClock(), lambda *data: taken.append(data[0]), ""
-    Client(*settings).close()
+    def hear(message, received_ns):
+        messages.append(message)
+
+    settings = "there", 0, "the camera", VirtualClock(), hear, ""
+    Client(*settings).close()  # one that was never opened has nothing to release
     port = Client(*settings)
     port.open()
-    port._thread.join()
+    assert is_released.wait(PATIENCE_S)
     port.close()
     with pytest.raises(AbortError, match="the camera: server gone"):
         port.write(b"")
-    assert (ended, taken) == ([True], [b"there", b""])
+    assert releases == ["there"]
+    assert messages == [b"there", b""]
 
 
 class Named(OneRobot):
+    """Stands for a camera that says of every message that it is a name it does not know."""
+
     def poses(self, message):
         raise KeyError(message.decode())
 

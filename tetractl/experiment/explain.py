@@ -1,7 +1,7 @@
 """Turns pydantic's errors in a spec into plain messages with their location in the YAML."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -111,10 +111,11 @@ def explain(
             about=describe(loc, document.data, schema),
         )
         if not _is_reported_already(mistake, document):
-            yield _problem(mistake, document, schema)
+            problem_of = PROBLEMS.get(mistake.kind, _wrong_value)
+            yield problem_of(mistake, document, schema)
 
 
-def _is_reported_already(mistake: "Mistake", document: Document) -> bool:
+def _is_reported_already(mistake: Mistake, document: Document) -> bool:
     """Return whether an error follows from another that is a problem already."""
     if mistake.kind == "default_factory_not_called":
         return True  # by the field from which this default is computed
@@ -141,24 +142,6 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
         steps.append(step)
     field = details.get("ctx", {}).get("field")
     return (*steps, field) if isinstance(field, str) else tuple(steps)
-
-
-def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Return the problem of a mistake: the location that is to be changed, and a message."""
-    kind = mistake.kind
-    if kind == "extra_forbidden":
-        return _unknown_key(mistake, document, schema)
-    if kind == "missing":
-        return _missing(mistake, document, schema)
-    if kind == "union_tag_not_found":
-        return _without_type(mistake, document, schema)
-    if kind.startswith("union_tag"):
-        return _unknown_type(mistake, document, schema)
-    if kind == "not_installed":
-        loc = (*mistake.loc, mistake.context.get("key", "type"))
-        place = document.place(loc)
-        return place.problem(loc, mistake.context["why"], place.text)
-    return _wrong_value(mistake, document)
 
 
 def _unknown_key(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
@@ -204,7 +187,13 @@ def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
     return {name: name for name in tags if name is not None}
 
 
-def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
+def _not_installed(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    loc = (*mistake.loc, mistake.context.get("key", "type"))
+    place = document.place(loc)
+    return place.problem(loc, mistake.context["why"], place.text)
+
+
+def _wrong_value(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
     message = _words(mistake)
     place = document.place(mistake.loc)
     is_written = mistake.loc in document.values
@@ -212,6 +201,16 @@ def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
         return place.problem(mistake.loc, f"has no value; {message}")
     text = place.text if is_written else None
     return place.problem(mistake.loc, message, mistake.context.get("value", text))
+
+
+PROBLEMS: dict[str, Callable[[Mistake, Document, Schema], SpecProblem]] = {
+    "extra_forbidden": _unknown_key,
+    "missing": _missing,
+    "union_tag_not_found": _without_type,
+    "union_tag_invalid": _unknown_type,
+    "not_installed": _not_installed,
+}
+"""What makes the problem of a mistake, by its kind; `_wrong_value` makes that of any other."""
 
 
 def _words(mistake: Mistake) -> str:

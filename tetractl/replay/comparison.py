@@ -3,7 +3,7 @@ plans or messages, up to the first value that differs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import zip_longest
 from typing import Any
 
@@ -30,6 +30,10 @@ class Difference:
     step: int | None
     field: str
     message: str
+
+    def in_step(self, step: int | None) -> "Difference":
+        """Return the difference as one of a control step."""
+        return replace(self, step=step)
 
     def __str__(self) -> str:
         where = "trial" if self.step is None else f"step {self.step}"
@@ -67,9 +71,8 @@ SAME_BITS = Tolerance()
 
 def first_difference(
     ours: Any, logged: Any, tolerance: Tolerance = SAME_BITS, name: str = ""
-) -> tuple[str, str] | None:
-    """Return the field and a description of the first difference between two records, None if they
-    agree.
+) -> Difference | None:
+    """Return the first difference between two records, outside of steps; None if they agree.
 
     A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value. The
     field is a path such as "searches.1.history.3", preceded by `name`.
@@ -77,31 +80,30 @@ def first_difference(
     return next(_differences(ours, logged, tolerance, name), None)
 
 
-def _differences(
-    ours: Any, logged: Any, tolerance: Tolerance, name: str
-) -> Iterator[tuple[str, str]]:
+def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Iterator[Difference]:
     if ours is logged:
         return
     if ours is None:
-        yield name, "logged a value, computed nothing"
+        yield Difference(None, name, "logged a value, computed nothing")
     elif logged is None:
-        yield name, "logged nothing, computed a value"
+        yield Difference(None, name, "logged nothing, computed a value")
     elif isinstance(ours, np.ndarray):
         yield from _array_difference(ours, logged, tolerance, name)
     elif isinstance(ours, float):
         logged_number = np.array(float(logged))
         if tolerance.differs(np.array(ours), logged_number).any():
-            yield name, f"logged {logged!r}, computed {ours!r}"
+            yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
     elif isinstance(ours, str | bytes | int | np.generic):
         if ours != logged:
-            yield name, f"logged {logged!r}, computed {ours!r}"
+            yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
     elif isinstance(ours, Sequence):
         if len(ours) != len(logged):
-            yield name, f"logged {len(logged)}, computed {len(ours)}"
+            yield Difference(None, name, f"logged {len(logged)}, computed {len(ours)}")
         for i, (our_part, logged_part) in enumerate(zip(ours, logged, strict=False)):
             yield from _differences(our_part, logged_part, tolerance, _path(name, i))
     elif is_dataclass(ours) and type(ours) is not type(logged):
-        yield name, f"logged {type(logged).__name__}, computed {type(ours).__name__}"
+        message = f"logged {type(logged).__name__}, computed {type(ours).__name__}"
+        yield Difference(None, name, message)
     else:
         our_items = _items(ours)
         logged_items = _items(logged)
@@ -122,9 +124,9 @@ def _items(record: Any) -> Mapping[str, Any]:
 
 def _array_difference(
     ours: NDArray[Any], logged: NDArray[Any], tolerance: Tolerance, name: str
-) -> Iterator[tuple[str, str]]:
+) -> Iterator[Difference]:
     if ours.shape != logged.shape:
-        yield name, f"logged shape {logged.shape}, computed {ours.shape}"
+        yield Difference(None, name, f"logged shape {logged.shape}, computed {ours.shape}")
         return
     wrong = tolerance.differs(ours, logged)
     if wrong.any():
@@ -132,7 +134,8 @@ def _array_difference(
         path = name
         for index in first:
             path = _path(path, index)
-        yield path, f"logged {logged[first].item()!r}, computed {ours[first].item()!r}"
+        message = f"logged {logged[first].item()!r}, computed {ours[first].item()!r}"
+        yield Difference(None, path, message)
 
 
 def _path(name: str, part: object) -> str:
@@ -202,5 +205,6 @@ def _entry_difference(
     step = our_message.k if isinstance(our_message, ControllerStep) else None
     where = name if step is None else ""
     difference = first_difference(our_message, logged_message, name=where)
-    field, text = difference or (name, "has other bytes")
-    return Difference(step, field, text)
+    if difference is None:
+        difference = Difference(None, name, "has other bytes")
+    return difference.in_step(step)

@@ -64,7 +64,7 @@ def error_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
     )
     difference = first_difference(again, result, name="result")
     if difference is not None:
-        yield Difference(None, *difference)
+        yield difference
 
 
 def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Difference]:

@@ -79,14 +79,14 @@ class LoggedSearches:
     each again: this is re-evaluation.
 
     Call `begin` before each step. Then `requests` are what the controller wanted of the step's
-    searches, by their index in the log, and `contradiction` is the field and text of the first that
-    contradicts its problem or its optimiser. The processor time, read from `cpu` [s], is limited
+    searches, by their index in the log, and `contradiction` is how the first one contradicts
+    its problem or its optimiser. The processor time, read from `cpu` [s], is limited
     to `seconds_limit`.
     """
 
     def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
         self.requests: dict[int, SearchRequest] = {}
-        self.contradiction: tuple[str, str] | None = None
+        self.contradiction: Difference | None = None
         self._to_come: list[tuple[int, Search]] = []
         self._cpu = cpu
         self._until_s = cpu() + seconds_limit()
@@ -118,16 +118,17 @@ class LoggedSearches:
     def _answer(self, request: SearchRequest, logged: Search, name: str) -> Search:
         """Return the logged search; note how it contradicts the request."""
         if logged.length != request.length or len(logged.signals) != request.length:
-            self._note(f"{name}.length", f"{logged.length}, not {request.length}")
+            text = f"{logged.length}, not {request.length}"
+            self._note(Difference(None, f"{name}.length", text))
             raise NoSearchError
-        for field, text in _contradictions(request, logged, name):
-            self._note(field, text)
+        for contradiction in _contradictions(request, logged, name):
+            self._note(contradiction)
         return logged
 
-    def _note(self, field: str, text: str) -> None:
+    def _note(self, contradiction: Difference) -> None:
         """Store a contradiction, unless there is an earlier one."""
         if self.contradiction is None:
-            self.contradiction = (field, text)
+            self.contradiction = contradiction
 
     def expired(self) -> bool:
         """Return whether the time limit is exceeded."""
@@ -193,9 +194,8 @@ class _Repeated:
         )
 
 
-def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterator[tuple[str, str]]:
-    """Yield the field and text of each way in which a logged search contradicts its problem or its
-    optimiser."""
+def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterator[Difference]:
+    """Yield each way in which a logged search contradicts its problem or its optimiser."""
     problem = request.problem
     cost = float(evaluate(problem, logged.signals[None]).total[0])
     tolerance = _tolerance(problem.poses.xy, problem.targets)
@@ -204,12 +204,12 @@ def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterat
         yield difference
     history = logged.history
     if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
-        yield f"{name}.history", "does not decrease to the stated cost"
+        yield Difference(None, f"{name}.history", "does not decrease to the stated cost")
     warmed = request.warm is not None
     for field in request.optimizer.contradictions(logged, warmed, request.limits):
         value = getattr(logged, field)
         text = f"logged {value}, which contradicts its history and the spec's limits"
-        yield f"{name}.{field}", text
+        yield Difference(None, f"{name}.{field}", text)
 
 
 # ---- The decisions of a trial ----
@@ -289,8 +289,9 @@ def _step_difference(
         text = f"not computed again: the rest takes over {seconds_limit():g} s or much memory"
         return Difference(step.k, "plan", f"{text}; {FACTOR}=2 allows twice as much")
     except NoSearchError:
-        too_few = ("searches", f"only {len(step.plan.searches)} logged")
-        return Difference(step.k, *(searches.contradiction or too_few))
+        if searches.contradiction is not None:
+            return searches.contradiction.in_step(step.k)
+        return Difference(step.k, "searches", f"only {len(step.plan.searches)} logged")
     except TetractlError as error:
         return Difference(step.k, "plan", error.message)
     if not isinstance(decision, Plan):
@@ -300,7 +301,7 @@ def _step_difference(
         text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
         return Difference(step.k, "generator", text)
     if searches.contradiction is not None:
-        return Difference(step.k, *searches.contradiction)
+        return searches.contradiction.in_step(step.k)
     return _plan_difference(decision, step, tolerances)
 
 
@@ -313,7 +314,7 @@ def _plan_difference(plan: Plan, step: Step, tolerances: _Tolerances) -> Differe
     if difference is None:
         path = drawn(plan.path[..., :2])
         difference = first_difference(path, logged.path[..., :2], tolerances.path, "path")
-    return None if difference is None else Difference(step.k, *difference)
+    return None if difference is None else difference.in_step(step.k)
 
 
 def plan_again(

@@ -32,7 +32,8 @@ def test_the_plant_is_chosen_by_kind():
     assert lab.plant == loaded.experiment.lab
     assert lab.lab is None
     back = on_plant(parse_spec(resolved_yaml(lab), "again"), "sim").experiment
-    assert (back.plant, back.lab) == (SimSection(), lab.plant)
+    assert back.plant == SimSection()
+    assert back.lab == lab.plant
 
 
 def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
@@ -44,8 +45,11 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     lab = lab_of(run.experiment, "spec")
     green, blue, _ = lab.actuator.robots
     assert green == plain.actuator.robots[0]
-    assert (blue.radius_mm, blue.swap) == (41.5, True)
-    assert (blue.left.gain_mm, blue.left.dead_zone, blue.right.invert) == (7.0, 9, True)
+    assert blue.radius_mm == 41.5
+    assert blue.swap is True
+    assert blue.left.gain_mm == 7.0
+    assert blue.left.dead_zone == 9
+    assert blue.right.invert is True
     assert blue.index == 1
     assert [lab.camera.heading_offset(name) for name in ("green", "blue")] == [0.0, 0.25]
     assert run.attached == (("m.yaml", MEASURED),)

@@ -176,7 +176,8 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
     lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "calibration.yaml").plant
     green = lab.actuator.robot("green")
     assert green.swap
-    assert (green.left.invert, green.right.invert) == (True, False)
+    assert green.left.invert is True
+    assert green.right.invert is False
     assert green.left.gain_mm == pytest.approx(7.1, rel=0.06)
     assert green.right.gain_mm == pytest.approx(8.2, rel=0.06)
     assert abs(green.left.dead_zone - 9) <= 1

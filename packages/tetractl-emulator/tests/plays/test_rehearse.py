@@ -66,7 +66,8 @@ def test_what_no_fault_causes_and_days_of_another_seed_are_refused(tmp_path):
     """Regression: each day of a spec that no trial can start was a violation to be shrunk."""
     done = rehearse(tmp_path, "--days", "3", "--set", "lab.limits.latency=0.001")
     assert done.returncode == 1
-    assert "on arrival" in done.stderr and "day" not in done.stdout
+    assert "on arrival" in done.stderr
+    assert "day" not in done.stdout
     (tmp_path / "days").mkdir()
     (tmp_path / "days" / "record-000000.json").write_text('{"of": "another spec", "record": {}}')
     again = rehearse(tmp_path, "--days", "1")
@@ -182,7 +183,8 @@ def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkey
     assert "driven blind: " in done.stderr
     assert done.stdout.endswith("1 day, 1 violation\n")
     script = (tmp_path / "days" / "seed-1-day-0.yaml").read_text()
-    assert "untracked" in script and "doubled_packets" in script
+    assert "untracked" in script
+    assert "doubled_packets" in script
     again = rehearse(tmp_path, "--days", "1")
     assert again.stdout.endswith("1 day, 1 violation\n")
 

@@ -1,4 +1,17 @@
-"""Converts a spec's text to an Experiment and back; reports all problems at once."""
+"""Converts a spec's text to an Experiment and back; reports all problems at once.
+
+The way of a value from a file to the experiment:
+
+    read_document          the file's data, with the place of each value (`yaml.document`)
+    with_settings          values of `--set` and other options take their places (`yaml.settings`)
+    _with_identified       values of the file of `tetractl identify`, if the spec names one
+    _with_weights          layers of the file of a policy's weights, if the spec names one
+    validated_experiment   sections, or pydantic's errors in plain words (`explain`); then the rules
+                           between sections (`consistency`)
+
+Problems of settings, values and rules are collected, and raised together with their places; a file
+that cannot be read is an error at once.
+"""
 
 import hashlib
 import json

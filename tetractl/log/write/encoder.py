@@ -1,4 +1,18 @@
-"""An observer that encodes the records of one trial as messages with topics and times."""
+"""An observer that encodes the records of one trial as messages with topics and times.
+
+What each call adds, in this order; `channels` says what the topics hold:
+
+    on_start     /run, /host/machine; attachments: specs, files they name, layout, environment;
+                 /scene/static, /log
+    on_samples   /log of robots lost and found, /frames with /tf, the camera's own messages
+    on_command   /commands
+    on_note      /log
+    on_step      /controller/step, /commands, /scene/plan, /host/timing, /log of lost commands
+    on_stop      /frames with /tf, /commands, /log; in a chunk of their own /host/end, /run, /result
+
+Records count time from the trial's start [ns]; messages have Unix times [ns]. Camera frames of a
+simulation are collected until their chunk ends, those of a lab are added as they come.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

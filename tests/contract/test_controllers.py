@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.controllers import CONTROLLERS, FOR_ONE_ROBOT, FOR_THREE_ROBOTS
 from support.plants import sim
-from support.scripted import seen
+from support.scripted import observation_of
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.cost import evaluate
@@ -111,7 +111,7 @@ def test_poses_that_are_no_numbers_are_refused(fields):
     poses = np.array([[math.nan, 800, 0.3], [900, 1200, 0.1], [900, 1600, -0.2]])
     poses = poses[: len(targets_of(fields))]
     with pytest.raises(ControlError):
-        make(fields).plan(seen(poses))
+        make(fields).plan(observation_of(poses))
 
 
 def test_one_robot_or_five_are_steered_too(fields):
@@ -125,7 +125,7 @@ def test_one_robot_or_five_are_steered_too(fields):
         ]
         spec = experiment_of(fields, robots=robots, obstacles=[])
         starts = np.array([[*robot.start, robot.heading] for robot in spec.robots])
-        plan = build_controller(spec, 1).plan(seen(starts))
+        plan = build_controller(spec, 1).plan(observation_of(starts))
         assert isinstance(plan, Plan)
         assert plan.path.shape[1] == count
 

@@ -1,6 +1,6 @@
 """Algorithm 2 as published, line by line."""
 
-from support.scripted import TARGETS, Scripted, mpc, seen
+from support.scripted import TARGETS, Scripted, mpc, observation_of
 from support.trials import experiment
 
 from tetractl.control.rng import mix
@@ -16,7 +16,7 @@ def spec(**controller):
 def test_step_0_tries_every_horizon_from_nothing_and_takes_the_best():
     search = Scripted({4: 7.0})
     controller = mpc(spec(), 99, search)
-    plan = controller.plan(seen())
+    plan = controller.plan(observation_of())
     assert isinstance(plan, Plan)
     assert [(length, warm) for length, warm, *_ in search.asked] == [(n, None) for n in range(1, 7)]
     assert (plan.chosen, plan.search.length, plan.cost) == (3, 4, 7.0)
@@ -28,7 +28,7 @@ def test_step_0_tries_every_horizon_from_nothing_and_takes_the_best():
 def test_of_equal_costs_the_first_is_taken():
     search = Scripted({3: 7.0, 5: 7.0})
     controller = mpc(spec(), 99, search)
-    plan = controller.plan(seen())
+    plan = controller.plan(observation_of())
     assert isinstance(plan, Plan)
     assert plan.search.length == 3
 
@@ -37,19 +37,20 @@ def test_later_steps_try_one_less_as_many_and_one_more_from_the_warm_start():
     """Algorithm 2, lines 10-21; u_(warm) is u_(opt) without its first signal."""
     search = Scripted({4: 7.0})
     controller = mpc(spec(), 99, search)
-    first = controller.plan(seen())
+    first = controller.plan(observation_of())
     assert isinstance(first, Plan)
     warm = first.signals[1:].tolist()
     search.forget()
     search.costs = {2: 3.0}
-    second = controller.plan(seen(now=200_000_000))
+    second = controller.plan(observation_of(now_ns=200_000_000))
     assert isinstance(second, Plan)
     assert [(length, start) for length, start, *_ in search.forget()] == [
         (2, warm[1:]),  # H - 1 = 2: without its first signal
         (3, warm),
         (4, [*warm, 0.0]),
     ]
-    controller.plan(seen(now=400_000_000))  # H = 1: a sequence of no signals cannot be searched
+    # now H = 1: a sequence of no signals cannot be searched
+    controller.plan(observation_of(now_ns=400_000_000))
     warm = second.signals[1:].tolist()
     assert [(length, start) for length, start, *_ in search.forget()] == [
         (1, warm),
@@ -60,7 +61,7 @@ def test_later_steps_try_one_less_as_many_and_one_more_from_the_warm_start():
 def test_horizons_may_outgrow_horizon_max():
     search = Scripted({n: 100.0 - n for n in range(20)})
     controller = mpc(spec(), 99, search)
-    lengths = [controller.plan(seen(now=k)).search.length for k in range(5)]
+    lengths = [controller.plan(observation_of(now_ns=k)).search.length for k in range(5)]
     assert lengths == [6, 6, 6, 6, 6]  # H + 1 = 5 + 1
     assert [length for length, *_ in search.asked[-3:]] == [4, 5, 6]
 
@@ -70,7 +71,7 @@ def test_draws_come_from_the_key_the_step_and_the_length():
     controller = mpc(spec(), 99, search)
     keys = set()
     for k in range(3):
-        plan = controller.plan(seen())
+        plan = controller.plan(observation_of())
         assert isinstance(plan, Plan)
         assert plan.generator == mix(99, k)
         for length, _, key, _ in search.forget():
@@ -82,8 +83,8 @@ def test_draws_come_from_the_key_the_step_and_the_length():
 def test_a_used_up_sequence_is_the_outcome():
     search = Scripted({1: 0.0})
     controller = mpc(spec(), 99, search)
-    assert isinstance(controller.plan(seen()), Plan)
-    assert controller.plan(seen()) is Outcome.SEQUENCE_COMPLETED
+    assert isinstance(controller.plan(observation_of()), Plan)
+    assert controller.plan(observation_of()) is Outcome.SEQUENCE_COMPLETED
 
 
 def test_arrival_means_every_robot_within_the_tolerance():
@@ -91,35 +92,37 @@ def test_arrival_means_every_robot_within_the_tolerance():
     near[:, 0] += [20, -20, 0]
     near[2, 1] += 20.001
     controller = mpc(spec(arrival_tolerance=20), 99, Scripted())
-    assert isinstance(controller.plan(seen(near)), Plan)
+    assert isinstance(controller.plan(observation_of(near)), Plan)
     near[2, 1] = 2020
-    assert controller.plan(seen(near)) is Outcome.ARRIVED
+    assert controller.plan(observation_of(near)) is Outcome.ARRIVED
 
 
 def test_a_tolerance_of_0_never_ends_a_trial():
     controller = mpc(spec(arrival_tolerance=0), 99, Scripted())
-    assert isinstance(controller.plan(seen(TARGETS)), Plan)
+    assert isinstance(controller.plan(observation_of(TARGETS)), Plan)
 
 
 def test_arrival_comes_before_the_other_ends():
     controller = mpc(spec(arrival_tolerance=20, steps_max=1), 99, Scripted({1: 0.0}))
-    assert isinstance(controller.plan(seen()), Plan)
-    assert controller.plan(seen(TARGETS)) is Outcome.ARRIVED
-    assert controller.plan(seen()) is Outcome.SEQUENCE_COMPLETED
+    assert isinstance(controller.plan(observation_of()), Plan)
+    assert controller.plan(observation_of(TARGETS)) is Outcome.ARRIVED
+    assert controller.plan(observation_of()) is Outcome.SEQUENCE_COMPLETED
 
 
 def test_steps_are_counted_however_long_each_takes():
     """Regression: after late steps its time was over before k_max."""
     controller = mpc(spec(steps_max=2), 99, Scripted({6: 0.0}))
     sent = [Command(Steer(0.0), k * 10**9, (True,) * 3) for k in range(3)]
-    decisions = [controller.plan(seen())]
-    decisions += [controller.plan(seen(now=command.sent_ns + 10**9), command) for command in sent]
+    decisions = [controller.plan(observation_of())]
+    for command in sent:
+        a_second_later = observation_of(now_ns=command.sent_ns + 10**9)
+        decisions.append(controller.plan(a_second_later, command))
     assert all(isinstance(command, Plan) for command in decisions[:3])
     assert decisions[3] is Outcome.STEPS_MAX
 
 
 def test_a_limit_of_time_that_is_given_ends_a_trial_before_its_last_step():
     controller = mpc(spec(steps_max=50, time_limit=1), 99, Scripted({6: 0.0}))
-    assert isinstance(controller.plan(seen()), Plan)
+    assert isinstance(controller.plan(observation_of()), Plan)
     sent = Command(Steer(0.0), 0, (True,) * 3)
-    assert controller.plan(seen(now=10**9), sent) is Outcome.TIME_LIMIT
+    assert controller.plan(observation_of(now_ns=10**9), sent) is Outcome.TIME_LIMIT

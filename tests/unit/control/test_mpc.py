@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
+from support.scripted import STARTS, TARGETS, Scripted, mpc, observation_of
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.fixed_sequence import given_plan
@@ -121,7 +121,7 @@ def lengths(search):
 def decide(controller, poses=STARTS, now=PERIOD_NS, command=STRAIGHT_ON):
     """What is decided in the control step in which robots are seen at `poses`, and of which
     `command` was sent before."""
-    return controller.plan(seen(poses, now=now), command)
+    return controller.plan(observation_of(poses, now_ns=now), command)
 
 
 def good_from(shortest, cost):
@@ -135,7 +135,7 @@ def good_from(shortest, cost):
 def first_plan(search):
     """The first plan of a controller that has time for long plans, found by `search`."""
     controller = mpc(spec(horizon_max=100, time_limit=80.2), 99, search)
-    return controller.plan(seen())
+    return controller.plan(observation_of())
 
 
 def short_by(total):
@@ -451,7 +451,7 @@ def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
     in_a_room = spec(collision={"radius": BODY, "stop_before_collision": True}, horizon_max=6)
     poses = STARTS.copy()
     poses[0] = [in_a_room.setup.arena.left + BODY + 5, 800, math.pi]
-    assert mpc(in_a_room, 99).plan(seen(poses)).state is State.TURNING
+    assert mpc(in_a_room, 99).plan(observation_of(poses)).state is State.TURNING
 
 
 RED_WAY = float(np.hypot(*(TARGETS - STARTS)[2, :2]))
@@ -504,7 +504,7 @@ def test_searches_for_a_shorter_plan_end_after_vain_ones():
 def test_spread_lengths_end_with_the_horizon():
     search = Scripted()
     controller = mpc(spec(horizon_max=FIRST + 1), 99, search)
-    controller.plan(seen())
+    controller.plan(observation_of())
     lengths_asked = [length for length, *_ in search.asked]
     assert lengths_asked[:2] == [FIRST, FIRST + 1]
     assert max(lengths_asked) == FIRST + 1  # also of those that are searched thoroughly then
@@ -557,7 +557,7 @@ def test_searches_for_standing_robots_end_after_a_second(search_s, searches):
     longest = round(SPREAD * FIRST) + 1  # the third length
     standing = spec(collision=RESTS, horizon_max=longest, time_limit=40.2)
     controller = mpc(standing, 99, optimizer, timer=clock.read)
-    plan = controller.plan(seen())
+    plan = controller.plan(observation_of())
     done = [search for search in plan.searches if search.stopped is not StopReason.FIXED]
     assert len(done) == searches
 

@@ -105,11 +105,6 @@ class CellTrack:
         return self.newest is not None and self.newest.is_shared
 
     @property
-    def is_large(self) -> bool:
-        """Whether its own blob is too large for one cell."""
-        return self.newest is not None and self.newest.is_large
-
-    @property
     def rows(self) -> Sequence[int]:
         """The filter's rows that follow it: with an open question, one for each cell that it may
         be.

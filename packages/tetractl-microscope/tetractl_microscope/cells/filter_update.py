@@ -13,7 +13,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import BodySize
-from tetractl_microscope.cells.cell_tracks import CellTrack, WhichIsWhich
+from tetractl_microscope.cells.cell_tracks import WhichIsWhich
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import ODD_DISTANCE, ODD_RUN
 from tetractl_microscope.cells.readings import MERGED, BlobReading
@@ -42,22 +42,23 @@ def update_filter(
         last = first + count
         cell = reading.cell
         if cell.question is not None:
-            _answer(cell, cell.question, log_likelihoods[first:last], seconds)
-        elif not cell.is_shared:
+            _answer(reading, cell.question, log_likelihoods[first:last], seconds)
+        elif not reading.newest.is_shared:
             check_state(bank, reading, float(distances[first]), body_um)
 
 
 def _answer(
-    cell: CellTrack, question: WhichIsWhich, log_likelihoods: Floats, seconds: float
+    reading: BlobReading, question: WhichIsWhich, log_likelihoods: Floats, seconds: float
 ) -> None:
-    """Add to a question what a picture says: the log-likelihood of each cell that this one may be
-    (K,), and its size, if its blob shows it whole.
+    """Add to a question what a blob says: the log-likelihood of each cell that this one may be
+    (K,), and its size, if the blob shows it alone and whole.
     """
-    newest = cell.newest
-    is_whole = newest is not None and not newest.blob.at_edge and not newest.is_shared
-    own_blob = cell.path[-1]
-    size = BodySize(own_blob.long, own_blob.wide) if is_whole else None
-    question.add(cell, log_likelihoods, size, seconds)
+    newest = reading.newest
+    size = None
+    if not newest.is_shared and not newest.blob.at_edge:
+        _, _, _, long, wide = newest.place.tolist()
+        size = BodySize(long, wide)
+    question.add(reading.cell, log_likelihoods, size, seconds)
 
 
 def check_state(

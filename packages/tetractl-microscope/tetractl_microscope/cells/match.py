@@ -87,7 +87,7 @@ class Assignment:
     of_specks: list[int | None]
 
 
-def squared_distances(expected: Floats, spread: Floats, places: Floats) -> Floats:
+def _squared_distances(expected: Floats, spread: Floats, places: Floats) -> Floats:
     """Return the squared Mahalanobis distances (C, B) of blobs `places` (B, 5) from the expected
     positions `expected` (C, 3) of cells, whose covariances are `spread` (C, 2, 2) [um^2].
     """
@@ -101,15 +101,15 @@ def cell_costs(
     expected: Floats,
     spread: Floats,
     blobs: Sequence[Blob],
+    places: Floats,
     now: PictureNow,
     organism: Organism,
 ) -> CellCosts:
-    """Return the costs of blobs for C cells, which are `expected` at x, y [um] and axis [rad]
-    (C, 3), where `spread` (C, 2, 2) [um^2] is the covariance of x and y.
+    """Return the costs of blobs in `places` (B, 5) for C cells, which are `expected` at x, y [um]
+    and axis [rad] (C, 3), where `spread` (C, 2, 2) [um^2] is the covariance of x and y.
     """
-    places = now.places_of(blobs)
     body_um = organism.body_um[0]
-    squared = squared_distances(expected, spread, places)
+    squared = _squared_distances(expected, spread, places)
     away = np.linalg.norm(places[None, :, :2] - expected[:, None, :2], axis=-1) / body_um
     sizes = np.array([cell.size for cell in cells]).reshape(-1, 1, 2)
     size_off = np.abs(np.log(places[None, :, 3:5] / sizes))

@@ -34,9 +34,12 @@ PATH = 15  # number of newest blobs of a track that are kept
 
 @dataclass(frozen=True, slots=True)
 class BlobReading:
-    """A cell's `values` x, y [um] and axis [rad], and their standard `deviations`."""
+    """What a blob, the `newest` of a cell, says of it: the `values` x, y [um] and axis [rad], and
+    their standard `deviations`.
+    """
 
     cell: CellTrack
+    newest: TrackBlob
     values: tuple[float, float, float]
     deviations: tuple[float, float, float]
 
@@ -66,9 +69,10 @@ def note_shared_blob(cells: Sequence[CellTrack], place: Floats, seconds: float) 
         times.small_since_s = min(times.small_since_s, seconds) if is_small else math.inf
 
 
-def note_own_reading(reading: BlobReading, newest: TrackBlob) -> None:
+def note_own_reading(reading: BlobReading) -> None:
     """Note what a cell's own blob said, and its size unless the blob is odd."""
     cell = reading.cell
+    newest = reading.newest
     newest.measured = (*reading.values, *reading.deviations)
     if not _is_odd(cell, newest):
         _, _, _, long, wide = newest.place.tolist()
@@ -116,23 +120,25 @@ def own_reading(
     else:
         sd_um = max(ODD[0] * body_um, OFF_SHARE * (long - cell.size.long))
     if _is_odd(cell, newest):
-        return BlobReading(cell, (x, y, axis), (sd_um, sd_um, ODD[1]))
+        return BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, ODD[1]))
     least_um = POSITION_UM + POSITION_PX * now.um_px
     axis_sd = AXIS / max(1 - wide / long, ROUND)
-    return BlobReading(cell, (x, y, axis), (least_um, least_um, axis_sd))
+    return BlobReading(cell, newest, (x, y, axis), (least_um, least_um, axis_sd))
 
 
 def shared_readings(
     cells: Sequence[CellTrack],
+    newest: TrackBlob,
     expected: Floats,
-    place: Floats,
-    points: Floats,
+    now: PictureNow,
     body_um: float,
 ) -> list[BlobReading]:
     """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there."""
-    sd, turn = HIDDEN if _is_small(cells, place) else MERGED
+    length_sd, axis_sd = HIDDEN if _is_small(cells, newest.place) else MERGED
+    sd_um = length_sd * body_um
+    points = now.points_of(newest.blob)
     middles = match.parted(cells, expected, points).tolist()
     return [
-        BlobReading(cell, (x, y, float(axis)), (sd * body_um, sd * body_um, turn))
-        for cell, axis, (x, y) in zip(cells, expected[:, 2], middles, strict=True)
+        BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, axis_sd))
+        for cell, axis, (x, y) in zip(cells, expected[:, 2].tolist(), middles, strict=True)
     ]

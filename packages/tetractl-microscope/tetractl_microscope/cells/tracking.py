@@ -57,7 +57,7 @@ LOST_S = 0.5  # time without a blob after which a cell is lost
 # begun; for Tetrahymena, and longer for slower organisms
 LOST_SOON_S = 0.1
 NEAR_EDGE = 0.4  # distance to the picture's edge that counts as near, in lengths of the cell
-GHOST_S = 1.5  # time for which cells may share a blob as small as one cell
+SHARED_SMALL_S = 1.5  # time for which cells may share a blob as small as one cell
 REACH = 0.8  # reach about a cell in which the background is not updated, in lengths of the cell
 REACH_PX = 4  # what is added to that reach [px]
 
@@ -67,17 +67,11 @@ FieldPieces = Callable[[float, float], Sequence[Piece]]
 
 @dataclass(frozen=True, slots=True)
 class CellsInBlob:
-    """A blob in its `place` (5,), and the K cells that have it, which were `expected` at (K, 3)."""
+    """A blob, the `newest` of K cells, which were `expected` at (K, 3)."""
 
-    blob: Blob
-    place: Floats
+    newest: TrackBlob
     cells: list[CellTrack]
     expected: Floats
-
-    @property
-    def is_shared(self) -> bool:
-        """Whether it shows several cells."""
-        return len(self.cells) > 1
 
 
 class CellTracker:
@@ -127,9 +121,11 @@ class CellTracker:
         now = self._now(picture, seconds)
         self._predict(now, field)
         self._find_blobs(picture)
-        self._assign_blobs(now)
+        groups, free = self._assign_blobs(now)
+        self._update_cells(groups, now)
+        self._update_names(groups, now)
+        self._follow_specks(free, now)
         self._end_cells(now)
-        self._newcomers.drop_hidden(now)
         self.finder.follow(self._surroundings(now))
         self._seconds = seconds
         self.answers = self._names.take_answers()
@@ -173,28 +169,22 @@ class CellTracker:
 
     # ---- step 2: blobs are assigned to tracks ----
 
-    def _assign_blobs(self, now: PictureNow) -> None:
-        """Assign each track its blob, update the cells' states and names, and follow specks."""
+    def _assign_blobs(self, now: PictureNow) -> tuple[list[CellsInBlob], list[FreeBlob]]:
+        """Give each track its blob; return the blobs that cells have, and those that none has."""
         cells = self._cells
         specks = self._newcomers.specks
         places = now.places_of(self.blobs)
+        organism = self.bank.organism
         expected, spread = self.bank.expected(np.array([cell.row for cell in cells], int))
-        costs = match.cell_costs(cells, expected, spread, self.blobs, now, self.bank.organism)
-        speck_costs = match.speck_costs(
-            specks, places, now.seconds, now.passed_s, self.bank.organism
-        )
+        costs = match.cell_costs(cells, expected, spread, self.blobs, places, now, organism)
+        speck_costs = match.speck_costs(specks, places, now.seconds, now.passed_s, organism)
         assignment = match.assigned(costs, speck_costs)
-
-        groups = self._give_cells(assignment.of_cells, places, expected, now)
+        # a cell that has stopped or turned by itself is where the filter does not expect it
         for cell, blob, is_away in zip(cells, assignment.of_cells, costs.is_away, strict=True):
             if blob is not None and is_away[blob]:
                 self.bank.loosen([cell.row])
-        free = self._give_specks(assignment, places, now)
-
-        self._update_cells(groups, now)
-        self._update_names(groups, now)
-        for cell in self._newcomers.follow(free, self._cells, now):
-            bisect.insort(self._cells, cell, key=lambda cell: cell.number)
+        groups = self._give_cells(assignment.of_cells, places, expected, now)
+        return groups, self._give_specks(assignment, places, now)
 
     def _give_cells(
         self, blob_of: Sequence[int | None], places: Floats, expected: Floats, now: PictureNow
@@ -208,12 +198,12 @@ class CellTracker:
                 cells_of.setdefault(blob, []).append(i)
         groups = list[CellsInBlob]()
         for blob, indices in cells_of.items():
+            is_shared = len(indices) > 1
+            newest = TrackBlob(blob, self.blobs[blob], places[blob], is_shared)
             cells = [self._cells[i] for i in indices]
-            group = CellsInBlob(self.blobs[blob], places[blob], cells, expected[indices])
             for cell in cells:
-                newest = TrackBlob(blob, group.blob, group.place, is_shared=group.is_shared)
                 cell.take_blob(newest)
-            groups.append(group)
+            groups.append(CellsInBlob(newest, cells, expected[indices]))
         return groups
 
     def _give_specks(
@@ -241,43 +231,37 @@ class CellTracker:
         filter has other rows for a cell whose name is asked about.
         """
         for group in groups:
-            if group.is_shared:
+            if group.newest.is_shared:
                 self._meet(group.cells, now)
-                note_shared_blob(group.cells, group.place, now.seconds)
+                note_shared_blob(group.cells, group.newest.place, now.seconds)
         for group in groups:
-            if not group.is_shared:
-                self._note_own(group, now)
+            if not group.newest.is_shared:
+                self._note_own(group.cells[0], group.newest, now)
         readings = [reading for group in groups for reading in self._readings(group, now)]
         update_filter(self.bank, readings, now.seconds, self.bank.organism.body_um[0])
         for reading in readings:
-            newest = reading.cell.newest
-            assert newest is not None, "the cell of a reading has a blob"
-            if not newest.is_shared:
-                note_own_reading(reading, newest)
-            reading.cell.last = newest.place[:2]
+            if not reading.newest.is_shared:
+                note_own_reading(reading)
+            reading.cell.last = reading.newest.place[:2]
 
-    def _note_own(self, group: CellsInBlob, now: PictureNow) -> None:
+    def _note_own(self, cell: CellTrack, newest: TrackBlob, now: PictureNow) -> None:
         """Note the size of a cell's own blob. One that is cut off or too large may show another
         cell, too.
         """
-        (cell,) = group.cells
-        assert cell.newest is not None
-        note_own_blob(cell, cell.newest, now.seconds)
+        note_own_blob(cell, newest, now.seconds)
         # at the picture's edge, a cell that enters may take the blob of one that leaves
-        is_cut = group.blob.at_edge and not cell.is_new
-        if (cell.is_large or is_cut) and cell.question is None:
+        is_cut = newest.blob.at_edge and not cell.is_new
+        if (newest.is_large or is_cut) and cell.question is None:
             self._meet([cell], now)
 
     def _readings(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
         """Return what a blob says of its cells."""
         body_um = self.bank.organism.body_um[0]
-        if group.is_shared:
-            points = now.points_of(group.blob)
-            return shared_readings(group.cells, group.expected, group.place, points, body_um)
+        if group.newest.is_shared:
+            return shared_readings(group.cells, group.newest, group.expected, now, body_um)
         (cell,) = group.cells
         (expected,) = group.expected
-        assert cell.newest is not None
-        return [own_reading(cell, cell.newest, expected, now, body_um)]
+        return [own_reading(cell, group.newest, expected, now, body_um)]
 
     # ---- step 4: which cell is which ----
 
@@ -298,20 +282,31 @@ class CellTracker:
 
     def _update_names(self, groups: Sequence[CellsInBlob], now: PictureNow) -> None:
         """End the meetings of cells that are apart again, and the questions that are decided."""
-        places = {cell.number: group.place[:3] for group in groups for cell in group.cells}
+        places: dict[int, Floats] = {}
+        for group in groups:
+            for cell in group.cells:
+                places[cell.number] = group.newest.place[:3]
         self._names.part(places, self._newcomers.awaited(), now.seconds)
         self._names.answer(now.seconds)
+
+    # ---- step 5: specks, and cells that begin ----
+
+    def _follow_specks(self, free: Sequence[FreeBlob], now: PictureNow) -> None:
+        """Follow specks by the blobs that no cell has; those that swim are cells from now on."""
+        for cell in self._newcomers.follow(free, self._cells, now):
+            bisect.insort(self._cells, cell, key=lambda cell: cell.number)
+        self._newcomers.drop_hidden(now)
 
     # ---- step 6: cells that end ----
 
     def _end_cells(self, now: PictureNow) -> None:
         """Drop cells that have not been seen for long, have left the picture, or never swam."""
-        ghosts = self._ghosts(now)
+        left_unseen = self._left_unseen(now)
         remaining = list[CellTrack]()
         for cell in self._cells:
             x, y = self.bank.mean[cell.row, :2].tolist()
             at_edge = now.to_edge(x, y) < NEAR_EDGE * cell.size.long
-            is_lost = cell in ghosts or cell.missed_s > self._lost_s(cell, at_edge, now)
+            is_lost = cell in left_unseen or cell.missed_s > self._lost_s(cell, at_edge, now)
             is_wrong = not math.isfinite(x + y) or self._stays(cell, now)
             if is_lost or is_wrong:
                 may_return = is_lost and not at_edge and not cell.is_new
@@ -329,14 +324,14 @@ class CellTracker:
             return LOST_SOON_S / self.bank.organism.quickness
         return max(LOST_S, now.brief_s)
 
-    def _ghosts(self, now: PictureNow) -> Collection[CellTrack]:
-        """Return the least likely cell, of equals the newest, of each blob that cells have shared
-        for too long although it is as small as one cell: it has left unseen.
+    def _left_unseen(self, now: PictureNow) -> Collection[CellTrack]:
+        """Return the cells that have left a shared blob unseen: of each blob that has been as small
+        as one cell for too long the least likely cell, of equals the newest.
         """
         hidden = [
             cell
             for cell in self._cells
-            if cell.is_shared and now.seconds - cell.size_times.small_since_s > GHOST_S
+            if cell.is_shared and now.seconds - cell.size_times.small_since_s > SHARED_SMALL_S
         ]
         probabilities = certainties(self._names, hidden, now)
         by_likelihood = sorted(
@@ -390,6 +385,7 @@ class CellTracker:
         for i, cell in enumerate(cells):
             x, y, axis = places[i].tolist()
             newest = cell.newest
+            shows_others = newest is not None and (newest.is_shared or newest.is_large)
             said.append(
                 SeenCell(
                     identity=cell.identity,
@@ -401,7 +397,7 @@ class CellTracker:
                     sd=sds[i],
                     probability=probabilities[i],
                     has_blob=newest is not None,
-                    merged=cell.is_shared or cell.is_large,
+                    merged=shows_others,
                     long_um=cell.size.long,
                     wide_um=cell.size.wide,
                     track=cell.number,

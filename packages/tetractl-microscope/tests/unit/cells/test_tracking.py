@@ -250,7 +250,8 @@ def test_a_cell_that_is_astray_heads_the_way_its_blob_has_moved(came_from, headi
     bank = HelixFilter(field_known=False)
     row = bank.add(0.0, 0.0, 1.0, 300.0)
     cell = CellTrack(1, row, SIZE, last=np.array([came_from, 100.0]))
-    reading = BlobReading(cell, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1))
+    blob = TrackBlob(0, whole_blob(), np.array([200.0, 100.0, 0.0, *SIZE]))
+    reading = BlobReading(cell, blob, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1))
     check_state(bank, reading, squared_distance=0.0, body_um=52.3)
     x, y, heading_now = bank.mean[cell.row, [0, 1, HEADING]]
     assert (x, y) == (200.0, 100.0)

@@ -100,6 +100,8 @@ def test_a_robot_without_a_body_is_named():
 
 
 class Pipe(io.StringIO):
+    """A pipe whose reader goes away after three lines."""
+
     def flush(self):
         if self.getvalue().count("\n") == 3:
             raise BrokenPipeError

@@ -122,7 +122,11 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
     event = b"".join(pack(Characteristic.ID, reading) for reading in readings)
     answer = pack(Characteristic.CONFIGURATION, b"\x98\x00\x00")
 
-    class Wire(SerialPort):
+    class ForgetfulCube(SerialPort):
+        """A cube's connection: the settings take at the second request, and the cube speaks before
+        it and when it is asked.
+        """
+
         def open(self, alone=True): ...
 
         requests = 0  # for notifications
@@ -138,7 +142,9 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
 
         def close(self): ...
 
-    with ToioCamera(experiment.lab.camera, experiment.setup, VirtualClock(), ports=Wire) as camera:
+    with ToioCamera(
+        experiment.lab.camera, experiment.setup, VirtualClock(), ports=ForgetfulCube
+    ) as camera:
         (frame,) = camera.frames()
     assert frame.number == 12, "asked twice, set at the second, and asked as silent since"
     assert [pose.x for pose in frame.poses] == [pytest.approx(101 * 1.36)] * 3

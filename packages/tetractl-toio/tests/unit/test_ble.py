@@ -29,6 +29,8 @@ class Air:
         air = self
 
         class BleakScanner:
+            """Stands in for bleak's scanner: finds the devices in the air."""
+
             @staticmethod
             async def find_device_by_filter(fits, timeout, service_uuids):
                 assert service_uuids == [SERVICE] and timeout > 0
@@ -39,6 +41,8 @@ class Air:
                 return None
 
         class BleakClient:
+            """Stands in for bleak's connection to one device: keeps what is written to it."""
+
             def __init__(self, device, disconnected_callback):
                 air.gone = disconnected_callback
 

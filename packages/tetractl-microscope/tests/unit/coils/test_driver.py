@@ -87,28 +87,29 @@ def test_unknown_status_bits_of_a_driver_are_dropped():
 
 
 def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
-    """A driver that answers each poll only after the next one."""
-    sent = []
-    waiting = []
-    hear = []
+    sent = []  # numbers of the polls
     clock = LabClock()
 
-    class Port:
+    class LateDriver:
+        """A port whose driver answers each poll only after the next one."""
+
         failure = None
 
         def __init__(self, link, baud, device, clock, heard, *hints):
-            hear.append(heard)
+            self.heard = heard
+            self.unanswered = []
+            clock.steps.append(self.answer)
 
         def write(self, frame):
+            if sent:
+                self.unanswered.append(sent[-1])
             sent.append(driver.decode_command(frame[:-1]).sequence)
-            waiting.extend(sent[-2:-1])
             return 0
 
-    def answered():
-        while waiting:
-            reply = replace(DRIVER, sequence=waiting.pop())
-            hear[0](packed_reply(reply), 0)
+        def answer(self):
+            while self.unanswered:
+                reply = replace(DRIVER, sequence=self.unanswered.pop())
+                self.heard(packed_reply(reply), 0)
 
-    clock.steps.append(answered)
-    assert driver.Driver("coils", 115_200, clock, Port).ask() is None
+    assert driver.Driver("coils", 115_200, clock, LateDriver).ask() is None
     assert len(sent) == 5

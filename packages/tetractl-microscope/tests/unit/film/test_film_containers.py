@@ -144,9 +144,11 @@ def test_films_of_any_depth_use_their_own_range():
 
 
 def test_nd2_is_read_through_its_library(tmp_path, monkeypatch):
-    """No library writes ND2; the stand-in has the attributes of `nd2.ND2File` 0.12."""
+    """No library writes ND2."""
 
     class ND2File:
+        """Stands in for `nd2.ND2File` 0.12: 3 pictures, each of 2 planes and 2 channels."""
+
         sizes = {"T": 3, "Z": 2, "C": 2, "Y": 4, "X": 5}  # noqa: RUF012
 
         def __init__(self, path):

@@ -190,6 +190,8 @@ def test_drifting_specks_do_not_outvote_the_cells_that_swim():
     specks = swimming(HELICAL_MICROROBOT, 2.3)
 
     class CellsAndSpecks(Ellipses):
+        """A film of the cells and, turned upside down so that they do not meet, the specks."""
+
         def __iter__(self):
             for (number, of_cells), (_, of_specks) in zip(cells, specks, strict=True):
                 yield number, np.minimum(of_cells, of_specks[::-1])

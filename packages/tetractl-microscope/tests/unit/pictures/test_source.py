@@ -139,6 +139,8 @@ def answering(status, kind, body=b""):
     """A server on loopback that gives one answer."""
 
     class Answer(BaseHTTPRequestHandler):
+        """Answers each request alike, and logs nothing."""
+
         def do_GET(self):
             self.send_response(status)
             self.send_header("Content-Type", kind)

@@ -24,6 +24,7 @@ helix into the picture. The steps for one cell are compiled (`kernels.helix_step
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,8 +32,12 @@ from tetractl.core.poses import Bools, Floats
 from tetractl_microscope.cells.kernels import helix_steps
 from tetractl_microscope.cells.kernels.helix_steps import (
     BIAS,
+    DELAY,
     EXACT,
+    FLOW_X,
+    FLOW_Y,
     HEADING,
+    LEAD,
     MODEL,
     RATE,
     SLOWEST,
@@ -48,21 +53,31 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 )
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
-# standard deviations of a new cell's position [lengths of a cell], heading, and speed [over that
-# below which it rests]; and their growth per sqrt(s), and that of rate, a and bias
-NEW = 0.115, 0.35, 1.33
-GROWTH = 0.038, 0.07, 0.2
-WALKS = 0.3, 0.02, 0.005
-A_PRIOR = 3.0, 3.0
-BIAS_PRIOR = 0.15
-FLOW_UM_S = 4.0
-WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
+# what is thought of a new cell: standard deviations of its position [lengths of a cell], heading,
+# and speed [relative to that below which it rests]; mean and standard deviation of a [rad/s]
+POSITION_SD = 0.115
+HEADING_SD = 0.35
+SPEED_SD = 1.33
+A_USUAL = 3.0
+A_SD = 3.0
+A_SD_UNKNOWN = 1e-6  # in an unknown field, a stays 0
+BIAS_SD = 0.15
+FLOW_SD_UM_S = 4.0
+DELAY_SD_S = 0.015
+SWAY_USUAL = 0.8
+SWAY_SD = 0.3
+LEAD_SD = 0.3
+# growth of these standard deviations per sqrt(s), in the same units; that of the rate [rad/s]
+POSITION_GROWTH = 0.038
+HEADING_GROWTH = 0.07
+SPEED_GROWTH = 0.2
+RATE_GROWTH = 0.3
+A_GROWTH = 0.02
+BIAS_GROWTH = 0.005
 # standard deviation of unexplained turning [rad/s] with and without a known field
 TURN_KNOWN = 0.1
 TURN_UNKNOWN = 3.0
-DELAY_S = 0.015  # standard deviation of the delay
-SWAY_PRIOR = (0.8, 0.3)
-LEAD_SD = 0.3
+WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
 # relative deviations of a mean speed and of a for what a picture does not show, as an axis that
 # leaves the picture's plane
 SPEED_ERROR = 0.004
@@ -80,24 +95,53 @@ def open_water(x: Floats, y: Floats) -> Bools:
     return np.zeros(len(x), bool)
 
 
-def new_cell(organism: Organism, field_known: bool) -> tuple[Floats, Floats, Floats]:
-    """Return mean and covariance (n,), (n, n) of the states of a new cell at the origin, and the
-    numbers (12,) of its model, as in `kernels.helix_steps`; `field_known` as in `HelixFilter`.
+class NewCell(NamedTuple):
+    """Mean (n,) and covariance (n, n) of the state of a cell that begins at the origin, and the
+    numbers (12,) of its model, as in `kernels.helix_steps`.
     """
-    body = organism.body_um[0]
-    slowest = organism.slowest_um_s
+
+    mean: Floats
+    covariance: Floats
+    model: Floats
+
+
+def new_cell(organism: Organism, field_known: bool) -> NewCell:
+    """Return what is thought of a new cell; `field_known` as in `HelixFilter`."""
+    body_um = organism.body_um[0]
+    slowest_um_s = organism.slowest_um_s
     rate, rate_sd = math.tau * np.array(organism.helix_hz)
-    helix = math.hypot(*organism.helix_um) / math.sqrt(2)
-    turn, a, a_sd = (TURN_KNOWN, *A_PRIOR) if field_known else (TURN_UNKNOWN, 0.0, 1e-6)
+    turn_sd = TURN_KNOWN if field_known else TURN_UNKNOWN
+
     mean = np.zeros(STATES)
+    mean[RATE] = rate
+    mean[A] = A_USUAL if field_known else 0.0
+    mean[SWAY] = SWAY_USUAL
+
+    sd = np.zeros(STATES)
+    sd[[X, Y]] = POSITION_SD * body_um
+    sd[HEADING] = HEADING_SD
+    sd[SPEED] = SPEED_SD * slowest_um_s
+    sd[[C, S]] = math.hypot(*organism.helix_um) / math.sqrt(2)
+    sd[RATE] = rate_sd
+    sd[A] = A_SD if field_known else A_SD_UNKNOWN
+    sd[BIAS] = BIAS_SD
+    sd[TURN] = turn_sd
+    sd[[FLOW_X, FLOW_Y]] = FLOW_SD_UM_S
+    sd[DELAY] = DELAY_SD_S
+    sd[SWAY] = SWAY_SD
+    sd[LEAD] = LEAD_SD
+
     model = np.zeros(MODEL)
-    mean[[RATE, A, SWAY]] = rate, a, SWAY_PRIOR[0]
-    pose = NEW[0] * body, NEW[0] * body, NEW[1], NEW[2] * slowest, helix, helix
-    others = rate_sd, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1]
-    model[[X, Y, C, S]] = GROWTH[0] * body
-    model[[HEADING, SPEED, RATE, A, BIAS]] = GROWTH[1], GROWTH[2] * slowest, *WALKS
-    model[[TURN, EXACT, SLOWEST]] = turn, 1.0, slowest
-    return mean, np.diag(np.square((*pose, *others, LEAD_SD))), model
+    model[[X, Y, C, S]] = POSITION_GROWTH * body_um
+    model[HEADING] = HEADING_GROWTH
+    model[SPEED] = SPEED_GROWTH * slowest_um_s
+    model[RATE] = RATE_GROWTH
+    model[A] = A_GROWTH
+    model[BIAS] = BIAS_GROWTH
+    model[TURN] = turn_sd
+    model[EXACT] = 1.0
+    model[SLOWEST] = slowest_um_s
+    return NewCell(mean, np.diag(np.square(sd)), model)
 
 
 @dataclass(slots=True)
@@ -116,7 +160,7 @@ class HelixFilter:
     mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
     covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
     used: Bools = field(default_factory=lambda: np.zeros(0, bool))
-    _new: tuple[Floats, Floats, Floats] = field(init=False)
+    _new: NewCell = field(init=False)
     _field: Floats | None = None  # the last piece
 
     def __post_init__(self) -> None:
@@ -133,7 +177,8 @@ class HelixFilter:
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
         """Add a new cell by its position [um], heading [rad] and speed [um/s]; return its row."""
         row = self._free()
-        self.mean[row], self.covariance[row], _ = self._new
+        self.mean[row] = self._new.mean
+        self.covariance[row] = self._new.covariance
         self.mean[row, [X, Y, HEADING, SPEED]] = x, y, heading, speed
         return row
 
@@ -152,7 +197,7 @@ class HelixFilter:
         pose = [X, Y, HEADING, C, S]
         self.mean[new, pose] = x, y, heading, 0.0, 0.0
         self.covariance[new, pose, :] = self.covariance[new, :, pose] = 0.0
-        self.covariance[new, pose, pose] = self._new[1][pose, pose]
+        self.covariance[new, pose, pose] = self._new.covariance[pose, pose]
         return new
 
     def mix(self, row: int, rows: np.ndarray, weights: Floats) -> None:
@@ -178,7 +223,7 @@ class HelixFilter:
             walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
             before = field[0] if self._field is None else self._field
             rows = self.mean, self.covariance, self.used
-            helix_steps.predict(*rows, self._new[2], walled, before, field)
+            helix_steps.predict(*rows, self._new.model, walled, before, field)
             self._field = field[-1]
 
     def loosen(self, rows: Sequence[int]) -> None:
@@ -186,7 +231,7 @@ class HelixFilter:
         new ones.
         """
         for row in rows:
-            self.covariance[row, :RATE, :RATE] += self._new[1][:RATE, :RATE]
+            self.covariance[row, :RATE, :RATE] += self._new.covariance[:RATE, :RATE]
 
     def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
         """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and the covariances
@@ -194,7 +239,7 @@ class HelixFilter:
         """
         bodies = np.empty((len(rows), 3))
         slopes = np.empty((len(rows), 3, STATES))
-        helix_steps.expected(self.mean, rows, self._new[2][SLOWEST], bodies, slopes)
+        helix_steps.expected(self.mean, rows, self._new.model[SLOWEST], bodies, slopes)
         places = slopes[:, :2]
         return bodies, places @ self.covariance[rows] @ places.transpose(0, 2, 1)
 
@@ -209,12 +254,11 @@ class HelixFilter:
         """
         likelihood = np.empty(len(rows))
         distance = np.empty(len(rows))
-        _, _, model = self._new
         helix_steps.update(
             self.mean,
             self.covariance,
             rows,
-            model,
+            self._new.model,
             np.ascontiguousarray(measured),
             np.ascontiguousarray(deviation),
             likelihood,

@@ -108,8 +108,7 @@ class BlobFinder:
     background: Grey | None = field(default=None, init=False)
     """The learned picture without cells."""
     _searched: Grey = field(init=False)  # the newest picture minus its background
-    # limits of the newest search: low and high threshold [grey levels], least and most area [px^2]
-    _limits: tuple[float, ...] = field(default=(), init=False)
+    _limits: "SearchLimits" = field(init=False)  # of the newest search
     _fine: NDArray[np.float32] = field(init=False)  # the background in fractions of grey levels
     _smooth: Grey = field(init=False)  # the newest picture, blurred
     _mean: NDArray[np.float32] = field(  # averaged differences
@@ -206,7 +205,7 @@ class BlobFinder:
         spread = max(float(usual.std()), LEAST)
         low = level + LOW * spread
         high = level + HIGH * spread
-        self._limits = (low, high, self.least_px2, self.most_px2)
+        self._limits = SearchLimits(low, high, self.least_px2, self.most_px2)
         np.greater(self._mean, low, out=self._mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
         is_white = np.median(levels) == 255
@@ -304,6 +303,22 @@ class Box(NamedTuple):
         return self.left == 0 or self.top == 0 or right == width or bottom == height
 
 
+class SearchLimits(NamedTuple):
+    """A body's averaged differences are above `low` and, somewhere, above `high` [grey levels], and
+    it covers from `least_px2` to `most_px2` pixels.
+    """
+
+    low: float
+    high: float
+    least_px2: float
+    most_px2: float
+
+    @property
+    def level(self) -> float:
+        """The mean of averaged differences where there is no body."""
+        return self.low - (self.high - self.low) * LOW / (HIGH - LOW)
+
+
 class _Region(NamedTuple):
     """A contour of what differs from the background, and the box around it."""
 
@@ -312,53 +327,66 @@ class _Region(NamedTuple):
 
 
 def _bodies(
-    region: _Region, difference: Grey, mean: NDArray[np.float32], limits: Sequence[float]
+    region: _Region, difference: Grey, mean: NDArray[np.float32], limits: SearchLimits
 ) -> Iterator[Blob]:
-    """Yield the bodies in a region; that with the greatest difference comes first.
-
-    The weights of a body's moments rise from 0 to 1 with the difference, so that neither a pixel at
-    its edge nor what is inside moves them much.
+    """Yield the bodies in a region, by the difference of the picture from its background and its
+    `mean` over squares; the body with the greatest mean comes first.
     """
     box = region.box
-    low, high, least, most = limits
-    level = low - (high - low) * LOW / (HIGH - LOW)  # the mean of averages without a body
     inside = np.zeros((box.tall, box.wide), np.uint8)
     cv2.drawContours(inside, [region.contour], -1, 1, -1, offset=(-box.left, -box.top))
+    if cv2.countNonZero(inside) < limits.least_px2:
+        return
     rest = mean[box.part] * inside
     at_edge = box.is_at_edge(*mean.shape)
-    for _ in range(BODIES if cv2.countNonZero(inside) >= least else 0):
+    least_peak = limits.high
+    for _ in range(BODIES):
         _, peak, _, peak_at = cv2.minMaxLoc(rest)
-        if peak <= high:
+        if peak <= least_peak:
             return
-        high = max(high, NEXT * peak)
-        mask = _grey(rest > max(low, level + EDGE * (peak - level)))
+        least_peak = max(least_peak, NEXT * peak)
+        height = peak - limits.level
+        mask = _grey(rest > max(limits.low, limits.level + EDGE * height))
         cv2.floodFill(mask, None, peak_at, 2)
         body = _grey(mask == 2)
-        near = cv2.dilate(body, _square(least)) > 0
+        near = cv2.dilate(body, _square(limits.least_px2)) > 0
         rest[near] = 0
-        if not least / 2 <= cv2.countNonZero(body) <= most:  # a neighbour cuts a part off
-            continue
-        weights = np.clip((difference[box.part] - level) / (peak - level), *RAMP) - RAMP[0]
-        moments = cv2.moments(weights * near)
-        if moments["m00"] == 0:
-            moments = cv2.moments(body, binaryImage=True)
-        mass = moments["m00"]
-        xx = moments["mu20"] / mass + 1 / 12
-        yy = moments["mu02"] / mass + 1 / 12
-        xy = moments["mu11"] / mass
-        middle = (xx + yy) / 2
-        spread = math.hypot((xx - yy) / 2, xy)
-        yield Blob(
-            x=box.left + moments["m10"] / mass,
-            y=box.top + moments["m01"] / mass,
-            axis=0.5 * math.atan2(2 * xy, xx - yy),
-            long=4 * math.sqrt(middle + spread),
-            wide=4 * math.sqrt(max(middle - spread, 1e-3)),
-            strength=cv2.mean(difference[box.part], body)[0],
-            body=body,
-            corner=(box.left, box.top),
-            at_edge=at_edge,
-        )
+        is_whole = cv2.countNonZero(body) >= limits.least_px2 / 2  # a neighbour cuts a part off
+        if is_whole and cv2.countNonZero(body) <= limits.most_px2:
+            rise = (difference[box.part] - limits.level) / height
+            weights = (np.clip(rise, *RAMP) - RAMP[0]) * near
+            yield _blob(body, weights, difference[box.part], box, at_edge)
+
+
+def _blob(
+    body: Grey, weights: NDArray[np.floating], difference: Grey, box: Box, at_edge: bool
+) -> Blob:
+    """Return the ellipse with the weighted moments of a body in a box of the picture.
+
+    The weights rise from 0 to 1 with the difference, so that neither a pixel at the body's edge nor
+    what is inside moves the moments much. An ellipse has the second moments length^2 / 16 and
+    width^2 / 16 along its axes; each pixel adds 1 / 12.
+    """
+    moments = cv2.moments(weights)
+    if moments["m00"] == 0:
+        moments = cv2.moments(body, binaryImage=True)
+    mass = moments["m00"]
+    xx = moments["mu20"] / mass + 1 / 12
+    yy = moments["mu02"] / mass + 1 / 12
+    xy = moments["mu11"] / mass
+    middle = (xx + yy) / 2
+    spread = math.hypot((xx - yy) / 2, xy)
+    return Blob(
+        x=box.left + moments["m10"] / mass,
+        y=box.top + moments["m01"] / mass,
+        axis=0.5 * math.atan2(2 * xy, xx - yy),
+        long=4 * math.sqrt(middle + spread),
+        wide=4 * math.sqrt(max(middle - spread, 1e-3)),
+        strength=cv2.mean(difference, body)[0],
+        body=body,
+        corner=(box.left, box.top),
+        at_edge=at_edge,
+    )
 
 
 def _square(least_px2: float) -> Grey:

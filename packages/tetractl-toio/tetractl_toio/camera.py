@@ -4,6 +4,7 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
@@ -27,7 +28,19 @@ from tetractl_toio.section import ToioCameraSection
 
 FIRST_S = 3.0  # longest time until every cube has reported
 TRIES = 5  # number of requests in this time: messages may be lost
+NEVER = -1  # time of a report that a cube has not sent
 ASK_NS = SECOND // 10  # time of silence after which a cube is asked, and again
+
+
+@dataclass(slots=True)
+class CubeReport:
+    """What a cube has reported last: its pose, None if it sees no mat, at the time `read_ns` [ns],
+    less than 0 before the first report; and whether it has taken the settings.
+    """
+
+    pose: Pose | None = None
+    read_ns: int = NEVER
+    has_settings: bool = False
 
 
 class ToioCamera:
@@ -55,13 +68,11 @@ class ToioCamera:
         cubes = [entry(section.robots, name).cube for name in setup.names]
         self._link = CubesLink(clock, cubes, ports, self._heard)
         self._lock = threading.Lock()
-        self._poses: list[Pose | None] = [None] * len(setup.names)
-        self._read_ns = [-1] * len(setup.names)  # time of each cube's newest report
+        self._reports = [CubeReport() for _ in setup.names]
         self._number = 0  # of reports so far
-        self._told = False  # whether there has been one since the last frame
+        self._number_taken = 0  # of reports when frames were last taken
         self._asked_ns = 0  # when silent cubes were last asked
-        self._newest_ns = -1  # time of the newest report in a frame
-        self._set = [False] * len(setup.names)  # which cubes have taken the settings
+        self._newest_ns = NEVER  # time of the newest report in a frame
 
     def __enter__(self) -> Self:
         """Connect; return once every cube has reported. AbortError names those that have not."""
@@ -69,7 +80,9 @@ class ToioCamera:
             self._link.open()
             has_begun = any(self._begun() for _ in range(TRIES))
             silent = [
-                n for n, read_ns in zip(self.names, self._read_ns, strict=True) if read_ns < 0
+                name
+                for name, report in zip(self.names, self._reports, strict=True)
+                if report.read_ns < 0
             ]
             if not has_begun and silent:
                 hint = UDP_HINT if self._link.cubes[0].startswith(SCHEME) else HINT
@@ -90,15 +103,16 @@ class ToioCamera:
             self._link.send(cube, Characteristic.ID)
 
         def begun() -> bool:
-            return min(self._read_ns) >= 0 and all(self._set)
+            return all(report.has_settings and report.read_ns >= 0 for report in self._reports)
 
         return wait_for(self._clock, begun, FIRST_S / TRIES)
 
     def check(self) -> Health:
         """Return which robots do not see the mat."""
-        off = [n for n, pose in zip(self.names, self._poses, strict=True) if pose is None]
         problems = tuple(
-            f"{name} does not see the mat: is it on it, and clean below?" for name in off
+            f"{name} does not see the mat: is it on it, and clean below?"
+            for name, report in zip(self.names, self._reports, strict=True)
+            if report.pose is None
         )
         return Health(problems, emulated=self._link.emulated)
 
@@ -106,11 +120,11 @@ class ToioCamera:
         """Return a frame if a cube has reported since the last call; ask cubes that are silent."""
         self._ask_silent()
         with self._lock:
-            has_news = self._told
-            self._told = False
-            poses = tuple(self._poses)
-            times = tuple(self._read_ns)
             number = self._number
+            has_news = number != self._number_taken
+            self._number_taken = number
+            poses = tuple(report.pose for report in self._reports)
+            times = tuple(report.read_ns for report in self._reports)
         newest = max(times)
         if not has_news or min(times) < 0 or newest <= self._newest_ns:
             return []  # a reading that another cube's has overtaken is in the next frame
@@ -126,8 +140,8 @@ class ToioCamera:
         if self._asked_ns > silent_since_ns:
             return
         self._asked_ns = silent_since_ns + ASK_NS
-        for cube, read_ns in zip(self._link.cubes, self._read_ns, strict=True):
-            if read_ns <= silent_since_ns:
+        for cube, report in zip(self._link.cubes, self._reports, strict=True):
+            if report.read_ns <= silent_since_ns:
                 with suppress(AbortError):  # the actuator's side says why
                     self._link.send(cube, Characteristic.ID)
 
@@ -135,7 +149,9 @@ class ToioCamera:
         return max(0, at_ns - round(self.section.latency * SECOND))
 
     def _heard(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
-        self._set[i] |= characteristic == Characteristic.CONFIGURATION
+        report = self._reports[i]
+        if characteristic == Characteristic.CONFIGURATION:
+            report.has_settings = True
         if characteristic != Characteristic.ID:
             return
         try:
@@ -144,9 +160,8 @@ class ToioCamera:
             self.damaged += 1
             return
         with self._lock:
-            self._poses[i] = None if reading is None else self._pose(reading)
-            self._read_ns[i] = at_ns
-            self._told = True
+            report.pose = None if reading is None else self._pose(reading)
+            report.read_ns = at_ns
             self._number += 1
         self._wake()
 

@@ -91,12 +91,13 @@ def encode_reading(reading: Reading | None) -> bytes:
     return struct.pack("<BHHHHHH", POSITION, *place, *place)
 
 
-def encode_motor(left: int, right: int, duration_ms: int) -> bytes:
+def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
     """Return the command that drives both motors at speeds, negative for backward, and stops them
     after a duration [ms]."""
-    if max(abs(left), abs(right)) > SPEED_MAX or not 10 <= duration_ms <= 2550:
-        raise ValueError(f"motor speeds {left}, {right} for {duration_ms} ms")
-    motors = (*_motor(LEFT_MOTOR, left), *_motor(RIGHT_MOTOR, right))
+    is_too_fast = max(abs(left_speed), abs(right_speed)) > SPEED_MAX
+    if is_too_fast or not 10 <= duration_ms <= 2550:
+        raise ValueError(f"motor speeds {left_speed}, {right_speed} for {duration_ms} ms")
+    motors = (*_motor(LEFT_MOTOR, left_speed), *_motor(RIGHT_MOTOR, right_speed))
     return bytes([0x02, *motors, duration_ms // DURATION_MS])
 
 

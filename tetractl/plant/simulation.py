@@ -6,7 +6,8 @@ time passes only where the clock is slept on: by the caller from one control ste
 while a command is planned and while the robots come to rest.
 
     SimPlant             what a host sees of the plant: frames, commands, verdict
-      SimCamera          exposes frames of the true poses, which reach the host later
+      SimCamera          exposes frames of the true poses
+        FrameTransit     the frames on their way to the host
       CommandSender        sends commands to the robots, again and again
         SimHost          computes the wheel speeds of robots on wheels
       Transit            the commands in flight
@@ -209,7 +210,7 @@ class SimPlant:
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
         self._catch_up()
-        return self.camera.samples()
+        return self.camera.frames.samples()
 
     def news(self) -> list[Command | Note]:
         """Return the commands sent under a held direction since the last call, oldest first."""
@@ -249,14 +250,16 @@ class SimPlant:
         return HeadingWalk(float(step_rad), random)
 
     def _newest_frame(self) -> Observation:
-        assert self.camera.newest is not None, "there is no frame: call open() first"
-        return self.camera.newest
+        newest = self.camera.frames.newest
+        assert newest is not None, "there is no frame: call open() first"
+        return newest
 
     def _await_frame(self, since_ns: int) -> None:
         """Wait until the host has a frame exposed at `since_ns` or later."""
         give_up_ns = self.clock.now() + NO_FRAME_S * SECOND
-        while self.camera.newest is None or self.camera.newest.sampled_ns < since_ns:
-            arriving_ns = self.camera.arriving_ns
+        frames = self.camera.frames
+        while frames.newest is None or frames.newest.sampled_ns < since_ns:
+            arriving_ns = frames.arriving_ns
             if arriving_ns is None:
                 self.clock.sleep_until(self._motion.timetable.next_frame_ns)
             else:

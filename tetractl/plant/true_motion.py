@@ -279,7 +279,7 @@ class TrueMotion:
 
     def _receive(self, step: MotionStep) -> None:
         """Pass to the host the frames that have reached it."""
-        self._camera.receive(step.end_ns)
+        self._camera.frames.receive(step.end_ns)
 
     def _swerve(self, step: MotionStep) -> None:
         """Turn the robots by their random walk, after the frame."""

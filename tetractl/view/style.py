@@ -43,6 +43,8 @@ SCREEN_DPI = 200  # dots per inch of pictures for slides
 HEADLINE_IN = 0.135  # height of a line of a headline, at 7 points
 HEADLINE_GAP_IN = 0.03  # between a headline and the upper edge of the figure
 HEADLINE_LETTERS_PER_IN = 17
+GRID_LW = 0.6  # width of the lines of a grid [points]
+NOTE_PT = 6.5  # size of type of a note inside a panel [points]
 LEGEND_GAP_IN = 0.06  # between a legend and the axes below it
 
 RC: dict[str, Any] = {
@@ -135,6 +137,12 @@ def lay_out(drawing: Figure) -> None:
     engine = drawing.get_layout_engine()
     if engine is not None:
         engine.execute(drawing)
+
+
+def grid_of_heights(axes: Axes) -> None:
+    """Draw a line through each tick of the y axis, behind everything else."""
+    axes.grid(axis="y", color=FAINT, linewidth=GRID_LW)
+    axes.set_axisbelow(True)
 
 
 def batch_look(number: int) -> dict[str, Any]:

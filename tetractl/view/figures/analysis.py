@@ -1,6 +1,7 @@
 """The figure of `tetractl analyze`: end positions, singular values, and two curves of the error."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,71 +11,105 @@ from tetractl.analysis.analyze import Analysis
 from tetractl.analysis.steering import Steering
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import UsageError, unit_of
+from tetractl.core.setup import Setup
 from tetractl.view import style
 from tetractl.view.figures.axes import draw_ellipse, robot_labels
 
+CURVE: dict[str, Any] = {"color": style.WHOLE, "marker": "o", "ms": 3}
+"""The look of a curve of predicted errors."""
+HEIGHT_IN = 5.2
+"""Height of the figure of several robots [in]."""
+HEIGHT_ONE_IN = 2.8
+"""Height of the figure of one robot [in]."""
+ROOM = 1.15
+"""Limit of the axes of end positions, over the longest half axis."""
 
-def analysis_figure(found: Analysis) -> Figure:
+
+def analysis_figure(analysis: Analysis) -> Figure:
     """Draw an analysis: (a) the ellipse that contains 95 % of each robot's end positions, around
     the planned end; (b) how far the signals move the ends, as singular values [length unit/rad];
     the predicted mean total error (c) over the smallest relative difference between two robots'
     turning rates a, and (d) over the number of robots. For one robot only (a) and (b) are drawn.
     Raises UsageError if no plan reaches the targets.
     """
-    if found.steering is None:
+    if analysis.steering is None:
         raise UsageError("no plan found, nothing to draw", "raise controller.horizon_max")
-    figure = _drawn(found, found.steering)
-    style.headline(figure, f"{found.setup.name}: predicted by a linear model; no trial was run")
+    figure = _drawn(analysis, analysis.steering)
+    name = analysis.setup.name
+    style.headline(figure, f"{name}: predicted by a linear model; no trial was run")
     return figure
 
 
 @style.styled()
-def _drawn(found: Analysis, here: Steering) -> Figure:
-    several = bool(found.by_gap)
-    unit = unit_of(found.setup.unit)
-    figure = style.figure(style.PAGE_IN, 5.2 if several else 2.8)
+def _drawn(analysis: Analysis, steering: Steering) -> Figure:
+    """Draw the panels of an analysis of plans that reach the targets."""
+    several = bool(analysis.by_gap)
+    figure = style.figure(style.PAGE_IN, HEIGHT_IN if several else HEIGHT_ONE_IN)
     panels = figure.subplots(2 if several else 1, 2, squeeze=False).ravel()
-    _ends(panels[0], found, here)
-    off = f"error from the planned end [{unit}]"
-    style.panel(panels[0], "a", "95 % of the end positions, with feedback", f"x {off}", f"y {off}")
-    number = np.arange(1, len(here.singular) + 1)
-    panels[1].bar(number, here.singular, color=style.WHOLE, width=0.6)
-    if (here.singular > 0).any():
-        panels[1].set_yscale("log")
-    panels[1].set_xticks(number)
-    moved, values = "how far signals move robots' ends", f"singular values [{unit}/rad]"
-    style.panel(panels[1], "b", moved, "singular value", values)
+    _ends(panels[0], analysis.setup, steering)
+    _singular_values(panels[1], analysis.setup, steering)
     if several:
-        error, mean = here.error, f"mean total error [{unit}]"
-        _curve(panels[2], [(100 * gap, one) for gap, one in found.by_gap], [error])
-        panels[2].plot(
-            100 * found.gap, error, "D", color=style.WHOLE, ms=5, label="robots in the spec"
-        )
-        panels[2].legend()
-        gap = "smallest relative difference of two robots' a [%]"
-        style.panel(panels[2], "c", "error over the difference between robots", gap, mean)
-        _curve(panels[3], found.by_count)
-        panels[3].set_xticks([count for count, _ in found.by_count])
-        count = "number of robots, in the spec's order"
-        style.panel(panels[3], "d", "error for fewer robots", count, mean)
+        _errors_by_gap(panels[2], analysis, steering)
+        _errors_by_count(panels[3], analysis)
     return figure
 
 
-def _ends(axes: Axes, found: Analysis, here: Steering) -> None:
-    setup = found.setup
-    named = zip(robot_labels(setup.names), robot_colors(setup.names, setup.colors), strict=True)
-    reach = max(
-        draw_ellipse(axes, (0, 0), covariance, ec=color, lw=1.2, label=name)
-        for covariance, (name, color) in zip(here.covariance, named, strict=True)
-    )
-    limit = 1.15 * reach or 1.0
+def _ends(axes: Axes, setup: Setup, steering: Steering) -> None:
+    """Draw the ellipses of the robots' ends."""
+    off = f"error from the planned end [{unit_of(setup.unit)}]"
+    style.panel(axes, "a", "95 % of the end positions, with feedback", f"x {off}", f"y {off}")
+    labels = robot_labels(setup.names)
+    colors = robot_colors(setup.names, setup.colors)
+    half_axes = [
+        draw_ellipse(axes, (0, 0), covariance, ec=color, lw=1.2, label=label)
+        for covariance, color, label in zip(steering.covariance, colors, labels, strict=True)
+    ]
+    limit = ROOM * max(half_axes) or 1.0
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _curve(axes: Axes, points: Sequence[tuple[float, float]], more: Sequence[float] = ()) -> None:
-    """Draw errors over a quantity, on a logarithmic axis if these and `more` are positive."""
-    x, errors = zip(*points, strict=True)
-    axes.plot(x, errors, color=style.WHOLE, marker="o", ms=3)
-    if np.nanmin([*errors, *more]) > 0:
+def _singular_values(axes: Axes, setup: Setup, steering: Steering) -> None:
+    """Draw how far the signals move combinations of the ends."""
+    number = np.arange(1, len(steering.singular) + 1)
+    axes.bar(number, steering.singular, color=style.WHOLE, width=0.6)
+    if (steering.singular > 0).any():
+        axes.set_yscale("log")
+    axes.set_xticks(number)
+    values = f"singular values [{unit_of(setup.unit)}/rad]"
+    style.panel(axes, "b", "how far signals move robots' ends", "singular value", values)
+
+
+def _errors_by_gap(axes: Axes, analysis: Analysis, steering: Steering) -> None:
+    """Draw the errors of robots that differ more or less, and that of the robots in the spec."""
+    percents = [100 * gap for gap, _ in analysis.by_gap]
+    errors = [error for _, error in analysis.by_gap]
+    axes.plot(percents, errors, **CURVE)
+    _log_if_positive(axes, [*errors, steering.error])
+    in_spec = {"color": style.WHOLE, "ms": 5, "label": "robots in the spec"}
+    axes.plot(100 * analysis.gap, steering.error, "D", **in_spec)
+    axes.legend()
+    gap = "smallest relative difference of two robots' a [%]"
+    title = "error over the difference between robots"
+    style.panel(axes, "c", title, gap, _mean_error(analysis.setup))
+
+
+def _errors_by_count(axes: Axes, analysis: Analysis) -> None:
+    """Draw the errors of the first robots of the spec."""
+    counts = [count for count, _ in analysis.by_count]
+    errors = [error for _, error in analysis.by_count]
+    axes.plot(counts, errors, **CURVE)
+    _log_if_positive(axes, errors)
+    axes.set_xticks(counts)
+    count = "number of robots, in the spec's order"
+    style.panel(axes, "d", "error for fewer robots", count, _mean_error(analysis.setup))
+
+
+def _mean_error(setup: Setup) -> str:
+    return f"mean total error [{unit_of(setup.unit)}]"
+
+
+def _log_if_positive(axes: Axes, errors: Sequence[float]) -> None:
+    """Make the y axis logarithmic if all errors are positive; NaN, for no plan, is left out."""
+    if np.nanmin(errors) > 0:
         axes.set_yscale("log")

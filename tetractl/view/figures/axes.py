@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,33 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats, ellipse
 from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8  # least number of robots that are numbered
+NUMBERED = 8
+"""Least number of robots that are numbered."""
+NAME_LENGTH = 16
+"""Largest length of a robot's name [characters]."""
+PANELS_MAX = 12
+"""Largest number of panels of a figure with a panel for each folder."""
+EVEN_RATIO = 5
+"""Ratio of the limits of a logarithmic axis below which its ticks are even."""
+MARKED_RATIO = 1000
+"""Ratio below which there are ticks at 1, 2 and 5 of each decade."""
+DECIMAL_FROM = 1e-3
+DECIMAL_TO = 1e5
+"""Limits between which the ticks of a logarithmic axis are decimal numbers."""
+FLAT_RATIO = 1.1
+"""Ratio of the values up to which they count as one, whose axis goes FLAT_ROOM beyond it."""
+FLAT_ROOM = 1.05
+NO_VALUES = (0.1, 10.0)
+"""Limits of a logarithmic axis without values."""
+CHARACTER_IN = 0.05
+"""Width of a character of a category's name [in]."""
+LINE_IN = 0.1
+"""Height of a line of a category's name [in]."""
+NAMES_MANY = 50
+"""Number of categories from which their names are small."""
+NAME_PT = 6
+SMALL_NAME_PT = 4
+"""Sizes of type of the names of categories [pt]."""
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
@@ -42,15 +69,16 @@ def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list
     units = {log.start.setup.unit for log in logs}
     if len(units) > 1:
         raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
-    found: dict[str, list[TrialLog]] = {}
+    folders: dict[str, list[TrialLog]] = {}
     for log in logs:
         if not complete or not unfinished(log):
-            found.setdefault(log.log.rpartition("/")[0], []).append(log)
-    if not found:
+            folder, _, _ = log.log.rpartition("/")
+            folders.setdefault(folder, []).append(log)
+    if not folders:
         raise LogError("no complete trial to plot")
-    names = [folder.rpartition("/")[2] or "trials" for folder in found]
-    labels = names if len(set(names)) == len(names) else list(found)
-    return dict(zip(labels, found.values(), strict=True))
+    names = [folder.rpartition("/")[2] or "trials" for folder in folders]
+    labels = names if len(set(names)) == len(names) else list(folders)
+    return dict(zip(labels, folders.values(), strict=True))
 
 
 def panels_of(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
@@ -58,22 +86,22 @@ def panels_of(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
 
     Raises UsageError for too many folders, and for trials of unlike robots in a folder.
     """
-    found = by_folder(logs, complete=False)
-    if len(found) > 12:
+    folders = by_folder(logs, complete=False)
+    if len(folders) > PANELS_MAX:
         raise UsageError(
-            f"{len(found)} folders: this figure has a panel for each of at most 12",
+            f"{len(folders)} folders: this figure has a panel for each of at most {PANELS_MAX}",
             "give fewer folders, or use --kind batch",
         )
-    for arm in found.values():
-        check_alike(arm)
-    return found if len(found) > 1 else {"": list(logs)}
+    for of_folder in folders.values():
+        check_alike(of_folder)
+    return folders if len(folders) > 1 else {"": list(logs)}
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
     """Return the robots' names for a figure: shortened, and numbered if there are NUMBERED or
     more.
     """
-    short = [name if len(name) <= 16 else f"{name[:15]}…" for name in names]
+    short = [name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names]
     if len(names) < NUMBERED:
         return short
     return [f"{number} {name}" for number, name in enumerate(short, start=1)]
@@ -122,9 +150,9 @@ def final_poses(log: TrialLog) -> Floats:
         return log.result.verdict.final.array()
     poses = log.start.setup.starts.array()
     for robot in range(len(poses)):
-        seen = np.flatnonzero(log.valid[:, robot])
-        if len(seen):
-            poses[robot] = log.mocap[seen[-1], robot]
+        frames = np.flatnonzero(log.valid[:, robot])
+        if len(frames):
+            poses[robot] = log.mocap[frames[-1], robot]
     return poses
 
 
@@ -148,23 +176,35 @@ def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
     decade. All have the same format: decimal if the limits lie between 0.001 and 100,000 or have a
     ratio below 5, else powers of ten.
     """
-    seen = values[np.isfinite(values)]
-    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.1, 10.0)
-    if high <= 1.1 * low:
-        low, high = low / 1.05, high * 1.05
-    low, high = low / (high / low) ** below, high * (high / low) ** above
+    low, high = _log_limits(values, below, above)
+    ratio = high / low
     axes.set_yscale("log")
     axes.set_ylim(low, high)
-    if high / low < 5:
+    if ratio < EVEN_RATIO:
         axes.yaxis.set_major_locator(MaxNLocator(4))
+    elif ratio < MARKED_RATIO:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     else:
-        marks = (1.0, 2.0, 5.0) if high / low < 1000 else (1.0,)
-        axes.yaxis.set_major_locator(LogLocator(subs=marks))
-    if (low >= 1e-3 and high <= 1e5) or high / low < 5:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0,)))
+    if (low >= DECIMAL_FROM and high <= DECIMAL_TO) or ratio < EVEN_RATIO:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     else:
         axes.yaxis.set_major_formatter(LogFormatterMathtext(labelOnlyBase=False))
     axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _log_limits(values: Floats, below: float, above: float) -> tuple[float, float]:
+    """Return the limits of a logarithmic axis: beyond the values by fractions of their range."""
+    finite = values[np.isfinite(values)]
+    low, high = NO_VALUES
+    if len(finite):
+        low = float(finite.min())
+        high = float(finite.max())
+    if high <= FLAT_RATIO * low:
+        low = low / FLAT_ROOM
+        high = high * FLAT_ROOM
+    ratio = high / low
+    return low / ratio**below, high * ratio**above
 
 
 def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
@@ -174,20 +214,21 @@ def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
     The names are level, with a line for each field of an arm, or upright if these lines are too
     long.
     """
-    char_in = 0.05  # width of a character [inches]
     level = [re.sub(r"-(?=[\w.]+=)", "\n", name) for name in names]
     longest = max(len(line) for label in level for line in label.split("\n"))
-    fits = char_in * (longest + 2) < width_in / len(names)
-    axes.set_xticks(
-        range(len(names)), level if fits else [one.replace("\n", ", ") for one in names]
-    )
-    axes.tick_params(axis="x", length=0, rotation=0 if fits else 90)
-    axes.tick_params(axis="x", labelsize=6 if len(names) < 50 else 4)
+    fits = CHARACTER_IN * (longest + 2) < width_in / len(names)
+    if fits:
+        labels = level
+        below_in = LINE_IN * max(label.count("\n") for label in level)
+    else:
+        labels = [name.replace("\n", ", ") for name in names]
+        below_in = CHARACTER_IN * max(map(len, names))
+    size = NAME_PT if len(names) < NAMES_MANY else SMALL_NAME_PT
+    axes.set_xticks(range(len(names)), labels)
+    axes.tick_params(axis="x", length=0, rotation=0 if fits else 90, labelsize=size)
     axes.set_xlim(-0.5, len(names) - 0.5)
-    lines = max(label.count("\n") for label in level)
     figure = axes.get_figure(root=True)
     assert figure is not None
-    below_in = 0.1 * lines if fits else char_in * max(map(len, names))
     figure.set_figheight(figure.get_figheight() + below_in)
 
 
@@ -212,14 +253,26 @@ def separated(wanted: Floats, gap: float) -> Floats:
     Neighbours that would overlap form a block around the mean of their heights, the least-squares
     solution. Then all heights are shifted into the range, as far as they fit.
     """
-    blocks: list[tuple[float, int]] = []  # mean of wanted - index * gap, and the number of heights
+    blocks: list[_Block] = []
     for i, height in enumerate(wanted):
-        mean, count = float(height) - i * gap, 1
-        while blocks and blocks[-1][0] > mean:
-            before, many = blocks.pop()
-            mean, count = (mean * count + before * many) / (count + many), count + many
-        blocks.append((mean, count))
-    base = np.repeat([mean for mean, _ in blocks], [count for _, count in blocks])
+        block = _Block(float(height) - i * gap, 1)
+        while blocks and blocks[-1].base > block.base:
+            block = blocks.pop().joined(block)
+        blocks.append(block)
+    base = np.repeat([block.base for block in blocks], [block.count for block in blocks])
     rise = gap * np.arange(len(wanted))
     highest = max(1.0 - gap * (len(wanted) - 1), 0.0)
     return np.asarray(np.clip(base, 0.0, highest) + rise, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Heights that touch: `base` is the mean of (wanted - index * gap) of `count` heights."""
+
+    base: float
+    count: int
+
+    def joined(self, above: "_Block") -> "_Block":
+        """Return this block and the one above it as one."""
+        count = self.count + above.count
+        return _Block((above.base * above.count + self.base * self.count) / count, count)

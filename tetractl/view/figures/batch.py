@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -29,8 +30,30 @@ from tetractl.results.open_batch import GIVEN_DIRECTIONS, counts, directions_giv
 from tetractl.view import style
 from tetractl.view.figures.axes import by_folder, name_categories
 
-_ASIDE = 0.14  # shift of dots to the left of their category's centre [categories]
-SHADED = 4  # most batches whose bands are shaded: more would hide one another
+DOTS_ASIDE = 0.14
+"""Shift of dots to the left of their category's centre [categories]."""
+MEAN_ASIDE = 1.4 * DOTS_ASIDE
+"""Shift of the mean to the right of it [categories]."""
+ROWS = 40
+"""Number of heights up to the greatest error: the dots of one are put side by side."""
+DOT_STEP = 0.07
+"""Largest distance of dots side by side [categories]."""
+DOTS_WIDTH = 0.4
+"""Largest width of a row of dots [categories]."""
+GOLDEN = 0.6180339887
+"""The golden ratio minus 1: multiples of it, modulo 1, are far from their neighbours."""
+MANY = 100
+"""Number of trials beyond which dots are smaller."""
+DOT_PT2 = 16
+"""Area of a dot [pt^2]."""
+SMALL_DOT_PT2 = 4
+"""Area of a dot of many [pt^2]."""
+SHADED = 4
+"""Most batches whose bands are shaded: more would hide one another."""
+BEYOND = 1.02
+"""Limits of the axes of a distribution, over the largest values."""
+DOTS_WIDTH_IN = 0.4 * style.PAGE_IN
+"""Width of the panel of the dots [in], about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,22 +64,32 @@ class BatchErrors:
     name: str
     totals: Floats
     paths: Sequence[str]
-    given: bool
+    given_directions: bool
+
+    @property
+    def label(self) -> str:
+        """The number of trials, and what distinguishes them, in lines."""
+        lines = [f"n = {len(self.totals)}"]
+        if self.given_directions:
+            lines.append(GIVEN_DIRECTIONS)
+        return "\n".join(lines)
 
 
 def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
     """Draw the final total errors of each folder's trials; only complete trials count."""
-    batches = list[BatchErrors]()
-    for name, found in by_folder(logs).items():
-        known = [
-            (log.result.total_error, log.log)
-            for log in found
-            if log.result is not None and math.isfinite(log.result.total_error)
-        ]
-        totals = np.array([error for error, _ in known])
-        paths = [path for _, path in known]
-        batches.append(BatchErrors(name, totals, paths, directions_given(found[0].experiment)))
+    batches = [_of_folder(name, trials) for name, trials in by_folder(logs).items()]
     return _drawn(batches, logs[0].experiment, {})
+
+
+def _of_folder(name: str, logs: Sequence[TrialLog]) -> BatchErrors:
+    """Return the errors of a folder's trials."""
+    totals: list[float] = []
+    paths: list[str] = []
+    for log in logs:
+        if log.result is not None and math.isfinite(log.result.total_error):
+            totals.append(log.result.total_error)
+            paths.append(log.log)
+    return BatchErrors(name, np.array(totals), paths, directions_given(logs[0].experiment))
 
 
 def batch_figure(
@@ -66,107 +99,134 @@ def batch_figure(
 
     `links` maps the path of a trial to the address that its dot links to in an SVG.
     """
-    batches = list[BatchErrors]()
-    for group in groups:
-        paths = [trial.log for trial in group.batch.trials if counts(trial)]
-        given = directions_given(group.experiment)
-        batches.append(BatchErrors(group.name, group.totals, paths, given))
+    batches = [_of_group(group) for group in groups]
     figure = _drawn(batches, groups[0].experiment, links or {})
-    shown = [group for group in groups if group.counted]
-    plants = sorted({group.origin.value for group in shown})
+    drawn = [group for group in groups if group.counted]
+    plants = sorted({group.origin.value for group in drawn})
     if len(plants) > 1:
-        plants = [f"{group.name}: {group.origin.value}" for group in shown]
+        plants = [f"{group.name}: {group.origin.value}" for group in drawn]
     style.headline(figure, "; ".join(plants))
     return figure
+
+
+def _of_group(group: BatchStatistics) -> BatchErrors:
+    """Return the errors of a batch that was described."""
+    paths = [trial.log for trial in group.batch.trials if counts(trial)]
+    return BatchErrors(group.name, group.totals, paths, directions_given(group.experiment))
 
 
 @style.styled()
 def _drawn(
     batches: Sequence[BatchErrors], experiment: Experiment, links: Mapping[str, str]
 ) -> Figure:
-    shown = [batch for batch in batches if len(batch.totals)]
-    if not shown:
+    """Draw the batches that have an error; LogError if none has."""
+    drawn = [batch for batch in batches if len(batch.totals)]
+    if not drawn:
         raise LogError("no complete trial to plot")
     figure = style.figure(style.PAGE_IN, 3.0)
-    left, right = figure.subplots(1, 2, width_ratios=[1, 1.1])
+    dots, distributions_panel = figure.subplots(1, 2, width_ratios=[1, 1.1])
     error = f"total error [{unit_of(experiment.units.length)}]"
-    style.panel(left, "a", "each trial, and the mean", y=error)
-    labels = _dots(left, shown, links)
-    if reference := experiment.reference:
+    style.panel(dots, "a", "each trial, and the mean", y=error)
+    style.panel(distributions_panel, "b", "fraction of trials with at most an error", error)
+    labels = _categories(dots, drawn, links)
+    reference = experiment.reference
+    if reference is not None:
         published = published_distribution(reference.n, reference.mean, reference.std)
-        _mean(left, len(labels), published, style.GREY)
+        _mean(dots, len(labels), published, style.GREY)
         labels.append(f"published\nn = {reference.n}")
-    name_categories(left, labels, 0.4 * style.PAGE_IN)
-    left.set_ylim(bottom=0)
-    left.grid(axis="y", color=style.FAINT, linewidth=0.6)
-    left.set_axisbelow(True)
-    style.panel(right, "b", "fraction of trials with at most an error", error)
-    _distributions(right, shown)
+    name_categories(dots, labels, DOTS_WIDTH_IN)
+    dots.set_ylim(bottom=0)
+    style.grid_of_heights(dots)
+    _distributions(distributions_panel, drawn)
+    curves, _ = distributions_panel.get_legend_handles_labels()
+    _legend(figure, curves if len(drawn) > 1 else [])
+    return figure
+
+
+def _legend(figure: Figure, curves: Sequence[Artist]) -> None:
+    """Say what the signs of both panels mean, and which curve is which batch's."""
     signs = [
         style.sign("one trial", marker="o", ms=4, alpha=0.7),
         style.sign("mean and its 95 % interval", ls="-", lw=4, marker="o", mfc="white"),
         style.sign("standard deviation", ls="-", lw=1),
+        Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve"),
     ]
-    whole = Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve")
-    curves = right.get_legend_handles_labels()[0] if len(shown) > 1 else []
-    style.legend(figure, [*signs, whole, *curves], 4)
-    return figure
+    style.legend(figure, [*signs, *curves], 4)
 
 
-def _dots(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) -> list[str]:
+def _categories(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) -> list[str]:
     """Draw a category of the x axis for each batch, and return their labels: values to the left
     of the category's centre, their mean to the right.
     """
     top = max(float(batch.totals.max()) for batch in batches)
-    labels = list[str]()
+    labels: list[str] = []
     for place, batch in enumerate(batches):
         color = style.batch_look(place)["color"]
-        count = len(batch.totals)
-        dots = axes.scatter(
-            place - _ASIDE + _spread(batch.totals, top), batch.totals, s=16 if count <= 100 else 4,
-            color=color, linewidths=0, alpha=0.55, clip_on=False, gid="trials",
-        )  # fmt: skip
-        addresses = [links.get(path) for path in batch.paths]
-        if any(addresses):
-            dots.set_urls(addresses)
-        _mean(axes, place + 1.4 * _ASIDE, distributions(batch.totals[None])[0], color)
+        _dots(axes, place - DOTS_ASIDE, batch, top, color, links)
+        distribution = distributions(batch.totals[None])[0]
+        _mean(axes, place + MEAN_ASIDE, distribution, color)
         name = batch.name if len(batches) > 1 else "this batch"
-        lines = [name, f"n = {count}"]
-        if batch.given:
-            lines.append(GIVEN_DIRECTIONS)
-        labels.append("\n".join(lines))
+        labels.append(f"{name}\n{batch.label}")
     return labels
 
 
+def _dots(
+    axes: Axes,
+    place: float,
+    batch: BatchErrors,
+    top: float,
+    color: str,
+    links: Mapping[str, str],
+) -> None:
+    """Draw a dot for each trial about a place of the x axis; `top` is the greatest error."""
+    dots = axes.scatter(
+        place + _spread(batch.totals, top),
+        batch.totals,
+        s=DOT_PT2 if len(batch.totals) <= MANY else SMALL_DOT_PT2,
+        color=color,
+        linewidths=0,
+        alpha=0.55,
+        clip_on=False,
+        gid="trials",
+    )
+    addresses = [links.get(path) for path in batch.paths]
+    if any(addresses):
+        dots.set_urls(addresses)
+
+
 def _spread(values: Floats, top: float) -> Floats:
-    """Return horizontal offsets, at most 0.2 of a category, that separate dots of similar
+    """Return horizontal offsets, at most half of DOTS_WIDTH, that separate dots of similar
     height.
     """
     if top <= 0:
         return np.zeros(len(values))
-    rows = np.rint(values / top * 40).astype(int)
-    _, row, counted = np.unique(rows, return_inverse=True, return_counts=True)
-    step = min(0.07, 0.4 / counted.max())
+    heights = np.rint(values / top * ROWS).astype(int)
+    _, row, counted = np.unique(heights, return_inverse=True, return_counts=True)
+    step = min(DOT_STEP, DOTS_WIDTH / counted.max())
     offsets = np.zeros(len(values))
     for i, count in enumerate(counted):
         (members,) = np.nonzero(row == i)
-        golden = np.argsort(np.arange(count) * 0.6180339887 % 1)  # separates neighbours
-        members = members[np.argsort(values[members], kind="stable")][golden]
-        offsets[members] = step * (np.arange(count) - (count - 1) / 2)
+        rising = members[np.argsort(values[members], kind="stable")]
+        places = np.arange(count)
+        separated = np.argsort(places * GOLDEN % 1)  # neighbours in height are far apart
+        offsets[rising[separated]] = step * (places - (count - 1) / 2)
     return offsets
 
 
-def _mean(axes: Axes, at: float, found: Distribution, color: str) -> None:
+def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
     """Draw a mean, a thin line over +- one standard deviation, and a thick line over the mean's 95
     % interval.
     """
-    if math.isfinite(found.std):
-        axes.vlines(at, max(found.mean - found.std, 0), found.mean + found.std, color, linewidth=1)
-    if found.ci95.known:
-        axes.vlines(at, max(found.ci95.low, 0), found.ci95.high, color, linewidth=4)
+    mean = errors.mean
+    interval = errors.ci95
+    if math.isfinite(errors.std):
+        lowest = max(mean - errors.std, 0)
+        axes.vlines(place, lowest, mean + errors.std, color, linewidth=1)
+    if interval.known:
+        axes.vlines(place, max(interval.low, 0), interval.high, color, linewidth=4)
     axes.plot(
-        at,
-        found.mean,
+        place,
+        mean,
         "o",
         color="white",
         markeredgecolor=color,
@@ -183,15 +243,16 @@ def band(n: int) -> float:
 
 def _distributions(axes: Axes, batches: Sequence[BatchErrors]) -> None:
     """Draw the empirical distribution function of each batch, with its band."""
-    end = max(float(batch.totals.max()) for batch in batches)
+    end = BEYOND * max(float(batch.totals.max()) for batch in batches)
     for number, batch in enumerate(batches):
         look = style.batch_look(number)
         n = len(batch.totals)
-        x = np.concatenate([[0.0], np.sort(batch.totals), [1.02 * end]])
+        x = np.concatenate([[0.0], np.sort(batch.totals), [end]])
         share = np.append(np.arange(n + 1), n) / n
-        low = np.clip(share - band(n), 0, 1)
-        high = np.clip(share + band(n), 0, 1)
-        if len(batches) <= SHADED and band(n) < 1:
+        half = band(n)
+        if len(batches) <= SHADED and half < 1:
+            low = np.clip(share - half, 0, 1)
+            high = np.clip(share + half, 0, 1)
             axes.fill_between(x, low, high, step="post", color=look["color"], alpha=0.18, lw=0)
         axes.step(x, share, where="post", lw=1.3, label=batch.name, gid="share", **look)
-    axes.set(xlim=(0, 1.02 * end or 1.0), ylim=(0, 1.02))
+    axes.set(xlim=(0, end or 1.0), ylim=(0, BEYOND))

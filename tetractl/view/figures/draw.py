@@ -17,10 +17,8 @@ def check_kind(kind: str) -> None:
     """Raise UsageError if no figure has this name."""
     if kind not in FIGURES:
         refuse_retired(FIGURES.group, kind)
-        raise UsageError(
-            f"no figure is called {kind!r}",
-            f"there are {', '.join(FIGURES.names())}, and video",
-        )
+        names = ", ".join(FIGURES.names())
+        raise UsageError(f"no figure is called {kind!r}", f"there are {names}, and video")
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
@@ -33,5 +31,6 @@ def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
 
     check_kind(kind)
     figure = FIGURES.load(kind)(logs)
-    headline(figure, ", ".join(sorted({log.origin.value for log in logs})), broken_off(logs))
+    plants = sorted({log.origin.value for log in logs})
+    headline(figure, ", ".join(plants), broken_off(logs))
     return figure

@@ -1,6 +1,7 @@
 """Total errors against a swept field: the mean with its 95 % interval, a dot for each trial."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -8,9 +9,34 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.errors import unit_of
-from tetractl.results.estimate import ArmErrors, numeric
+from tetractl.results.estimate import ArmErrors, Interval, numeric
 from tetractl.view import style
 from tetractl.view.figures.axes import name_categories
+
+HEIGHT_IN = 2.8
+"""Height of the figure [in]."""
+CURVES_ASIDE_IN = 0.12
+"""Horizontal distance between two curves at the same value [in]: no curve hides another."""
+TRIALS_ASIDE_IN = 0.06
+"""Largest horizontal distance between a mean and its trials [in]."""
+TRIALS_ROOM_IN = 2.5
+"""Sum of these distances over all values, at most [in]."""
+LABEL_LENGTH = 24
+"""Largest length of a value's text [characters]."""
+LOG_DECADES = 1.5
+"""Least span of positive values for a logarithmic axis [decades]."""
+TICKS_MAX = 8
+"""Largest number of values for which each value has a tick."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweptCurve:
+    """The errors of a controller's arms, and where they are drawn: `x` of each arm."""
+
+    name: str
+    arms: Sequence[ArmErrors]
+    x: list[float]
+    line: str
 
 
 @style.styled()
@@ -23,76 +49,99 @@ def errors_by(
     A line connects numbers if arms at neighbouring values differ only in the field: if it is the
     `only` one that is swept, or each value stands for several arms, always the same number.
     """
-    every = [arm for found in curves.values() for arm in found]
-    figure = style.figure(style.PAGE_IN, 2.8)
+    all_arms = [arm for arms in curves.values() for arm in arms]
+    figure = style.figure(style.PAGE_IN, HEIGHT_IN)
     axes = figure.subplots()
-    places = _places(axes, every)
-    for number, (name, found) in enumerate(curves.items()):
-        x = [places[repr(arm.value)] for arm in found]
-        alike = len({arm.arms for arm in found}) == 1 and (only or found[0].arms > 1)
-        # shifted sideways, so that no curve hides another
-        # horizontal distance between two curves at the same value [inches]
-        aside_in = 0.12 * (number - (len(curves) - 1) / 2) if field else 0
-        # and between the mean and its trials
-        left_in = aside_in - min(0.06, 2.5 / len(places))
-        look = {"color": style.batch_look(number)["color"], "clip_on": False}
-        shifts = [ScaledTranslation(by, 0, figure.dpi_scale_trans) for by in (aside_in, left_in)]
-        looks = [look | {"transform": axes.transData + shift} for shift in shifts]
-        _draw(axes, x, found, "-o" if numeric(every) and alike else "o", name, *looks)
+    places = _places(axes, all_arms)
+    numbers = numeric(all_arms)
+    trials_in = min(TRIALS_ASIDE_IN, TRIALS_ROOM_IN / len(places))
+    for number, (name, arms) in enumerate(curves.items()):
+        connected = numbers and _comparable(arms, only)
+        x = [places[repr(arm.value)] for arm in arms]
+        curve = SweptCurve(name, arms, x, "-o" if connected else "o")
+        rank = number - (len(curves) - 1) / 2
+        aside_in = CURVES_ASIDE_IN * rank if field else 0
+        color = style.batch_look(number)["color"]
+        _means(axes, curve, _look(axes, color, aside_in))
+        _trials(axes, curve, _look(axes, color, aside_in - trials_in))
+        _show_all(axes, curve)
     if not field:
-        name_categories(axes, [arm.label for arm in every], 0.9 * style.PAGE_IN)
+        name_categories(axes, [arm.label for arm in all_arms], 0.9 * style.PAGE_IN)
     axes.set_xlabel(field)
     axes.set_ylabel(f"total error [{unit_of(unit)}]")
     axes.set_ylim(bottom=0)
-    axes.grid(axis="y", color=style.FAINT, linewidth=0.6)
-    axes.set_axisbelow(True)
+    style.grid_of_heights(axes)
     if any(curves):
         figure.legend(loc="outside lower center", ncols=4)
     return figure
 
 
-def _places(axes: Axes, found: Sequence[ArmErrors]) -> dict[str, float]:
+def _comparable(arms: Sequence[ArmErrors], only: bool) -> bool:
+    """Return whether neighbouring arms differ in the field alone."""
+    pooled = {arm.arms for arm in arms}
+    return len(pooled) == 1 and (only or arms[0].arms > 1)
+
+
+def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
+    """Return the look of what is drawn beside its place on the x axis [in]."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    shift = ScaledTranslation(aside_in, 0, figure.dpi_scale_trans)
+    return {"color": color, "clip_on": False, "transform": axes.transData + shift}
+
+
+def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
     """Return the position of each value on the x axis, and label the axis."""
-    if not numeric(found):
-        labels = {repr(arm.value): arm.label for arm in found}
-        # largest length of a value's text [characters]
-        axes.set_xticks(range(len(labels)), [label[:24] for label in labels.values()])
+    if not numeric(arms):
+        labels = {repr(arm.value): arm.label for arm in arms}
+        axes.set_xticks(range(len(labels)), [label[:LABEL_LENGTH] for label in labels.values()])
         axes.set_xlim(-0.5, len(labels) - 0.5)
         return {value: float(place) for place, value in enumerate(labels)}
-    values = {float(arm.value): arm.label for arm in sorted(found, key=lambda arm: arm.value)}
-    # least span of positive values for a logarithmic axis [decades]
-    if min(values) > 0 and max(values) / min(values) >= 10**1.5:
+    rising = sorted(arms, key=lambda arm: arm.value)
+    labels_of = {float(arm.value): arm.label for arm in rising}
+    least = min(labels_of)
+    if least > 0 and max(labels_of) / least >= 10**LOG_DECADES:
         axes.set_xscale("log")
-    if len(values) <= 8:  # largest number of values for which each value has a tick
-        axes.set_xticks(list(values), list(values.values()))
-    return {repr(arm.value): float(arm.value) for arm in found}
+    if len(labels_of) <= TICKS_MAX:
+        axes.set_xticks(list(labels_of), list(labels_of.values()))
+    return {repr(arm.value): float(arm.value) for arm in arms}
 
 
-def _draw(
-    axes: Axes,
-    x: list[float],
-    found: Sequence[ArmErrors],
-    line: str,
-    name: str,
-    mean: dict[str, Any],
-    trial: dict[str, Any],
-) -> None:
-    """Draw means with their intervals, in the look `mean`, and a dot for each trial."""
-    means = [arm.error.mean for arm in found]
-    axes.plot(x, means, line, markersize=3.5, label=name or None, zorder=3, **mean)
-    known = [(place, g.error.ci95) for place, g in zip(x, found, strict=True) if g.error.ci95.known]
-    axes.vlines(
-        [place for place, _ in known],
-        [interval.low for _, interval in known],
-        [interval.high for _, interval in known],
-        linewidth=2.5,
-        alpha=0.45,
-        **mean,
+def _means(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
+    """Draw means with their 95 % intervals."""
+    means = [arm.error.mean for arm in curve.arms]
+    axes.plot(
+        curve.x, means, curve.line, markersize=3.5, label=curve.name or None, zorder=3, **look
     )
-    dots = [(place, error) for place, g in zip(x, found, strict=True) for error in g.errors]
-    places, errors = [place for place, _ in dots], [error for _, error in dots]
-    axes.plot(places, errors, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **trial)
-    ends = [(place, end) for place, interval in known for end in (interval.low, interval.high)]
-    if dots:
-        axes.update_datalim([*dots, *ends])  # shifted points do not determine the limits
+    x: list[float] = []
+    intervals: list[Interval] = []
+    for place, arm in zip(curve.x, curve.arms, strict=True):
+        if arm.error.ci95.known:
+            x.append(place)
+            intervals.append(arm.error.ci95)
+    low = [interval.low for interval in intervals]
+    high = [interval.high for interval in intervals]
+    axes.vlines(x, low, high, linewidth=2.5, alpha=0.45, **look)
+
+
+def _trials(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
+    """Draw a dot for each trial."""
+    x: list[float] = []
+    errors: list[float] = []
+    for place, arm in zip(curve.x, curve.arms, strict=True):
+        for error in arm.errors:
+            x.append(place)
+            errors.append(error)
+    axes.plot(x, errors, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **look)
+
+
+def _show_all(axes: Axes, curve: SweptCurve) -> None:
+    """Set the limits to hold a curve: what is shifted does not determine them by itself."""
+    points: list[tuple[float, float]] = []
+    for place, arm in zip(curve.x, curve.arms, strict=True):
+        points += [(place, error) for error in arm.errors]
+        if arm.error.ci95.known:
+            points += [(place, arm.error.ci95.low), (place, arm.error.ci95.high)]
+    if points:
+        axes.update_datalim(points)
     axes.autoscale_view()

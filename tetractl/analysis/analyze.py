@@ -179,7 +179,8 @@ def most_alike(setup: Setup) -> MostAlike | None:
         return None
     gaps = setup.a[order[1:]] / setup.a[order[:-1]] - 1
     least = int(np.argmin(gaps))
-    return MostAlike(int(order[least]), int(order[least + 1]), float(gaps[least]))
+    low, high = order[least : least + 2].tolist()
+    return MostAlike(low, high, float(gaps[least]))
 
 
 def respaced(setup: Setup, gap: float) -> Setup:

@@ -154,7 +154,8 @@ def _ends(setup: Setup, motion: str) -> Floats:
     """Return the ends (SEQUENCES, 2N) of random sequences, about their means [s]."""
     step = MOTIONS.load(motion).step
     speed = np.where(setup.speed > 0, 1.0, 0.0)
-    mean_turn_s = float(np.exp(-np.log(setup.a).mean()))
+    mean_log_a = np.log(setup.a).mean()
+    mean_turn_s = float(np.exp(-mean_log_a))
     held_s = min(mean_turn_s, setup.time_limit_s / LENGTH)
     shape = (SEQUENCES, len(speed))
     x = np.zeros(shape)

@@ -149,7 +149,8 @@ def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Conte
             first = first or log
             logs.append(lean(log))
             name = f"{group.name}, {path.name}" if several else path.name
-            trials.append(_Carried(str(path), name, trial_data(log, path.name, complete)))
+            data = trial_data(log, path.name, complete)
+            trials.append(_Carried(str(path), name, data))
         which = [group.name] if several else []
         if not complete:
             which.append(f"the {len(logs)} trials on this page")
@@ -216,7 +217,8 @@ def _page(title: str, body: str, scripts: str) -> str:
     """
     style = _asset("page.css")
     program = f'"use strict";\n{scripts}'
-    allowed = b64encode(hashlib.sha256(program.encode()).digest()).decode()
+    digest = hashlib.sha256(program.encode()).digest()
+    allowed = b64encode(digest).decode()
     policy = (
         f"default-src 'none'; img-src data:; style-src 'unsafe-inline';"
         f" script-src 'sha256-{allowed}'; base-uri 'none'; form-action 'none'"

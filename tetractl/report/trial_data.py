@@ -26,7 +26,8 @@ from tetractl.replay.player import end_ns, first_seen, tracked
 def packed(trial: dict[str, Any]) -> str:
     """Return a trial as base64 of its JSON, compressed by zlib."""
     text = json.dumps(trial, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
+    compressed = zlib.compress(text.encode(), 9)
+    return base64.b64encode(compressed).decode()
 
 
 def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:

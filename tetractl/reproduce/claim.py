@@ -212,9 +212,9 @@ class OneRun:
 
     def number(self, values: Floats) -> OurNumber:
         """Return the share of our runs that are as large, between the ends of the middle 95 %."""
-        low, high = np.quantile(values, _ENDS)
+        low, high = np.quantile(values, _ENDS).tolist()
         share = float(np.mean(values >= self.value))
-        return OurNumber(NumberKind.RUNS, share, len(values), float(low), float(high))
+        return OurNumber(NumberKind.RUNS, share, len(values), low, high)
 
     def verdict(self, values: Floats) -> Fate:
         """Compare the published run with the middle of ours."""
@@ -310,8 +310,10 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
     if claim.minus is not None:
         subtracted = _measured(claim, results[claim.minus])
         pairs = min(len(values), len(subtracted))
-        means = (float(values[:pairs].mean()), float(subtracted[:pairs].mean()))
-        values = values[:pairs] - subtracted[:pairs]
+        values = values[:pairs]
+        subtracted = subtracted[:pairs]
+        means = (float(values.mean()), float(subtracted.mean()))
+        values = values - subtracted
     verdict = claim.asked.verdict(values)
     if claim.expected is Fate.OUT and verdict is not Fate.REACHED:
         verdict = Fate.OUT

@@ -101,7 +101,8 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
         over_arms = [of_arm[number] for of_arm in errors]
         means.append(float(np.mean(over_arms)))
     bound = arms[0].spec.experiment.error_bound
-    return ArmErrors.of(value, shown(value), len(arms), np.array(means), bound)
+    label = shown(value)
+    return ArmErrors.of(value, label, len(arms), np.array(means), bound)
 
 
 def _errors_by_number(store: Store, arm: Arm) -> dict[int, float]:

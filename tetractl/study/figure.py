@@ -69,11 +69,11 @@ def _curves(
 
 def _headline(loaded: LoadedStudy, groups: Sequence[ArmErrors]) -> str:
     """Return the title: study, plants, the statistic drawn, and the number of trials."""
-    plants = " and ".join(sorted(set(origins(loaded))))
+    plants = sorted(set(origins(loaded)))
     counts = sorted({group.error.n for group in groups})
     n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     pooled = " over the other fields" if any(group.arms > 1 for group in groups) else ""
     return (
-        f"{loaded.study.name}, {plants}: mean{pooled} and its 95 % interval,"
+        f"{loaded.study.name}, {' and '.join(plants)}: mean{pooled} and its 95 % interval,"
         f" n = {n} trials, each a dot"
     )

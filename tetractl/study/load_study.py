@@ -74,7 +74,8 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
     A field is named by the last part of its path if that is unique, otherwise by the whole path.
     """
     ends = [path.rpartition(".")[2] for path in values]
-    paths = ends if len(set(ends)) == len(ends) else list(values)
+    unique = len(set(ends)) == len(ends)
+    paths = ends if unique else list(values)
     words = [controller] if controller else []
     words += [f"{path}={shown(value)}" for path, value in zip(paths, values.values(), strict=True)]
     name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))

@@ -98,7 +98,8 @@ class Range(Model):
             raise inconsistent("high", "must be greater than low")
         if self.scale == "log" and self.low <= 0:
             raise inconsistent("low", "must be greater than 0 on a logarithmic scale")
-        if self.whole and not (float(self.low).is_integer() and float(self.high).is_integer()):
+        fractional = self.low % 1 != 0 or self.high % 1 != 0
+        if self.whole and fractional:
             raise inconsistent("whole", "needs whole numbers for low and high")
         return self
 

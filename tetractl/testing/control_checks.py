@@ -104,7 +104,8 @@ class Play:
     def _drive(self, section: ControllerSection, setup: Setup) -> None:
         clock = VirtualClock()
         timer = count(step=SECOND // 1000)
-        plant = SimSection().build(setup, clock, np.random.SeedSequence(SEED), LabSupervision())
+        seeds = np.random.SeedSequence(SEED)
+        plant = SimSection().build(setup, clock, seeds, LabSupervision())
         host = Host(self._wrap, lambda: next(timer))
         controller = CheckedController(section, setup, SEED, host)
         plant.open()
@@ -211,9 +212,11 @@ def _chosen(plan: Plan) -> bool:
 def _consistent(search: Search) -> bool:
     """Return whether the record of a search agrees with itself."""
     history = np.asarray(search.history)
-    falls = bool(np.isfinite(history).all() and np.all(np.diff(history) <= 0))
+    finite = bool(np.isfinite(history).all())
+    falls = bool((np.diff(history) <= 0).all())
     return (
-        falls
+        finite
+        and falls
         and bool(search.cost == history[-1] >= 0)
         and isinstance(search.stopped, StopReason)
         and search.evaluations >= 1

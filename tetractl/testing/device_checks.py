@@ -143,7 +143,8 @@ def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> Fi
     """Check the order of frames that have come by `now_ns`, and their number of poses."""
     numbers = [frame.number for frame in frames]
     times = [frame.sampled_ns for frame in frames]
-    yield true("frames: numbers rise", numbers == sorted(set(numbers)), str(numbers))
+    rise = numbers == sorted(set(numbers))
+    yield true("frames: numbers rise", rise, str(numbers))
     yield true("frames: times rise", times == sorted(times), str(times))
     in_order = [frame.sampled_ns <= frame.received_ns <= now_ns for frame in frames]
     yield true("frames: received after their exposure", in_order)
@@ -180,8 +181,8 @@ def _check_scene(
 
 def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> Findings:
     """Check the poses of robots against the true ones (N, 3), in lengths of `metres`."""
-    shown = np.array([(pose.x, pose.y, pose.heading) for pose in poses])
-    differences = shown - true_poses
+    measured = np.array([(pose.x, pose.y, pose.heading) for pose in poses])
+    differences = measured - true_poses
     gaps_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
     turned = np.remainder(differences[:, 2] + math.pi, math.tau) - math.pi
     yield near("poses: in the spec's coordinates", gaps_m, 0.0, 1.0, PLACE_M)

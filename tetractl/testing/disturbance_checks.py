@@ -73,7 +73,8 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
         result = bound(*arguments)
         unchanged = np.array_equal(before, _flat(arguments), equal_nan=True)
         fits = bool(_fits(method, section, arguments, result))
-        calls.setdefault(method, []).append(Call(fits, unchanged, _flat(result)))
+        of_method = calls.setdefault(method, [])
+        of_method.append(Call(fits, unchanged, _flat(result)))
         return result
 
     robots = len(setup.names)
@@ -130,7 +131,8 @@ def _fits(method: str, section: DisturbanceSection, arguments: Any, result: Any)
 
 
 def _finite(value: Any) -> bool:
-    return bool(np.isfinite(_flat(value)).all())
+    numbers = _flat(value)
+    return bool(np.isfinite(numbers).all())
 
 
 def _flat(value: Any) -> Floats:

@@ -77,7 +77,8 @@ def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list
     if not folders:
         raise LogError("no complete trial to plot")
     names = [folder.rpartition("/")[2] or "trials" for folder in folders]
-    labels = names if len(set(names)) == len(names) else list(folders)
+    distinct = len(set(names)) == len(names)
+    labels = names if distinct else list(folders)
     return dict(zip(labels, folders.values(), strict=True))
 
 

@@ -36,6 +36,8 @@ LINE = 1.3
 """Height of a line of text over the size of its letters."""
 HEADROOM = 1.04
 """Height of a panel over its greatest value."""
+LEAST = 1e-9
+"""Least of the greatest values [length unit]: the limits of an axis must differ."""
 TIMES = 400
 """Points of a median over time."""
 SINCE = "time since the first command [s]"
@@ -127,12 +129,14 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     the result, if the log has a result.
     """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
-    rows = np.where(np.isfinite(gaps), np.arange(len(gaps))[:, None], 0)
+    row = np.arange(len(gaps))[:, None]
+    rows = np.where(np.isfinite(gaps), row, 0)
     held = np.take_along_axis(gaps, np.maximum.accumulate(rows, axis=0), axis=0)
     newest = np.searchsorted(_since(log), time_s, side="right") - 1
     errors = held[np.maximum(newest, 0)]
     if log.result is not None:  # the robots stand still after the trial
-        errors[time_s >= end_s(log)] = log.result.robot_errors
+        ended = time_s >= end_s(log)
+        errors[ended] = log.result.robot_errors
     return errors
 
 
@@ -175,8 +179,9 @@ def _draw_from_zero(axes: Axes, time_s: Floats, curves: Sequence[Curve], values:
     """Draw curves, with room for the values since the first command; the last row of `values` is
     not drawn."""
     draw_curves(axes, time_s, curves)
-    shown = values[:-1][time_s >= 0]
-    axes.set_ylim(0, float(np.nanmax(shown, initial=1e-9)) * HEADROOM)
+    after_start = time_s >= 0
+    greatest = float(np.nanmax(values[:-1][after_start], initial=LEAST))
+    axes.set_ylim(0, greatest * HEADROOM)
 
 
 @style.styled()
@@ -227,9 +232,9 @@ def _arm_errors(logs: Sequence[TrialLog], time_s: Floats, panels: "_Panels") -> 
     """Draw the errors of one folder's trials."""
     setup = logs[0].start.setup
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, M, N)
-    whole = np.array([not unfinished(log) for log in logs])
-    counted = errors[whole] if whole.any() else errors
-    for values, complete in zip(errors.sum(axis=2), whole, strict=True):
+    completed = np.array([not unfinished(log) for log in logs])
+    counted = errors[completed] if completed.any() else errors
+    for values, complete in zip(errors.sum(axis=2), completed, strict=True):
         color = style.GREY if complete else style.ALARM
         panels.total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
     middle, band = _quartiles(counted.sum(axis=2))
@@ -244,8 +249,8 @@ def _arm_errors(logs: Sequence[TrialLog], time_s: Floats, panels: "_Panels") -> 
         *panels.total.get_legend_handles_labels()[0],
         _middle_half(style.WHOLE),
     ]
-    if not whole.all():
-        label = f"{(~whole).sum()} of {len(logs)} did not run to their end"
+    if not completed.all():
+        label = f"{(~completed).sum()} of {len(logs)} did not run to their end"
         signs.append(style.sign(label, color=style.ALARM, ls="-", lw=0.5))
     reference = logs[0].experiment.reference
     if reference:

@@ -76,7 +76,7 @@ class _Quantity:
 
     title: str
     label: str
-    of: Callable[[Estimate], _Value]
+    value: Callable[[Estimate], _Value]
     factor: Floats | float = 1.0
     spec: Floats | None = None
     true: Floats | None = None
@@ -210,7 +210,7 @@ def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
     rate = "turning rate a, at the end in rad/s"
     if setup.strength:
         rate += f", at {setup.strength:g} {setup.strength_unit}"
-    shown = [
+    quantities = [
         _Quantity(
             rate,
             difference,
@@ -229,7 +229,7 @@ def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
         ),
     ]
     if last.heading_bias is not None:
-        shown.append(
+        quantities.append(
             _Quantity(
                 "heading bias",
                 "heading bias [rad]",
@@ -237,7 +237,7 @@ def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
             )
         )
     if last.dead_time is not None:
-        shown.append(
+        quantities.append(
             _Quantity(
                 "dead time, from the sending of a direction",
                 "dead time [ms]",
@@ -245,7 +245,7 @@ def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
                 factor=1e3,
             )
         )
-    return shown
+    return quantities
 
 
 def _draw(
@@ -259,7 +259,7 @@ def _draw(
 
     The axis shows the range between OUTLIERS and every last value.
     """
-    stated = [quantity.of(estimate) for estimate in estimates]
+    stated = [quantity.value(estimate) for estimate in estimates]
     means = _stack([value.mean for value in stated])
     stds = _stack([value.std for value in stated]) * quantity.factor
     spec = 0.0 if quantity.spec is None else quantity.spec

@@ -83,7 +83,7 @@ def _comparable(arms: Sequence[ArmErrors], only: bool) -> bool:
 
 
 def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
-    """Return the look of what is drawn beside its place on the x axis [in]."""
+    """Return the look of what is drawn at a distance from its place on the x axis [in]."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     shift = ScaledTranslation(aside_in, 0, figure.dpi_scale_trans)
@@ -94,7 +94,8 @@ def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
     """Return the position of each value on the x axis, and label the axis."""
     if not numeric(arms):
         labels = {repr(arm.value): arm.label for arm in arms}
-        axes.set_xticks(range(len(labels)), [label[:LABEL_LENGTH] for label in labels.values()])
+        texts = [label[:LABEL_LENGTH] for label in labels.values()]
+        axes.set_xticks(range(len(texts)), texts)
         axes.set_xlim(-0.5, len(labels) - 0.5)
         return {value: float(place) for place, value in enumerate(labels)}
     rising = sorted(arms, key=lambda arm: arm.value)
@@ -103,7 +104,7 @@ def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
     if least > 0 and max(labels_of) / least >= 10**LOG_DECADES:
         axes.set_xscale("log")
     if len(labels_of) <= TICKS_MAX:
-        axes.set_xticks(list(labels_of), list(labels_of.values()))
+        axes.set_xticks([*labels_of], [*labels_of.values()])
     return {repr(arm.value): float(arm.value) for arm in arms}
 
 

@@ -151,9 +151,9 @@ def draw_scene(
     for obstacle in setup.obstacles:
         axes.add_patch(Polygon(obstacle.outline(), zorder=1, **style.OBSTACLE))
     starts = np.array(
-        [first_seen(trail, of.starts.xy) for trail, of in zip(trails, setups, strict=True)]
+        [first_seen(trail, trial.starts.xy) for trail, trial in zip(trails, setups, strict=True)]
     )
-    targets = np.unique([of.targets for of in setups], axis=0)  # (K, N, 2), K assignments
+    targets = np.unique([trial.targets for trial in setups], axis=0)  # (K, N, 2), K assignments
     for robot, color in enumerate(colors):
         target_color = style.GREY if len(targets) > 1 else color
         look: dict[str, Any] = {"zorder": 4, "clip_on": False}
@@ -335,7 +335,8 @@ def _marks(log: TrialLog, trail: Floats, ends: Floats, point: float) -> Floats:
     centres = np.concatenate([ends, setup.targets, first_seen(trail, setup.starts.xy)])
     outlines = centres[:, None] + circle
     path = trail[::FRAMES_APART]
-    return np.concatenate([path.reshape(-1, 2), outlines.reshape(-1, 2), _edge(setup.arena)])
+    points = (path.reshape(-1, 2), outlines.reshape(-1, 2), _edge(setup.arena))
+    return np.concatenate(points)
 
 
 def _edge(arena: Bounds) -> Floats:
@@ -416,8 +417,8 @@ def _heading(logs: Sequence[TrialLog], ends: Floats) -> _Heading:
         title = f"{len(logs)} trials of {len(folders)} folders"
         entries = names
     else:
-        whole = np.array([not unfinished(log) for log in logs])
-        counted = errors[whole] if whole.any() else errors
+        completed = np.array([not unfinished(log) for log in logs])
+        counted = errors[completed] if completed.any() else errors
         total = _mean_and_std(counted.sum(axis=1))
         title = f"{len(logs)} trials, error at the end [{unit}], total {total}"
         entries = _with_errors(names, [_mean_and_std(of_robot) for of_robot in counted.T])

@@ -13,7 +13,10 @@ from support.paths import ROOT
 from support.running import QUICK
 from support.studies import SMALL, write
 
+from tetractl.cli.lab import save_calibration
 from tetractl.cli.ui import announce_compiling
+from tetractl.core.errors import LogError
+from tetractl.experiment.lab_section import Measured
 
 pytestmark = pytest.mark.slow
 
@@ -60,6 +63,7 @@ stats logs --plot batch.gif | batch.gif: cannot write '.gif' pictures
 stats out --format yaml | 'yaml' is not one of 'table', 'json' | try
 stats out/dead_time=0 --against out | out: holds 2 batches
 info logs | logs: 3 logs | name one of them, such as logs/trial-000.mcap
+report logs -o empty | empty: is a folder | name a file in it
 report logs -o no/where.html | no/where.html: there is no folder no
 replay | LOG
 replay LOG --rate 0 | --rate must be above 0
@@ -97,6 +101,9 @@ analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | Invalid value for '--plans'
 kinds --set x=1 | --set and --spec need --check
 kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
+kinds --check json | json: must be MODULE:NAME | such as pivot:PIVOT
+kinds --check : | :: must be MODULE:NAME | such as pivot:PIVOT
+kinds --check json:dumps --set =3 | --set =3: must be FIELD=VALUE
 kinds --check json:dumps | json:dumps: there is no check for this kind
 kinds --check tetractl.model.shapes.circle:Circle | Circle: center: is missing
 kinds --check tetractl.experiment.controller:Square | Square: there is no check for this kind
@@ -238,6 +245,31 @@ def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
     assert done.stderr == f"error: {file}: cannot be written: No space left on device\n"
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
     assert file.read_text() == "the one before"
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("raise SystemExit(7)", "SystemExit: 7"),
+        ("raise RuntimeError('two\\nlines')", "RuntimeError: two lines"),
+    ],
+)
+def test_a_module_that_ends_at_its_import_is_one_line(tmp_path, source, reason):
+    (tmp_path / "pivot.py").write_text(source)
+    done = tetractl(tmp_path, "kinds", "--check", "pivot:PIVOT")
+    message = f"error: pivot:PIVOT: cannot be imported: {reason}\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", message)
+
+
+def test_a_full_disk_does_not_lose_what_robots_were_moved_for(tmp_path, capsys, monkeypatch):
+    def full(path, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    measured = Measured(lines=("green: radius 40.1 mm",))
+    with pytest.raises(LogError, match="No space left on device"):
+        save_calibration(tmp_path / "calibration.yaml", measured)
+    assert capsys.readouterr().out == "green: radius 40.1 mm\n"
 
 
 @pytest.mark.parametrize("words", [["run"], ["stats"], ["study"], ["lab", "check"], []])

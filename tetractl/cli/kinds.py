@@ -188,7 +188,7 @@ def _fields(sets: list[str]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for setting in sets:
         name, equals, text = setting.partition("=")
-        if not equals:
+        if not name or not equals:
             raise UsageError(f"--set {setting}: must be FIELD=VALUE")
         fields[name] = with_tuples(parse_value(text, printable(f"--set {setting}"), (name,)))
     return fields

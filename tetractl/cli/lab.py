@@ -199,9 +199,9 @@ def save_calibration(out: Path, measured: "Measured") -> int:
         camera=dict(measured.camera),
         actuator=dict(measured.actuator),
     )
+    print(*measured.lines, sep="\n", flush=True)  # first, so that a full disk does not lose them
     values = calibration.model_dump(mode="json", exclude_none=True)
     save_whole(out, dump(values).encode())
-    print(*measured.lines, sep="\n")
     whose = f", of an emulated {' and '.join(measured.emulated)}" if measured.emulated else ""
     ui.tell(f"wrote {out}{whose}; name it in the spec: lab.calibration")
     return Exit.DONE

@@ -136,9 +136,12 @@ def refuse_existing(out: Path | None, folder: bool = False) -> None:
 
 
 def require_folder_of(out: Path) -> None:
-    """Raise UsageError if the folder of an output file is missing: before the work, not after."""
+    """Raise UsageError if the folder of an output file is missing, or if the name is that of a
+    folder: before the work, not after."""
     if not out.parent.is_dir():
         raise UsageError(f"{out}: there is no folder {out.parent}")
+    if out.is_dir():
+        raise UsageError(f"{out}: is a folder", "name a file in it")
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from typing import Any, Protocol, get_args, runtime_checkable
 
 from pydantic import ValidationError
 
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import UsageError, text_of
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
@@ -61,10 +61,13 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
     `fields` are the section's fields, and `setup` describes the robots of the experiment. Raises
     UsageError if the object cannot be imported or is something else.
     """
+    module, _, name = code.partition(":")
+    if not module or not name:
+        raise UsageError(f"{code}: must be MODULE:NAME", "such as pivot:PIVOT of a file pivot.py")
     try:
         kind = resolve_name(code)
-    except Exception as error:
-        raise UsageError(f"{code}: cannot be imported: {type(error).__name__}: {error}") from None
+    except (Exception, SystemExit) as error:  # a module may raise anything, or leave
+        raise UsageError(f"{code}: cannot be imported: {text_of(error)}") from None
     if isinstance(kind, Motion):
         return _guarded(partial(check_motion, kind))
     if isinstance(kind, type) and issubclass(kind, Model) and issubclass(kind, Checked):

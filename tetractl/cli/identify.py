@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, out_option, switch
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.files import save_whole
 from tetractl.log.read.find import find_logs
 
@@ -57,7 +57,11 @@ def identify(
     ui.refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
-        raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
+        no_table = next(path for path in logs if path not in tables)
+        raise UsageError(
+            f"{printable(str(no_table))}: its name does not end in .csv, and logs and CSV files "
+            "cannot be combined"
+        )
     if tables:
         data = _LogData(csv_tracks(tables))
         tell_remarks(data.tracks)

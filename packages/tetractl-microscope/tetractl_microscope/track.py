@@ -88,7 +88,12 @@ def track(
     """
     import numpy as np
 
-    from tetractl.replay.identification.sent_directions import check_times, courses
+    from tetractl.replay.identification.sent_directions import (
+        AT_ONCE_S,
+        check_directions,
+        courses,
+        other_times,
+    )
     from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
     from tetractl_microscope.film.film_tables import as_items
     from tetractl_microscope.film.fit_cell import fit_cells
@@ -123,7 +128,8 @@ def track(
         last_s = pictures.seconds(followed.pictures - 1)
         ui.tell(*clock_remarks(directions, str(field), str(film), first_s, last_s))
         paths = [np.column_stack([path.times, path.places]) for path in followed.paths]
-        check_times(str(field), courses(paths), directions.sent, 1 / pictures.rate_hz)
+        readings = other_times(str(field), directions.sent, 1 / pictures.rate_hz)
+        check_directions(courses(paths), directions.sent, AT_ONCE_S, readings)
         followed = replace(followed, remarks=(*followed.remarks, *side_remarks(directions, paths)))
     with ui.progress("Fitting"):
         followed, cells = fit_cells(followed, directions)

@@ -406,6 +406,22 @@ def test_a_mirrored_picture_is_refused_by_how_robots_turn(tmp_path):
         csv_tracks(write_mirrored_drive(tmp_path))
 
 
+@pytest.mark.parametrize("turns", [0, 3])
+def test_headings_against_the_motion_are_named_as_such(tmp_path, turns):
+    """Regression: they were said to be in degrees if they count turns, or y to be reversed."""
+    backward = math.pi * (1 + 2 * turns)
+    poses, commands = write_headings(tmp_path, lambda heading: heading + backward)
+    with pytest.raises(UsageError, match=r"poses\.csv: robots move against their headings"):
+        csv_tracks([poses, commands])
+
+
+def test_robots_on_two_wheels_may_move_against_their_headings(tmp_path):
+    poses, commands = write_headings(tmp_path, lambda heading: heading + math.pi)
+    commands.write_text("time_s,v_mm_s,w_rad_s\n0,-180,1\n2,-180,2\n")
+    (track,) = csv_tracks([poses, commands])
+    assert track.valid.all()
+
+
 def test_a_direction_that_never_changes_shows_no_side(tmp_path):
     poses, commands = write_mirrored_drive(tmp_path)
     commands.write_text(f"{PLAIN_COMMANDS}\n0,0.5\n5,0.5\n11,0.5\n")

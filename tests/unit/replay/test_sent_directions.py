@@ -5,10 +5,13 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.identification.sent_directions import (
+    DELAYS_S,
     GRID_S,
     SentDirections,
     TurnedCourse,
-    check_side,
+    check_directions,
+    image,
+    other_times,
 )
 
 A_RAD_S = 4.0
@@ -22,7 +25,7 @@ def sent_every_1_5_s(directions):
 
 
 ALTERNATING = sent_every_1_5_s(np.tile([1.2, -1.2], 8))
-TURNING = sent_every_1_5_s(1.7 * np.arange(16))
+RANDOM = sent_every_1_5_s(np.random.default_rng(3).uniform(-3, 3, 16))
 
 
 def course_by(sent: SentDirections, late_s: float = 0.0) -> TurnedCourse:
@@ -37,16 +40,45 @@ def course_by(sent: SentDirections, late_s: float = 0.0) -> TurnedCourse:
     return TurnedCourse(times, np.array(headings))
 
 
+def check(turned: list[TurnedCourse], sent: SentDirections) -> None:
+    readings = [image("p.csv", "c.csv", sent), *other_times("c.csv", sent, 1 / 30)]
+    check_directions(turned, sent, DELAYS_S, readings)
+
+
 def test_directions_that_act_a_step_late_are_not_taken_for_their_mirror_image():
     """The mirror image of alternating directions is they themselves, a step of 1.5 s later."""
-    check_side("p.csv", "c.csv", [course_by(ALTERNATING, late_s=1.5)], ALTERNATING)
+    check([course_by(ALTERNATING, late_s=1.5)], ALTERNATING)
+
+
+@pytest.mark.parametrize(
+    ("clock_s", "says"),
+    [
+        (1.2, "robots turn 1.2 s before the times"),
+        (-3.4, "robots turn 3.4 s after the times"),
+    ],
+)
+def test_directions_of_another_clock_are_refused_with_the_difference(clock_s, says):
+    """Regression: of directions 1 s late, a was 2.40 (2.19 to 2.64) rad/s instead of 4."""
+    stated = SentDirections(RANDOM.times + clock_s, RANDOM.acts)
+    with pytest.raises(UsageError, match=rf"c\.csv: {says}"):
+        check([course_by(RANDOM)], stated)
 
 
 def test_directions_by_which_robots_turn_are_accepted():
-    check_side("p.csv", "c.csv", [course_by(TURNING)], TURNING)
+    check([course_by(RANDOM)], RANDOM)
 
 
 def test_a_mirror_image_that_no_dead_time_explains_is_refused():
-    image = SentDirections(TURNING.times, TURNING.acts.conj())
+    mirrored = SentDirections(RANDOM.times, RANDOM.acts.conj())
     with pytest.raises(UsageError, match=r"p\.csv: robots turn right where c\.csv turns left"):
-        check_side("p.csv", "c.csv", [course_by(image)], TURNING)
+        check([course_by(mirrored)], RANDOM)
+
+
+def test_robots_that_no_directions_turn_say_nothing():
+    """Headings that wander by 0.3 rad/sqrt(s), as of cells without a magnet."""
+    random = np.random.default_rng(5)
+    for seconds in (8, 12, 20, 40):
+        for _ in range(10):
+            times = np.arange(0, seconds, GRID_S)
+            wandered = np.cumsum(0.3 * np.sqrt(GRID_S) * random.normal(size=len(times)))
+            check([TurnedCourse(times, wandered)], RANDOM)

@@ -29,11 +29,13 @@ from tetractl.core.table.quantities import (
 )
 from tetractl.replay.identification.clocks import Span, clock_remark
 from tetractl.replay.identification.sent_directions import (
+    DELAYS_S,
     SentDirections,
     TurnedCourse,
-    check_side,
-    check_times,
+    check_directions,
     courses_of_headings,
+    image,
+    other_times,
 )
 from tetractl.replay.identification.tracks import Track
 
@@ -46,6 +48,8 @@ WHEELS = ("v", "left", "right", "radius")
 """Names of the columns of speeds, before their units."""
 MIRRORED = 0.2
 """Share of their ways by which robots get farther ahead with y reversed, above which it is."""
+ALONG = 0.5
+"""Share of their ways by which robots at least get ahead that move along their headings."""
 COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
 
@@ -286,7 +290,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     if not names:
         raise UsageError(f"{poses_path}: has no robot that is seen for {shortest_s:g} s")
     time, poses, valid = _frames(poses_path, rows, len(names))
-    _check_headings(poses_path, poses, valid)
+    _check_headings(poses_path, poses, valid, may_back=bool(numbers.twists))
     sent = _twists(numbers, names, begin) if numbers.twists else _directions(numbers, begin)
     if not len(sent.when):
         raise UsageError(f"{commands_path}: states no direction")
@@ -349,9 +353,10 @@ def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools
     return time, poses, np.logical_not(np.isnan(poses[..., 0] + poses[..., 1] + poses[..., 2]))
 
 
-def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
-    """Raise UsageError for headings in degrees: beyond a turn, and along the motion as degrees; and
-    for those along the motion only with y reversed.
+def _check_headings(path: Path, poses: Floats, valid: Bools, may_back: bool) -> None:
+    """Raise UsageError for headings in degrees: beyond a turn, and along the motion as degrees; for
+    those along the motion only with y reversed; and for those against the motion, unless robots
+    `may_back`.
 
     Headings in radians may be beyond a turn, too: those of `tetractl export` count whole turns.
     """
@@ -362,17 +367,21 @@ def _check_headings(path: Path, poses: Floats, valid: Bools) -> None:
     angles = np.abs(np.where(valid, poses[..., 2], 0.0))
     beyond = float(np.nanmax(angles))
     problem = turn_problem(beyond)
-    if problem is not None and _ahead(moved, np.radians(heading)) > ahead:
+    way = float(np.hypot(moved[..., 0], moved[..., 1]).sum())
+    if problem is not None and _ahead(moved, np.radians(heading)) > max(ahead, ALONG * way):
         said, hint = problem
         raise UsageError(
             f"{path}: a heading of {beyond:g} {said}", f"{hint}, or name the column heading_deg"
         )
     mirrored = _ahead(moved * (1, -1), heading)
-    ways = np.hypot(moved[..., 0], moved[..., 1])
-    if mirrored - ahead > MIRRORED * float(ways.sum()):
+    if mirrored - max(ahead, 0.0) > MIRRORED * way:
         raise UsageError(
             f"{path}: robots move along their headings only with y reversed",
             "are y downwards and headings anticlockwise? reverse one of them",
+        )
+    if ahead < -ALONG * way and not may_back:
+        raise UsageError(
+            f"{path}: robots move against their headings", "add half a turn to the headings"
         )
 
 
@@ -391,8 +400,10 @@ def _check_turning(
     for headings in poses[..., 2].T:
         measured = np.isfinite(headings)
         turned += courses_of_headings(time[measured], headings[measured])
-    check_side(str(poses_path), str(commands_path), turned, directions)
-    check_times(str(commands_path), turned, directions, _usual_gap(time))
+    seen = str(poses_path)
+    source = str(commands_path)
+    readings = [image(seen, source, directions), *other_times(source, directions, _usual_gap(time))]
+    check_directions(turned, directions, DELAYS_S, readings)
 
 
 @dataclass(frozen=True, slots=True)

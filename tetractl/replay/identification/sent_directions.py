@@ -10,7 +10,7 @@ and is fitted to each robot by least squares. The share of the turning that this
 for the directions that acted, and near 0 for others, unless these hardly change.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,13 @@ FAR_LESS = 0.5
 trials of the emulated bench the mirror image explained at most .43 of what the right one did."""
 DELAYS_S = np.arange(21) / 10
 """Dead times that are tried [s]: up to the longest that `identify` finds."""
+AT_ONCE_S = np.arange(3) / 10
+"""Those of a field to which no dead time is fitted [s]."""
+SHIFTS_S = np.arange(-100, 101) / 10
+"""Differences of two clocks that are tried [s]."""
+ENOUGH_S = 8.0
+"""Time for which robots are seen, all together, below which chance explains much of their turning
+[s]."""
 COURSES_MAX = 20
 """Number of courses, the longest, that are enough to see which directions act."""
 COURSE_S = 120.0
@@ -71,6 +78,24 @@ class SentDirections:
         return np.where(now < 0, 0.0, self.acts[now])
 
 
+@dataclass(frozen=True, slots=True)
+class Delayed:
+    """The share of the turning that directions explain if they act `delay_s` [s] late."""
+
+    share: float
+    delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class DirectionReading:
+    """Directions that act instead of those stated, after one of `delays_s` [s], and what is wrong
+    if they do, by the delay that fits best."""
+
+    sent: SentDirections
+    delays_s: Floats
+    problem: Callable[[float], UsageError]
+
+
 def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
     """Return the courses along paths (K, 3) of times [s] and positions x, y."""
     return [_of_places(piece) for path in paths for piece in _pieces(path)]
@@ -99,48 +124,65 @@ def turning_fit(turned: Sequence[TurnedCourse], field: FieldAt) -> TurningFit:
     return TurningFit(1 - unexplained / total, np.array(vectors))
 
 
-def check_side(
-    poses_file: str, source: str, turned: Sequence[TurnedCourse], sent: SentDirections
+def check_directions(
+    turned: Sequence[TurnedCourse],
+    sent: SentDirections,
+    delays_s: Floats,
+    readings: Sequence[DirectionReading],
 ) -> None:
-    """Raise UsageError if the robots of the file `poses_file` turn by the mirror image of the
-    directions of the file `source`."""
-    if _explains_far_more(turned, SentDirections(sent.times, sent.acts.conj()), sent):
-        raise UsageError(
-            f"{poses_file}: robots turn right where {source} turns left",
-            "is the picture mirrored, or y downwards? reverse y and headings, or the directions",
-        )
+    """Raise UsageError if robots turn by another reading of the directions that they were sent,
+    which act after one of `delays_s`: of several, by that which explains most.
 
-
-def check_times(
-    source: str, turned: Sequence[TurnedCourse], sent: SentDirections, picture_s: float
-) -> None:
-    """Raise UsageError if robots turn as if the times of directions in the file `source` counted
-    pictures, of `picture_s` [s] each, or milliseconds or minutes."""
-    for unit, (seconds, hint) in _units(picture_s).items():
-        counted = SentDirections(seconds * sent.times, sent.acts)
-        if _explains_far_more(turned, counted, sent):
-            raise UsageError(f"{source}: robots turn at its times if these are {unit}", hint)
-
-
-def _explains_far_more(
-    turned: Sequence[TurnedCourse], alternative: SentDirections, stated: SentDirections
-) -> bool:
-    """Return whether other directions explain enough of the turning, and those stated far less."""
+    Nothing is known of robots that were seen for less than ENOUGH_S.
+    """
     longest = _longest(turned)
-    if not longest:
-        return False
-    share = _best_share(longest, stated, EXPLAINED)
-    enough = max(EXPLAINED, share / FAR_LESS)
-    return share < EXPLAINED and _best_share(longest, alternative, enough) >= enough
+    if sum(len(course.times) for course in longest) * GRID_S < ENOUGH_S:
+        return
+    stated = _best_delay(longest, sent, delays_s)
+    if stated.share >= EXPLAINED:
+        return
+    by_share = [
+        (_best_delay(longest, reading.sent, reading.delays_s), reading) for reading in readings
+    ]
+    best, reading = max(by_share, key=lambda pair: pair[0].share)
+    if best.share >= max(EXPLAINED, stated.share / FAR_LESS):
+        raise reading.problem(best.delay_s)
 
 
-def _units(picture_s: float) -> Mapping[str, tuple[float, str]]:
-    """Return what times may count: the length [s] of 1, and a hint."""
-    return {
-        "numbers of pictures": (picture_s, f"multiply them by {picture_s:.4g} s a picture"),
-        "milliseconds": (1e-3, "name the column time_ms"),
-        "minutes": (60.0, "name the column time_min"),
-    }
+def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReading:
+    """Return the mirror image of the directions of the file `source`."""
+    said = f"{poses_file}: robots turn right where {source} turns left"
+    hint = "is the picture mirrored, or y downwards? reverse y and headings, or the directions"
+    return DirectionReading(
+        SentDirections(sent.times, sent.acts.conj()), DELAYS_S, lambda _: UsageError(said, hint)
+    )
+
+
+def other_times(source: str, sent: SentDirections, picture_s: float) -> list[DirectionReading]:
+    """Return the directions of the file `source` at other times: those of another clock, or of
+    times that count pictures, of `picture_s` [s] each, milliseconds or minutes."""
+    return [
+        DirectionReading(sent, SHIFTS_S, lambda shift_s: _other_clock(source, shift_s)),
+        _counted(source, sent, picture_s, "numbers of pictures", f"multiply by {picture_s:.4g} s"),
+        _counted(source, sent, 1e-3, "milliseconds", "name the column time_ms"),
+        _counted(source, sent, 60.0, "minutes", "name the column time_min"),
+    ]
+
+
+def _counted(
+    source: str, sent: SentDirections, unit_s: float, unit: str, hint: str
+) -> DirectionReading:
+    """Return directions whose times count a unit [s]."""
+    said = f"{source}: robots turn at its times if these are {unit}"
+    counted = SentDirections(unit_s * sent.times, sent.acts)
+    return DirectionReading(counted, DELAYS_S, lambda _: UsageError(said, hint))
+
+
+def _other_clock(source: str, shift_s: float) -> UsageError:
+    """Return the error that robots turn earlier or later than directions are sent."""
+    way = "before" if shift_s < 0 else "after"
+    said = f"{source}: robots turn {abs(shift_s):.1f} s {way} the times of its directions"
+    return UsageError(said, "both files need times of one clock")
 
 
 def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
@@ -153,16 +195,16 @@ def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
     ]
 
 
-def _best_share(turned: Sequence[TurnedCourse], sent: SentDirections, enough: float) -> float:
-    """Return the largest share of the turning that directions explain after any of the dead times,
-    or the first one that is enough."""
-    best = 0.0
-    for delay_s in DELAYS_S:
-        delayed = SentDirections(sent.times + delay_s, sent.acts)
-        best = max(best, turning_fit(turned, delayed.at).explained)
-        if best >= enough:
-            break
-    return best
+def _best_delay(turned: Sequence[TurnedCourse], sent: SentDirections, delays_s: Floats) -> Delayed:
+    """Return the delay after which directions explain most of the turning."""
+    fits = [
+        Delayed(
+            turning_fit(turned, SentDirections(sent.times + delay_s, sent.acts).at).explained,
+            delay_s,
+        )
+        for delay_s in delays_s.tolist()
+    ]
+    return max(fits, key=lambda fit: fit.share)
 
 
 def _pieces(path: Floats) -> list[Floats]:

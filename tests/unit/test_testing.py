@@ -13,6 +13,7 @@ import pytest
 from pydantic import PrivateAttr
 from support.cli import tetractl
 from support.paths import ROOT
+from support.trials import experiment
 
 from tetractl.cli.specs import template
 from tetractl.control.optimizers.mppi import Mppi
@@ -28,6 +29,7 @@ from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.shape_section import ShapeSection
+from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.testing import (
     check_actuator,
     check_camera,
@@ -244,6 +246,13 @@ class IllOne(Disturbance):
 )
 def test_what_is_wrong_with_a_disturbance_is_found(fault, what):
     assert wrong(check_disturbance(Ill(fault=fault), SETUP)) == [what]
+
+
+def test_a_radio_that_delays_each_robot_on_its_own_passes_its_checks():
+    radio = RadioSection(type="radio", spread=0.1)
+    of_three = experiment().setup
+    assert len(of_three.names) == 3
+    assert wrong(check_disturbance(radio, of_three)) == []
 
 
 class FakeCameraSection(CameraSection):

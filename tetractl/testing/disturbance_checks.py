@@ -114,7 +114,8 @@ def _fits(method: str, section: DisturbanceSection, arguments: Any, result: Any)
             return section.loses_frames if result is None else result >= exposed_ns
         case "sent":
             command = arguments[0]
-            due_ns = result.due_ns + (result.late_ns or 0)
+            late_ns = 0 if result.late_ns is None else result.late_ns
+            due_ns = result.due_ns + late_ns
             in_time = np.all(due_ns >= command.sent_ns)
             return in_time and np.all(result.reached <= command.reached)
         case "measured":

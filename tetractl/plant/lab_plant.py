@@ -1,6 +1,7 @@
 """The plant of the lab: real robots with a camera and an actuator."""
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from typing import Literal
@@ -76,6 +77,34 @@ class LabPlantSection(RigSection):
     type: Literal["lab"] = "lab"
 
 
+class LabNews:
+    """What a lab's plant has to report: notes, and the commands that no call has returned."""
+
+    def __init__(self) -> None:
+        self._events: deque[Command | Note] = deque(maxlen=WAITING_MAX)  # not yet read
+        self._returned: set[int] = set()  # send times of commands that a call has returned
+
+    def leave_out(self, sent: Transmission) -> None:
+        """Do not report the command of a transmission: a call returns it."""
+        self._returned.add(sent.sent_ns)
+
+    def add(self, events: Iterable[Command | Note]) -> None:
+        """Report these, but for commands that are left out."""
+        for event in events:
+            if isinstance(event, Note) or event.sent_ns not in self._returned:
+                self._events.append(event)
+
+    def warn(self, t_ns: int, text: str) -> None:
+        """Report a warning."""
+        self._events.append(Note(t_ns, "warning", text))
+
+    def read(self) -> list[Command | Note]:
+        """Return what was added since the last call, in the order of time."""
+        events = sorted(self._events, key=_time_ns)
+        self._events.clear()
+        return events
+
+
 class LabPlant:
     """A `Plant` of the robots of a lab, `kind` is the type of its section; after a fault every call
     raises AbortError with the reason.
@@ -88,8 +117,7 @@ class LabPlant:
         self._kind = kind
         self._supervision = supervision
         self._frames = LabFrames(rig)
-        self._events: deque[Command | Note] = deque(maxlen=WAITING_MAX)  # not yet returned
-        self._returned: set[int] = set()  # send times of transmissions that `send` has returned
+        self._news = LabNews()
         self._observed_ns: int | None = None  # when the frame of this control step was observed
         self._stop: Command | None = None
         self._stopped_ns = 0  # when the robots were stopped last, 0 before
@@ -103,7 +131,8 @@ class LabPlant:
         rig.__enter__()
         findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
-        self._events.extend(Note(now, "warning", warning) for warning in findings.all_warnings)
+        for warning in findings.all_warnings:
+            self._news.warn(now, warning)
         rig.guard.pass_preflight()
         self._frames.begin()
         if rig.frames.newest is None:
@@ -133,7 +162,7 @@ class LabPlant:
         self._check_pause("in a pause")
         self._raise_abort()
         sent = self.rig.loop.hold(action)
-        self._returned.add(sent.sent_ns)
+        self._news.leave_out(sent)
         if isinstance(sent.action, Stop):  # the guard holds all robots still at present
             unheard = (False,) * len(sent.moving)
             return Command(action, sent.sent_ns, unheard, sent.left, sent.right)
@@ -152,13 +181,10 @@ class LabPlant:
         """Return every transmission not returned by `send`, and every warning, since the last
         call."""
         loop = self.rig.loop
-        for sent in loop.sent():
-            if sent.sent_ns not in self._returned:
-                self._events.append(self._command(sent))
-        self._events.extend(Note(t_ns, "warning", text) for t_ns, text in loop.warnings())
-        events = sorted(self._events, key=_time_ns)
-        self._events.clear()
-        return events
+        self._news.add(self._command(sent) for sent in loop.sent())
+        for t_ns, text in loop.warnings():
+            self._news.warn(t_ns, text)
+        return self._news.read()
 
     def stop(self) -> Command:
         """Stop every robot, ten times over 200 ms."""
@@ -201,7 +227,7 @@ class LabPlant:
         that are lost by them."""
         for observation in self._frames.read():
             if self._watch is not None:
-                self._events.extend(self._watch.see(observation.sampled_ns))
+                self._news.add(self._watch.see(observation.sampled_ns))
         newest = self._frames.newest
         if newest is not None and self._watch is not None:
             self._take_losses(self._watch, newest.sampled_ns)
@@ -229,7 +255,7 @@ class LabPlant:
             what = watch.replace(i)
             if what:
                 guard.replace_robot(i)
-                self._events.append(Note(now, "warning", f"{self.setup.names[i]} {what}"))
+                self._news.warn(now, f"{self.setup.names[i]} {what}")
 
     def _final(self) -> Poses:
         """Return the final poses: at rest or, if the robots swim on, the poses in the frame whose
@@ -262,7 +288,7 @@ class LabPlant:
         delivered = (self.rig.actuator.failure is None,) * len(self.setup.names)
         if first is None:
             return Command(Stop(), self._stopped_ns, delivered)
-        self._returned.add(first.sent_ns)
+        self._news.leave_out(first)
         return Command(Stop(), first.sent_ns, delivered, first.left, first.right)
 
     def _check_pause(self, when: str) -> None:
@@ -288,7 +314,7 @@ class LabPlant:
             raise AbortError(self.rig.guard.reason)
 
     def _note(self, level: str, text: str) -> None:
-        self._events.append(Note(self.clock.now(), level, text))
+        self._news.add([Note(self.clock.now(), level, text)])
 
     def _command(self, sent: Transmission) -> Command:
         delivered = sent.moving  # assumed, since broadcasts are not acknowledged

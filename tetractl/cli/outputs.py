@@ -161,8 +161,9 @@ def export(
             raise LogError("none of the logs can be read")
     for path in table_paths.values():
         print(printable(str(path)))
-    whole = all(condition is _LogCondition.WHOLE for condition in conditions)
-    return Exit.DONE if whole else Exit.FAILED
+    if all(condition is _LogCondition.WHOLE for condition in conditions):
+        return Exit.DONE
+    return Exit.FAILED
 
 
 class _LogCondition(Enum):

@@ -31,22 +31,11 @@ def example_files(name: str) -> dict[str, str]:
     """
     from tetractl.experiment.examples import FOLDER, examples
     from tetractl.experiment.yaml.document import parse_document, read_text
-    from tetractl.experiment.yaml.problems import did_you_mean
 
     files = examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
     if name not in files:
-        folders = sorted({f"{file.partition('/')[0]}/" for file in files if "/" in file})
-        group = name.partition("/")[0]
-        missing = not_installed(EXAMPLES.group, group)
-        if missing and f"{group}/" not in folders:
-            problem, hint = missing
-            raise UsageError(f"the example '{name}' {problem}", hint)
-        single = [file for file in files if "/" not in file]
-        raise UsageError(
-            f"there is no example '{name}'{did_you_mean(name, list(files))}",
-            f"the examples are {', '.join([*single, *folders])}",
-        )
+        raise _no_example(name, list(files))
     example_at = {file.resolve(): example for example, file in files.items()}
     texts: dict[str, str] = {}
     to_read = [name]
@@ -61,6 +50,23 @@ def example_files(name: str) -> dict[str, str]:
         named_files = [file.parent / fields[key] for key in NAMED if key in fields]
         to_read += [example_at[named.resolve()] for named in named_files]
     return texts
+
+
+def _no_example(name: str, examples: Sequence[str]) -> UsageError:
+    """Return the error that says which examples there are, or which package would bring it."""
+    from tetractl.experiment.yaml.problems import did_you_mean
+
+    folders = sorted({f"{example.partition('/')[0]}/" for example in examples if "/" in example})
+    group = name.partition("/")[0]
+    missing = not_installed(EXAMPLES.group, group)
+    if missing and f"{group}/" not in folders:
+        problem, hint = missing
+        return UsageError(f"the example '{name}' {problem}", hint)
+    single = [example for example in examples if "/" not in example]
+    return UsageError(
+        f"there is no example '{name}'{did_you_mean(name, examples)}",
+        f"the examples are {', '.join([*single, *folders])}",
+    )
 
 
 def init(

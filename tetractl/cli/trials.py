@@ -325,7 +325,8 @@ def _conclude(
             return Exit.INTERRUPTED
         case RunEnd.COMPLETE:
             first = min((trial for _, trial in report.results), default=0)
-            ui.tell(f"look at one with: tetractl replay {quote(str(log_path(folder, first)))}")
+            first_log = quote(str(log_path(folder, first)))
+            ui.tell(f"look at one with: tetractl replay {first_log}")
             if unwritten is not None:
                 raise unwritten
             return Exit.DONE
@@ -360,7 +361,8 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
 
     try:
         with interrupted_once():
-            show(contrast([describe(open_batch([folder]))]), "json" if as_json else "table")
+            statistics = describe(open_batch([folder]))
+            show(contrast([statistics]), "json" if as_json else "table")
     except KeyboardInterrupt:
         give_up_unread()
         ui.tell("the statistics were left out")

@@ -78,7 +78,9 @@ class Projection:
         columns, rows = self.dots(position)
         column = int(columns[0]) // ACROSS
         row = int(rows[0]) // DOWN
-        return min(max(column, 0), self.width - 1), min(max(row, 0), self.height - 1)
+        nearest_column = min(max(column, 0), self.width - 1)
+        nearest_row = min(max(row, 0), self.height - 1)
+        return nearest_column, nearest_row
 
 
 class Canvas:

@@ -111,4 +111,5 @@ def _levels(y: Floats, count: int, log: bool) -> list[int]:
     if high > low:
         share = (np.clip(y, low, high) - low) / (high - low)
     highest = count - 1
-    return np.nan_to_num(share * highest, nan=highest).round().astype(int).tolist()
+    levels = np.nan_to_num(share * highest, nan=highest).round()
+    return levels.astype(int).tolist()

@@ -31,7 +31,8 @@ TICKS_MAX = 8
 
 @dataclass(frozen=True, slots=True)
 class SweptCurve:
-    """The errors of a controller's arms, and where they are drawn: `x` of each arm."""
+    """The errors of a controller's arms, and how their means are drawn: at `x` of each arm, with
+    the marker, and the line between them, of `line`."""
 
     name: str
     arms: Sequence[ArmErrors]

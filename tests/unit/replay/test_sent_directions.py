@@ -27,6 +27,9 @@ def sent_every_1_5_s(directions):
 ALTERNATING = sent_every_1_5_s(np.tile([1.2, -1.2], 8))
 RANDOM = sent_every_1_5_s(np.random.default_rng(3).uniform(-3, 3, 16))
 
+EVEN_AT_FIRST = sent_every_1_5_s(np.tile([0.0, 1.57, 3.0, -1.57, -0.6, 2.2, 0.9, -2.4], 2))
+"""A step late, four of eight are those that were sent, rotated by a quarter of a turn."""
+
 
 def course_by(sent: SentDirections, late_s: float = 0.0) -> TurnedCourse:
     """The heading of a robot that turns by directions, each of which acts late."""
@@ -57,11 +60,16 @@ def test_directions_that_act_a_step_late_are_not_taken_for_their_mirror_image():
         (-3.4, "robots turn 3.4 s after the times"),
     ],
 )
-def test_directions_of_another_clock_are_refused_with_the_difference(clock_s, says):
+@pytest.mark.parametrize("sent", [RANDOM, EVEN_AT_FIRST], ids=["random", "even at first"])
+def test_directions_of_another_clock_are_refused_with_the_difference(sent, clock_s, says):
     """Regression: of directions 1 s late, a was 2.40 (2.19 to 2.64) rad/s instead of 4."""
-    stated = SentDirections(RANDOM.times + clock_s, RANDOM.acts)
+    stated = SentDirections(sent.times + clock_s, sent.acts)
     with pytest.raises(UsageError, match=rf"c\.csv: {says}"):
-        check([course_by(RANDOM)], stated)
+        check([course_by(sent)], stated)
+
+
+def test_directions_that_are_rotated_are_a_heading_bias():
+    check([course_by(RANDOM)], SentDirections(RANDOM.times, RANDOM.acts * np.exp(1.5j)))
 
 
 def test_directions_by_which_robots_turn_are_accepted():

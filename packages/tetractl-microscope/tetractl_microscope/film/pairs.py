@@ -35,6 +35,17 @@ class PartedTracks:
     old_row: int
 
 
+@dataclass(frozen=True, slots=True)
+class PairInBlob:
+    """The `middle` (2,) [um] and the axis [rad] of a blob that shows two cells, and the way from
+    there to the newcomer, `half` (2,) [um]; the other cell is as far on the other side.
+    """
+
+    middle: Floats
+    axis: float
+    half: Floats
+
+
 def fill_pairs(where: Whereabouts, body_um: float) -> set[int]:
     """Add cells to the earlier pictures in which another cell's blob showed both. Cells are
     `body_um` long. Returns the tracks of the cells that were added.
@@ -156,16 +167,8 @@ def _divide(
     were_hidden = False
     added = list[TrackRow]()
     for row in reversed(parted.old[since : parted.old_row]):
-        cell = row.cell
-        middle = np.array((cell.x, cell.y))
-        axis = cell.axis
-        half: Floats = np.zeros(2)
-        if cell.blob_um is not None and _sizes([row]):
-            middle = cell.blob_um[:2]
-            axis = cell.blob_um[2]
-            half = _half(cell.blob_um, size)
-        if half @ side < 0:
-            half = -half
+        pair = _pair_in(row, size, side)
+        half = pair.half
         if half.any():
             side = half
         if math.hypot(*half) <= apart_um:
@@ -177,13 +180,24 @@ def _divide(
                 old_name = next(names)
                 until_s = row_s
                 were_hidden = False
-        in_pair = replace(cell, axis=axis, merged=True, measured=None)
-        newcomer_cell = _moved(in_pair, middle + half, newcomer.cell.track)
+        in_pair = replace(row.cell, axis=pair.axis, merged=True, measured=None)
+        newcomer_cell = _moved(in_pair, pair.middle + half, newcomer.cell.track)
         added.append(TrackRow(row.picture, newcomer_cell, newcomer_name, LIKELIER))
-        row.cell = _moved(in_pair, middle - half, cell.track)
+        row.cell = _moved(in_pair, pair.middle - half, row.cell.track)
         row.name = old_name
         row.likely = LIKELIER
     return added[::-1]
+
+
+def _pair_in(row: TrackRow, size: Floats, side: Floats) -> PairInBlob:
+    """Return where two cells of a `size` (2,) [um] are in a row's blob, the newcomer on the given
+    `side` (2,); in the middle if the row has no blob whose size is known.
+    """
+    blob = row.cell.blob_um
+    if blob is None or not _sizes([row]):
+        return PairInBlob(np.array((row.cell.x, row.cell.y)), row.cell.axis, np.zeros(2))
+    half = _half(blob, size)
+    return PairInBlob(blob[:2], blob[2], -half if half @ side < 0 else half)
 
 
 def _moved(cell: SeenCell, place: Floats, track: int) -> SeenCell:

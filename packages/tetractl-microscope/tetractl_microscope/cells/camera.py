@@ -1,8 +1,6 @@
 """The `cells` camera: tracks swimming cells in a microscope's pictures."""
 
 import math
-import threading
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 
@@ -14,7 +12,6 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import FrameAddition, Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
-from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.lab_section import LabLimits
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
@@ -24,6 +21,7 @@ from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl_microscope.cells.section import CellsSection, Lengths
+from tetractl_microscope.cells.sent_directions import SentDirections
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.organisms import named
@@ -75,16 +73,13 @@ class CellCamera(PictureCamera[SeenDish]):
         self._first_ns: int | None = None
         self._identities: list[int] | None = None  # cell number per robot, once all were seen
         self.divided: set[int] = set()  # robots from whose blob another cell separated
-        self._lock = threading.Lock()
-        self._signals: deque[tuple[int, float | None]] = deque(maxlen=WAITING_MAX)
+        self._sent = SentDirections()
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
         """Record the common direction [rad, in the spec's axes] sent at `sent_ns`; None if the
         field was switched off.
         """
-        with self._lock:
-            if not self._signals or self._signals[-1][1] != direction:
-                self._signals.append((sent_ns, direction))
+        self._sent.note(direction, sent_ns)
 
     def candidates(self) -> list[RobotCandidate]:
         """Return the cells in the newest picture whose identity is sure, with the filter's
@@ -231,22 +226,8 @@ class CellCamera(PictureCamera[SeenDish]):
         return inside < WALL_UM * 1e-6 / self._setup.metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the pieces of constant field between two times [s], in the picture's axes,
-        according to the directions sent.
-        """
-        with self._lock:
-            signals = list(self._signals)
-        times = [sent / SECOND for sent, _ in signals]
-        first = bisect_right(times, start)
-        last = bisect_right(times, end)
-        before = signals[first - 1][1] if first else None
-        directions = [before, *(direction for _, direction in signals[first:last])]
-        parts = np.diff([start, *times[first:last], end]).tolist()
-        turned = [None if u is None else u - self.section.rotation for u in directions]
-        return [
-            (part, 0.0, 0.0) if u is None else (part, math.cos(u), math.sin(u))
-            for part, u in zip(parts, turned, strict=True)
-        ]
+        """Return the field between two times [s] in the picture's axes, by the directions sent."""
+        return self._sent.pieces(start, end, self.section.rotation)
 
 
 def _sharpness(

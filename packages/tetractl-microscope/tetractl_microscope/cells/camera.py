@@ -17,11 +17,11 @@ from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
 from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines
 from tetractl_microscope.cells.detect_cells import Light
+from tetractl_microscope.cells.field_signals import FieldSignals
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl_microscope.cells.section import CellsSection, Lengths
-from tetractl_microscope.cells.sent_directions import SentDirections
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.organisms import named
@@ -73,7 +73,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._first_ns: int | None = None
         self._identities: list[int] | None = None  # cell number per robot, once all were seen
         self.divided: set[int] = set()  # robots from whose blob another cell separated
-        self._sent = SentDirections()
+        self._sent = FieldSignals()
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
         """Record the common direction [rad, in the spec's axes] sent at `sent_ns`; None if the

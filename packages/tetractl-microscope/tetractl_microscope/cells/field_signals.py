@@ -14,25 +14,25 @@ from tetractl.core.worker import WAITING_MAX
 from tetractl_microscope.cells.helix import Piece
 
 
-class SentDirection(NamedTuple):
+class FieldSignal(NamedTuple):
     """The direction [rad] of the field from a time [ns] on; None if it is off."""
 
     sent_ns: int
     direction: float | None
 
 
-class SentDirections:
+class FieldSignals:
     """The newest directions, in order of time. One thread may note them, another one ask."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._sent: deque[SentDirection] = deque(maxlen=WAITING_MAX)
+        self._sent: deque[FieldSignal] = deque(maxlen=WAITING_MAX)
 
     def note(self, direction: float | None, sent_ns: int) -> None:
         """Note a direction sent at a time [ns], None if the field was switched off."""
         with self._lock:
             if not self._sent or self._sent[-1].direction != direction:
-                self._sent.append(SentDirection(sent_ns, direction))
+                self._sent.append(FieldSignal(sent_ns, direction))
 
     def pieces(self, start: float, end: float, rotation: float) -> Sequence[Piece]:
         """Return the pieces of constant field between two times [s], in axes that are turned by

@@ -28,7 +28,7 @@ EXPLAINED = 0.4  # least share of the turning that a response to directions expl
 SURELY_MORE = 0.2
 """By how much more another reading of the directions explains if theirs is wrong. In 40 trials of
 the emulated bench the directions that were sent explained .58 or more of the turning, others at
-most .41."""
+most .37."""
 DELAYS_S = np.arange(21) / 10
 """Dead times that are tried [s]: up to the longest that `identify` finds."""
 AT_ONCE_S = np.arange(3) / 10

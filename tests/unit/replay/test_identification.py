@@ -372,8 +372,18 @@ def test_frames_that_did_not_see_a_robot_are_left_out():
 
 def test_a_short_track_is_refused():
     track = drive(6, directions=random_directions(6, 3)).track
-    with pytest.raises(UsageError, match="intervals between frames"):
+    seconds = f"{np.ptp(track.time):.3g} s"
+    with pytest.raises(UsageError, match=f"intervals between frames in {seconds}"):
         identify([track], A_RAD_S)
+
+
+def test_the_time_of_a_track_says_that_its_times_are_in_another_unit():
+    """Regression: poses in days, as of a spreadsheet, "drive in only 0 intervals"."""
+    track = drive(6).track
+    days = 1 / 86400
+    in_days = replace(track, time=track.time * days, sent=track.sent * days)
+    with pytest.raises(UsageError, match=r"0 intervals between frames in 0\.000\d+ s"):
+        identify([in_days], A_RAD_S)
 
 
 def test_tracks_of_other_robots_are_refused():

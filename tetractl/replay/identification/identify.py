@@ -55,10 +55,11 @@ def identify(
     require_same(tracks)
     frames = [TrackFrames.of(track) for track in tracks]
     names = tracks[0].names
+    seen_s = sum(float(np.ptp(track.time)) for track in tracks)
     for name, count in zip(names, intervals_used(frames), strict=True):
         if count < INTERVALS_MIN:
             raise UsageError(
-                f"robot {name} drives in only {count} intervals between frames",
+                f"robot {name} drives in only {count} intervals between frames in {seen_s:.3g} s",
                 f"{INTERVALS_MIN} intervals are needed; give more logs, or longer ones",
             )
     expected_a = np.full(len(names), UNKNOWN_A) if a is None else a

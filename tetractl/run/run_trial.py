@@ -24,7 +24,8 @@ What happens next, if
                            trial by an outcome (`tetractl.control.mpc`); if it raises, the robots
                            stop, and the trial is aborted by row 1 below
     a plan takes long      it is sent late; after a period or more it counts as missed if robots
-                           drove
+                           drove; meanwhile these drive on by the last direction, until a lab's
+                           guard aborts after the silence that its rules allow
     a step is late         steps that follow are due later if it was late by a period; a lab's guard
                            aborts after `late_steps` in a row whose direction is sent a period
                            after their frame

@@ -18,7 +18,11 @@ the variances of q (`Uncertainty`). For each signal, from first to last,
        P <- P + D Q D' + D X' + X D' + w W W',     X <- X + D Q,     Q = diag(variances of q)
 
 3. a controller that identifies turning rate and speed plans with its estimates (`_identified`),
-   which improve with every measurement.
+   which improve with every measurement: with the information I of this signal (`information`),
+
+       S = (1 + Q I)^-1,     Q <- Q S,     X <- X sqrt(S)
+
+   This is an approximation: e is not changed by it, and keeps its correlation with q.
 
 Without `corrects` there is no feedback.
 
@@ -261,8 +265,8 @@ def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertain
 
 def _identified(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
     """Return what is left after the controller identified a and speed by signal k."""
-    remains = 1 / (1 + before.parameters * information(plan, noise, k))
-    return Uncertainty(before.ends, before.cross * np.sqrt(remains), before.parameters * remains)
+    share = 1 / (1 + before.parameters * information(plan, noise, k))  # S
+    return Uncertainty(before.ends, before.cross * np.sqrt(share), before.parameters * share)
 
 
 def information(plan: Linear, noise: Noise, k: int) -> Floats:
@@ -284,7 +288,7 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
 
     The mean length m of a normal vector with standard deviations s1 >= s2 is
     sqrt(2/pi) s1 E(1 - s2^2/s1^2), with the complete elliptic integral E; the result is
-    sqrt(m^2 + miss^2).
+    approximately sqrt(m^2 + miss^2), exact for no miss and for no deviation.
     """
     variances = np.linalg.eigvalsh(of_each(covariance))  # (N, 2), ascending
     smaller, larger = np.maximum(variances, 0.0).T

@@ -221,22 +221,34 @@ def test_a_lab_and_its_emulation_are_no_batch():
 @pytest.mark.parametrize(
     "name", ["trial-000.attempt-1.mcap", "trial-000.mcap.part.unfinished-1", "old/anything.mcap"]
 )
-def test_an_attempt_is_told_apart_whatever_it_is_called(name):
+def test_an_attempt_does_not_count_whatever_its_log_is_called(name):
     trials = batch(ERRORS[:3])
-    stopped = result([9e5] * 3, outcome=Outcome.ABORTED, reason="the cable came off")
-    attempt = trial(name, trials[0].experiment, stopped, 0)
-    damaged = Damaged(f"{name}x", "torn")
-    described = group([*trials, attempt], [damaged])
+    described = group([*trials, an_aborted_attempt(name, trials[0].experiment)])
     assert len(described.batch.trials) == 3
     assert described.counted == 3
     assert batch_items(described)["aborted"] == 0
     assert [attempt.log for attempt in described.batch.attempts] == [name]
-    last = flagged(described.batch)[-1]
-    assert last.log == name
+
+
+def test_an_attempt_is_flagged_with_the_reason_of_its_end():
+    trials = batch(ERRORS[:3])
+    attempt = an_aborted_attempt("trial-000.attempt-1.mcap", trials[0].experiment)
+    last = flagged(group([*trials, attempt]).batch)[-1]
+    assert last.log == "trial-000.attempt-1.mcap"
     assert last.outcome == "aborted"
     assert last.notes == ("an earlier attempt, excluded", "the cable came off")
+
+
+def test_a_torn_log_of_no_attempt_leaves_the_batch_incomplete():
+    described = group(batch(ERRORS[:3]), [Damaged("trial-003.mcap", "torn")])
     assert len(described.batch.lost) == 1
     assert not described.batch.whole
+
+
+def an_aborted_attempt(name, spec):
+    """The log of an earlier attempt of trial 0, with errors that would show in any mean."""
+    stopped = result([9e5] * 3, outcome=Outcome.ABORTED, reason="the cable came off")
+    return trial(name, spec, stopped, 0)
 
 
 def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():

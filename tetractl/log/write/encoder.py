@@ -237,7 +237,7 @@ class Encoder:
         """
         self.flush_frames()
         t_ns = stop.sent_ns
-        warnings = self.warnings
+        warnings = self.warnings  # without the message on the end
         self._add(channels.COMMANDS, codec.encode_command(stop), t_ns)
         level = "error" if result.outcome is Outcome.ABORTED else "info"
         self._say(t_ns, level, result.summary.replace(result.outcome, result.outcome.logged, 1))

@@ -38,8 +38,8 @@ the method of its name.
 What happens next, if
 
     a plan fails: all collide     robots rest, and search from there; at rest, where the plan of
-    soon, or it leads astray      least value counts alone, they turn on the spot, up to 12 times,
-                                  and then give up: the trial ends in the step after
+    soon, or it leads astray      least value counts alone, they turn on the spot, in up to 12
+                                  turns, and then give up: the trial ends in the step after
     a search takes too long       searches end at the spec's `deadline`; the first one is always
                                   done, and its plan is a candidate
     a step is late                the next one begins with the poses that robots have by then
@@ -330,7 +330,8 @@ class Mpc:
         """Return whether a decision ends a leg after which there is another."""
         if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
             return False
-        return self.progress.state is not State.STUCK and not self._in_last_leg
+        gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
+        return not gave_up and not self._in_last_leg
 
     def _next_leg(self, decision: Decision, observation: Observation) -> Leg:
         """Return the leg that begins after a decision that ended one."""

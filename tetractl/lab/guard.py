@@ -32,22 +32,25 @@ steered while one is hidden. `abort` is final.
 What happens next, if
 
     a pose jumps              if it is further from a pose of the last second than twice the speed
-                              explains plus `jump_mm`, it is refused; after UNTRACKED_STOP_S
-                              (experiment/lab_section.py) the robot is hidden, and stops; after
-                              `untracked_abort` it is lost (3), or the run is aborted (10). If it
-                              stays, and so comes within reach, it disobeys commands
+                              explains plus `jump_mm` (or has turned more, plus JUMP_HEADING), it is
+                              refused; after UNTRACKED_STOP_S (experiment/lab_section.py) the robot
+                              is hidden, and stops; after `untracked_abort` it is lost (3), or the
+                              run is aborted (10). If it stays, and so comes within reach, it
+                              disobeys commands
     poses disobey commands    on wheels they are refused likewise, and the run is aborted once the
-                              robot is hidden; of a cell there is only a warning
+                              robot is hidden; those of a cell are accepted, with a warning
     no pose of a robot comes  as if it jumped
     no frame comes            all robots stop after `stale`; the run is aborted after `stream_lost`
                               (9)
     a control step is late    nothing; after `late_steps` in a row the run is aborted
     no plan comes             robots go on by the last direction; the run is aborted after the
                               silence that the rules allow (8)
-    a robot dies              on wheels it disobeys the commands of some 0.3 s, as it does not move:
-                              the run is aborted once it is hidden (10), or after `untracked_abort`
-                              if its pose is the same to the bit. A run that may lose robots
-                              (`on_lost` of the spec) goes on without it after `untracked_abort` (3)
+    a robot dies              on wheels it disobeys, as it does not move, once no command of the
+                              last 0.3 s explains it: the run is aborted as it is hidden (10), or
+                              after `untracked_abort` if its pose is the same to the bit. A run that
+                              may lose robots (`on_lost` of the spec) goes on without it after
+                              `untracked_abort` (3). A cell is warned of; its pose that is the same
+                              to the bit counts as for wheels
     a device fails            the run is aborted (2, 6)
     the operator stops all    the run is aborted, for good (5); Ctrl-C only ends the run, by
                               `end_run`, after the control step

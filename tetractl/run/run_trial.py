@@ -23,12 +23,13 @@ What happens next, if
     a plan fails           the controller decides what robots do instead: rest, turn, or end the
                            trial by an outcome (`tetractl.control.mpc`); if it raises, the robots
                            stop, and the trial is aborted by row 1 below
-    a plan takes long      it is sent late; after a period or more it counts as missed if robots
-                           drove; meanwhile these drive on by the last direction, until a lab's
-                           guard aborts after the silence that its rules allow
+    a plan takes long      it is sent late (in virtual time planning takes none); after more than a
+                           period it counts as missed if robots drove; meanwhile these drive on
+                           by the last direction, until a lab's guard aborts after the silence that
+                           its rules allow
     a step is late         steps that follow are due later if it was late by a period; a lab's guard
-                           aborts after `late_steps` in a row whose direction is sent a period
-                           after their frame
+                           aborts after `late_steps` in a row whose direction is sent more
+                           than a period after their frame was read
     Ctrl-C                 the step is finished: what is being planned is sent, or ends the trial if
                            it is an outcome; then, or after the wait for the next step, the robots
                            stop, and the trial is interrupted (row 4); a second one breaks planning

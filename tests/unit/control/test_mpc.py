@@ -409,6 +409,21 @@ def test_a_trial_ends_after_a_step_where_no_turn_helps(monkeypatch):
     assert end is Outcome.NO_BETTER_PLAN
 
 
+def test_robots_that_gave_up_and_are_found_at_their_way_points_go_on(monkeypatch):
+    """Regression: the trial ended as arrived, far from the targets."""
+    monkeypatch.setattr("tetractl.control.mpc.next_facing", lambda *_: None)
+    robots = [robot | {"via": [robot["start"]]} for robot in THREE_M3PI["robots"]]
+    controller, poses = beside_a_wall(5, arrival_tolerance=5, sections={"robots": robots})
+    stop = decide(controller, poses)
+    stopped = Command(stop.action, PERIOD_NS, HEARD)
+    stuck = decide(controller, poses, 5 * PERIOD_NS, stopped)
+    assert stuck.state is State.STUCK
+    stopped_again = Command(stuck.action, 5 * PERIOD_NS, HEARD)
+    at_the_way_points = STARTS
+    plan = decide(controller, at_the_way_points, 9 * PERIOD_NS, stopped_again)
+    assert plan.leg == 1
+
+
 def test_robots_in_a_corner_turn_before_they_search_thoroughly():
     """A search that hops a thousand times takes long, and finds nothing."""
     _, turn = decisions_beside_a_wall(2)

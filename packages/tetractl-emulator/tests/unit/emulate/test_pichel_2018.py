@@ -41,7 +41,7 @@ def test_a_set_that_misses_the_slope_is_marked():
     films = {"put in": 0.5, "slopes": [0.7, 0.71, 0.72] * 9, "deviations": [0.1] * 27}
     width, missed = (assess(claim, {"films": [films] * 20}) for claim in PAPER.claims)
     assert width.verdict is Fate.REACHED
-    assert missed.found.value == 1
+    assert missed.ours.value == 1
     assert missed.verdict is Fate.MISSED
 
 

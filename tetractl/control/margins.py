@@ -117,8 +117,9 @@ class Margins:
         y = np.array(poses.y)
         robot_gaps = gaps(self._obstacles, x, y)
         nearest = np.minimum(self._target_gaps, robot_gaps.min(axis=1, initial=np.inf))
-        at_least = fit(self._collision.radius, self._target_gaps)
-        return self._obstacles.grown(np.maximum(fit(margin, nearest), np.minimum(margin, at_least)))
+        at_least = np.minimum(margin, fit(self._collision.radius, self._target_gaps))
+        fits = np.maximum(fit(margin, nearest), at_least)
+        return self._obstacles.grown(fits)
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the wanted separation, or what fits between robots and between targets; 0 if it

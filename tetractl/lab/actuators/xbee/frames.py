@@ -17,6 +17,8 @@ CONTENT_MAX = 128  # 100 bytes of 802.15.4 payload and the longest header, round
 TRANSMIT = 0x01  # type of a frame with data to send
 AT_COMMAND = 0x08  # type of a frame with a command to the module
 AT_RESPONSE = 0x88  # type of the answer to one
+STATUS_OK = 0  # status in the answer: the module has done it
+INVALID_COMMAND = 2  # or has no such parameter
 BROADCAST = bytes((TRANSMIT, 0, 0xFF, 0xFF, 0))  # to all modules, without a report of the result
 # bytes of content before the data of another module, by the frame's type: from a 64-bit address, a
 # 16-bit one, both (newer firmware), or both with endpoints (AO=1)
@@ -36,7 +38,8 @@ def at_command(frame_id: int, command: bytes) -> bytes:
 
 def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
     """Return the content that answers a request; `value` is None for an unknown parameter."""
-    return _RESPONSE.pack(AT_RESPONSE, frame_id, command, 2 * (value is None)) + (value or b"")
+    status = INVALID_COMMAND if value is None else STATUS_OK
+    return _RESPONSE.pack(AT_RESPONSE, frame_id, command, status) + (value or b"")
 
 
 def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:

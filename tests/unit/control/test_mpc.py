@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from support.hand_clock import HandClock
 from support.scripted import STARTS, TARGETS, Scripted, mpc, observation_of
 from support.trials import THREE_M3PI, experiment
 
@@ -60,19 +61,6 @@ def spec(collision=POINTS, sections=None, **controller):
     return experiment(controller=all_fields, **(sections or {}))
 
 
-class Clock:
-    """A timer [ns] that stands still until it is set on."""
-
-    def __init__(self):
-        self.now_ns = 0
-
-    def read(self):
-        return self.now_ns
-
-    def advance(self, seconds):
-        self.now_ns += round(seconds * SECOND)
-
-
 class Slow(Scripted):
     """An optimiser that finds BAD plans only, and takes `search_s` of the clock's time for each."""
 
@@ -99,7 +87,7 @@ def put_under_way(controller, signals_left, steps=1):
 def driving_by(optimizer, signals_left=5, steps=1, clock=None, watchdog_s=None, **fields):
     """A controller of robots that have driven for some steps, so that so many signals of their plan
     are left; `optimizer` is None for the one of the spec."""
-    timer = Clock().read if clock is None else clock.read
+    timer = HandClock().now if clock is None else clock.now
     setup_changes = {} if watchdog_s is None else {"watchdog_s": watchdog_s}
     controller = mpc(spec(**fields), 99, optimizer, timer, **setup_changes)
     put_under_way(controller, signals_left, steps)
@@ -182,7 +170,7 @@ def test_no_plan_is_longer_than_the_steps_that_are_left(periods, tried):
 
 
 def test_longer_plans_are_searched_on_where_the_deadline_came_between():
-    clock = Clock()
+    clock = HandClock()
     search = Slow(clock, search_s=0.02)
     controller = driving_by(search, clock=clock, deadline=0.07)
     plan = decide(controller)
@@ -567,11 +555,11 @@ def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
 def test_searches_for_standing_robots_end_after_a_second(search_s, searches):
     """No plan is good, and with time enough three lengths are tried up to the longest. The turn
     that follows is given."""
-    clock = Clock()
+    clock = HandClock()
     optimizer = Slow(clock, search_s)
     longest = round(SPREAD * FIRST) + 1  # the third length
     standing = spec(collision=RESTS, horizon_max=longest, time_limit=40.2)
-    controller = mpc(standing, 99, optimizer, timer=clock.read)
+    controller = mpc(standing, 99, optimizer, timer=clock.now)
     plan = controller.plan(observation_of())
     done = [search for search in plan.searches if search.stopped is not StopReason.FIXED]
     assert len(done) == searches

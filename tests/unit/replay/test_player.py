@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.hand_clock import HandClock
 from support.trials import cut_short, three_robots
 
 from tetractl.core.commands import Note
@@ -20,25 +21,16 @@ PERIOD = SECOND // 5
 KEYS = ["space", "left", "right", ",", ".", "e", "E", "home", "end", "+", "-", "x"]
 
 
-class HandSetClock:
-    """Stands for the clock on the wall: its time [ns] passes only where a test lets it."""
-
-    def __init__(self):
-        self.time = 7 * SECOND
-
-    def now(self):
-        return self.time
-
-    def sleep_until(self, when):
-        self.time = max(self.time, when)
-
-    def pass_by(self, seconds):
-        self.time += round(seconds * SECOND)
-
-
 @pytest.fixture
 def wall():
-    return HandSetClock()
+    return wall_clock()
+
+
+def wall_clock():
+    """The clock on the wall, which did not begin with the recording."""
+    clock = HandClock()
+    clock.advance(7)
+    return clock
 
 
 @pytest.fixture
@@ -53,7 +45,7 @@ def player_of(recording, wall, start=0.0, until=None, **options):
 
 def shown_after(player, wall, seconds):
     """The time shown [s] once so many seconds have passed."""
-    wall.pass_by(seconds)
+    wall.advance(seconds)
     player.update()
     return player.now / SECOND
 
@@ -155,7 +147,7 @@ def test_the_rate_has_limits_but_keeps_what_was_asked_for(recording, wall, rate)
 
 def test_it_ends_at_the_end_and_space_plays_again(recording, wall):
     player = player_of(recording, wall, start=2)
-    wall.pass_by(100)
+    wall.advance(100)
     assert player.now == recording.end_ns
     player.update()
     assert player.state is Playback.ENDED
@@ -183,7 +175,7 @@ press = st.tuples(st.sampled_from(KEYS), st.floats(0, 3))  # and the seconds unt
 
 @given(st.lists(press, max_size=40), st.booleans())
 def test_no_keys_ever_leave_the_span(presses, loop):
-    wall = HandSetClock()
+    wall = wall_clock()
     player = player_of(Recording(three_robots()), wall, start=1, until=6, loop=loop)
     for key, seconds in presses:
         player.press(key)

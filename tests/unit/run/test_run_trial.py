@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import pytest
 from support.fakes import bench
+from support.hand_clock import HandClock
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Turn
@@ -375,25 +376,12 @@ def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raise
 # ---- Time ----
 
 
-class StopWatch:
-    """Stands for the clock by which plans are timed."""
-
-    def __init__(self):
-        self.now_ns = 0
-
-    def read(self):
-        return self.now_ns
-
-    def advance(self, by_ns):
-        self.now_ns += by_ns
-
-
 def test_a_plan_that_takes_longer_than_the_period_misses_its_deadline(monkeypatch):
-    watch = StopWatch()
-    monkeypatch.setattr(time, "perf_counter_ns", watch.read)
+    watch = HandClock()  # by which plans are timed
+    monkeypatch.setattr(time, "perf_counter_ns", watch.now)
     fakes = bench(4)
     for nth, taken_ns in enumerate([9 * PERIOD, PERIOD, PERIOD + 1, 5], start=1):
-        fakes.do_at("plan", nth, partial(watch.advance, taken_ns))
+        fakes.do_at("plan", nth, partial(watch.advance_ns, taken_ns))
     result = fakes.run()
     assert result.solve_ns == (9 * PERIOD, PERIOD, PERIOD + 1, 5)
     assert result.deadline_misses == 1  # the first plan has no deadline

@@ -1,0 +1,14 @@
+"""A clock that a test sets on: a wall clock, or the timer by which something is measured."""
+
+from tetractl.core.clock import SECOND, VirtualClock
+
+
+class HandClock(VirtualClock):
+    """Stands for a clock or, by its `now`, for a timer [ns]: time passes only where a test or a
+    fake lets it."""
+
+    def advance(self, seconds):
+        self.advance_ns(round(seconds * SECOND))
+
+    def advance_ns(self, by_ns):
+        self.sleep_until(self.now() + by_ns)

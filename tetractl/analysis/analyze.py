@@ -124,13 +124,12 @@ def analyze(
     by_gap = [(gap, predictor.error(respaced(setup, gap))) for gap in gaps]
     changes = [_change(setup, rate, predictor.error(rate.setup)) for rate in changed]
 
-    section = planner(experiment)
     return Analysis(
         setup=setup,
         reach=reach(experiment),
-        noise=Noise.of(experiment.plant),
+        noise=predictor.noise,
         left_out=left_out(experiment.plant),
-        tolerance=tolerance(section),
+        tolerance=tolerance(predictor.section),
         plans=plans,
         steering=as_they_are,
         alike=None if alike is None else (setup.names[alike.low], setup.names[alike.high]),
@@ -149,8 +148,8 @@ class _Predictor:
     def __init__(
         self, experiment: Experiment, plans: int, on_done: Callable[[int], object]
     ) -> None:
-        self._section = planner(experiment)
-        self._noise = Noise.of(experiment.plant)
+        self.section = planner(experiment)
+        self.noise = Noise.of(experiment.plant)
         self._seed = experiment.trials.seed
         self._plans = plans
         self._on_done = on_done
@@ -158,7 +157,7 @@ class _Predictor:
 
     def steering(self, setup: Setup) -> Steering | None:
         """Analyse the plans of a setup; None if none reaches the targets."""
-        analysed = steering(self._section, setup, self._noise, self._seed, self._plans)
+        analysed = steering(self.section, setup, self.noise, self._seed, self._plans)
         self._done += 1
         self._on_done(self._done)
         return analysed

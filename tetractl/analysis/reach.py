@@ -136,10 +136,9 @@ def reach_of(setup: Setup, motion: str) -> Reach:
     ends = _ends(setup, motion)
     spread = _spreads(ends)
     most = max(float(spread[0]), STILL)
-    groups = list(_alike(ends, moves, TOLERANCE * most))
     alike: list[tuple[str, ...]] = []
     parted: list[PartedRobot] = []
-    for group in groups:
+    for group in _alike(ends, moves, TOLERANCE * most):
         alike.append(tuple(setup.names[robot] for robot in group))
         parted += _parted(setup, motion, group, most)
     return Reach(

@@ -259,7 +259,8 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
         Column("mean total error", means, unit_of(groups[0].unit), show),
         Column("95 % interval", intervals),
     ]
-    columns += [_safety_column(label, groups) for label in SAFETY]
+    texts = [texts_by_label(group) for group in groups]
+    columns += [_safety_column(label, texts) for label in SAFETY]
     plants = [f"{group.name}: {group.origin}, {counted_by(group.experiment)}" for group in groups]
     return Table(
         "",
@@ -269,10 +270,10 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     )
 
 
-def _safety_column(label: str, groups: Sequence[BatchStatistics]) -> Column:
-    """Return the number of unsafe trials of each batch, without what follows in parentheses."""
-    texts = [texts_by_label(group)[label] for group in groups]
-    return Column(label, [text.partition(" (")[0] for text in texts])
+def _safety_column(label: str, texts: Sequence[Mapping[str, str]]) -> Column:
+    """Return the number of unsafe trials of each batch, without what follows in parentheses; the
+    batches' texts are by their labels."""
+    return Column(label, [of_batch[label].partition(" (")[0] for of_batch in texts])
 
 
 def _player(contents: _Contents) -> str:

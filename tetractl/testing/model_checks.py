@@ -157,6 +157,7 @@ def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> Findin
 def _differentiated(compiled: Any, cases: Cases) -> Floats:
     """Return (4, 3, COUNT): dx, dy, dheading of the compiled step, and their derivatives by the
     heading, by u and by each of PARAMETERS."""
+    parameters = cases.parameters
     rows: list[Any] = []
     for i in range(COUNT):
         cos_heading = np.cos(cases.heading[i])
@@ -164,7 +165,7 @@ def _differentiated(compiled: Any, cases: Cases) -> Floats:
         cos_u = np.cos(cases.u[i])
         sin_u = np.sin(cases.u[i])
         step, by_heading, by_u, by_parameters = compiled.differentiate(
-            cos_heading, sin_heading, cos_u, sin_u, cases.parameters[i], STEP_S
+            cos_heading, sin_heading, cos_u, sin_u, parameters[i], STEP_S
         )
         rows.append((step, by_heading, by_u, *by_parameters))
     return np.array(rows).transpose(1, 2, 0)

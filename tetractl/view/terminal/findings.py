@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.console import Console
 
-from tetractl.core.table.table import NONE, Column, Table
+from tetractl.core.table.table import NONE, Column, Table, plural
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.lab.preflight import Preflight
 
@@ -73,7 +73,7 @@ def _verdict(preflight: Preflight) -> str:
     number = len(preflight.all_warnings)
     if number == 0:
         return "ready"
-    return f"ready, with {number} {'warning' if number == 1 else 'warnings'}"
+    return f"ready, with {number} {plural('warning', number)}"
 
 
 def preflight_items(preflight: Preflight) -> dict[str, Any]:

@@ -308,9 +308,9 @@ class FilterBank:
     def _frames_used(
         self, newest: Observation, earlier: Sequence[Observation]
     ) -> list[Observation]:
-        """Return the frames that are used, in the order of time: those SPACING_S after the one used
-        before. If there are earlier ones, the newest is used at any distance: one per control step
-        does no harm. If the prior is certain, all are used."""
+        """Return the frames that are used, in the order of time: those SPACING_NS after the one
+        used before. If there are earlier ones, the newest is used at any distance: one per control
+        step does no harm. If the prior is certain, all are used."""
         if self.prior.certain:
             return [*earlier, newest]
         used = list[Observation]()

@@ -91,6 +91,7 @@ class Margins:
         y = targets[:, 1].copy()
         self._targets_apart = least_apart(x, y)
         self._target_gaps = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)  # (O,)
+        self._least_margins = fit(collision.radius, self._target_gaps)  # (O,) kept in any case
 
     def applied(
         self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
@@ -117,7 +118,7 @@ class Margins:
         y = np.array(poses.y)
         robot_gaps = gaps(self._obstacles, x, y)
         nearest = np.minimum(self._target_gaps, robot_gaps.min(axis=1, initial=np.inf))
-        at_least = np.minimum(margin, fit(self._collision.radius, self._target_gaps))
+        at_least = np.minimum(margin, self._least_margins)
         fits = np.maximum(fit(margin, nearest), at_least)
         return self._obstacles.grown(fits)
 

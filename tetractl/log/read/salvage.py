@@ -11,7 +11,7 @@ import time
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 
@@ -122,7 +122,8 @@ class _Scan:
         if not (begins or self._records.by_offset):
             raise LogError(f"{self._path}: not an MCAP file")
         result = self._collected()
-        return replace(result, lost=self._lost(result, expected))
+        result.lost.extend(self._lost(result, expected))
+        return result
 
     def summary(self) -> RawLog | None:
         """Read what `peek` returns; None for a damaged file, or one that others wrote."""

@@ -208,9 +208,8 @@ class BlobFinder:
         self._limits = SearchLimits(low, high, self.least_px2, self.most_px2)
         np.greater(self._mean, low, out=self._mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
-        is_white = np.median(levels) == 255
-        was_white = np.median(background_levels) >= 255
-        lost = noise == NOISE_MAX or bool(is_white and not was_white)
+        is_newly_white = np.median(levels) == 255 and np.median(background_levels) < 255
+        lost = noise == NOISE_MAX or bool(is_newly_white)
         changed = cv2.countNonZero(self._mask) / self._mask.size
         return Light(gain, noise, None, changed, lost, limit=high)
 
@@ -351,8 +350,8 @@ def _bodies(
         body = _grey(mask == 2)
         near = cv2.dilate(body, _square(limits.least_px2)) > 0
         rest[near] = 0
-        is_whole = cv2.countNonZero(body) >= limits.least_px2 / 2  # a neighbour cuts a part off
-        if is_whole and cv2.countNonZero(body) <= limits.most_px2:
+        body_px2 = cv2.countNonZero(body)
+        if limits.least_px2 / 2 <= body_px2 <= limits.most_px2:  # a neighbour cuts a part off
             rise = (difference[box.part] - limits.level) / height
             weights = (np.clip(rise, *RAMP) - RAMP[0]) * near
             yield _blob(body, weights, difference[box.part], box, at_edge)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ STRENGTH = "strength"
 STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, for the cached property
 class FieldRecord:
     """The field over time: components `x`, `y` (T,), relative to the reference field; value i holds
     from `times[i]` [s] to `times[i + 1]`, the last value without end. There is no field before
@@ -40,7 +41,7 @@ class FieldRecord:
     x: Floats
     y: Floats
 
-    @property
+    @cached_property
     def sent(self) -> SentDirections:
         """The field as directions that are sent, with its strength."""
         return SentDirections(self.times, self.x + 1j * self.y)

@@ -118,9 +118,9 @@ def ghosts(kind: str) -> None:
         )
 
 
-def is_noticed(reason: str) -> bool:
-    """Whether the reason for which a trial ended is that poses are false."""
-    return any(text in reason for text in NOTICED)
+def is_noticed(reason: str, *more: str) -> bool:
+    """Whether the reason for which a trial ended is that poses are false, or one of `more`."""
+    return any(text in reason for text in (*NOTICED, *more))
 
 
 def slow(kind: str) -> None:
@@ -162,7 +162,7 @@ def slips() -> None:
         for play, result in zip(plays, results, strict=True):
             if result.outcome.complete:
                 times_s.append(play.off_mm)
-            elif any(text in result.reason for text in (*NOTICED, "still moves")):
+            elif is_noticed(result.reason, "still moves"):
                 stopped.append(play.off_mm)
             print(result.summary, f"{play.off_mm:.0f} mm off", file=sys.stderr, flush=True)
         not_stopped = PLAYS - len(times_s) - len(stopped)
@@ -282,7 +282,7 @@ def batches(first: int, last: int) -> None:
         for rate in TURNS:
             false = trial_of_batch(batch, k, rate)
             marks = turned_otherwise([*honest[:k], false, *honest[k + 1 :]])
-            noticed = any(text in false.result.reason for text in (*NOTICED, "still moves"))
+            noticed = is_noticed(false.result.reason, "still moves")
             if noticed:
                 stopped[rate] += 1
             if false.log in marks:

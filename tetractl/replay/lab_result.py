@@ -17,6 +17,7 @@ from tetractl.lab.rig import guard_rules
 from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.path_check import check_path
+from tetractl.model.wheels import body_velocity
 from tetractl.replay.comparison import Difference, first_difference
 
 DISTANCE_TOLERANCE = 1e-6
@@ -175,21 +176,20 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
     events += [(command.sent_ns, True, i) for i, command in enumerate(log.commands)]
     for t_ns, is_command, i in sorted(events):
         if is_command:
-            _send(guard, log.commands[i], t_ns, 2 * setup.wheel_radius)
+            _send(guard, log.commands[i], t_ns, setup.wheel_radius)
         else:
             guard.check_frame(_frame(log, i))
     return guard.drift.turning()
 
 
-def _send(guard: Guard, command: Command, t_ns: int, track: float) -> None:
-    """Let a guard take a command to robots whose wheels are `track` apart [length unit]."""
+def _send(guard: Guard, command: Command, t_ns: int, radius: float) -> None:
+    """Let a guard take a command to robots with wheels at a radius [length unit]."""
     if command.stops:
         guard.end_run()
     elif guard.state is GuardState.READY:
         guard.start_run(t_ns)
     if command.left is not None and command.right is not None:
-        speed = (command.left + command.right) / 2
-        turning = (command.right - command.left) / track
+        speed, turning = body_velocity(command.left, command.right, radius)
         guard.note_transmission(t_ns, speed.tolist(), turning.tolist())
 
 
@@ -199,13 +199,7 @@ def _frame(log: TrialLog, i: int) -> CameraFrame:
         Pose(*row) if valid else None
         for row, valid in zip(log.mocap[i].tolist(), log.valid[i], strict=True)
     )
-    exposed_ns = log.exposed_ns[i].tolist()
-    if all(time_ns == log.mocap_ns[i] for time_ns in exposed_ns):
-        exposed_ns = []  # the frame's time is that of all poses
+    seen_at = log.sample(i).observation
     return CameraFrame(
-        int(log.frames[i]),
-        int(log.mocap_ns[i]),
-        int(log.received_ns[i]),
-        poses,
-        exposed_ns=tuple(exposed_ns),
+        seen_at.frame, seen_at.sampled_ns, seen_at.received_ns, poses, exposed_ns=seen_at.exposed_ns
     )

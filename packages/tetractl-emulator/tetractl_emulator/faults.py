@@ -71,6 +71,12 @@ _SET: WeakKeyDictionary[Any, list[_Set]] = WeakKeyDictionary()
 """What faults that go on have set of an object, in the order in which they began."""
 
 
+def adding(running: list[Any], one: object) -> Undo:
+    """Add one to what runs; return the function that removes it again."""
+    running.append(one)
+    return lambda: running.remove(one)
+
+
 def setting(target: object, **values: object) -> Undo:
     """Set attributes of `target`, an object that is compared by identity; return the function that
     restores the attributes' values. What another fault has set since remains until that one ends.

@@ -51,7 +51,7 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     path = folder / "track.mcap"
     cells = defaultdict[int, Cells](list)
     for path_of_cell in followed.paths:
-        for number, cell in zip(path_of_cell.frames.tolist(), path_of_cell.sightings, strict=True):
+        for _, number, cell in path_of_cell.pictures():
             cells[number].append(cell)
     try:
         _write_pictures(path, film, followed, record, cells)

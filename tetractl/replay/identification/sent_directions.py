@@ -45,6 +45,9 @@ COURSE_S = 120.0
 
 FieldAt = Callable[[Floats], NDArray[np.complex128]]
 """Function that returns the direction that acts at times [s] as x + iy, 0 for none."""
+Response = Callable[[Floats, Floats], tuple[complex, Floats]]
+"""Function that fits the turning rate of a course (K,) to what a field turns robots by, along it
+and across (K, 2): returns the field's factor, and the turning rate that it explains (K,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,20 +114,8 @@ def courses_of_headings(times: Floats, headings: Floats) -> list[TurnedCourse]:
 
 
 def turning_fit(turned: Sequence[TurnedCourse], field: FieldAt) -> TurningFit:
-    """Return how a field explains the turning of courses."""
-    total = 0.0
-    unexplained = 0.0
-    vectors = []
-    for course in turned:
-        rate = np.gradient(course.angle, GRID_S)[SMOOTH:-SMOOTH]
-        basis = _rates(course, field)
-        fitted = np.linalg.lstsq(basis, rate, rcond=None)[0]
-        residual = rate - basis @ fitted
-        still = STILL**2 * len(rate)
-        total += float(rate @ rate) + still
-        unexplained += float(residual @ residual) + still
-        vectors.append(complex(*fitted))
-    return TurningFit(1 - unexplained / total, np.array(vectors))
+    """Return how a field explains the turning of courses, if it may be rotated."""
+    return _fit(turned, field, _rotated)
 
 
 def check_directions(
@@ -212,22 +203,38 @@ def _best_delay(
 
 
 def _share(turned: Sequence[TurnedCourse], field: FieldAt, rotated: bool) -> float:
-    """Return the share of the turning that a field explains; without a rotation, it turns by a rate
-    a above 0."""
-    if rotated:
-        return turning_fit(turned, field).explained
+    """Return the share of the turning that a field explains, which may be rotated."""
+    return _fit(turned, field, _rotated if rotated else _towards).explained
+
+
+def _fit(turned: Sequence[TurnedCourse], field: FieldAt, response: Response) -> TurningFit:
+    """Return how a field explains the turning of courses by a response."""
     total = 0.0
     unexplained = 0.0
+    vectors: list[complex] = []
     for course in turned:
         rate = np.gradient(course.angle, GRID_S)[SMOOTH:-SMOOTH]
-        towards = _rates(course, field)[:, 0]
-        squares = float(towards @ towards)
-        a = max(0.0, float(rate @ towards) / squares) if squares > 0 else 0.0
-        residual = rate - a * towards
+        vector, explained = response(_rates(course, field), rate)
+        residual = rate - explained
         still = STILL**2 * len(rate)
         total += float(rate @ rate) + still
         unexplained += float(residual @ residual) + still
-    return 1 - unexplained / total
+        vectors.append(vector)
+    return TurningFit(1 - unexplained / total, np.array(vectors))
+
+
+def _rotated(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
+    """Return the response to a field that may be rotated, by least squares."""
+    fitted = np.linalg.lstsq(basis, rate, rcond=None)[0]
+    return complex(*fitted), basis @ fitted
+
+
+def _towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
+    """Return the response of a robot that turns towards the field by a rate a of at least 0."""
+    towards = basis[:, 0]
+    squares = float(towards @ towards)
+    a = max(0.0, float(rate @ towards) / squares) if squares > 0 else 0.0
+    return complex(a), a * towards
 
 
 def _pieces(path: Floats) -> list[Floats]:

@@ -27,6 +27,7 @@ from tetractl_emulator.faults import (
     Share,
     Undo,
     Visible,
+    adding,
     fault_kind,
     setting,
     settings,
@@ -191,7 +192,7 @@ def _pose_fault(
     """
 
     def begin(fault: Any, device: Any) -> Undo:
-        return _adding(_body(fault, device).changes, change_of(fault))
+        return adding(_body(fault, device).changes, change_of(fault))
 
     return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields})
 
@@ -220,17 +221,11 @@ def _twin_ids(fault: Any, device: Any) -> Undo:
 
 def _set_clock(fault: Any, device: Any) -> Undo:
     error = ClockError(device.timeline.now_ns, ahead_ns=round(fault.by * SECOND))
-    return _adding(device.clock.errors, error)
+    return adding(device.clock.errors, error)
 
 
 def _run_clock(fault: Any, device: Any) -> Undo:
-    return _adding(device.clock.errors, ClockError(device.timeline.now_ns, rate=fault.rate))
-
-
-def _adding(running: list[Any], one: object) -> Undo:
-    """Add one to what runs; return the function that removes it again."""
-    running.append(one)
-    return lambda: running.remove(one)
+    return adding(device.clock.errors, ClockError(device.timeline.now_ns, rate=fault.rate))
 
 
 def _change_picture(fault: Any, device: Any) -> Undo:

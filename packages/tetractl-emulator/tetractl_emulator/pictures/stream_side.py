@@ -18,7 +18,7 @@ from tetractl.core.poses import Floats, Grey
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.lab_section import LabSection
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, fault_kind, settings
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, adding, fault_kind, settings
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
 from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, part
@@ -94,8 +94,7 @@ def _spoil(fault: Any, device: Any) -> Undo:
 
 def _sending(device: Any, change: Callable[[bytes], bytes]) -> Undo:
     """Let a function change what is sent."""
-    device.camera.changes.append(change)
-    return lambda: device.camera.changes.remove(change)
+    return adding(device.camera.changes, change)
 
 
 def _repeat(fault: Any, device: Any) -> Undo:

@@ -131,13 +131,11 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
     """
     rows = sorted(
         (
-            *(int(picture), path.identity, time, cell.x, cell.y, cell.heading, cell.axis),
+            *(picture, path.identity, time, cell.x, cell.y, cell.heading, cell.axis),
             *(cell.sure, cell.has_blob, cell.merged),
         )
         for path in followed.paths
-        for time, picture, cell in zip(
-            path.times.tolist(), path.frames, path.sightings, strict=True
-        )
+        for time, picture, cell in path.pictures()
     )
     picture, cell, time, *states = zip(*rows, strict=True) if rows else [()] * 10
     places = np.transpose(states[:2]).reshape(-1, 2)

@@ -41,6 +41,7 @@ from tetractl_microscope.choice.candidate import RESPONDS
 from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.kinematics import way_um
+from tetractl_microscope.film.pairs import MEDIAN_OF_NORMAL
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
 
@@ -291,8 +292,8 @@ def _exact(measured: Sequence[_Measured]) -> Floats:
     off = off[np.isfinite(off).all(axis=1)]
     if not len(off):
         return np.ones(3)
-    place = np.median(off[:, :2]) / 0.6745
-    axis = np.median(off[:, 2]) / 0.6745
+    place = np.median(off[:, :2]) / MEDIAN_OF_NORMAL
+    axis = np.median(off[:, 2]) / MEDIAN_OF_NORMAL
     return np.array([min(place, 1.0), min(place, 1.0), axis])
 
 

@@ -80,7 +80,7 @@ class Followed:
         """Median time for which a track lasts, under one number after another [s]."""
         times_of_track = defaultdict[int, list[float]](list)
         for path in self.paths:
-            for seconds, cell in zip(path.times.tolist(), path.sightings, strict=True):
+            for seconds, _, cell in path.pictures():
                 times_of_track[cell.track].append(seconds)
         return _median_s(list(times_of_track.values()))
 

@@ -133,11 +133,10 @@ def _both_since(rows: list[TrackRow], end: int, least_um2: float, times: Sequenc
     start = end - 1
     while start > 0 and rows[start - 1].picture == rows[start].picture - 1:
         start -= 1
-    measured = [k for k in range(start, end) if _sizes([rows[k]])]
-    is_large = [_areas([rows[k]])[0] > least_um2 for k in measured]
+    measured = [(k, um2 > least_um2) for k in range(start, end) for um2 in _areas([rows[k]])]
     for i in range(len(measured) - SEEN + 1):
-        if all(is_large[i : i + SEEN]):
-            first = measured[i]
+        if all(is_large for _, is_large in measured[i : i + SEEN]):
+            first, _ = measured[i]
             is_soon = times[rows[first].picture] - times[rows[start].picture] <= CUT_S
             return start if is_soon else first
     return end

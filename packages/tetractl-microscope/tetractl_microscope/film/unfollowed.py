@@ -16,6 +16,7 @@ import numpy as np
 from tetractl.core.poses import Floats, Grey
 from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.cells.picture_now import pixels_of
+from tetractl_microscope.film.kinematics import way_um
 from tetractl_microscope.film.who import CellPath
 
 EVERY = 3  # every third picture is examined
@@ -81,7 +82,7 @@ class Unfollowed:
         self._measure(film, AWAY * body_um / usual_um_s)
         places_in = defaultdict[int, list[tuple[float, float]]](list)
         for path in paths:
-            for number, cell in zip(path.frames.tolist(), path.sightings, strict=True):
+            for _, number, cell in path.pictures():
                 places_in[number].append((cell.x, cell.y))
         moving = 0
         missed = 0
@@ -137,5 +138,4 @@ def _square(picture: Grey, column: int, row: int, reach: int) -> Grey:
 
 def _speed(path: CellPath) -> float:
     """Return the speed of a path [um/s]."""
-    way = np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum()
-    return float(way / (path.times[-1] - path.times[0]))
+    return float(way_um(path.places) / (path.times[-1] - path.times[0]))

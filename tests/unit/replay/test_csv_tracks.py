@@ -332,6 +332,25 @@ def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path
     assert track.valid.all()
 
 
+@pytest.mark.parametrize("far_mm", [9e8, -9e8])
+@pytest.mark.parametrize("column", ["x_mm", "y_mm"])
+def test_a_last_place_far_off_says_nothing_of_the_headings(tmp_path, column, far_mm):
+    """Regression: whole turns were called degrees because of a single wrong place."""
+    poses, commands = write_headings(tmp_path, lambda heading: heading + 2 * math.pi)
+    *rows, last = poses.read_text().splitlines()
+    pose = last.split(",")
+    pose[PLAIN_POSES.split(",").index(column)] = str(far_mm)
+    poses.write_text("\n".join([*rows, ",".join(pose), ""]))
+    (track,) = csv_tracks([poses, commands])
+    assert track.valid.all()
+
+
+def test_a_file_that_is_named_twice_is_refused(tmp_path):
+    poses, _ = write_drive(tmp_path)
+    with pytest.raises(UsageError, match=r"poses\.csv: is named twice"):
+        csv_tracks([poses, tmp_path / "." / poses.name])
+
+
 @pytest.mark.parametrize(
     ("rows", "says"),
     [

@@ -50,8 +50,12 @@ MIRRORED = 0.2
 """Share of their ways by which robots get farther ahead with y reversed, above which it is."""
 ALONG = 0.5
 """Share of their ways by which robots at least get ahead that move along their headings."""
+JUMP = 100.0
+"""Median ways between two poses, above which a way is no motion but a wrong place; chosen."""
 COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
+BOTH_FILES = "name both files, such as poses.csv steps.csv of `tetractl export`"
+"""A hint."""
 
 Trial = tuple[str, str]
 Series = tuple[str, str]
@@ -192,6 +196,7 @@ def csv_tracks(
     for less than `shortest_s` [s] are left out. `on_wheels` is False for cells. Raises UsageError
     if data are missing, very many, or of clocks that do not meet.
     """
+    _refuse_twice(paths)
     trials: dict[Trial, _Numbers] = {}
     unit = ""
     for path in paths:
@@ -214,6 +219,16 @@ def csv_tracks(
                 )
     tracks = [_track(numbers, unit, trial, shortest_s) for trial, numbers in trials.items()]
     return [replace(track, on_wheels=on_wheels) for track in tracks]
+
+
+def _refuse_twice(paths: list[Path]) -> None:
+    """Raise UsageError for a file that is named twice: its rows would count twice."""
+    files = set[Path]()
+    for path in paths:
+        file = path.resolve()
+        if file in files:
+            raise UsageError(f"{path}: is named twice", BOTH_FILES)
+        files.add(file)
 
 
 def _columns(path: Path, headers: Collection[str]) -> _Columns:
@@ -279,7 +294,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     if poses_path is None or commands_path is None:
         raise UsageError(
             f"{poses_path or commands_path}: both poses and commands are needed for each trial",
-            "name both files, such as poses.csv steps.csv of `tetractl export`",
+            BOTH_FILES,
         )
     rows = np.array(numbers.poses).reshape(-1, 5)
     begin = float(rows[:, 0].min())
@@ -361,7 +376,7 @@ def _check_headings(path: Path, poses: Floats, valid: Bools, may_back: bool) -> 
     Headings in radians may be beyond a turn, too: those of `tetractl export` count whole turns.
     """
     in_both = valid[1:] & valid[:-1]
-    moved = np.where(in_both[..., None], np.diff(poses[..., :2], axis=0), 0.0)
+    moved = _without_jumps(np.where(in_both[..., None], np.diff(poses[..., :2], axis=0), 0.0))
     heading = np.where(in_both, poses[:-1, :, 2], 0.0)
     ahead = _ahead(moved, heading)
     angles = np.abs(np.where(valid, poses[..., 2], 0.0))
@@ -383,6 +398,14 @@ def _check_headings(path: Path, poses: Floats, valid: Bools, may_back: bool) -> 
         raise UsageError(
             f"{path}: robots move against their headings", "add half a turn to the headings"
         )
+
+
+def _without_jumps(moved: Floats) -> Floats:
+    """Return the ways (M, N, 2) between poses, 0 where one is too long for motion: a single wrong
+    place would outweigh what all others say of the headings."""
+    lengths = np.hypot(moved[..., 0], moved[..., 1])
+    usual = np.median(lengths[lengths > 0]) if lengths.any() else 0.0
+    return np.where((lengths > JUMP * usual)[..., None], 0.0, moved)
 
 
 def _ahead(moved: Floats, heading: Floats) -> float:

@@ -54,6 +54,8 @@ run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
 rerun LOG --seed 3 | No such option
 study study.yaml --logs some | --logs some: must be all, failed, sample:N or none
+study circular.yaml | circular.yaml:2:7: base: circular.yaml: is a study, not a spec
+study of-a-study.yaml | of-a-study.yaml:2:7: base: study.yaml: is a study, not a spec
 stats nowhere | nowhere: no such file or folder
 stats empty | empty: no logs
 stats '' | an argument is empty | is a variable of the shell not set?
@@ -75,6 +77,8 @@ replay LOG --yes | No such option
 replay logs --loop | --loop without a terminal
 plot LOG -o a.bmp | a.bmp: cannot write '.bmp' pictures | end the name in .png, .svg, .pdf
 plot LOG -o a | needs an ending
+plot LOG -o folder.png | folder.png: is a folder | name a file in it
+plot LOG --kind video -o folder.gif | folder.gif: is a folder | name a file in it
 plot LOG -o nowhere/a.png | nowhere/a.png: there is no folder nowhere
 plot LOG --kind pie | no figure is called 'pie'
 plot logs --kind over-time | shows one trial, not 3
@@ -87,9 +91,13 @@ export logs -o x --table no | there is no table 'no'
 export logs -o x --format csv | No such option: --format | tables are CSV
 export logs -o x.parquet --table steps | 'parquet' is no longer there | tables are CSV; in Python
 export logs -o picture.png | picture.png: not a folder | name another with --out
+export logs -o empty.yaml/x | empty.yaml: not a folder | name another with --out
+export logs -o empty.yaml/x.csv --table steps | empty.yaml: not a folder | name another with --out
 export missing -o x | missing: no such file or folder
 identify | LOG
 identify logs -o no/found.yaml | no/found.yaml: there is no folder no
+identify tables | tables: no logs (*.mcap) in this folder | of tables, name the files of poses
+identify tables/poses.csv tables/poses.csv | tables/poses.csv: is named twice | name both files
 identify logs --yes | No such option
 run lab.yaml --plant lab | there is no terminal at which to ask | add --yes
 design spec.yaml | 'design' is no longer there | run any trials
@@ -128,9 +136,12 @@ info noise.mcap | noise.mcap: not an MCAP file
 recover noise.mcap | noise.mcap: not an MCAP file
 stats noise.mcap | none of 1 logs can be read
 report noise.mcap | none of the logs can be read: noise.mcap: not an MCAP file
+lab stop --port empty | empty: is not a serial port
+lab stop --port spec.yaml | spec.yaml: is not a serial port
 lab stop --port nowhere | nowhere: there is no such port
 run spec.yaml --out empty.yaml/logs | empty.yaml/logs: cannot create the folder: Not a directory
 """
+STUDY = "name: study-of-a-study\nbase: {base}\n"
 LOG = "logs/trial-000.mcap"
 ROWS = [(2, row) for row in USAGE.strip().splitlines()]
 ROWS += [(1, row) for row in FAILED.strip().splitlines()]
@@ -148,6 +159,9 @@ def folder(tmp_path_factory):
         assert tetractl(place, *words).returncode == 0
     shutil.copy(ROOT / "experiments" / "three_m3pi_lab.yaml", place / "lab.yaml")
     for name, content in {
+        "circular.yaml": STUDY.format(base="circular.yaml").encode(),
+        "of-a-study.yaml": STUDY.format(base="study.yaml").encode(),
+        "tables/poses.csv": b"time_s,robot,x_mm,y_mm,heading_rad\n0,green,0,0,0\n",
         "noise.mcap": b"no log",
         "empty.yaml": b"",
         "picture.png": b"",
@@ -156,8 +170,10 @@ def folder(tmp_path_factory):
         "wrong.yaml": QUICK.replace("speed: 200", "speed: -1").encode(),
         "huge.yaml": f"{QUICK}\nreference: {{source: x, n: 20, mean: 6, std: 1.0e+308}}\n".encode(),
     }.items():
+        (place / name).parent.mkdir(exist_ok=True)
         (place / name).write_bytes(content)
-    (place / "empty").mkdir()
+    for name in ("empty", "folder.png", "folder.gif"):
+        (place / name).mkdir()
     return place
 
 

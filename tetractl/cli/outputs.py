@@ -198,10 +198,17 @@ def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
     ending = out.suffix.lower().removeprefix(".")
     refuse_retired("export", ending)
     if ending != "csv" or out.is_dir():
-        if out.exists() and not out.is_dir():
-            raise UsageError(f"{out}: not a folder", "name another with --out")
+        _refuse_file_as_folder(out)
         names = TABLES if table is None else (table,)
         return {name: out / f"{name}.csv" for name in names}
     if table is None:
         raise UsageError(f"{out}: one file holds one table", "name the table with --table")
+    _refuse_file_as_folder(out.parent)
     return {table: out}
+
+
+def _refuse_file_as_folder(folder: Path) -> None:
+    """Raise UsageError if a folder cannot be made, as it or one that it is in is a file."""
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    if not there.is_dir():
+        raise UsageError(f"{there}: not a folder", "name another with --out")

@@ -176,6 +176,8 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
             "join the group that owns the port, often dialout: sudo usermod -aG dialout $USER, "
             "then log out and in again",
         )
+    if not Path(name).is_char_device() or "Inappropriate ioctl" in text:
+        return AbortError(f"{name}: is not a serial port")
     return AbortError(f"{name}: cannot be opened: {_why(error)}")
 
 

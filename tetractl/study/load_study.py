@@ -201,11 +201,19 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
     if isinstance(base.source, Path) and not base.source.exists():
         text = f"there is no such file: {printable(str(base.source))}{near_files(base.source)}"
         raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
+    _refuse_study_as_base(base, document)
     arms = _arms(study, base, document)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
     if disagreements:
         raise InvalidSpecError(disagreements)
     return LoadedStudy(study, tuple(_with_unique_names(arms)))
+
+
+def _refuse_study_as_base(base: Base, document: Document) -> None:
+    """Raise InvalidSpecError, at the study's base, if that is a study."""
+    if isinstance(base.source, Path) and is_study(base.source):
+        text = "is a study, not a spec, as a base must be"
+        raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
 
 
 def _arms(study: Study, base: Base, document: Document) -> list[Arm]:

@@ -171,7 +171,7 @@ def legend(drawing: Figure, signs: Sequence[Artist], columns: int = 3, **look: A
 def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:
     """Return the format of a file, the ending of its name, which must be among `formats`.
 
-    Raises UsageError for another ending, and if the file's folder does not exist.
+    Raises UsageError for another ending, if the file's folder does not exist, and for a folder.
     """
     wanted = path.suffix.lower().removeprefix(".")
     if wanted not in formats:
@@ -182,6 +182,8 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
         raise UsageError(f"{path}: {problem}", f"end the name in {endings}")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise UsageError(f"{path}: is a folder", "name a file in it")
     return wanted
 
 

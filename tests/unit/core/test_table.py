@@ -103,8 +103,9 @@ def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
     assert [row.cells["note"] for row in read_csv(path)] == ["a | b", "<b>"] * 2
 
 
-def test_other_columns_are_refused_and_leave_no_file(tmp_path):
-    path = tmp_path / "speeds.csv"
+@pytest.mark.parametrize("folder", [".", "new", "new/inner"])
+def test_other_columns_are_refused_and_leave_no_file(tmp_path, folder):
+    path = tmp_path / folder / "speeds.csv"
     reason = r"b\.mcap: the columns of speeds differ from earlier ones: other"
     with pytest.raises(UsageError, match=reason), table_files({"speeds": path}) as add:
         add("speeds", TABLE, "a.mcap")

@@ -10,8 +10,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -77,10 +77,11 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
     """Write the CSV files of several tables; yields the function that adds rows to one of them.
 
     That function raises UsageError if the columns differ from those of earlier rows. Each file is
-    written as NAME.part, and renamed at the end of the `with` block unless there was an error. A
-    file without rows is empty.
+    written as NAME.part, and renamed at the end of the `with` block unless there was an error; then
+    folders that were made for them are deleted. A file without rows is empty.
     """
     files = {name: _GrowingFile(name, path) for name, path in paths.items()}
+    missing = _missing_folders(paths.values())
 
     def add(name: str, table: Table, source: str) -> None:
         files[name].add(table, source)
@@ -96,6 +97,15 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
         finally:
             for file in files.values():
                 file.discard()
+            for folder in missing:
+                with suppress(OSError):  # it holds the complete files, or was not made
+                    folder.rmdir()
+
+
+def _missing_folders(paths: Iterable[Path]) -> list[Path]:
+    """Return the folders of some files that do not exist, the innermost first."""
+    folders = {folder for path in paths for folder in path.parents if not folder.exists()}
+    return sorted(folders, key=lambda folder: len(folder.parts), reverse=True)
 
 
 @contextmanager

@@ -237,19 +237,6 @@ class ControlStep:
         return min(length, self.horizon_max) <= signals_in_time
 
 
-class LowerBounds(NamedTuple):
-    """Lower bounds, known before plans are searched, of the values of driving on and of a rest; inf
-    for what robots cannot do."""
-
-    go_on: float
-    rest: float
-
-    @property
-    def least(self) -> float:
-        """That of whatever robots do but stop."""
-        return min(self.go_on, self.rest)
-
-
 class Candidate(NamedTuple):
     """A plan found: its value, the number of its search, and what is predicted for it."""
 
@@ -463,12 +450,13 @@ class Mpc:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._thread(step, warm)
-        bounds = LowerBounds(self._bound_of_going_on(step, warm), self._bound_of_rest(step))
-        stop = self._stop(step, warm, bounds.least)
+        bound_of_going_on = self._bound_of_going_on(step, warm)
+        bound_of_rest = self._bound_of_rest(step)
+        stop = self._stop(step, warm, min(bound_of_going_on, bound_of_rest))
         if stop is not None:
             return stop
         searched = self._search_under_way(step, warm)
-        plan = self._go_on(searched, bounds.rest)
+        plan = self._go_on(searched, bound_of_rest)
         if plan is not None:
             return plan
         return self._rest(searched)

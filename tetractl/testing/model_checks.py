@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.core.shape import meet, turn
 from tetractl.experiment.shape_section import ShapeSection
@@ -134,10 +134,10 @@ def _advanced(constants: Any, cases: Cases, i: int) -> tuple[float, float, float
 def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> Findings:
     """Check the compiled step with derivatives against the NumPy step and its differences."""
     step, *derivatives = _differentiated(motion.lanes, cases)
-    turned = _wrapped(moved[2] - cases.heading)
+    turned = wrap(moved[2] - cases.heading)
     yield near("differentiate: same dx as step", step[0], moved[0] - cases.x, cases.reach)
     yield near("differentiate: same dy as step", step[1], moved[1] - cases.y, cases.reach)
-    yield near("differentiate: same dheading as step", _wrapped(step[2] - turned), 0.0, 1.0)
+    yield near("differentiate: same dheading as step", wrap(step[2] - turned), 0.0, 1.0)
     of_parameters = [
         f"d(ln {parameter.name})" if parameter.positive else f"d{parameter.name}"
         for parameter in PARAMETERS
@@ -180,11 +180,6 @@ def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
         parameters.append(values * math.exp(by) if parameter.positive else values + by)
     a, v = parameters
     return motion.step(cases.x, cases.y, heading, u, a, v, STEP_S)
-
-
-def _wrapped(angle: Floats) -> Floats:
-    """Return angles between -pi and pi [rad]."""
-    return np.remainder(angle + math.pi, math.tau) - math.pi
 
 
 def check_shape(section: ShapeSection, setup: Setup) -> Findings:

@@ -1,6 +1,5 @@
 """Short synthetic films for tests, and how well cells were followed in them."""
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +10,8 @@ from tetractl_emulator.pictures.dish.picture import PictureLook
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.picture_times import PictureTimes
+
+from tetractl.core.poses import wrap
 
 REACH_UM = 25.0  # a cell is found by what is shown within half a body of it
 TOGETHER_UM = 40.0  # bodies nearer to each other than this are one blob
@@ -158,9 +159,10 @@ class Score:
         """Add the errors of a cell's pose in picture k; a resting cell's heading has no truth."""
         x, y, axis = synthetic.body[k, i]
         self.position.append((cell.x - x, cell.y - y))
-        self.axis.append(wrapped(cell.axis - axis, math.pi))
+        # an axis is the same after half a turn
+        self.axis.append(wrap(2 * (cell.axis - axis)) / 2)
         if not rests(synthetic, i):
-            self.heading.append(wrapped(cell.heading - synthetic.heading[k, i], 2 * math.pi))
+            self.heading.append(wrap(cell.heading - synthetic.heading[k, i]))
 
 
 def divides(synthetic, i):
@@ -173,11 +175,6 @@ def divides(synthetic, i):
 def rests(synthetic, i):
     """Whether a cell rests for a while in a film."""
     return synthetic.script.events and i == synthetic.script.cells - 1
-
-
-def wrapped(angle, turn):
-    """An angle within half a turn of 0, which is pi for an axis."""
-    return (angle + turn / 2) % turn - turn / 2
 
 
 def together(places, i):

@@ -31,6 +31,7 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 )
 from tetractl_microscope.organisms import TETRAHYMENA, named
 
+from tetractl.core.poses import wrap
 from tetractl.core.setup import Bounds
 from tetractl.model.swimmers import Swimmers, bodies
 
@@ -65,18 +66,14 @@ def followed(seed, field_known=True, seconds=6.0, cells=8):
     return synthetic, bank, rows
 
 
-def wrapped(angle):
-    return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
 @pytest.mark.parametrize("field_known", [True, False])
 def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(field_known):
     off = []
     sway = []
     for seed in range(3):
         synthetic, bank, rows = followed(seed, field_known)
-        off.append(wrapped(bank.mean[rows, HEADING] - synthetic.heading[-1]))
-        sway.append(wrapped(synthetic.body[..., 2] - synthetic.heading).std())
+        off.append(wrap(bank.mean[rows, HEADING] - synthetic.heading[-1]))
+        sway.append(wrap(synthetic.body[..., 2] - synthetic.heading).std())
     assert np.mean(sway) > 0.15
     assert np.sqrt(np.mean(np.square(off))) < (0.05 if field_known else 0.12)
 
@@ -101,7 +98,7 @@ def test_a_heading_that_was_the_wrong_way_round_is_turned():
         if k % 3 == 0:
             bank.loosen([row])
         bank.update(rows, np.array([[10.0 * k, 0.0, 0.0]]), np.array([[1.0, 1.0, 0.05]]))
-    assert abs(wrapped(bank.mean[row, HEADING])) < 0.3
+    assert abs(wrap(bank.mean[row, HEADING])) < 0.3
     assert bank.mean[row, SPEED] > 200
 
 

@@ -52,6 +52,7 @@ def part(kind):
     )
 
 
+@cache
 def lab_spec(*sets: str) -> LoadedSpec:
     dead_time = load_spec(LAB).experiment.controller.dead_time
     return load_spec(LAB, [f"controller={{{PLAIN}, dead_time: {dead_time}}}", *sets])

@@ -5,8 +5,9 @@ sets while it lasts is the server's `Trouble` or `ServerClock`, one robot's `Tra
 `View` of all. Lengths are in mm, angles in rad, times in s; displacements are complex, x + iy.
 
 When a fault ends, all is as it would be without it: after `clock_rate`, too, the server's clock
-is right again, so it jumps back by what it has gained. Faults of the clock, of the whole picture
-and of a body's reported pose add up; of others that set the same attribute, the newest holds.
+is right again, so it jumps back by what it has gained. Only a picture that crept stays where it
+is, as when a tripod stops slipping. Faults of the clock, of the whole picture and of a body's
+reported pose add up; of others that set the same attribute, the newest holds.
 """
 
 import math
@@ -229,11 +230,11 @@ def _run_clock(fault: Any, device: Any) -> Undo:
 
 
 def _change_picture(fault: Any, device: Any) -> Undo:
-    """Change the picture at once, or let it creep from now on, in place of how it crept before."""
+    """Change the picture at once, or let it creep from now on; what it has crept remains."""
     view: View = device.view
     change = PictureChange(_displacement(fault), fault.scale, fault.turn)
     if fault.creeps:
-        return setting(view, creeps=change)
+        return adding(view.creeping, change)
     view.change(change)
     return lambda: view.change_back(change)
 
@@ -301,7 +302,7 @@ FAULTS = (
     fault_kind(
         "picture",
         "The whole picture is displaced [mm], grown by a factor and turned [rad], by so much in "
-        "each frame if it creeps.",
+        "each frame if it creeps; what it has crept remains.",
         _change_picture,
         EXPOSED,
         fields={

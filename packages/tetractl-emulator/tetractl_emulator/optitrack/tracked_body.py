@@ -32,7 +32,8 @@ class View:
     `origin` [mm] and `rotation` [rad].
 
     Faults set the other fields: the picture is turned about the origin by `turned` [rad], `grown`
-    by a factor and displaced by `shift` [mm]; it changes by `creeps` at each exposure.
+    by a factor and displaced by `shift` [mm]; it changes by all of `creeping` at each exposure, and
+    stays where that has brought it, as a camera does whose tripod has slipped.
     """
 
     up: UpAxis = UpAxis.Y
@@ -41,11 +42,12 @@ class View:
     shift: complex = 0j
     grown: float = 1.0
     turned: float = 0.0
-    creeps: PictureChange = PictureChange()
+    creeping: list[PictureChange] = field(default_factory=list)
 
     def creep(self) -> None:
         """Let the picture change as it does from one exposure to the next."""
-        self.change(self.creeps)
+        for change in self.creeping:
+            self.change(change)
 
     def change(self, change: PictureChange) -> None:
         """Change the picture."""

@@ -250,6 +250,23 @@ def test_a_change_of_the_picture_takes_only_itself_back(tmp_path):
     assert view.turned == 0.25
 
 
+def test_a_picture_creeps_by_all_changes_and_stays_where_they_brought_it(tmp_path):
+    """Regression: a change that crept took the place of the one that crept before, though the table
+    says that changes of the picture add up."""
+    sliding = faulty_lab(tmp_path, "{fault: picture, by: [3, 0], creeps: true}")
+    turning = type(sliding.fault)(fault="picture", turn=0.25, creeps=True)
+    view = sliding.lab.camera.view
+    end_sliding = sliding.begin()
+    end_turning = turning.begin(sliding.device)
+    view.creep()
+    end_sliding()
+    view.creep()
+    end_turning()
+    view.creep()
+    assert view.shift == 3
+    assert view.turned == 2 * 0.25
+
+
 def body_at_origin():
     """What the cameras track of a robot at the origin that looks along x."""
     robot = SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0)

@@ -8,9 +8,9 @@ over), the line's slope has the standard error
 
 and a robot stands still if the slope is at most STILL, or what noise makes of it with a probability
 of DOUBT: q s, with q = 4 for many poses and more for few (Student's distribution). While q s is
-more than STILL, as with a slow or coarse camera, the line is fitted to a time twice and four times
-as long. A jump would pass for noise: of a robot at rest the first and the last pose of the last
-REST_NS differ by JUMP_MM at most.
+more than STILL, as with a slow or coarse camera, nothing is said, and the line is fitted to a time
+twice and four times as long. A jump would pass for noise: of a robot at rest the first and the last
+pose of the last REST_NS differ by JUMP_MM at most.
 """
 
 import math
@@ -132,6 +132,8 @@ def _at_rest(
     rows = _rows(window, i, rig.mm)
     if not len(rows) or -rows[-1, 0] > UNTRACKED_STOP_S:
         return RestFinding(f"{rig.not_tracked(i)}, so it is not seen to stand")
+    slope = np.zeros(3)
+    limit = STILL
     for times in longer:
         span_s = REST_NS / SECOND * times
         part = rows[rows[:, 0] >= -span_s]
@@ -139,10 +141,11 @@ def _at_rest(
             return RestFinding(f"{name} has not been watched long enough")
         slope, error = _line(part)
         noise = stdtrit(len(part) - 2, 1 - DOUBT) * error
-        if np.any(abs(slope) > np.maximum(STILL, noise)):
-            return RestFinding(f"{name} still moves ({_rates(slope)})", slope)
+        limit = np.maximum(STILL, noise)
         if np.all(noise <= STILL):
             break
+    if np.any(abs(slope) > limit):
+        return RestFinding(f"{name} still moves ({_rates(slope)})", slope)
     return STANDS_STILL
 
 

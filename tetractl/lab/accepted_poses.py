@@ -20,8 +20,9 @@ FASTER = 2.0
 """Multiple of a robot's speed and turning limits above which its pose jumped."""
 REMEMBERED_NS = SECOND
 """Largest age of the accepted poses with which a new one is compared."""
-JUMP_SPACING_NS = SECOND // 10
-"""Least time between two of these."""
+JUMP_SPACING_NS = SECOND // 50
+"""Least time between two of these: FASTER times a robot's way in it is what a pose may jump by in
+addition, because up to so much time lies between a pose that is remembered and one that is not."""
 JUMPED = "its pose jumped"
 
 
@@ -101,12 +102,14 @@ class AcceptedPoses:
         if self.last is None:
             return False
         limits = self.limits
+        fastest = FASTER * limits.speed
+        fastest_turning = FASTER * limits.turning
         for earlier in (*self._remembered, TimedPose(self.last_ns, self.last)):
             dt_s = (exposed_ns - earlier.exposed_ns) / SECOND
             distance = math.hypot(pose.x - earlier.pose.x, pose.y - earlier.pose.y)
-            angle = abs(math.remainder(pose.heading - earlier.pose.heading, math.tau))
-            if distance > FASTER * limits.speed * dt_s + limits.jump:
+            if distance > fastest * dt_s + limits.jump:
                 return True
-            if angle > FASTER * limits.turning * dt_s + limits.jump_heading:
+            angle = abs(math.remainder(pose.heading - earlier.pose.heading, math.tau))
+            if angle > fastest_turning * dt_s + limits.jump_heading:
                 return True
         return False

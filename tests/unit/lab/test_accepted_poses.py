@@ -38,3 +38,23 @@ def test_the_allowance_is_given_once_in_a_second():
         if not poses.fault(pose, now_ns, driving=True):
             poses.accept(pose, now_ns)
     assert poses.last.x <= 200.0 * 0.8 + 30.0
+
+
+def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
+    """Regression: poses 0.1 s apart were remembered, in which a creeping pose went 20 mm further.
+
+    Poses come every 1/120 s and are true for 0.49 s; then each is 10 mm from the last.
+    """
+    poses = AcceptedPoses(LIMITS)
+    since_ns = 49 * SECOND // 100
+    x_mm = 0.0
+    for k in range(120):
+        now_ns = k * SECOND // 120
+        x_mm += 10.0 if now_ns > since_ns else 0.0
+        pose = Pose(x_mm, 0.0, 0.0)
+        if poses.fault(pose, now_ns, driving=True):
+            break
+        poses.accept(pose, now_ns)
+    spacing_s = 0.02
+    creeps_s = (poses.last_ns - since_ns) / SECOND
+    assert poses.last.x <= 200.0 * (creeps_s + spacing_s) + 30.0

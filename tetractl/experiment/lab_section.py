@@ -162,7 +162,8 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts after this time without a new frame [s]."""
     untracked_abort: Positive = 0.3
-    """The run aborts if a robot was not tracked for this time [s]."""
+    """A robot that was not tracked for this time [s] is lost, and the run aborts unless `on_lost`
+    says otherwise."""
     identity: Positive = 3.0
     """The run aborts if cells have met and the camera cannot distinguish them for this time [s];
     only with cameras that report identities.

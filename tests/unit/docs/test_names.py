@@ -109,9 +109,13 @@ def test_packages_are_listed_in_the_order_of_imports():
 
 
 def test_the_page_for_contributors_is_read_in_ten_minutes():
-    """At 180 words a minute; each word of the house is defined in at most thirty."""
+    """At 180 words a minute; each word of the house is defined in at most thirty.
+
+    The bars of a table are no words.
+    """
     text = (ROOT / "CONTRIBUTING.md").read_text()
-    assert len(text.split()) <= 1800
+    words = [word for word in text.split() if re.search(r"\w", word)]
+    assert len(words) <= 1800
     rows = re.findall(r"^\| .+ \| (.+) \|$", text.partition("## Words of this house")[2], re.M)
     assert len(rows) > 20
     assert max(len(row.split()) for row in rows) <= 30

@@ -35,8 +35,7 @@ def batch_rows(group: BatchStatistics) -> list[BatchRow]:
         *_plant(group),
         _usual("valid trials", f"{group.counted} of {len(group.batch.trials)}"),
         _tail(group),
-        *_published(group),
-        *(_scaled(group.scaled) if group.scaled else ()),
+        *(_with_others(group) if group.counted else ()),
         *_statistics(group),
         _count("earlier attempts, excluded", group.attempts),
         _count("logs that cannot be read", len(group.batch.lost)),
@@ -80,9 +79,12 @@ def _tail(group: BatchStatistics) -> BatchRow:
     return BatchRow(tail.label, text, tail.above > 0 and not tiny, text)
 
 
-def _published(group: BatchStatistics) -> Iterator[BatchRow]:
+def _with_others(group: BatchStatistics) -> Iterator[BatchRow]:
+    """Yield how the errors compare with those published and of robots of another kind."""
     if group.from_published is not None:
         yield _usual(PUBLISHED, published_text(group.from_published, group))
+    if group.scaled is not None:
+        yield from _scaled(group.scaled)
 
 
 def published_text(difference: MeanDifference, group: BatchStatistics) -> str:

@@ -62,9 +62,9 @@ def summary(comparison: BatchComparison) -> list[Table]:
 
 
 def _from_published(group: BatchStatistics) -> Iterator[str]:
-    """Yield the line on the difference from the published result, if there is one."""
+    """Yield the line on the difference from the published result, if both are known."""
     difference = group.from_published
-    if difference is not None and group.origin.comparable:
+    if difference is not None and group.origin.comparable and group.counted:
         yield f"{PUBLISHED}: {published_text(difference, group)}"
 
 

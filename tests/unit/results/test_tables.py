@@ -249,6 +249,15 @@ def test_the_table_of_an_undisturbed_simulation_compares_with_nothing_published(
     assert value_of("difference from published", undisturbed) == "- (not real robots)"
 
 
+@pytest.mark.parametrize("layout", [summary, tables])
+def test_a_batch_without_a_valid_trial_is_compared_with_nothing(layout):
+    """Regression: after Ctrl-C in the first trial, the difference was "- mm (Welch's t)"."""
+    text = printed(described(outcome=Outcome.INTERRUPTED), layout=layout)
+    assert "0 of 20 trials valid" in text
+    assert "difference" not in text
+    assert "scaled" not in text
+
+
 def test_the_table_of_a_disturbed_simulation_says_that_disturbances_are_assumed():
     assert "assumed in the spec, not measured" in printed(described())
     assert value_of("difference from published", described()).endswith("(Welch's t)")

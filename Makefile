@@ -18,6 +18,7 @@ $(RUNTIME): pyproject.toml constraints.txt
 	@touch $(RUNTIME)
 
 $(STAMP): $(RUNTIME) $(PACKAGES:%=%/pyproject.toml)
+	@echo "Installing what the tests need into .venv"
 	@$(PIP) -e '.[dev]' $(PACKAGES:%=-e %)
 	@touch $(STAMP)
 
@@ -61,6 +62,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP)
+	@echo "Collecting tests, which prints nothing at first; with them, about 4 minutes on two cores"
 	$(PYTEST) -m "not long and not system"
 
 # What needs neither other processes nor much time: for work on the code.

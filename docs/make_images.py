@@ -30,7 +30,7 @@ from tetractl.run.spec_trial import run_trial  # noqa: E402
 from tetractl.view.terminal.dashboard import Dashboard, Footer  # noqa: E402
 from tetractl.view.video import write_video  # noqa: E402
 
-FOLDERS = ("reference", "swarm", "ours", "paper")
+FOLDERS = ("published", "ours", "paper")
 VIDEO_WIDTH = 640
 THIN, COLORS = 5, 48
 """Of the video, the pictures between those that are kept, and its colours: a sixth of the bytes.
@@ -49,10 +49,9 @@ def main() -> None:
     """Run the experiments and make every picture."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:  # Chromium lingers
         folder = Path(name)
-        reference, swarm, bench, paper = (folder / part for part in FOLDERS)
+        published, bench, paper = (folder / part for part in FOLDERS)
         for spec, out, trials in (
-            ("three_m3pi", reference, 1),
-            ("three_m3pi_paper", swarm, 1),
+            ("three_m3pi_paper", published, 1),
             ("three_m3pi_bench", bench, 20),
             ("three_m3pi_paper_bench", paper, 20),
         ):
@@ -60,8 +59,8 @@ def main() -> None:
             tetractl("run", path, "--set", f"trials.count={trials}", "--out", out, "--quiet")
         first = "trial-000.mcap"
         for log, kind, image in (
-            (reference / first, "trajectory", "figure-5.png"),
-            (swarm / first, "swarm", "figure-2.png"),
+            (published / first, "trajectory", "figure-5.png"),
+            (published / first, "swarm", "figure-2.png"),
             (bench, "errors", "errors.png"),
             (bench, "batch", "batch.png"),
         ):

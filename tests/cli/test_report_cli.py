@@ -86,6 +86,7 @@ def test_the_interval_of_the_mean_is_that_of_stats_digit_for_digit(folder):
     assert f">{interval[0]}<" in row and f">{total.split()[1]}<" in row
 
 
+@pytest.mark.long
 def test_the_same_logs_give_the_same_page(folder):
     assert tetractl(folder, "report", "logs", "-o", "again.html").returncode == 0
     assert (folder / "again.html").read_text() == (folder / "report.html").read_text()

@@ -232,6 +232,7 @@ def test_an_error_of_the_disk_is_one_line_and_a_failure(tmp_path):
     assert (done.returncode, done.stderr) == (1, "error: logs: No space left on device\n")
 
 
+@pytest.mark.long
 def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path):
     """`report` takes what `stats` takes; a log that cannot be read is named with its cause."""
     inside = sorted(f"out/{path.name}" for path in (folder / "out").iterdir())

@@ -102,6 +102,7 @@ def test_tests_of_the_core_need_no_package():
     assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_core_imports_whole_without_the_packages_and_opencv():
     code, said = python(ALL)

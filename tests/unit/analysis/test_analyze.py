@@ -91,6 +91,7 @@ def test_where_no_plan_reaches_any_change_that_has_one_is_better():
     assert best_change([IMPOSSIBLE], np.nan) is None
 
 
+@pytest.mark.long
 def test_alike_robots_are_found_and_a_better_a_is_advised():
     analysis = analysis_of(a=(6, 3.1, 3))
     assert analysis.looked

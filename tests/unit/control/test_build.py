@@ -41,6 +41,7 @@ print(late)
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["three_m3pi", "three_m3pi_paper"])
 def test_warming_up_leaves_nothing_to_compile(name):
     done = subprocess.run(

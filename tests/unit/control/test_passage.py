@@ -92,6 +92,7 @@ def test_there_is_no_way_through_a_wall():
     assert not nearest or (predict(problem, nearest[0])[..., 0] < 1300).all()
 
 
+@pytest.mark.long
 def test_three_robots_pass_a_gap_one_after_the_other_to_their_targets(tmp_path):
     spec = walled(260)
     result = run_trial(LoadedSpec(spec, "", ""), tmp_path)

@@ -10,7 +10,7 @@ from tetractl.api import read_batch, read_log, run_batch, to_arrays
 from tetractl.experiment.load import load_spec
 from tetractl.results.disc import DISC, discs
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]  # the trials of its fixture
 HOLD_S = 7
 START_LEFT_OUT_S = 5  # of each hold
 CAMERA_HZ = 30

@@ -33,6 +33,7 @@ SILENT = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", SILENT)

@@ -32,7 +32,10 @@ plant: {{type: sim, camera_rate: 30, heading_noise: 0.05}}
 """
 
 
-@pytest.mark.parametrize(("wheels", "least"), [("", 0.9), ("wheels: {radius: 40}", 0.99)])
+@pytest.mark.parametrize(
+    ("wheels", "least"),
+    [pytest.param("", 0.9, marks=pytest.mark.long), ("wheels: {radius: 40}", 0.99)],
+)
 def test_robots_pass_way_points_and_stay_circling_or_standing(wheels, least, tmp_path):
     spec = parse_spec(ONE + wheels, "one.yaml")
     result = run_trial(spec, tmp_path)

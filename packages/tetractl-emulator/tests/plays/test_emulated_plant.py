@@ -116,6 +116,7 @@ def test_what_cannot_be_emulated_is_one_line(tmp_path):
     assert "hint: pip install ./packages/tetractl-microscope" in done.stderr
 
 
+@pytest.mark.long
 @needs_compiler
 def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
     pytest.importorskip("cv2")

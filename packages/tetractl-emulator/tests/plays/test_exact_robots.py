@@ -31,6 +31,7 @@ def driven(folder, *sets):
     return result, [step.plan.state for step in read_trial(log_path(folder, 0)).steps]
 
 
+@pytest.mark.long
 def test_a_trial_ends_at_the_first_rest_on_the_targets(tmp_path):
     result, states = driven(tmp_path, "controller.time_limit=48.2")
     assert (result.outcome, result.reason) == (Outcome.NO_BETTER_PLAN, "")
@@ -38,6 +39,7 @@ def test_a_trial_ends_at_the_first_rest_on_the_targets(tmp_path):
     assert states.index(State.RESTING) == len(states) - 1
 
 
+@pytest.mark.long
 def test_a_trial_goes_on_after_a_turn_on_the_spot(tmp_path):
     """Regression: its guard ended it, and its log would not have verified."""
     before_an_obstacle = "robots.1.start=[1146, 1200]"

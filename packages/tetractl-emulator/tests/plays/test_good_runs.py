@@ -35,6 +35,7 @@ emulation:
 """
 
 
+@pytest.mark.long
 def test_robots_that_follow_quick_turns_late_are_not_taken_for_one_another(tmp_path):
     """Regression: commands that explain nothing of how a robot turned fitted it better than its
     own, so that two robots seemed swapped."""
@@ -54,6 +55,7 @@ emulation:
 """
 
 
+@pytest.mark.long
 def test_a_small_tag_that_is_flat_is_not_taken_for_a_tilted_one(tmp_path):
     """Regression: a tilt of 1.15 rad fitted its 18 pixels better by 0.101 px."""
     tetractl(tmp_path, "init", "tags", "--lab", "--camera", "apriltag", "--robots", "twist").ok()

@@ -167,6 +167,7 @@ def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_p
     assert emulated.events("run") == []
 
 
+@pytest.mark.long
 def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
     settings = lab(UNEVEN, replace_after=4).settings
     tetractl(

@@ -189,6 +189,7 @@ def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkey
     assert again.stdout.endswith("1 day, 1 violation\n")
 
 
+@pytest.mark.long
 def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [], ""))
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)

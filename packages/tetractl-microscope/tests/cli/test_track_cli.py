@@ -158,6 +158,7 @@ def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):
     assert table.y.to_numpy() == pytest.approx(383.5 - poses.y_um.to_numpy() / 2.3)
 
 
+@pytest.mark.long
 def test_speeds_have_intervals_in_json_unless_the_scale_is_guessed(dish):
     done = tetractl(dish, "track", "dish.avi", "--scale", UM_PX, "--json").ok()
     printed = json.loads(done.stdout)

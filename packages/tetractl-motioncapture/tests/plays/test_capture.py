@@ -37,6 +37,7 @@ def test_a_process_that_ends_before_the_robots_move_is_named(folder):
     assert done.returncode == 1 and "the camera is gone" in done.stderr
 
 
+@pytest.mark.long
 def test_a_rehearsed_day_of_slow_frames_knows_which_exposure_a_frame_shows(folder):
     """Frames have no number: those that did not come must not be counted (day 13 of this seed)."""
     day = ("--first", "13", "--days", "1", "--seed", "20261128")

@@ -45,6 +45,7 @@ def test_a_set_that_misses_the_slope_is_marked():
     assert missed.verdict is Fate.MISSED
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_film_gives_the_slope_put_in(monkeypatch):
     monkeypatch.setattr(pichel_2018, "STRENGTHS_MT", (6.0,))

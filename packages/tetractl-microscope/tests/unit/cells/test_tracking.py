@@ -92,6 +92,7 @@ def test_a_knock_moves_all_places_of_a_track():
     assert speck.path == moved_path
 
 
+@pytest.mark.long
 def test_numbers_are_kept_through_crossings():
     synthetic = film(seed=12, side=512, cells=4, seconds=4.0)
     score = Score().add(synthetic, followed(synthetic))

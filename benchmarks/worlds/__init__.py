@@ -405,6 +405,9 @@ WORLDS = {
     "cells-pause": _cells({"type": "sticking", "every": 6, "duration": 1}),
     "cells-avoid": World((), (("avoid", 10.0),), base=CELLS),
     "cells-shear": World((), (("shear", 0.01),), base=CELLS),
+    "cells-later": World((), (("later", 0.15),), base=CELLS),
+    "cells-sides": World((), (("sides", 0.2),), base=CELLS),
+    "cells-saturated": World((), (("saturated", 1.5),), base=CELLS),
     "cells-light": World((), (("light", 0.2),), base=CELLS),
 }
 """Each world by its name."""

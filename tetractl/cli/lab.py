@@ -42,7 +42,7 @@ def check(
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
     from tetractl.lab.preflight import look_over
-    from tetractl.run.model_news import stated_delay
+    from tetractl.run.model_news import stated_model
     from tetractl.view.terminal.findings import preflight_items, print_findings
 
     experiment = _experiment_on(spec, sets, plant)
@@ -54,7 +54,7 @@ def check(
     if as_json:
         print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:
-        print_findings(preflight, stated_delay(experiment).has_latency)
+        print_findings(preflight, stated_model(experiment).has_latency)
     if not preflight.ready:
         return Exit.FAILED
     return Exit.DONE if yes or _agreed(preflight.questions) else Exit.FAILED

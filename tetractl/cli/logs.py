@@ -145,6 +145,9 @@ def _estimate(log: "Overview") -> dict[str, str]:
     unfit = estimate.unfit(names)
     if unfit:
         lines["the model does not fit"] = ", ".join(sorted(unfit))
+    strays = estimate.strays(names)
+    if strays:
+        lines["not as predicted, which says nothing of a"] = ", ".join(sorted(strays))
     return lines
 
 

@@ -156,6 +156,9 @@ class Search:
 
 INNOVATIONS = "along-track motion", "cross-track motion", "heading"
 """What the columns of `Estimate.misfit` are about."""
+OF_TURNING = INNOVATIONS[2:]
+OF_PLACES = INNOVATIONS[:2]
+"""Those that a turning rate determines, and the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,11 +200,28 @@ class Estimate:
         ]
 
     def unfit(self, names: Sequence[str]) -> set[str]:
-        """Return what the model does not fit, such as "heading of red"."""
+        """Return what the model of turning does not fit, such as "heading of red": its a may be
+        wrong by more than its deviation."""
+        return self._unexplained(names, OF_TURNING)
+
+    def strays(self, names: Sequence[str]) -> set[str]:
+        """Return which motion of places is not explained, such as "cross-track motion of red":
+        deviations have grown by it, and a holds within its own (docs/decisions/filter.md)."""
+        return self._unexplained(names, OF_PLACES)
+
+    def _unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
+        """Return what the model does not explain, of some of INNOVATIONS."""
         if self.misfit is None:
             return set()
-        which = zip(*(indices.tolist() for indices in np.nonzero(self.misfit > 1)), strict=True)
-        return {f"{INNOVATIONS[j]} of {names[i]}" for i, j in which}
+        unexplained: set[str] = set()
+        for part in parts:
+            of_robots = self.misfit[:, INNOVATIONS.index(part)].tolist()
+            unexplained |= {
+                f"{part} of {name}"
+                for name, misfit in zip(names, of_robots, strict=True)
+                if misfit > 1
+            }
+        return unexplained
 
     def only(self, chosen: Bools) -> "Estimate":
         """Return the estimates of the robots for which `chosen` (N,) is true."""

@@ -96,9 +96,11 @@ class KeepsClear(Protocol):
 
 
 class KnownNoise(Protocol):
-    """The stated deviation of a measured position [length unit], 0 if unknown."""
+    """The stated deviations of a measured position [length unit] and heading [rad], 0 if
+    unknown."""
 
     position_noise: float
+    heading_noise: float
 
 
 @runtime_checkable

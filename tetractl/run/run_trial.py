@@ -88,7 +88,7 @@ from tetractl.core.tour import TourMeasure, told_dead
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.model_news import ModelNews, StatedDelay
+from tetractl.run.model_news import ModelNews, StatedModel
 from tetractl.run.trial_limits import directions
 
 AT_ONCE = "stopped at once by a second interruption"
@@ -140,7 +140,7 @@ class Trial:
     clock: Clock
     observers: Sequence[Observer]
     interrupt: Interrupt
-    delay: StatedDelay | None = None
+    stated: StatedModel | None = None
 
     def run(self) -> Result:
         """Run the trial by the decisions of its controller, and return its result.
@@ -315,7 +315,7 @@ class TrialCourse:
         self._pacing = StepPacing(trial.clock, setup.period_s)
         self._frames = FrameIntake(trial.plant)
         self._measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
-        self._model = ModelNews(trial.delay)
+        self._model = ModelNews(trial.stated)
         self._counts = StepCounts()
         self._motion = RobotMotion.NOT_BEGUN
         self._dead = 0  # number of robots that do not move while others drive

@@ -33,7 +33,7 @@ from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.model_news import stated_delay
+from tetractl.run.model_news import stated_model
 from tetractl.run.run_trial import Trial, abandon
 
 QUEUED_CALLS_MAX = 2000
@@ -130,7 +130,7 @@ def run_observed(
                 clock=clock,
                 observers=[*writers, *calls],
                 interrupt=interrupt,
-                delay=stated_delay(full_spec.experiment),
+                stated=stated_model(full_spec.experiment),
             )
         except BaseException:
             # a plant whose cells are chosen among more is open already: its field turns, for them

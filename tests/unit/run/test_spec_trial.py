@@ -20,7 +20,7 @@ class OpenPlant:
         self.calls.append("close")
 
 
-@pytest.mark.parametrize("part", ["build_controller", "start_of", "stated_delay", "Trial"])
+@pytest.mark.parametrize("part", ["build_controller", "start_of", "stated_model", "Trial"])
 def test_robots_stop_and_the_plant_closes_if_a_part_of_the_trial_cannot_be_built(
     part, monkeypatch, tmp_path
 ):

@@ -32,7 +32,7 @@ def check_lab(lab: LabSection, setup: Setup) -> Iterator[Finding]:
         return np.array(bodies)
 
     def hide(name: str) -> None:
-        camera.tracked_body(name).tracked = False
+        camera.tracked_body(name).tracking.tracked = False
 
     def moves() -> list[bool]:
         return [not body.standing for body in actuator.bodies]

@@ -22,7 +22,7 @@ from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.pose_camera import PoseCamera, world
 from tetractl_emulator.optitrack.scripted import FAULTS
-from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
+from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
 from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
 from tetractl_emulator.sides import Body, Facts, Stage
 
@@ -95,11 +95,8 @@ class PoseStream(PoseCamera):
         assert isinstance(section, Addressed), NEEDS
         self.section = section
         chance = random.Random(stage.options.seed)
-        noise = (settings.noise_mm, settings.noise_rad)
-        tracked = [
-            TrackedBody(body, i, body.name, noise=noise, random=chance)
-            for i, body in enumerate(bodies)
-        ]
+        noise = PoseNoise(settings.noise_mm, settings.noise_rad, chance)
+        tracked = [TrackedBody(body, Asset(i, body.name), noise) for i, body in enumerate(bodies)]
         rate = settings.rate or section.sight.rate_hz or RATE_HZ
         latency = section.latency if settings.latency is None else settings.latency
         super().__init__(stage, tracked, rate, latency, View(UpAxis.Z))

@@ -54,7 +54,7 @@ class EmulatedMotionCapture(PoseStream):
         robots = [entry(section.robots, body.name) for body in bodies]
         self._names = [str(robot.body) for robot in robots]
         for body, robot in zip(self.tracked, robots, strict=True):
-            body.offset = robot.heading_offset
+            body.asset.offset = robot.heading_offset
 
     def packed(self, shot: Shot) -> bytes:
         """Return a frame's line; bodies that are not tracked are left out."""

@@ -77,11 +77,11 @@ class Ghost:
             ghost_poses = self._show(true_poses)
             bodies = self.lab.emulation.camera.tracked
             for body, true, ghost in zip(bodies, true_poses, ghost_poses, strict=True):
-                body.shift = complex(ghost.x - true.x, ghost.y - true.y)
-                body.turned = ghost.heading - true.heading
+                body.displacement.shift = complex(ghost.x - true.x, ghost.y - true.y)
+                body.displacement.turned = ghost.heading - true.heading
             if self.kind == "frozen":
                 for i in self._shown:
-                    bodies[i].repeats = True
+                    bodies[i].tracking.repeats = True
             return expose()
 
         return exposed

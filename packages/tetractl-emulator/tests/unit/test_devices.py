@@ -26,7 +26,7 @@ def optitrack(folder):
     with virtual_lab(folder) as lab:
 
         def hide(name):
-            lab.emulation.camera.tracked_body(name).tracked = False
+            lab.emulation.camera.tracked_body(name).tracking.tracked = False
 
         scene = SeenRobots(lab.clock, poses(lab.emulation), hide)
         yield lab.spec.experiment.plant.camera, lab.spec.experiment.setup, scene

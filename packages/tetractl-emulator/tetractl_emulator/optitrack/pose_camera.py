@@ -70,7 +70,7 @@ class PoseCamera(ABC):
     def hide(self, hidden: bool) -> None:
         """If `hidden`, track no body; otherwise track all bodies again."""
         for body in self.tracked:
-            body.tracked = not hidden
+            body.tracking.tracked = not hidden
 
     def tracked_body(self, name: str) -> TrackedBody:
         """Return the rigid body of the robot with this name."""
@@ -132,7 +132,7 @@ class PoseCamera(ABC):
         """Remember when each robot was last shown as tracked."""
         shown_ids = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
         for i, body in enumerate(self.tracked):
-            if body.id in shown_ids:
+            if body.asset.number in shown_ids:
                 self.shown_ns[i] = max(self.shown_ns[i], exposed_ns)
 
     def _expose(self) -> tuple[RigidBody, ...]:
@@ -144,7 +144,7 @@ class PoseCamera(ABC):
             second = bodies[j]
             bodies[i] = replace(second, id=first.id)
             bodies[j] = replace(first, id=second.id)
-        streamed = {body.id for body in self.tracked if body.streamed}
+        streamed = {body.asset.number for body in self.tracked if body.asset.streamed}
         return tuple(body for body in bodies if body.id in streamed)
 
 

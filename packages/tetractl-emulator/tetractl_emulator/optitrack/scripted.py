@@ -176,10 +176,15 @@ def _server_fault(
 
 
 def _body_fault(
-    name: str, about: str, sets: Mapping[str, object], fields: Mapping[str, Any] = NO_FIELDS
+    name: str,
+    about: str,
+    part: Callable[[TrackedBody], object],
+    sets: Mapping[str, object],
+    fields: Mapping[str, Any] = NO_FIELDS,
 ) -> type[Fault]:
-    """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
-    return fault_kind(name, about, settings(_body, **sets), EXPOSED, {"robot": Name, **fields})
+    """Return a kind of fault of one robot's rigid body, which sets attributes of a part of it."""
+    begin = settings(lambda fault, device: part(_body(fault, device)), **sets)
+    return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields})
 
 
 def _pose_fault(
@@ -208,7 +213,7 @@ def _displacement(fault: Any) -> complex:
 
 def _repeat_poses(fault: Any, device: Any) -> Undo:
     bodies = device.tracked if fault.robot is None else [_body(fault, device)]
-    return together([setting(body, repeats=True) for body in bodies])
+    return together([setting(body.tracking, repeats=True) for body in bodies])
 
 
 def _swap_bodies(fault: Any, device: Any) -> Undo:
@@ -216,8 +221,8 @@ def _swap_bodies(fault: Any, device: Any) -> Undo:
 
 
 def _twin_ids(fault: Any, device: Any) -> Undo:
-    second = device.tracked_body(fault.other)
-    return setting(_body(fault, device), id=second.id)
+    other = device.tracked_body(fault.other)
+    return setting(_body(fault, device).asset, number=other.asset.number)
 
 
 def _set_clock(fault: Any, device: Any) -> Undo:
@@ -238,6 +243,10 @@ def _change_picture(fault: Any, device: Any) -> Undo:
     view.change(change)
     return lambda: view.change_back(change)
 
+
+# parts of a `TrackedBody`
+TRACKING = attrgetter("tracking")
+DISPLACEMENT = attrgetter("displacement")
 
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
 Axes = Literal["floor", "robot"]
@@ -314,17 +323,22 @@ FAULTS = (
     ),
     # of one body
     _body_fault(
-        "untracked", "A body is not tracked; its last pose is repeated.", {"tracked": False}
+        "untracked",
+        "A body is not tracked; its last pose is repeated.",
+        TRACKING,
+        sets={"tracked": False},
     ),
     _body_fault(
         "half_tracked",
         "A body is not tracked in this fraction of the frames.",
+        TRACKING,
         sets={"missing": attrgetter("share")},
         fields={"share": Share},
     ),
     _body_fault(
         "jump",
         "A body's pose jumps by this distance [mm].",
+        DISPLACEMENT,
         sets={"shift": _displacement},
         fields={"by": Point},
     ),
@@ -332,6 +346,7 @@ FAULTS = (
         "ghost",
         "A body's pose moves away from its robot: by this distance [mm] and angle [rad] in each "
         "frame, along the spec's axes or along and left of the robot's heading.",
+        DISPLACEMENT,
         sets={
             "step": _displacement,
             "own": lambda fault: fault.axes == "robot",
@@ -345,12 +360,14 @@ FAULTS = (
         "slip",
         "A robot's marker plate slips by this distance along and left of its heading [mm], and "
         "turns by an angle [rad].",
-        sets={"plate": _displacement, "plate_turned": attrgetter("turn")},
+        attrgetter("plate"),
+        sets={"slip": _displacement, "turned": attrgetter("turn")},
         fields={"by": Point, "turn": (Finite, 0.0)},
     ),
     _body_fault(
         "lifted",
         "A body is seen at this height above the floor [mm].",
+        DISPLACEMENT,
         sets={"height": attrgetter("height")},
         fields={"height": Finite},
     ),

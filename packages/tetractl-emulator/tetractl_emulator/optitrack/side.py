@@ -31,7 +31,7 @@ from tetractl_emulator.optitrack.scripted import (
     ServerClock,
     TrueBody,
 )
-from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
+from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
 from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
 from tetractl_emulator.sides import Body, Facts, Stage
 
@@ -70,7 +70,7 @@ class EmulatedOptitrack(PoseCamera):
         options = stage.options
         assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
         tracked = _tracked(section, settings, bodies, random.Random(options.seed))
-        self.names = tuple((body.body_name, body.id) for body in tracked)
+        self.names = tuple((body.asset.name, body.asset.number) for body in tracked)
         x, y = section.origin
         up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
         view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
@@ -232,7 +232,7 @@ def _tracked(
     bodies: Sequence[Body],
     chance: random.Random,
 ) -> list[TrackedBody]:
-    noise = settings.noise_mm, settings.noise_rad
+    noise = PoseNoise(settings.noise_mm, settings.noise_rad, chance)
     truths = {robot.name: robot for robot in settings.robots}
     taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}
     free = (number for number in range(1, 1000) if number not in taken)
@@ -244,6 +244,6 @@ def _tracked(
         named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
         offset = truth.heading_offset
         offset = robot.heading_offset if offset is None else offset
-        streamed = truth.streamed
-        tracked.append(TrackedBody(body, number, named, offset, noise, chance, streamed))
+        asset = Asset(number, named, offset, truth.streamed)
+        tracked.append(TrackedBody(body, asset, noise))
     return tracked

@@ -78,29 +78,44 @@ class View:
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
-class TrackedBody:
-    """One robot's rigid body; `offset` is the spec's heading offset [rad].
-
-    `noise` are the standard deviations of a pose [mm, rad]; the noise is drawn from `random`.
-    Faults set the other fields: the body is not tracked, or in a share of frames that is `missing`;
-    not streamed; frozen at its last pose
-    (`repeats`); displaced by `shift` [mm], and by `strayed` [mm], which grows by `step` [mm] per
-    exposure, along the robot's own axes if `own`; turned by `turned` [rad], which grows by `turn`
-    [rad] per exposure;
-    at another `height` [mm]; its plate slipped on the robot by `plate` [mm] along the robot's axes,
-    and turned by `plate_turned` [rad]; or its pose is changed by each of `changes`.
+class Asset:
+    """A body as the motion-capture system lists it: its number and name, its heading in the
+    system's axes less the robot's (`offset` [rad]), and whether its poses are in the stream.
     """
 
-    robot: Body
-    id: int
-    body_name: str
+    number: int
+    name: str
     offset: float = 0.0
-    noise: tuple[float, float] = (0.0, 0.0)
-    random: Random = field(default_factory=lambda: Random(0))
     streamed: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class PoseNoise:
+    """The standard deviations of a pose, and what its errors are drawn from."""
+
+    position_mm: float = 0.0
+    heading_rad: float = 0.0
+    random: Random = field(default_factory=lambda: Random(0))
+
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class BodyTracking:
+    """Whether a body is tracked, but for a share of the frames that is `missing`; while it
+    `repeats`, its pose stays the one seen last.
+    """
+
     tracked: bool = True
     missing: float = 0.0
     repeats: bool = False
+
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class Displacement:
+    """Where a body is seen away from its robot: by `shift` [mm]; by `strayed` [mm], which grows by
+    `step` [mm] per exposure, along the robot's own axes if `own`; turned by `turned` [rad], which
+    grows by `turn` [rad] per exposure; and at this `height` [mm] above the floor.
+    """
+
     shift: complex = 0j
     strayed: complex = 0j
     step: complex = 0j
@@ -108,34 +123,65 @@ class TrackedBody:
     turned: float = 0.0
     turn: float = 0.0
     height: float = 60.0
-    plate: complex = 0j
-    plate_turned: float = 0.0
+
+    def grow(self, robot_axes: complex) -> None:
+        """Let the body stray as it does from one exposure to the next."""
+        self.strayed += self.step * (robot_axes if self.own else 1.0)
+        self.turned += self.turn
+
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class Plate:
+    """How a marker plate has slipped on its robot: by `slip` [mm] along the robot's axes, and
+    turned by `turned` [rad].
+    """
+
+    slip: complex = 0j
+    turned: float = 0.0
+
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class TrackedBody:
+    """One robot's rigid body. Faults set fields of its parts, and add to the `changes`, each of
+    which changes its pose.
+    """
+
+    robot: Body
+    asset: Asset
+    noise: PoseNoise = field(default_factory=PoseNoise)
+    tracking: BodyTracking = field(default_factory=BodyTracking)
+    displacement: Displacement = field(default_factory=Displacement)
+    plate: Plate = field(default_factory=Plate)
     changes: list[Change] = field(default_factory=list)
     last_tracked: RigidBody | None = None  # the body at its last tracked pose
 
     def expose(self, view: View) -> RigidBody:
         """Return the body as the cameras report it now; an untracked body keeps its last pose."""
-        tracked = self.tracked and not (self.missing and self.random.random() < self.missing)
-        if self.last_tracked is None or (tracked and not self.repeats):
-            self._look(view)
-        assert self.last_tracked is not None, "it was exposed"
+        tracked = self._tracked_now()
+        if self.last_tracked is None or (tracked and not self.tracking.repeats):
+            self.last_tracked = self._look(view)
         if not tracked:
             return replace(self.last_tracked, tracking_valid=False)
         return reduce(lambda body, change: change(body), self.changes, self.last_tracked)
 
-    def _look(self, view: View) -> None:
+    def _tracked_now(self) -> bool:
+        if not self.tracking.tracked:
+            return False
+        missing = self.tracking.missing
+        return not missing or self.noise.random.random() >= missing
+
+    def _look(self, view: View) -> RigidBody:
+        """Return the body at its robot's pose, displaced and with noise."""
         robot = self.robot
         robot_axes = cmath.rect(1.0, robot.heading)
-        self.strayed += self.step * (robot_axes if self.own else 1.0)
-        self.turned += self.turn
-        off = self.shift + self.strayed + self.plate * robot_axes
-        turned = self.turned + self.plate_turned - self.offset
-        noise_mm, noise_rad = self.noise
-        draw = self.random.gauss
-        x = robot.x + off.real + draw(0, noise_mm)
-        y = robot.y + off.imag + draw(0, noise_mm)
-        heading = robot.heading + turned + draw(0, noise_rad)
-        self.last_tracked = view.body(self.id, x, y, heading, self.height)
+        self.displacement.grow(robot_axes)
+        off_mm = self.displacement.shift + self.displacement.strayed + self.plate.slip * robot_axes
+        turned_rad = self.displacement.turned + self.plate.turned - self.asset.offset
+        draw = self.noise.random.gauss
+        x = robot.x + off_mm.real + draw(0, self.noise.position_mm)
+        y = robot.y + off_mm.imag + draw(0, self.noise.position_mm)
+        heading = robot.heading + turned_rad + draw(0, self.noise.heading_rad)
+        return view.body(self.asset.number, x, y, heading, self.displacement.height)
 
 
 def nowhere(body: RigidBody) -> RigidBody:

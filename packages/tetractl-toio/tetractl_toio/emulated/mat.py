@@ -47,11 +47,11 @@ class Eye:
 
 
 def _eye(fault: Any, device: Any) -> Eye:
-    return device.eyes[device.names.index(fault.robot)]
+    return device.eyes[fault.robot]
 
 
 def _freeze(_: Any, device: Any) -> Undo:
-    return together([setting(eye, frozen=True) for eye in device.eyes])
+    return together([setting(eye, frozen=True) for eye in device.eyes.values()])
 
 
 SENT = Visible.SENT
@@ -94,8 +94,7 @@ class EmulatedMat:
         self.cubes = [body for body in bodies if isinstance(body, ConnectedCube)]
         if len(self.cubes) != len(bodies):
             raise SpecError("a camera of type toio is emulated with an actuator of type toio only")
-        self.names = stage.setup.names
-        self.eyes = [Eye() for _ in bodies]
+        self.eyes = {cube.name: Eye() for cube in self.cubes}
         self.join = stage.wires.ports
         self.silent = False
         self.shown_ns = [0] * len(bodies)
@@ -103,12 +102,12 @@ class EmulatedMat:
         self._section = section
         self._exposures = 0
         self._every_ns = ns(settings.notify)
-        self._random = Random(stage.options.seed)
 
     def open(self, loop: Loop) -> Facts:
         """Let the cubes read the mat from now on, each at its own time."""
+        random = Random(self._stage.options.seed)
         for i in range(len(self.cubes)):
-            start_ns = self._stage.timeline.now_ns + self._random.randrange(self._every_ns)
+            start_ns = self._stage.timeline.now_ns + random.randrange(self._every_ns)
             self._stage.timeline.at(start_ns, lambda i=i: self._read(i))
         return {"camera": f"{len(self.cubes)} cubes on a mat"}
 
@@ -118,13 +117,13 @@ class EmulatedMat:
 
     def hide(self, hidden: bool) -> None:
         """If `hidden`, let no cube see the mat, as while they are carried."""
-        for eye in self.eyes:
+        for eye in self.eyes.values():
             eye.carried = hidden
 
     def _read(self, i: int) -> None:
         timeline = self._stage.timeline
         cube = self.cubes[i]
-        eye = self.eyes[i]
+        eye = self.eyes[cube.name]
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
         program = cube.program
         last = eye.last
@@ -153,6 +152,6 @@ class EmulatedMat:
         """Record a report that has been passed on."""
         self._exposures += 1
         self._stage.exposed(self._exposures, self._exposures)
-        if sees_mat and not self.eyes[i].frozen:
+        if sees_mat and not self.eyes[self.cubes[i].name].frozen:
             self.shown_ns[i] = max(self.shown_ns[i], at_ns)
         self._stage.sent(self._exposures)

@@ -17,7 +17,7 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.faults import Injector, Visible, fault_kind, setting
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.optitrack.scripted import FAULTS
-from tetractl_emulator.optitrack.tracked_body import TrackedBody, View
+from tetractl_emulator.optitrack.tracked_body import Asset, TrackedBody, View
 from tetractl_emulator.process import PROCESS_FAULTS
 
 from tetractl.core.clock import SECOND
@@ -270,7 +270,7 @@ def test_a_picture_creeps_by_all_changes_and_stays_where_they_brought_it(tmp_pat
 def body_at_origin():
     """What the cameras track of a robot at the origin that looks along x."""
     robot = SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0)
-    return TrackedBody(robot, 1, "green")
+    return TrackedBody(robot, Asset(1, "green"))
 
 
 def begin_on(body, name, **fields):
@@ -310,7 +310,7 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
         turn_until(lab, lambda: robot.x > 510)
         robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
-        turn_until(lab, lambda: not lab.camera.tracked[0].tracked)
+        turn_until(lab, lambda: not lab.camera.tracked[0].tracking.tracked)
         assert not robot.powered
         turn_until(lab, lambda: "placed" in reports)
         assert robot.x == 500
@@ -331,7 +331,7 @@ def test_a_fault_is_over_after_its_time(tmp_path):
         tracked = []
         for tenth in range(5):
             lab.clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
-            tracked.append(body.tracked)
+            tracked.append(body.tracking.tracked)
     assert tracked == [True, False, False, True, True]
 
 

@@ -199,7 +199,7 @@ def test_bodies_given_by_their_ids_need_no_names(tmp_path):
 
 def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
     with motive(tmp_path) as (lab, camera, clock), camera:
-        lab.camera.tracked_body("blue").streamed = False
+        lab.camera.tracked_body("blue").asset.streamed = False
         lab.camera.names = (("Green", 1), ("hand", 9))
         assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())

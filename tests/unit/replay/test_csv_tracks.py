@@ -1,5 +1,7 @@
 """Tracks from CSV files: of `tetractl export`, and as other programs write them."""
 
+import bz2
+import gzip
 import math
 import re
 from dataclasses import dataclass
@@ -226,6 +228,7 @@ FORMS = {
     ),
     "semicolons and decimal commas": separated_by(";", decimal_comma=True),
     "tabs": separated_by("\t"),
+    "bars": separated_by("|"),
     "blanks": separated_by(" "),
     "NumPy's header": separated_by(" ", comment="# "),
     "comments": Form(lines_above=("# exported by hand", "# 2026-11-26")),
@@ -343,6 +346,22 @@ def test_a_last_place_far_off_says_nothing_of_the_headings(tmp_path, column, far
     poses.write_text("\n".join([*rows, ",".join(pose), ""]))
     (track,) = csv_tracks([poses, commands])
     assert track.valid.all()
+
+
+@pytest.mark.parametrize(
+    ("packed", "form"),
+    [
+        (gzip.compress(b"time_s,direction_rad\n0,0\n"), "gzip"),
+        (bz2.compress(b"time_s,direction_rad\n0,0\n"), "bzip2"),
+        (b"PK\x03\x04 the start of an .xlsx", "zip, or a spreadsheet"),
+    ],
+)
+def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
+    """Regression: it was said to be no UTF-8."""
+    poses, commands = write_drive(tmp_path)
+    commands.write_bytes(packed)
+    with pytest.raises(UsageError, match=rf"commands\.csv: is compressed \({form}\)"):
+        csv_tracks([poses, commands])
 
 
 def test_a_file_that_is_named_twice_is_refused(tmp_path):

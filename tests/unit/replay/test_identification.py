@@ -386,6 +386,14 @@ def test_the_time_of_a_track_says_that_its_times_are_in_another_unit():
         identify([in_days], A_RAD_S)
 
 
+def test_a_robot_that_moves_by_less_than_a_number_can_tell_does_not_move():
+    """Regression: lengths in another unit by 1e300 ended in a traceback."""
+    track = drive(6).track
+    tiny = replace(track, poses=track.poses * (1e-300, 1e-300, 1.0))
+    with pytest.raises(UsageError, match=r"robot \w+ does not move"):
+        identify([tiny], A_RAD_S)
+
+
 def test_tracks_of_other_robots_are_refused():
     track = drive(6, directions=random_directions(6, 3)).track
     renamed = replace(track, names=("a", "b", "c"))

@@ -24,7 +24,9 @@ CSV_LINE = 1 << 16
 CHUNK = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-SEPARATORS = (",", ";", "\t")  # between the entries of a line
+SEPARATORS = (",", ";", "\t", "|")  # between the entries of a line
+ARCHIVES = {b"\x1f\x8b": "gzip", b"PK": "zip, or a spreadsheet", b"(\xb5": "zstd", b"BZ": "bzip2"}
+"""The formats of compressed files, by their first bytes."""
 BLANKS = " "
 """The separator of entries between which there are only blanks."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?|[+-]?\d+,")
@@ -51,6 +53,7 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
         raise UsageError(f"{path}: {said}")
     if path.stat().st_size > CSV_BYTES:
         raise _too_large(path)
+    _refuse_archive(path)
     try:
         with path.open(newline="", encoding=_encoding(path)) as stream:
             yield from _rows(path, _lines(path, stream))
@@ -67,6 +70,14 @@ def columns_of(path: Path) -> tuple[str, ...]:
 def _too_large(path: Path) -> UsageError:
     most = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
     return UsageError(f"{path}: has more than {most}", "split it into several files")
+
+
+def _refuse_archive(path: Path) -> None:
+    """Raise UsageError for a compressed file."""
+    with path.open("rb") as file:
+        form = ARCHIVES.get(file.read(2))
+    if form is not None:
+        raise UsageError(f"{path}: is compressed ({form}), not a CSV file", "export or unpack it")
 
 
 def _encoding(path: Path) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tetractl.control.body_model import LEAST_SPEED
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
@@ -64,7 +65,7 @@ def identify(
             )
     expected_a = np.full(len(names), UNKNOWN_A) if a is None else a
     speed = speeds(frames)
-    if not speed.all():
+    if speed.min() < LEAST_SPEED:
         still = names[int(np.argmin(speed))]
         raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
     fitted = fit(frames, names, expected_a, speed, dead_time)

@@ -19,6 +19,8 @@ ODD_SHARE = 0.25  # greatest share of the files that are left out as unlike the 
 SERIES_SHARE = 0.25  # least share of the steps of a series between which nothing is missing
 LISTED = 3  # most names in a remark
 TIMES_FILE = "times.csv"  # file of a folder that states the times of its pictures
+SECONDS_END = 100  # above the seconds of a time of day, as HHMMSS
+SECONDS_MOST = 60  # above the seconds of a minute
 DIGITS = re.compile(r"\d+")
 SAME = {"jpeg": "jpg", "tiff": "tif"}  # endings that name one format
 
@@ -45,8 +47,8 @@ def picture_names(names: Sequence[str]) -> PictureNames:
 
 
 def require_one_film(folder: Path, names: Sequence[str]) -> None:
-    """Raise UsageError if names are of two formats or patterns, or count two numbers, such as the
-    time and the channel: these pictures are not one after the other.
+    """Raise UsageError if names are of two formats or patterns, count two numbers, such as the time
+    and the channel, or start again: these pictures are not one after the other.
     """
     odd = next((name for name in names if _kind(name) != _kind(names[0])), None)
     if odd is None and _counts_two(names):
@@ -56,6 +58,11 @@ def require_one_film(folder: Path, names: Sequence[str]) -> None:
             printable(f"{folder}: are {names[0]} and {odd} of one film, and one after the other?"),
             "give a folder with the pictures of one film and channel, or state the time of each in "
             f"{TIMES_FILE}",
+        )
+    if _starts_again(names):
+        raise UsageError(
+            printable(f"{folder}: the numbers in the names start again after {names[-1]}"),
+            f"rename the pictures in their order, or state the time of each in {TIMES_FILE}",
         )
 
 
@@ -116,16 +123,37 @@ def _places(names: Sequence[str], remarks: list[str]) -> list[int] | None:
             f"the numbers in the names go up by {step}: pictures are taken as one period apart"
         )
     places = [(number - numbers[0]) // step for number in numbers]
-    missing = places[-1] + 1 - len(places)
-    if not missing:
+    gaps = [k for k, (before, after) in enumerate(pairwise(places)) if after > before + 1]
+    if not gaps:
         return None
-    first = next(k for k, (a, b) in enumerate(pairwise(places)) if b > a + 1)
+    if _are_times_of_day(numbers, gaps):
+        remarks.append("the numbers in the names are times of day: times do not follow them")
+        return None
+    first = gaps[0]
+    missing = places[-1] + 1 - len(places)
     are = "1 picture is" if missing == 1 else f"{missing} pictures are"
     remarks.append(
         f"by the numbers in the names, {are} missing, the first after {names[first]}: times follow "
         "the numbers"
     )
     return places
+
+
+def _are_times_of_day(numbers: Sequence[int], gaps: Sequence[int]) -> bool:
+    """Return whether numbers are times of day as HHMMSS: no seconds are above 59, and all gaps, at
+    these places, are where a minute ends."""
+    minutes = [number // SECONDS_END for number in numbers]
+    ends_minute = all(minutes[k + 1] > minutes[k] for k in gaps)
+    return ends_minute and all(number % SECONDS_END < SECONDS_MOST for number in numbers)
+
+
+def _starts_again(names: Sequence[str]) -> bool:
+    """Return whether the numbers of names have gone from their last, as 9999, to their first."""
+    numbers = _series(names, [])
+    if numbers is None or numbers[0] > 1:
+        return False
+    missing = numbers[-1] - numbers[0] + 1 - len(numbers)
+    return missing > len(numbers) and set(str(numbers[-1])) == {"9"}
 
 
 def _series(names: Sequence[str], remarks: list[str]) -> list[int] | None:

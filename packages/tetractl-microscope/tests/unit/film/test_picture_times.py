@@ -153,6 +153,8 @@ def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
         (["0_dark.png", *(f"a{k}.png" for k in range(9))], "a0.png", None),
         (["a0.jpg", *(f"a{k}.png" for k in range(1, 9))], "a1.png", None),
         (["left.png", "right.png"], "all", None),
+        ([f"{n}.png" for n in (95958, 95959, 100000, 100001, 100002)], "all", None),
+        ([f"{n}.png" for n in (58, 59, 60, 100, 101)], "all", [0, 1, 2, 42, 43]),
         (["a1.tif", "a2.tiff", "a3.tif", "a4.TIF"], "all", None),
     ],
 )
@@ -183,6 +185,15 @@ def test_pictures_of_two_channels_are_not_one_film(names, tmp_path):
     times = "".join(f"{k / 20}\n" for k in range(len(names)))
     (tmp_path / TIMES_FILE).write_text("time_s\n" + times)
     assert open_film(tmp_path).times is None
+
+
+def test_numbers_that_have_started_again_are_refused(tmp_path):
+    """Regression: the first half of a film came after the second."""
+    before = [f"p{k}.png" for k in range(9990, 10000)]
+    after = [f"p{k:04d}.png" for k in range(10)]
+    with pytest.raises(UsageError, match=r"names start again after p9999\.png"):
+        require_one_film(tmp_path, [*after, *before])
+    require_one_film(tmp_path, after)
 
 
 @pytest.mark.parametrize(

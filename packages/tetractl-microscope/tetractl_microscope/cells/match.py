@@ -27,8 +27,7 @@ from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.specks import Speck
 from tetractl_microscope.organisms import Organism
 
-# time without a blob for which a cell is looked for elsewhere [s]: it may have stopped; for
-# Tetrahymena, and longer for slower organisms
+# time without a blob for which a cell is looked for elsewhere [s]: it may have stopped
 LOOKED_S = 0.2
 NONE = 100.0  # cost of leaving a cell without a blob
 NEVER = 1e6  # cost of what is never assigned
@@ -122,7 +121,7 @@ def cell_costs(
 
     missed_s = np.array([cell.missed_s for cell in cells])
     stopped = STOPPED_FAR + STOPPED_REACH * organism.quickness * missed_s
-    is_recent = missed_s < max(LOOKED_S / organism.quickness, now.brief_s)
+    is_recent = missed_s < max(LOOKED_S, now.brief_s)
     reach = np.where(is_recent, stopped, NO_REACH)[:, None]
     is_in_reach = (away < reach) & (size_off.max(axis=-1, initial=0.0) < ALIKE)
     of_distance = STOPPED_LEAST + (STOPPED_MOST - STOPPED_LEAST) * np.square(away / reach)

@@ -52,9 +52,9 @@ from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
 AREAS_MOST = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported any more
-# time without a blob after which a cell is lost; and near the picture's edge, which a cell has left
-# by then, and for a cell that has just begun; for Tetrahymena, and longer for slower organisms
-LOST_S = 0.5
+LOST_S = 0.5  # time without a blob after which a cell is lost
+# the same near the picture's edge, which a cell has left by then, and for a cell that has just
+# begun; for Tetrahymena, and longer for slower organisms
 LOST_SOON_S = 0.1
 NEAR_EDGE = 0.4  # distance to the picture's edge that counts as near, in lengths of the cell
 SHARED_SMALL_S = 1.5  # time for which cells may share a blob as small as one cell
@@ -320,10 +320,9 @@ class CellTracker:
 
     def _lost_s(self, cell: CellTrack, at_edge: bool, now: PictureNow) -> float:
         """Return the time without a blob after which a cell is lost [s]."""
-        quickness = self.bank.organism.quickness
         if at_edge or cell.is_new:
-            return LOST_SOON_S / quickness
-        return max(LOST_S / quickness, now.brief_s)
+            return LOST_SOON_S / self.bank.organism.quickness
+        return max(LOST_S, now.brief_s)
 
     def _left_unseen(self, now: PictureNow) -> Collection[CellTrack]:
         """Return the cells that have left a shared blob unseen: of each blob that has been as small

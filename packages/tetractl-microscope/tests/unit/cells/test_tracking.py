@@ -78,30 +78,6 @@ def test_specks_are_looked_for_as_far_as_the_organism_swims():
     assert costs[TETRAHYMENA] < 100 < costs[slow]
 
 
-@pytest.mark.parametrize(("slower", "rate_hz"), [(1, 30.0), (4, 7.5)], ids=["usual", "slow"])
-def test_a_hidden_cell_is_waited_for_over_the_same_way_at_any_speed(slower, rate_hz):
-    organism = replace(
-        TETRAHYMENA,
-        speed_um_s=tuple(speed / slower for speed in TETRAHYMENA.speed_um_s),
-        helix_hz=tuple(turns / slower for turns in TETRAHYMENA.helix_hz),
-    )
-    first_hidden = 25
-    last_hidden = 29  # 5 pictures: 0.17 s of Tetrahymena, 0.67 s of the slow organism
-
-    def picture(k):
-        is_hidden = first_hidden <= k <= last_hidden
-        return drawn([] if is_hidden else [(60 + 6.0 * k, 100.0, 12.0, 6.0)], (200, 420))
-
-    tracker = CellTracker(2.3, field_known=False, organism=organism)
-    tracker.finder.learn([picture(10 * k) for k in range(6)])
-    tracks_in = [
-        {cell.track for cell in tracker.see(picture(k), k / rate_hz, no_field)} for k in range(50)
-    ]
-    assert len(tracks_in[first_hidden - 1]) == 1
-    assert tracks_in[last_hidden] == set()
-    assert tracks_in[last_hidden + 1] == tracks_in[first_hidden - 1]
-
-
 def test_a_knock_moves_all_places_of_a_track():
     path = [PathBlob(1.0, 10.0, 20.0, 0.5, 50.0, 25.0)]
     moved_path = [PathBlob(1.0, 13.0, 16.0, 0.5, 50.0, 25.0)]

@@ -16,7 +16,7 @@ Arrays are those of a `Bank`: B filters, group by group, of N robots.
 import numpy as np
 
 from tetractl.control.body_model import SATURATION_STD, BodyModel, first_std
-from tetractl.control.kernels.filter_state import GRID, LN_A, LN_SATURATION, STATES, Bank
+from tetractl.control.kernels.filter_state import GRID, LN_A, LN_SATURATION, SIDE, STATES, Bank
 from tetractl.control.prior import Prior
 from tetractl.core.poses import Bools, Floats, Integers
 
@@ -53,23 +53,27 @@ def bank_with_replaced(bank: Bank, first: Bank, replaced: Bools) -> Bank:
 def reopened_bank(
     bank: Bank,
     likeliest: tuple[Integers, Integers, Integers],
-    heading_misfits: Bools,
+    heading_fits: bool,
     prior: Prior,
     body: BodyModel,
 ) -> Bank:
     """Return filters that find out why the model does not fit: with the first dead times again, as
-    the dead time may have changed, and its filter be gone; and in groups with motors that saturate.
+    the dead time may have changed, and its filter be gone; and, unless `heading_fits` of every
+    robot, in groups with motors that saturate.
 
     All know what each robot's `likeliest` hypothesis does, by its index (filters, robots and slots,
     (N,) each). It stays the likeliest until frames show otherwise: filters of other dead times
-    score less by how much these differ, those with saturation by what is rare. Only robots with
-    `heading_misfits` (N,) get the latter. How well each fits is tested from the start again.
+    score less by how much these differ, those with saturation by what is rare. All robots get the
+    latter: one that just saturates does not show it by a misfit. How well each fits is tested from
+    the start again.
     """
     unchanged = _around_likeliest(bank, likeliest, prior, body)
-    a_std = first_std(prior, body)[:, LN_A]
+    if heading_fits:
+        return unchanged
+    std = first_std(prior, body)
     groups = [unchanged]
     for number, ln_saturation in enumerate(body.later_tried, 1):
-        groups.append(_saturating(unchanged, number, ln_saturation, a_std, heading_misfits))
+        groups.append(_saturating(unchanged, number, ln_saturation, std))
     return Bank.joined(groups)
 
 
@@ -106,20 +110,21 @@ def _around_likeliest(
     return group
 
 
-def _saturating(
-    unchanged: Bank, number: int, ln_saturation: float, a_std: Floats, heading_misfits: Bools
-) -> Bank:
+def _saturating(unchanged: Bank, number: int, ln_saturation: float, std: Floats) -> Bank:
     """Return the group of this number: a copy of the unchanged one, with motors that saturate.
 
-    Without this limit, filters have explained slow turns by a small turning rate a, and are sure of
-    it. So a is as uncertain again as at first, a_std (N,), and so is the saturation.
+    Without this limit, filters have explained slow turns by a small turning rate a, and by a side,
+    and are sure of them. So both are forgotten: they are those of the prior again, with its
+    deviations `std` (N, n).
     """
     group = unchanged.copied()
     group.group[:] = number
+    for state in (LN_A, SIDE):
+        group.state[..., state] = 0.0
+        _set_uncertain(group, state, std[:, state])
     group.state[..., LN_SATURATION] = ln_saturation
-    _set_uncertain(group, LN_A, a_std)
     _set_uncertain(group, LN_SATURATION, SATURATION_STD)
-    group.score[:] += np.where(heading_misfits, LN_SATURATES, -np.inf)
+    group.score[:] += LN_SATURATES
     return group
 
 

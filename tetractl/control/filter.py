@@ -207,7 +207,7 @@ class FilterBank:
             self._share_scores()
             self._select_filters()
         if misfits.any() and self._may_reopen(newest):
-            self._reopen(newest, misfits[:, HEADING_MISFIT])
+            self._reopen(newest, heading_fits=not misfits[:, HEADING_MISFIT].any())
 
     def forecast(self, sent_ns: int) -> Forecast:
         """Return the robots as each will be when a command sent at `sent_ns` [ns] acts on it."""
@@ -424,10 +424,10 @@ class FilterBank:
         is_due = newest.sampled_ns >= opened_ns + REOPEN_S * SECOND
         return bool(self.body.later_tried) and is_due
 
-    def _reopen(self, frame: Observation, heading_misfits: Bools) -> None:
+    def _reopen(self, frame: Observation, heading_fits: bool) -> None:
         """Open the bank again at a frame: begin with the first dead times, and with motors that may
-        saturate for robots with `heading_misfits` (N,)."""
-        bank = reopened_bank(self.bank, self.likeliest(), heading_misfits, self.prior, self.body)
+        saturate unless `heading_fits` of every robot."""
+        bank = reopened_bank(self.bank, self.likeliest(), heading_fits, self.prior, self.body)
         self.model = with_saturation(self.model)
         self.reopened_ns = frame.sampled_ns
         self._go_on_with(bank, self._first_steps())

@@ -54,6 +54,9 @@ class AxisStep:
     counted: bool = True
 
 
+FROM_ONE = "pictures are numbered from 1: if that is the first of the film, number it 0"
+
+
 @dataclass(frozen=True, slots=True)
 class SpotTable:
     """Spots of tracks: rows (R, 4) of track, picture or time, x and y, downwards; what 1 stands for
@@ -113,6 +116,8 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     if timed is None and frame is not None:
         frames = read_numbers(path, (frame,))[:, 0]
         _require_whole(path, frame, frames)
+        if frames.min() == 1:
+            remarks.append(f"warning: {path}: {FROM_ONE}")
         return SpotTable(np.column_stack([tracks, frames, x, y]))
     assert timed is not None
     column = NumberColumn(timed, SECONDS[name_and_unit(timed)[1]], TIME_MAX)
@@ -129,12 +134,15 @@ def _is_time(header: str) -> bool:
 
 
 def _require_whole(path: Path, column: str, frames: Floats) -> None:
-    """Raise UsageError if numbers of pictures are fractions."""
+    """Raise UsageError if numbers of pictures are fractions, or below 0."""
     is_fraction = frames % 1 != 0
     if is_fraction.any():
         first = frames[is_fraction][0]
         said = f"{path}: column {printable(column)}: {first:g} is no number of a picture"
         raise UsageError(said, f"of times in seconds, name the column {printable(column)}_s")
+    if frames.min() < 0:
+        said = f"{path}: column {printable(column)}: {frames.min():g} is no number of a picture"
+        raise UsageError(said, "the film's first picture is number 0")
 
 
 def _timed(

@@ -364,6 +364,21 @@ def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
         csv_tracks([poses, commands])
 
 
+@pytest.mark.parametrize("aside_mm", [0.0, 5.0])
+def test_a_robot_at_two_places_at_once_is_refused(tmp_path, aside_mm):
+    """Regression: tracks with one name for all robots gave an a of 0.009 [0.001, 0.066] for 4."""
+    poses, commands = write_drive(tmp_path)
+    with poses.open("a") as file:
+        time_s, x_mm, y_mm, heading_rad = drive().poses[-1]
+        file.write(f"{time_s},green,{x_mm + aside_mm},{y_mm},{heading_rad}\n")
+    if aside_mm == 0.0:
+        (track,) = csv_tracks([poses, commands])
+        assert track.valid.all()
+    else:
+        with pytest.raises(UsageError, match=r"poses\.csv: green is at two places at .* s"):
+            csv_tracks([poses, commands])
+
+
 def test_a_file_that_is_named_twice_is_refused(tmp_path):
     poses, _ = write_drive(tmp_path)
     with pytest.raises(UsageError, match=r"poses\.csv: is named twice"):

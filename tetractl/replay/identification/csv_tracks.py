@@ -297,6 +297,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
             BOTH_FILES,
         )
     rows = np.array(numbers.poses).reshape(-1, 5)
+    _refuse_two_places(poses_path, rows, list(numbers.robots))
     begin = float(rows[:, 0].min())
     rows[:, 0] -= begin
     brief = _brief_robots(numbers, rows, shortest_s)
@@ -333,6 +334,26 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
         twists=sent.twists,
         remarks=() if remark is None else (remark,),
     )
+
+
+def _refuse_two_places(path: Path, rows: Floats, names: list[str]) -> None:
+    """Raise UsageError if a robot is at two places at one time: its rows are of several robots.
+
+    Rows (R, 5) are time, robot, x, y and heading; a row that is written twice does no harm.
+    """
+    ordered = rows[np.lexsort((rows[:, 0], rows[:, 1]))]
+    before = ordered[:-1]
+    after = ordered[1:]
+    at_once = (before[:, :2] == after[:, :2]).all(axis=1)
+    apart = np.abs(before[:, 2:4] - after[:, 2:4]).max(axis=1) > 0
+    twice = np.flatnonzero(at_once & apart)
+    if len(twice):
+        time, robot = after[twice[0], :2]
+        name = printable(names[int(robot)])
+        raise UsageError(
+            f"{path}: {name} is at two places at {time:.6g} s",
+            "are these poses of several robots, or times that are rounded?",
+        )
 
 
 def _brief_robots(numbers: _Numbers, rows: Floats, shortest_s: float) -> dict[str, int]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.foreign_tracks import pose_rows
+from tetractl_microscope.foreign_tracks import FROM_ONE, pose_rows
 
 from tetractl.core.errors import UsageError
 
@@ -140,6 +140,28 @@ def test_numbers_of_pictures_that_are_fractions_are_times(tmp_path):
     with pytest.raises(UsageError, match=r"column t: 0\.04 is no number of a picture") as error:
         poses(tmp_path / "a.csv", UM, HZ)
     assert "name the column t_s" in str(error.value.hint)
+
+
+def numbered_from(first, path):
+    """Write spots whose pictures are numbered from `first` on."""
+    table = np.column_stack([NUMBER, K + first, Y, X])
+    np.savetxt(path, table, delimiter=",", header="particle,frame,y,x", comments="")
+
+
+def test_numbers_of_pictures_below_0_are_refused(tmp_path):
+    """Regression: tracks were seconds before the field, and a was wrong."""
+    numbered_from(-3, tmp_path / "a.csv")
+    with pytest.raises(UsageError, match="column frame: -3 is no number of a picture"):
+        poses(tmp_path / "a.csv", UM, HZ)
+
+
+@pytest.mark.parametrize(("first", "says"), [(0, False), (1, True), (7, False)])
+def test_a_count_from_1_is_said(first, says, tmp_path):
+    """Regression: a came out 3 % low of pictures that are numbered from 1, without a word."""
+    numbered_from(first, tmp_path / "a.csv")
+    said = []
+    poses(tmp_path / "a.csv", UM, HZ, said)
+    assert [FROM_ONE in line for line in said] == [True] * says
 
 
 def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):

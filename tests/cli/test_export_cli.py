@@ -65,7 +65,10 @@ def test_tables_of_before_stay_if_none_of_the_logs_can_be_read(tmp_path):
     assert (tmp_path / "steps.csv").read_text() == "the table of before"
 
 
-@pytest.mark.parametrize(("command", "out"), [("export", "\x1b[1mout"), ("report", "r.html")])
+@pytest.mark.parametrize(
+    ("command", "out"),
+    [("export", "\x1b[1mout"), pytest.param("report", "r.html", marks=pytest.mark.long)],
+)
 def test_a_damaged_log_is_told_and_a_failure(folder, tmp_path, command, out):
     """Regression: both were silent, with exit code 0. Paths are printed without raw escapes."""
     data = bytearray((folder / "logs" / "trial-000.mcap").read_bytes())

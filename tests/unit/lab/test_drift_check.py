@@ -144,7 +144,9 @@ def test_a_robot_that_lost_packets_turn_for_a_third_of_a_second_is_let(seed):
     assert drifting(seconds=8.0, seed=seed, astray=turns_on).text == ""
 
 
-@pytest.mark.parametrize(("rate_hz", "limit"), [(5, 10.0), (20, 13.0)])
+@pytest.mark.parametrize(
+    ("rate_hz", "limit"), [pytest.param(5, 10.0, marks=pytest.mark.long), (20, 13.0)]
+)
 def test_robots_with_slow_wheels_that_are_turned_to_and_fro_are_let(rate_hz, limit, monkeypatch):
     """Regression: what is left of a reversal 0.2 s later was taken for a pose that turns; in 14
     trials the statistic reached 13, it reaches 9; if it lasted for 50 ms, 13.3, it reaches 12.2.

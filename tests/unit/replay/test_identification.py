@@ -116,6 +116,7 @@ def test_without_noise_everything_is_found_exactly():
     assert biases == pytest.approx([0, 0, 0], abs=2e-3)
 
 
+@pytest.mark.long
 def test_a_dead_time_beyond_the_first_search_is_found():
     """Regression: 0.36 s for 0.5 s, and an interval of a without the true one."""
     driven = drive(1, "plant.dead_time=0.5", "plant.a_error=0.25")
@@ -132,6 +133,7 @@ def test_a_robot_that_stands_is_named():
         identify([track], A_RAD_S)
 
 
+@pytest.mark.long
 def test_robots_that_seem_to_turn_before_they_are_sent_a_direction_do_not_fit():
     track = drive(1).track
     sent_late = replace(track, sent=track.sent + 0.3)
@@ -313,6 +315,7 @@ def test_robots_that_are_seen_at_times_of_their_own_have_one_dead_time():
     assert not any(robot.misfits for robot in identification.robots)
 
 
+@pytest.mark.long
 def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
     """Regression: logs of the bench gave a dead time 0.03 s too long, and a 6 % too low."""
     radio = "plant.disturbances=[{type: radio, delay: 0.01, jitter: 0.0, loss: 0.0}]"

@@ -70,6 +70,7 @@ def test_a_spec_of_the_emulated_plant_drives_the_lab_only_where_that_is_asked_fo
     assert "there is no such port" in done.stderr
 
 
+@pytest.mark.long
 def test_an_emulated_plant_says_so_for_a_camera_that_does_not(tmp_path, monkeypatch):
     """A camera of one's own need not say that it is emulated: the plant knows."""
     silent = "tetractl.lab.cameras.optitrack.camera.OptitrackCamera.check"

@@ -49,6 +49,7 @@ def test_every_robot_obeys_its_own_wheels(library):
             assert core.wheels(0) == (wheels[index] if index < robots else (0, 0))
 
 
+@pytest.mark.long
 @needs_compiler
 def test_core_and_codec_agree_on_what_a_frame_is(library):
     rng = random.Random(2)
@@ -176,7 +177,7 @@ def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
 @pytest.mark.skipif(
     shutil.which("make") is None or shutil.which("gcc") is None, reason="no make or gcc found"
 )
-@pytest.mark.parametrize("target", ["test", "sanitize"])
+@pytest.mark.parametrize("target", ["test", pytest.param("sanitize", marks=pytest.mark.long)])
 def test_the_firmwares_own_tests_pass(tmp_path, target):
     done = subprocess.run(
         ["make", "--no-print-directory", f"BUILD={tmp_path}", target],

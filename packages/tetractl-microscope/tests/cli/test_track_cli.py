@@ -27,11 +27,16 @@ def dish(tmp_path_factory):
     return folder
 
 
-def test_tables_a_log_and_a_film_are_written(dish):
-    words = ("dish.avi", "--field", "field.csv", "--scale", "2.3", "-o", "tracks")
-    done = tetractl(dish, "track", *words).ok()
-    assert "magnet" in done.stdout and "wrote tracks" in done.stdout
-    out = dish / "tracks"
+@pytest.fixture(scope="module")
+def tracks(dish):
+    """The results of the film, and what was printed."""
+    words = ("--field", "field.csv", "--scale", "2.3", "-o", "found")
+    return dish / "found", tetractl(dish, "track", "dish.avi", *words).ok().stdout
+
+
+def test_tables_a_log_and_a_film_are_written(tracks):
+    out, printed = tracks
+    assert "magnet" in printed and "wrote found" in printed
     assert sorted(p.name for p in out.iterdir()) == [
         "cells.csv",
         "cells.png",
@@ -52,15 +57,8 @@ def test_tables_a_log_and_a_film_are_written(dish):
         assert [a.name for a in reader.iter_attachments()] == ["track.json", "background.png"]
     overlay = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert overlay.get(cv2.CAP_PROP_FRAME_COUNT) == 120
-    again = tetractl(dish, "track", *words)
+    again = tetractl(out.parent, "track", "dish.avi", "-o", "found")
     assert again.returncode == 2 and "exists already" in again.stderr
-
-
-@pytest.fixture(scope="module")
-def tracks(dish):
-    """The results of the film, and what was printed."""
-    words = ("--field", "field.csv", "--scale", "2.3", "-o", "found")
-    return dish / "found", tetractl(dish, "track", "dish.avi", *words).ok().stdout
 
 
 @pytest.mark.long

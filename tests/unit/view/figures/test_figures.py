@@ -155,8 +155,7 @@ def overlapping(figure):
 
 
 def words(figure):
-    """All text of a figure, after drawing it once."""
-    figure.draw_without_rendering()
+    """All text of a figure but the labels of its ticks, which are set when it is drawn."""
     texts = figure.findobj(matplotlib.text.Text)
     return "\n".join(text.get_text() for text in texts if text.get_visible())
 

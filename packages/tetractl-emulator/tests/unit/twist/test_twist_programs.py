@@ -53,7 +53,7 @@ def test_the_micropython_program_passes_the_vectors_in_python():
 
 
 @needs_compiler
-@pytest.mark.parametrize("target", ["test", "sanitize"])
+@pytest.mark.parametrize("target", ["test", pytest.param("sanitize", marks=pytest.mark.long)])
 def test_the_core_passes_the_vectors_on_this_computer(tmp_path, target):
     compiled = subprocess.run(
         ["make", "-s", target, f"BUILD={tmp_path}"], cwd=FOLDER, capture_output=True, text=True

@@ -224,6 +224,7 @@ def test_without_a_field_there_is_no_a():
     assert as_items("reel", tracked, cells)["cells"][0]["a_rad_s"] is None
 
 
+@pytest.mark.long
 def test_the_scale_is_guessed_from_bodies(tmp_path):
     synthetic = film(seed=35, side=512, cells=6, crossings=False, seconds=2.0)
     for k, picture in enumerate(synthetic.pictures()):

@@ -54,7 +54,7 @@ class AxisStep:
     counted: bool = True
 
 
-FROM_ONE = "pictures are numbered from 1: if that is the first of the film, number it 0"
+FROM_ONE = "pictures are numbered from 1: that is taken as the first of the film, at 0 s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,8 @@ def _require_full_field(path: Path, row: CsvRow) -> None:
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable | None:
     """Return the spots of a table of napari, trackpy or TrackMate; None if it is another table.
 
-    Their times are those of a column with a unit of time, or else the numbers of pictures, which a
-    rate that is given makes of any table.
+    Their times are those of a column with a unit of time, or else the numbers of pictures from the
+    first one on, which a rate that is given makes of any table.
     """
     headers = columns_of(path)
     names = {name.lower(): name for name in headers}
@@ -116,15 +116,17 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     if timed is None and frame is not None:
         frames = read_numbers(path, (frame,))[:, 0]
         _require_whole(path, frame, frames)
-        if frames.min() == 1:
-            remarks.append(f"warning: {path}: {FROM_ONE}")
+        frames = _from_first_picture(path, frames, remarks)
         return SpotTable(np.column_stack([tracks, frames, x, y]))
     assert timed is not None
     column = NumberColumn(timed, SECONDS[name_and_unit(timed)[1]], TIME_MAX)
     times = np.array([column.number(path, row) for row in read_csv(path)])
     if frame is None:
         return SpotTable(np.column_stack([tracks, times, x, y]), time=AxisStep(1.0, False))
-    counted = SpotTable(np.column_stack([tracks, read_numbers(path, (frame,))[:, 0], x, y]))
+    frames = read_numbers(path, (frame,))[:, 0]
+    if rate_hz is not None:
+        frames = _from_first_picture(path, frames, remarks)
+    counted = SpotTable(np.column_stack([tracks, frames, x, y]))
     return _timed(path, counted, times, rate_hz, remarks)
 
 
@@ -143,6 +145,16 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
     if frames.min() < 0:
         said = f"{path}: column {printable(column)}: {frames.min():g} is no number of a picture"
         raise UsageError(said, "the film's first picture is number 0")
+
+
+def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Floats:
+    """Return the numbers of pictures from 0 on, as the first is taken at time 0. Programs that
+    count from 0 hardly ever find nothing in that picture: a table without 0 counts from 1.
+    """
+    if frames.min() != 1:
+        return frames
+    remarks.append(f"warning: {path}: {FROM_ONE}")
+    return frames - 1
 
 
 def _timed(

@@ -133,6 +133,13 @@ def test_times_with_a_unit_are_taken_and_no_numbers_of_pictures(header, times, f
     assert said == [f"warning: {path}: --rate 25 replaces its times, up to 0.2 s off"]
 
 
+def test_a_count_from_1_begins_at_time_0_if_a_rate_replaces_the_times(tmp_path):
+    path = tmp_path / "tracks.csv"
+    table = np.column_stack([NUMBER, K + 1, Y, X, K / HZ])
+    np.savetxt(path, table, delimiter=",", header="particle,frame,y,x,time_s", comments="")
+    assert np.allclose(poses(path, UM, HZ), POSES)
+
+
 def test_numbers_of_pictures_that_are_fractions_are_times(tmp_path):
     """Regression: they were divided by the rate, and no robot was "seen for 2 s"."""
     table = np.column_stack([NUMBER, K / HZ, Y, X])
@@ -155,13 +162,14 @@ def test_numbers_of_pictures_below_0_are_refused(tmp_path):
         poses(tmp_path / "a.csv", UM, HZ)
 
 
-@pytest.mark.parametrize(("first", "says"), [(0, False), (1, True), (7, False)])
-def test_a_count_from_1_is_said(first, says, tmp_path):
-    """Regression: a came out 3 % low of pictures that are numbered from 1, without a word."""
+@pytest.mark.parametrize(("first", "late"), [(0, 0), (1, 0), (7, 7)])
+def test_a_count_from_1_begins_at_time_0_and_is_said(first, late, tmp_path):
+    """Regression: all poses were one picture late, and a was 3.88 of 4."""
     numbered_from(first, tmp_path / "a.csv")
     said = []
-    poses(tmp_path / "a.csv", UM, HZ, said)
-    assert [FROM_ONE in line for line in said] == [True] * says
+    expected = [(seconds + late / HZ, x, y) for seconds, x, y in POSES]
+    assert np.allclose(poses(tmp_path / "a.csv", UM, HZ, said), expected)
+    assert [FROM_ONE in line for line in said] == [True] * (first == 1)
 
 
 def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):

@@ -124,7 +124,13 @@ class Link:
                 f"{radio.baud}",
                 f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
             )
-        if _number(self.ask(b"AP")) != ESCAPED_FRAMES:
+        mode = _number(self.ask(b"AP") or self.ask(b"AP"))
+        if mode is None:
+            raise AbortError(
+                f"{radio.port}: the radio's module does not answer any more",
+                "does it have power, and is its plug firm?",
+            )
+        if mode != ESCAPED_FRAMES:
             raise AbortError(
                 f"{radio.port}: the module is not in API mode with escapes",
                 "set its AP to 2 with XCTU",

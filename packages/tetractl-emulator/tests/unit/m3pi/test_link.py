@@ -37,6 +37,7 @@ class Module:
         self.respond = respond
         self.decoder = Decoder()
         self.sent = []
+        self.loses = lambda content: False  # whether a question to the module is lost
 
     def opened(self, **radio):
         link = Link(XbeeSection(port=self.name, **radio), self.clock, self._ports)
@@ -51,6 +52,8 @@ class Module:
     def _hear(self):
         for content in self.decoder.feed(self.port.read()):
             command = content[2:4]
+            if self.loses(content):
+                continue
             if content[0] != AT_COMMAND:
                 self.sent.append(content)
                 for answer in self.respond(content):
@@ -87,6 +90,26 @@ def test_a_module_that_would_not_do_is_refused(answers, radio, says):
     with pytest.raises(AbortError, match=says) as caught:
         Module(SERIES_1 | answers).opened(**radio)
     assert caught.value.hint
+
+
+def test_a_module_that_falls_silent_is_not_said_to_have_another_mode():
+    """Regression: a module that began again between two questions was "not in API mode"."""
+    answers = {command: value for command, value in SERIES_1.items() if command != b"AP"}
+    with pytest.raises(AbortError, match="the radio's module does not answer any more"):
+        Module(answers).opened()
+
+
+def test_an_answer_that_is_lost_once_is_asked_for_again():
+    module = Module(SERIES_1)
+    heard = []
+
+    def lose_the_first(content):
+        heard.append(content[2:4])
+        return heard.count(b"AP") == 1 and content[2:4] == b"AP"
+
+    module.loses = lose_the_first
+    module.opened()
+    assert heard.count(b"AP") == 2
 
 
 def test_a_port_without_a_module_is_told():

@@ -1,5 +1,7 @@
 """Settings of all tests; each file says by its marks which tier its tests belong to."""
 
+import gc
+
 from hypothesis import settings
 from support.running import take_signals
 
@@ -10,3 +12,10 @@ settings.register_profile("explore", deadline=None)
 settings.load_profile("tetractl")
 
 take_signals()
+gc.disable()  # until all tests are collected: nothing of them is garbage
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported and collected, which stays until the end, to no later collection."""
+    gc.freeze()
+    gc.enable()

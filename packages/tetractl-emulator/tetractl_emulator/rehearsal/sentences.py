@@ -101,17 +101,16 @@ def driven_blind(truth: Truth) -> Iterator[Violation]:
 
 
 def _seldom_shown(truth: Truth) -> Iterator[Violation]:
-    """In each `WATCHED_S` in which robots may be driven, each is shown for half of it; the time
-    does not count in which none has been driven for `stream_lost`, as they stand.
+    """In each `WATCHED_S` in which robots may be driven, each is shown for half of it, though late:
+    how old a pose may be by which a robot is driven is said above.
     """
     span_s = np.diff(truth.times_s, append=truth.alive_s).clip(0.0, FRAME_S * 2)
     may_drive = np.zeros(len(truth.times_s), bool)
     for span in truth.driven_spans:
         may_drive |= (truth.times_s >= span.began_s) & (truth.times_s < span.ended_s)
-    stand = truth.undriven_s > truth.limits.stream_lost
-    span_s = np.where(may_drive & ~stand, span_s, 0.0)
+    span_s = np.where(may_drive, span_s, 0.0)
     driven_s = np.cumsum(span_s)
-    blind = truth.unseen_s > truth.limits.stale + truth.late_s
+    blind = truth.unseen_s > truth.limits.stale + truth.arrival_s
     blind_s = np.cumsum(np.where(blind, span_s[:, None], 0.0), axis=0)
     before = np.searchsorted(driven_s, driven_s - WATCHED_S)
     much = (blind_s - blind_s[before]).max(axis=1, initial=0.0) > WATCHED_S / 2

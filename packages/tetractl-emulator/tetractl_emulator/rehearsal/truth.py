@@ -229,15 +229,6 @@ class Truth:
         return np.clip(next_s - self.commanded_s, 0.0, self.watchdog_s)
 
     @cached_property
-    def undriven_s(self) -> Floats:
-        """Time at the exposures since a command drove any robot (T,); infinite before the first."""
-        driving = np.array([any(self.drives(command)) for command in self.commands], dtype=bool)
-        ends_s = self.commanded_s[driving] + self.acting_s[driving]
-        begun = np.searchsorted(self.commanded_s[driving], self.times_s, side="right")
-        last_end_s = np.append(-np.inf, ends_s)[begun]
-        return np.maximum(self.times_s - last_end_s, 0.0)
-
-    @cached_property
     def undirected_s(self) -> Floats:
         """How long before each command (C,) the log has the controller's last direction; 0 before
         the first, without a log, and after the last in a log that was broken off.
@@ -349,10 +340,13 @@ class Truth:
     @cached_property
     def late_s(self) -> float:
         """By how much frames without a time of their own, which count as new, were older than they
-        seemed: late ones, and those that waited in the wire.
+        seemed.
         """
-        if self.dated:
-            return 0.0
+        return 0.0 if self.dated else self.arrival_s
+
+    @cached_property
+    def arrival_s(self) -> float:
+        """By how much frames came late at most: delayed ones, and those that waited in the wire."""
         late_s = sum(fault.fields["by"] for fault in self.faults_of(*LATE_FRAMES))
         suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))
         busy_s = sum(fault.fields["seconds"] for fault in self.faults_of("busy"))

@@ -353,8 +353,9 @@ def hidden_spans(truth: Truth) -> Iterator[HiddenSpan]:
 
 
 def hidden(truth: Truth) -> str:
-    """Return the class of faults on the day that one camera cannot tell from wheels within
-    `wheel_error`; "" for none.
+    """Return the class of faults on the day that one camera cannot show: those that it cannot tell
+    from wheels within `wheel_error`, and a picture that crept before the run, since all poses are
+    measured in it; "" for none.
     """
     error = truth.limits.wheel_error
     speed = float(truth.setup.speed.max()) * truth.setup.metres * 1000
@@ -369,6 +370,8 @@ def hidden(truth: Truth) -> str:
         grows = abs(fields.get("scale", 1.0) - 1.0) / FRAME_S * 1000
         if creeps and rate <= error * speed / radius and speed_mm_s <= walk and grows <= walk:
             return "slow: as wheels within wheel_error"
+        if fault.name == "picture" and creeps and fault.span.ended_s <= truth.began_s:
+            return "before: the camera was off when the run began"
     return ""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 from tetractl_emulator.rehearsal.day import Day, DayPlan
-from tetractl_emulator.rehearsal.sentences import SENTENCES, violations
+from tetractl_emulator.rehearsal.sentences import SENTENCES, hidden, violations
 from tetractl_emulator.rehearsal.truth import Truth
 
 from tetractl.core.plan import Outcome
@@ -390,3 +390,16 @@ def test_slow_motion_is_of_a_class_that_no_camera_shows():
     slow = GHOST | {"turn": 0.001}
     turned = [[900.0, 800.0, math.pi / 2], *STARTS[1:]]
     assert {v.predicted[:4] for v in SENTENCES[3](with_log(turned, fault=slow))} == {"slow"}
+
+
+@pytest.mark.parametrize(
+    ("ended_s", "predicted"),
+    [(0.9, "before: the camera was off when the run began"), (2.2, "")],
+)
+def test_a_camera_that_slipped_before_the_run_is_what_no_camera_shows(ended_s, predicted):
+    """Regression: a picture that grew by 0.5 % before a run made its result "untrue", by 10 mm."""
+    slips = {"kind": "scale creeps", "strength": 0.5, "fault": "picture", "at": 0.8}
+    slips |= {"scale": 0.999, "creeps": True}
+    end = at(ended_s, "fault", phase="end", row=0)
+    truth = day([starts(0.8), *RUN, truth_at(2.2, 180.0), end], fault=slips)
+    assert hidden(truth) == predicted

@@ -211,7 +211,7 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
 
 def _refuse_study_as_base(base: Base, document: Document) -> None:
     """Raise InvalidSpecError, at the study's base, if that is a study."""
-    if isinstance(base.source, Path) and is_study(base.source):
+    if isinstance(base.source, Path) and _has_keys_of_study(base.document):
         text = "is a study, not a spec, as a base must be"
         raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
 
@@ -237,8 +237,11 @@ def _arms(study: Study, base: Base, document: Document) -> list[Arm]:
 
 def is_study(path: Path) -> bool:
     """Return whether the keys of a file are those of a study, not of a spec."""
-    data = read_document(path).data
-    return "base" in data and "robots" not in data
+    return _has_keys_of_study(read_document(path))
+
+
+def _has_keys_of_study(document: Document) -> bool:
+    return "base" in document.data and "robots" not in document.data
 
 
 @cache

@@ -68,8 +68,7 @@ class Registry:
         """Return the kind with this name; KeyError if there is none."""
         if name in self.builtin:
             return Kind(name, self.builtin[name])
-        point = self._installed[name]
-        return Kind(name, point.value, *_package(point))
+        return Kind(name, self._installed[name].value, *self._packages[name])
 
     def __contains__(self, name: object) -> bool:
         return name in self.builtin or name in self._installed
@@ -119,6 +118,12 @@ class Registry:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
         # if two packages provide the same name, the alphabetically first is used
         return {point.name: point for point in points}
+
+    @cached_property
+    def _packages(self) -> dict[str, tuple[str, str]]:
+        """Name and version of the package of each installed kind: read once, since the loop that
+        stops robots asks for all of them in each step after a plug-in's error."""
+        return {name: _package(point) for name, point in self._installed.items()}
 
 
 _builtin = cache(resolve_name)  # controllers load the motion several times in a control step

@@ -49,7 +49,7 @@ def oversized(sent_part: bytes) -> bytes:
 
 
 class StreamSettings(Model):
-    """Properties of an emulated camera; `latency` [s] is the spec's by default."""
+    """Properties of an emulated camera; its latency [s] is the spec's."""
 
     width: int = Field(default=640, ge=64, le=8192)
     """Columns of a picture [px]."""

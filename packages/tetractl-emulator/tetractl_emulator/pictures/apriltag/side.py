@@ -267,7 +267,7 @@ def texture(number: int) -> Shades:
 
 
 class AprilTagSettings(StreamSettings):
-    """Properties of the emulated camera; `latency` [s] is the spec's by default."""
+    """Properties of the emulated camera; its latency [s] is the spec's."""
 
     blur_px: NonNegative = 0.7
     """Gaussian blur of the lens [px]."""

@@ -31,7 +31,7 @@ from tetractl_emulator.sides import Body, Stage
 
 
 class MicroscopeSettings(StreamSettings):
-    """Properties of the emulated microscope; scale and default `latency` come from the spec."""
+    """Properties of the emulated microscope; scale and latency come from the spec."""
 
     width: int = Field(default=0, ge=0, le=8192)
     """Columns of a picture [px]; with 0, the picture shows the whole width of the arena."""

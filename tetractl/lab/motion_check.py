@@ -44,9 +44,8 @@ SLACK_RAD = 0.08
 """Angle that is allowed as slack."""
 ROUNDING = 1e-9
 """Share of the slack within which a bound is compared again, exactly."""
-OPPOSITE_SHARE = 0.3
-"""A motion is opposite to the commanded one if that is more than this share of it: less may be an
-error of a command not to turn."""
+STANDS_SHARE = 0.3
+"""A robot that makes less than this fraction of the commanded motion stands still."""
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
 DOES_NOT_MOVE = (
@@ -274,14 +273,16 @@ def chord(turned: float) -> float:
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
     """Return the fault text for a motion `way` (3,), along, across and around, that is below
-    `least` (3,) or above `most` (3,) by more than `slack` (3,). A robot does not move if its motion
-    would agree with no command at all.
+    `least` (3,) or above `most` (3,) by more than `slack` (3,).
     """
-    if np.all(abs(way) <= slack):
-        return DOES_NOT_MOVE
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
-    opposite = (way * meant < 0.0) & (abs(meant) > OPPOSITE_SHARE * abs(way))
+    small = abs(way) < STANDS_SHARE * abs(meant)
+    if along and small[0]:
+        return DOES_NOT_MOVE
+    if around and small[2] and abs(way[0]) < slack[0]:
+        return DOES_NOT_MOVE
+    opposite = (way * meant < 0.0) & (abs(meant) > STANDS_SHARE * abs(way))
     if along and opposite[0]:
         return BACKWARD
     if around and opposite[2]:

@@ -198,14 +198,6 @@ def test_a_robot_of_stuck_wheels_is_noticed_within_0_3_s(stuck):
     assert fault.text == DOES_NOT_MOVE or NEVER_S in stuck
 
 
-@pytest.mark.parametrize("directions", [WIDE, (0.3, 0.6), (1.2,)])
-def test_a_robot_whose_wheels_stick_does_not_move_though_it_did_just_before(directions):
-    """Regression: the way that it had still made in the time compared, more than 30 % of the
-    commanded one, was called a motion as no command does."""
-    for seed in range(3):
-        assert drive(stuck=(0.1, 0.1), seed=seed, directions=directions).text == DOES_NOT_MOVE
-
-
 def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
     """Regression: it was said to move around as no command does."""
     check = MotionCheck([SPEED], RADIUS, 2.0)

@@ -107,8 +107,7 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
 class ModelNews:
     """Tells changes of how a controller's model fits: each heading that does not fit once, until
     all have fitted for FITS_S, and meanwhile, once, that commands act at another time than
-    `stated`. What robots do otherwise is said once a trial: screen and
-    log show every time."""
+    `stated`. What robots do otherwise is said once a trial: screen and log show every time."""
 
     stated: StatedModel | None = None
     _said: set[str] = field(default_factory=set)  # what does not fit

@@ -110,7 +110,7 @@ def _seldom_shown(truth: Truth) -> Iterator[Violation]:
         may_drive |= (truth.times_s >= span.began_s) & (truth.times_s < span.ended_s)
     span_s = np.where(may_drive, span_s, 0.0)
     driven_s = np.cumsum(span_s)
-    blind = truth.unseen_s > truth.limits.stale + truth.arrival_s
+    blind = truth.unseen_s > truth.limits.stale + truth.longest_delay_s
     blind_s = np.cumsum(np.where(blind, span_s[:, None], 0.0), axis=0)
     before = np.searchsorted(driven_s, driven_s - WATCHED_S)
     much = (blind_s - blind_s[before]).max(axis=1, initial=0.0) > WATCHED_S / 2

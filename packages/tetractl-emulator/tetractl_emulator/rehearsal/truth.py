@@ -342,10 +342,10 @@ class Truth:
         """By how much frames without a time of their own, which count as new, were older than they
         seemed.
         """
-        return 0.0 if self.dated else self.arrival_s
+        return 0.0 if self.dated else self.longest_delay_s
 
     @cached_property
-    def arrival_s(self) -> float:
+    def longest_delay_s(self) -> float:
         """By how much frames came late at most: delayed ones, and those that waited in the wire."""
         late_s = sum(fault.fields["by"] for fault in self.faults_of(*LATE_FRAMES))
         suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))

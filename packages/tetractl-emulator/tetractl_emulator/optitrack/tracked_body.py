@@ -4,7 +4,6 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import reduce
 from random import Random
 
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
@@ -65,6 +64,7 @@ class View:
         """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
         from_origin = complex(x, y) - complex(*self.origin)
         in_picture = from_origin * cmath.rect(self.grown, self.turned) + self.shift
+        # the floor's axes are the spec's, turned by -rotation; with y up, z points to the spec's -y
         floor_m = in_picture * cmath.rect(1e-3, -self.rotation)
         height_m = height / 1000
         half = cmath.rect(1.0, (heading + self.turned - self.rotation) / 2)
@@ -100,8 +100,8 @@ class PoseNoise:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class BodyTracking:
-    """Whether a body is tracked, but for a share of the frames that is `missing`; while it
-    `repeats`, its pose stays the one seen last.
+    """Whether the system tracks a body, and in which share of the frames it misses it all the
+    same (`missing`); while it `repeats`, its pose stays the one seen last.
     """
 
     tracked: bool = True
@@ -111,9 +111,13 @@ class BodyTracking:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Displacement:
-    """Where a body is seen away from its robot: by `shift` [mm]; by `strayed` [mm], which grows by
-    `step` [mm] per exposure, along the robot's own axes if `own`; turned by `turned` [rad], which
-    grows by `turn` [rad] per exposure; and at this `height` [mm] above the floor.
+    """Where a body is seen away from its robot, and how that grows at each exposure in which the
+    body is seen.
+
+    - `shift` [mm] is constant; `strayed` [mm] grows by `step` [mm], along the axes of the robot if
+      `own`, else along those of the floor.
+    - `turned` [rad] grows by `turn` [rad].
+    - `height` [mm] is that above the floor.
     """
 
     shift: complex = 0j
@@ -125,7 +129,8 @@ class Displacement:
     height: float = 60.0
 
     def grow(self, robot_axes: complex) -> None:
-        """Let the body stray as it does from one exposure to the next."""
+        """Let the body stray as it does from one exposure to the next; `robot_axes` is the
+        direction of the robot's heading."""
         self.strayed += self.step * (robot_axes if self.own else 1.0)
         self.turned += self.turn
 
@@ -156,13 +161,19 @@ class TrackedBody:
     last_tracked: RigidBody | None = None  # the body at its last tracked pose
 
     def expose(self, view: View) -> RigidBody:
-        """Return the body as the cameras report it now; an untracked body keeps its last pose."""
+        """Return the body as the cameras report it now; an untracked body keeps its last pose, and
+        the first one if it was never tracked."""
         tracked = self._tracked_now()
         if self.last_tracked is None or (tracked and not self.tracking.repeats):
-            self.last_tracked = self._look(view)
+            robot_axes = cmath.rect(1.0, self.robot.heading)
+            self.displacement.grow(robot_axes)
+            self.last_tracked = self._seen(view, robot_axes)
+        body = self.last_tracked
         if not tracked:
-            return replace(self.last_tracked, tracking_valid=False)
-        return reduce(lambda body, change: change(body), self.changes, self.last_tracked)
+            return replace(body, tracking_valid=False)
+        for change in self.changes:
+            body = change(body)
+        return body
 
     def _tracked_now(self) -> bool:
         if not self.tracking.tracked:
@@ -170,11 +181,10 @@ class TrackedBody:
         missing = self.tracking.missing
         return not missing or self.noise.random.random() >= missing
 
-    def _look(self, view: View) -> RigidBody:
-        """Return the body at its robot's pose, displaced and with noise."""
+    def _seen(self, view: View, robot_axes: complex) -> RigidBody:
+        """Return the body at its robot's pose, displaced and with noise; `robot_axes` is the
+        direction of the robot's heading."""
         robot = self.robot
-        robot_axes = cmath.rect(1.0, robot.heading)
-        self.displacement.grow(robot_axes)
         off_mm = self.displacement.shift + self.displacement.strayed + self.plate.slip * robot_axes
         turned_rad = self.displacement.turned + self.plate.turned - self.asset.offset
         draw = self.noise.random.gauss

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import yaml
 from support.cli import tetractl
+from tetractl_emulator.rehearsal import day
 from tetractl_toio.camera import ToioCamera
 from tetractl_toio.cubes import EmulatedCubePort
 from tetractl_toio.emulated.cube import CubeProgram
@@ -102,6 +103,21 @@ def test_a_fault_stops_the_cubes(folder, tmp_path, row, why):
     assert done.returncode == 1, done.stderr
     trial = read_trial(tmp_path / "out" / "trial-000.mcap")
     assert trial.result is not None and why in trial.result.reason, trial.result
+
+
+def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
+    folder, tmp_path, monkeypatch
+):
+    """Regression: no report, no exposure, so the fault had no begin in the record; and no row of a
+    rehearsal's table had the reason."""
+    silent = {"kind": "frames lost", "strength": 0.95, "fault": "no_frames"}
+    silent |= {"since": "start", "at": 0.0}
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent], ""))
+    words = ("lab", "rehearse", "cubes.yaml", "--days", "1", "--out", tmp_path / "days")
+    done = tetractl(folder, *words).ok()
+    assert done.stdout.endswith("1 day, 0 violations\n")
+    record = json.loads((tmp_path / "days" / "record-000000.json").read_text())["record"]
+    assert record["reason"] == "no message came from green, blue, red"
 
 
 def test_cubes_that_report_at_one_instant_have_times_of_their_own_all_the_same(folder):

@@ -115,7 +115,7 @@ class EmulatedRadio(RobotRadio):
         arrives = self._take_air(size) + uart_ns(size, ROBOT_BAUD)
         arrives += self.lateness_ns(self._random)
         for robot in self.robots:
-            if self._random.random() >= max(self.loss, robot.deaf):
+            if self._random.random() >= max(self.loss, robot.trouble.deaf):
                 for _ in range(1 + self.doubled):
                     self._timeline.at(arrives, lambda robot=robot: self._deliver(robot, payload))
 

@@ -6,7 +6,7 @@ Lengths are millimetres.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -84,12 +84,25 @@ class Program(Protocol):
         ...
 
 
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class RobotTrouble:
+    """What is wrong with a robot now; faults set the fields, and restore them when they end."""
+
+    stuck: tuple[bool, bool] = (False, False)
+    """Whether the left and the right wheel are stuck."""
+    weak: tuple[float, float] = (1.0, 1.0)
+    """The shares of its speed at which the left and the right wheel turn."""
+    deaf: float = 0.0
+    """The share of the transmissions that it does not receive."""
+    veer: Counts | None = None
+    """Counts that the motors get in place of any counts other than 0."""
+
+
 class EmulatedRobot:
     """One robot, in a row of `EmulatedRobots`, which moves it.
 
-    `index` is the number in broadcasts that was built into its firmware. Faults set `powered`,
-    `stuck` (left and right wheel), `weak`, the wheels' shares of their speed, `deaf`, the share of
-    transmissions that it does not receive, and `veer`, counts that replace any counts other than 0.
+    `index` is the number in broadcasts that was built into its firmware. Faults set fields of its
+    `trouble` and of its `battery`, and `switch` it off.
     """
 
     robots: "EmulatedRobots"
@@ -108,10 +121,7 @@ class EmulatedRobot:
         self._make_core = make_core
         self.battery = battery or EmulatedBattery()
         self.powered = True
-        self.stuck = (False, False)
-        self.weak = (1.0, 1.0)
-        self.deaf = 0.0
-        self.veer: Counts | None = None
+        self.trouble = RobotTrouble()
 
     @property
     def x(self) -> float:
@@ -163,7 +173,8 @@ class EmulatedRobot:
         if not self.powered:
             return 0, 0
         counts = self.core.wheels(self.robots.now_ms)
-        return self.veer if self.veer is not None and any(counts) else counts
+        veer = self.trouble.veer
+        return veer if veer is not None and any(counts) else counts
 
     def switch(self, on: bool) -> None:
         """Switch the robot on or off; switching it on restarts its firmware."""
@@ -182,6 +193,27 @@ class RobotsNow(NamedTuple):
     time_ns: int
     places: list[Place]
     wheels: list[Speeds]
+
+
+@dataclass(slots=True)
+class RobotSteps:
+    """The robots' time, and the steps whose motion is not yet computed: those from `settled_ns` to
+    `now_ns`, which end at `ends_ns`.
+    """
+
+    now_ns: int
+    settled_ns: int
+    ends_ns: list[int] = field(default_factory=list)
+
+    def take(self, end_ns: int) -> None:
+        """Take a step that ends at `end_ns`."""
+        self.now_ns = end_ns
+        self.ends_ns.append(end_ns)
+
+    def settle(self) -> None:
+        """Begin with the steps that come after the present time."""
+        self.settled_ns = self.now_ns
+        self.ends_ns = []
 
 
 class EmulatedRobots:
@@ -207,11 +239,10 @@ class EmulatedRobots:
         self._wheeled.drive(start_ns, np.array([start_ns]))  # so that the code is loaded before
         self.robots = robots
         self._drivetrains = drivetrains
-        self._now_ns = self._settled_ns = start_ns
-        self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
+        self._steps = RobotSteps(now_ns=start_ns, settled_ns=start_ns)
         self._newest: RobotsNow | None = None  # what `now` returned last
         self._stood: tuple[int, list[bool]] = -1, []  # `standing`, and when it was computed [ns]
-        # speeds, targets and lags of each robot's wheels at `_settled_ns`, [] if not yet read
+        # of each robot, at the end of the motion that is computed; [] if not yet read
         self._rolling: list[RollingWheels] = []
         self._held: list[Held] = []
         for row, robot in enumerate(robots):
@@ -221,25 +252,29 @@ class EmulatedRobots:
     @property
     def now_ms(self) -> int:
         """The time of the robots' firmware [ms]."""
-        return self._now_ns // MILLISECOND
+        return self._steps.now_ns // MILLISECOND
 
     @property
     def standing(self) -> list[bool]:
         """Whether each robot is at rest, or moves more slowly than a camera could detect."""
-        if self._stood[0] != self._now_ns:
-            ahead_s = (self._settled_ns - self._now_ns) / SECOND
+        now_ns = self._steps.now_ns
+        if self._stood[0] != now_ns:
+            ahead_s = (self._steps.settled_ns - now_ns) / SECOND
             if not self._rolling:
                 body = self._wheeled.body
                 rows = zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)
                 self._rolling = [RollingWheels(*row) for row in rows]
-            self._stood = self._now_ns, [_stands(ahead_s, wheels) for wheels in self._rolling]
+            self._stood = now_ns, [_stands(ahead_s, wheels) for wheels in self._rolling]
         return self._stood[1]
 
     def advance(self, until_ns: int) -> None:
         """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
-        while self._now_ns < until_ns:
-            held: list[Held] = [(robot.counts(), robot.stuck, robot.weak) for robot in self.robots]
-            if len(self._passed_ns) == STEPS_MAX:
+        steps = self._steps
+        while steps.now_ns < until_ns:
+            held: list[Held] = [
+                (robot.counts(), robot.trouble.stuck, robot.trouble.weak) for robot in self.robots
+            ]
+            if len(steps.ends_ns) == STEPS_MAX:
                 self._settled()
             if held != self._held:
                 wheeled = self._settled()
@@ -248,8 +283,7 @@ class EmulatedRobots:
                 speeds = weak * self._drivetrains.speeds(counts)
                 wheeled.targets[:] = np.where(stuck, 0.0, speeds)
                 wheeled.wheels[stuck] = 0.0
-            self._now_ns = min(self._now_ns + MILLISECOND, until_ns)
-            self._passed_ns.append(self._now_ns)
+            steps.take(min(steps.now_ns + MILLISECOND, until_ns))
 
     def place(self, row: int, x: float, y: float, heading: float) -> None:
         """Put a robot, at rest, at a pose [mm, rad]."""
@@ -270,25 +304,26 @@ class EmulatedRobots:
     def now(self) -> RobotsNow:
         """Return where the robots are now, and how fast their wheels turn."""
         newest = self._newest
-        if newest is None or newest.time_ns != self._now_ns:
+        now_ns = self._steps.now_ns
+        if newest is None or newest.time_ns != now_ns:
             body = self._settled().body
             places = list(zip(*body[:3].tolist(), strict=True))
             wheels = list(zip(*body[3:5].tolist(), strict=True))
-            newest = RobotsNow(self._now_ns, places, wheels)
+            newest = RobotsNow(now_ns, places, wheels)
             self._newest = newest
         return newest
 
     def _settled(self) -> WheeledRobots:
         """Return the robots as they are now."""
         wheeled = self._wheeled
+        steps = self._steps
         self._rolling = []
-        if not self._passed_ns:
+        if not steps.ends_ns:
             return wheeled
-        seconds = (self._now_ns - self._settled_ns) / SECOND
+        seconds = (steps.now_ns - steps.settled_ns) / SECOND
         if wheeled.targets.any() or wheeled.wheels.any():
-            wheeled.drive(self._settled_ns, np.array(self._passed_ns))
-        self._settled_ns = self._now_ns
-        self._passed_ns = []
+            wheeled.drive(steps.settled_ns, np.array(steps.ends_ns))
+        steps.settle()
         for robot, left_mm_s, right_mm_s in zip(self.robots, *wheeled.wheels.tolist(), strict=True):
             robot.battery.draw(
                 min((abs(left_mm_s) + abs(right_mm_s)) / FULL_LOAD_MM_S, 1.0), seconds

@@ -71,7 +71,7 @@ FAULTS = (
     fault_kind(
         "veer",
         "A robot's motors get these counts in place of every count other than 0.",
-        settings(_robot_of, veer=attrgetter("counts")),
+        settings(lambda f, d: _robot_of(f, d).trouble, veer=attrgetter("counts")),
         fields={"robot": Name, "counts": tuple[Count, Count]},
     ),
     fault_kind(

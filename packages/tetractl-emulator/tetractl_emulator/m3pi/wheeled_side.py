@@ -32,7 +32,7 @@ from tetractl_emulator.faults import (
     values_of,
 )
 from tetractl_emulator.loop import Loop, Timeline
-from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
+from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots, RobotTrouble
 from tetractl_emulator.port import RobotRadio
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.rehearsal.world import LAG_MAX_S
@@ -258,6 +258,10 @@ def _robot_of(fault: Any, device: Any) -> EmulatedRobot:
     return device.robot(fault.robot)
 
 
+def _trouble_of(fault: Any, device: Any) -> RobotTrouble:
+    return _robot_of(fault, device).trouble
+
+
 def _radios(**values: Any) -> Begin:
     """Return a function that begins a fault: it sets attributes of all radios."""
 
@@ -279,7 +283,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "wheel_stuck",
         "One or both wheels no longer turn.",
-        settings(_robot_of, stuck=lambda f: STUCK[f.wheel]),
+        settings(_trouble_of, stuck=lambda f: STUCK[f.wheel]),
         fields={"robot": Name, "wheel": Wheel},
     ),
     UNPLUG,
@@ -293,7 +297,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "deaf",
         "A robot does not receive this fraction of the transmissions.",
-        settings(_robot_of, deaf=attrgetter("share")),
+        settings(_trouble_of, deaf=attrgetter("share")),
         fields={"robot": Name, "share": Share},
     ),
     fault_kind(
@@ -344,7 +348,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "weak_wheel",
         "A wheel turns at this share of its speed.",
-        settings(_robot_of, weak=_weak),
+        settings(_trouble_of, weak=_weak),
         fields={"robot": Name, "wheel": Wheel, "share": Share},
     ),
     fault_kind(

@@ -45,7 +45,7 @@ class LineRadio(RobotRadio):
         for line in lines:
             arrives = self._timeline.now_ns + DELAY_NS + self.lateness_ns(self._random)
             for robot in self.robots:
-                if self._random.random() >= max(self.loss, robot.deaf):
+                if self._random.random() >= max(self.loss, robot.trouble.deaf):
                     for _ in range(1 + self.doubled):
                         heard = partial(robot.hear, line + self.end)
                         self._timeline.at(arrives, heard)

@@ -157,7 +157,7 @@ class Connection(RobotRadio):
         chance = self._random
         now_ns = self._timeline.now_ns
         for data in written:
-            if chance.random() >= max(self.loss, self.robot.deaf):
+            if chance.random() >= max(self.loss, self.robot.trouble.deaf):
                 # a connection keeps the order of what it passes on
                 self._heard_ns = max(self._heard_ns, now_ns + self.late_ns)
                 self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))

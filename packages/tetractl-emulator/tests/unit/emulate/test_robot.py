@@ -79,7 +79,7 @@ def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, count_left):
     for k, gap in enumerate(gaps):
         for robot in (watched, alone):
             robot.hear(frame(k + 1, (count_left, 60)))
-            robot.stuck = (k == 2, False)
+            robot.trouble.stuck = (k == 2, False)
         for step in range(now + MS, now + gap, MS):
             watched.robots.advance(step)
             assert watched.standing == stands(watched)
@@ -97,7 +97,7 @@ def test_a_wheel_that_sticks_stands_at_once():
     robot = robot_at_start()
     robot.hear(frame(1, (40, 40)))
     robot.robots.advance(200 * MS)
-    robot.stuck = (True, False)
+    robot.trouble.stuck = (True, False)
     robot.robots.advance(202 * MS)
     assert robot.wheels[0] == 0
     assert robot.wheels[1] > 0

@@ -8,6 +8,7 @@ import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -26,22 +27,65 @@ def uart_ns(size: int, baud: int) -> int:
     return size * 10 * SECOND // baud
 
 
+class SerialLine:
+    """The line between a port and a device: bytes take their time at `baud` bits per second, in
+    each direction one after the other.
+
+    Faults set `speed`, the baud rate that the device really has, and `noise`, the share of bytes
+    that are changed.
+    """
+
+    def __init__(self, timeline: Timeline, baud: int) -> None:
+        self.baud = baud
+        self.speed = baud
+        self.noise = 0.0
+        self._timeline = timeline
+        self._chance = random.Random(baud)
+        self._in_free_ns = 0
+        self._out_free_ns = 0
+
+    def bring(self, size: int) -> int:
+        """Bring `size` bytes to the device, after those on their way; return the time at which
+        they have come [ns].
+        """
+        start_ns = max(self._timeline.now_ns, self._in_free_ns)
+        self._in_free_ns = start_ns + uart_ns(size, self.baud)
+        return self._in_free_ns
+
+    def take_away(self, size: int) -> int:
+        """Take `size` bytes from the device, after those on their way; return the time at which
+        they have come to the port [ns].
+        """
+        start_ns = max(self._timeline.now_ns, self._out_free_ns)
+        self._out_free_ns = start_ns + uart_ns(size, self.baud)
+        return self._out_free_ns
+
+    def disturbed(self, data: bytes) -> bytes:
+        """Return bytes as the line passes them on."""
+        if not self.noise:
+            return data
+        chance = self._chance
+        return bytes(
+            chance.randrange(256) if chance.random() < self.noise else byte for byte in data
+        )
+
+
 class SerialDevice(ABC):
-    """A device that receives and answers through `port`, with the delays of a serial line."""
+    """A device that receives and answers through `port`, with the delays of its `line`.
+
+    `note(event, **facts)` records each command when it is read from the port; `garbled` is the
+    number of chunks sent at another baud rate than the device's.
+    """
 
     def __init__(
         self, timeline: Timeline, port: "PseudoPort", baud: int, note: Callable[..., None]
     ) -> None:
         self.port = port
         self.note = note
-        self.garbled = 0  # number of chunks sent at another baud rate than the device's
-        self.speed = baud  # baud rate
-        self.noise = 0.0  # the share of bytes that are changed
+        self.line = SerialLine(timeline, baud)
+        self.garbled = 0
         self._down = False
         self._timeline = timeline
-        self._baud = baud
-        self._noisy = random.Random(baud)
-        self._in_ns = self._out_ns = 0  # when the line is free again, in and out
         self._splitter = Splitter()  # of frames closed by 00
 
     @abstractmethod
@@ -61,25 +105,16 @@ class SerialDevice(ABC):
 
     def _came(self, data: bytes) -> None:
         self._witness(data)
-        if self.port.baud() not in (self.speed, None):
+        if self.port.baud() not in (self.line.speed, None):
             self.garbled += 1
             return
-        data = self._disturbed(data)
-        self._in_ns = max(self._timeline.now_ns, self._in_ns) + uart_ns(len(data), self._baud)
-        self._timeline.at(self._in_ns, lambda: None if self._down else self.hear(data))
+        passed = self.line.disturbed(data)
+        come_ns = self.line.bring(len(data))
+        self._timeline.at(come_ns, lambda: None if self._down else self.hear(passed))
 
     def restart(self, down: bool) -> None:
         """Take and give no bytes while it is `down`."""
         self._down = down
-
-    def _disturbed(self, data: bytes) -> bytes:
-        """Return bytes as the wire passes them on."""
-        if not self.noise:
-            return data
-        chance = self._noisy
-        return bytes(
-            chance.randrange(256) if chance.random() < self.noise else byte for byte in data
-        )
 
     def _note_commands(self, frames: Sequence[bytes]) -> None:
         """Record the commands, or the garbage, in frames read from the port."""
@@ -94,26 +129,45 @@ class SerialDevice(ABC):
         """Return the facts of a frame's command, to be recorded; WireError if there is none."""
 
     def _answer(self, data: bytes) -> None:
-        self._out_ns = max(self._timeline.now_ns, self._out_ns) + uart_ns(len(data), self._baud)
-        if not self._down and self.speed == self._baud:
-            wired = self._disturbed(data)
-            self._timeline.at(self._out_ns, lambda: self.port.write(wired))
+        come_ns = self.line.take_away(len(data))
+        if not self._down and self.line.speed == self.line.baud:
+            passed = self.line.disturbed(data)
+            self._timeline.at(come_ns, lambda: self.port.write(passed))
+
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class RadioTrouble:
+    """What is wrong with a radio's transmissions now; faults set the fields, and restore them when
+    they end.
+    """
+
+    loss: float = 0.0
+    """Probability that a robot does not receive a transmission."""
+    late_ns: int = 0
+    """Time by which transmissions are late [ns]."""
+    jitter_ns: int = 0
+    """Greatest random time by which each is later still [ns]."""
+    doubled: bool = False
+    """Whether robots receive each transmission twice."""
+
+    def lateness_ns(self, chance: random.Random) -> int:
+        """Draw by how much a transmission is late [ns]."""
+        return self.late_ns + (round(chance.uniform(0, self.jitter_ns)) if self.jitter_ns else 0)
 
 
 class RobotRadio(SerialDevice):
-    """A radio to robots. Faults set `loss`, the probability that a robot does not receive a
-    transmission, `late_ns`, by which they are late [ns], `jitter_ns`, up to which each is later
-    still at random [ns], and whether they are `doubled`.
-    """
+    """A radio to robots, which at first loses the share `loss` of its transmissions."""
 
-    loss = 0.0
-    late_ns = 0
-    jitter_ns = 0
-    doubled = False
-
-    def lateness_ns(self, chance: random.Random) -> int:
-        """Return by how much a transmission is late [ns]."""
-        return self.late_ns + (round(chance.uniform(0, self.jitter_ns)) if self.jitter_ns else 0)
+    def __init__(
+        self,
+        timeline: Timeline,
+        port: "PseudoPort",
+        baud: int,
+        note: Callable[..., None],
+        loss: float,
+    ) -> None:
+        super().__init__(timeline, port, baud, note)
+        self.trouble = RadioTrouble(loss)
 
     @abstractmethod
     def stop_elsewhere(self, sequence: int) -> None:

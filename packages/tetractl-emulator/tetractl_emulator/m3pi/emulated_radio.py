@@ -54,8 +54,7 @@ class EmulatedRadio(RobotRadio):
         seed: int,
         note: Callable[..., None],
     ) -> None:
-        super().__init__(timeline, port, baud, note)
-        self.loss = loss
+        super().__init__(timeline, port, baud, note, loss)
         self.robots = robots
         self._random = random.Random(seed)
         self._decoder = Decoder()
@@ -113,10 +112,10 @@ class EmulatedRadio(RobotRadio):
     def _transmit(self, payload: bytes) -> None:
         size = len(payload)
         arrives = self._take_air(size) + uart_ns(size, ROBOT_BAUD)
-        arrives += self.lateness_ns(self._random)
+        arrives += self.trouble.lateness_ns(self._random)
         for robot in self.robots:
-            if self._random.random() >= max(self.loss, robot.trouble.deaf):
-                for _ in range(1 + self.doubled):
+            if self._random.random() >= max(self.trouble.loss, robot.trouble.deaf):
+                for _ in range(1 + self.trouble.doubled):
                     self._timeline.at(arrives, lambda robot=robot: self._deliver(robot, payload))
 
     def _deliver(self, robot: EmulatedRobot, payload: bytes) -> None:
@@ -128,6 +127,6 @@ class EmulatedRadio(RobotRadio):
         for _ in range(4):
             arrives = self._take_air(len(payload))
             self._air_ns += ACK_NS
-            if self._random.random() >= self.loss:
+            if self._random.random() >= self.trouble.loss:
                 self._timeline.at(arrives, lambda: self._answer(encode(RECEIVED + payload)))
                 return

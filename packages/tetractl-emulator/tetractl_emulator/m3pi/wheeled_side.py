@@ -262,12 +262,17 @@ def _trouble_of(fault: Any, device: Any) -> RobotTrouble:
     return _robot_of(fault, device).trouble
 
 
-def _radios(**values: Any) -> Begin:
-    """Return a function that begins a fault: it sets attributes of all radios."""
+# parts of a `RobotRadio`
+TROUBLE = attrgetter("trouble")
+LINE = attrgetter("line")
+
+
+def _radios(part: Callable[[RobotRadio], object], **values: Any) -> Begin:
+    """Return a function that begins a fault: it sets attributes of a part of all radios."""
 
     def begin(fault: Any, device: Any) -> Undo:
         present = values_of(fault, values)
-        return together([setting(radio, **present) for radio in device.radios])
+        return together([setting(part(radio), **present) for radio in device.radios])
 
     return begin
 
@@ -291,7 +296,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "loss",
         "Robots do not receive this fraction of the transmissions.",
-        _radios(loss=attrgetter("share")),
+        _radios(TROUBLE, loss=attrgetter("share")),
         fields={"share": Share},
     ),
     fault_kind(
@@ -309,7 +314,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "late_radio",
         "Transmissions arrive late [s].",
-        _radios(late_ns=lambda f: round(f.by * SECOND)),
+        _radios(TROUBLE, late_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
     ),
     fault_kind(
@@ -320,13 +325,13 @@ WHEELED_FAULTS = (
     fault_kind(
         "overtaken_packets",
         "Transmissions are late by a random time up to this one [s], so that some overtake others.",
-        _radios(jitter_ns=lambda f: round(f.by * SECOND)),
+        _radios(TROUBLE, jitter_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
     ),
     fault_kind(
         "doubled_packets",
         "Robots receive each transmission twice.",
-        _radios(doubled=True),
+        _radios(TROUBLE, doubled=True),
     ),
     fault_kind(
         "radio_resets",
@@ -336,13 +341,13 @@ WHEELED_FAULTS = (
     fault_kind(
         "baud",
         "The radio's module has another baud rate.",
-        _radios(speed=attrgetter("baud")),
+        _radios(LINE, speed=attrgetter("baud")),
         fields={"baud": Literal[9600, 19200, 38400, 115200]},
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the wire to the radio is changed, both ways.",
-        _radios(noise=attrgetter("share")),
+        _radios(LINE, noise=attrgetter("share")),
         fields={"share": Share},
     ),
     fault_kind(

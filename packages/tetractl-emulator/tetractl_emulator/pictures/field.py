@@ -239,7 +239,7 @@ FAULTS = (
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the driver's wire is changed, both ways.",
-        settings(_driver_of, noise=attrgetter("share")),
+        settings(lambda f, d: d.driver.line, noise=attrgetter("share")),
         fields={"share": Share},
     ),
     fault_kind(

@@ -31,9 +31,8 @@ class LineRadio(RobotRadio):
         loss: float,
         seed: int,
     ) -> None:
-        super().__init__(stage.timeline, port, baud, stage.note)
+        super().__init__(stage.timeline, port, baud, stage.note, loss)
         self.robots = robots
-        self.loss = loss
         self._indices = indices
         self._random = random.Random(seed)
         self._line = b""
@@ -43,10 +42,10 @@ class LineRadio(RobotRadio):
         """Take bytes that have come over the line; robots hear whole lines or none."""
         *lines, self._line = self._split(self._line + data)
         for line in lines:
-            arrives = self._timeline.now_ns + DELAY_NS + self.lateness_ns(self._random)
+            arrives = self._timeline.now_ns + DELAY_NS + self.trouble.lateness_ns(self._random)
             for robot in self.robots:
-                if self._random.random() >= max(self.loss, robot.trouble.deaf):
-                    for _ in range(1 + self.doubled):
+                if self._random.random() >= max(self.trouble.loss, robot.trouble.deaf):
+                    for _ in range(1 + self.trouble.doubled):
                         heard = partial(robot.hear, line + self.end)
                         self._timeline.at(arrives, heard)
 

@@ -120,9 +120,8 @@ class Connection(RobotRadio):
         loss: float,
         seed: int,
     ) -> None:
-        super().__init__(stage.timeline, port, SPEED, stage.note)
+        super().__init__(stage.timeline, port, SPEED, stage.note, loss)
         self.robot = robot
-        self.loss = loss
         self._robots = robots
         self._random = random.Random(seed)
         self._interval_ns = interval_ns
@@ -134,7 +133,7 @@ class Connection(RobotRadio):
 
     def hear(self, data: bytes) -> None:
         """Take bytes that a program has written; the cube hears them at the next event."""
-        times = 2 if self.doubled else 1
+        times = 2 if self.trouble.doubled else 1
         self._written += [data] * times
 
     def notify(self, message: bytes, passed: Any) -> None:
@@ -157,12 +156,12 @@ class Connection(RobotRadio):
         chance = self._random
         now_ns = self._timeline.now_ns
         for data in written:
-            if chance.random() >= max(self.loss, self.robot.trouble.deaf):
+            if chance.random() >= max(self.trouble.loss, self.robot.trouble.deaf):
                 # a connection keeps the order of what it passes on
-                self._heard_ns = max(self._heard_ns, now_ns + self.late_ns)
+                self._heard_ns = max(self._heard_ns, now_ns + self.trouble.late_ns)
                 self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
         if self.port.fd >= 0 and not self._down and self.robot.powered:
-            passed = [note for note in noted if chance.random() >= self.loss]
+            passed = [note for note in noted if chance.random() >= self.trouble.loss]
             data = b"".join(message for message, _ in passed) + self.robot.answer()
             if data:
                 self.port.write(data)

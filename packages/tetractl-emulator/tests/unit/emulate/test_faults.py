@@ -25,7 +25,6 @@ from tetractl.experiment.yaml.document import parse_document
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
 
-RADIO = ("loss", "late_ns", "jitter_ns", "doubled", "_down", "speed", "noise")
 RUN = ((60, 60), (60, 60))
 FIELD = (
     "off",
@@ -90,6 +89,10 @@ def robot_state(robot):
     return {**vars(robot), "core": 0, "robots": 0}
 
 
+def line_state(device):
+    return device.line.speed, device.line.noise
+
+
 def state(lab):
     """All that a fault may change: of the camera's side, of the radio or the driver, of robots."""
     camera = lab.camera
@@ -99,12 +102,12 @@ def state(lab):
         parts += [camera.trouble, camera.clock, camera.view]
         parts += [body_state(body) for body in camera.tracked]
     if hasattr(actuator, "radio"):
-        parts += [getattr(actuator.radio, name) for name in RADIO]
+        parts += [actuator.radio.trouble, actuator.radio._down, *line_state(actuator.radio)]
         parts += [robot_state(robot) for robot in actuator.robots]
     else:
         driver = actuator.driver
         parts += [driver.powered, driver.mute, driver.supply_mv, driver.temperature_dc]
-        parts += [driver.late_ns, driver.doubled, driver.noise, actuator.dish.coils]
+        parts += [driver.late_ns, driver.doubled, *line_state(driver), actuator.dish.coils]
     return repr(parts)
 
 

@@ -83,12 +83,16 @@ class Losses:
         self._standing = Standing(speed)
         self.dead: Bools = np.zeros(count, dtype=np.bool_)
         self.lost: Bools = np.zeros(count, dtype=np.bool_)
-        self.left: Bools = ~self.lost
         self.changes = 0
         self.times: Integers = np.zeros(count, dtype=np.int64)
         self._seen_ns: Integers | None = None
         self._waiting = list[Observation]()  # frames that are not yet counted
         self._due_ns = 0  # the earliest time at which a robot can be lost or back
+
+    @property
+    def left(self) -> Bools:
+        """Which robots (N,) are not lost."""
+        return ~self.lost
 
     def see(self, frame: Observation) -> list[int]:
         """Update the losses by the next frame; return the indices of robots replaced in it."""
@@ -123,7 +127,6 @@ class Losses:
         """Count the robots `gone` now (N,), and take which are `lost` from now on (N,)."""
         self.times = self.times + gone
         self.lost = lost
-        self.left = ~lost
         self.changes += 1
 
 

@@ -25,7 +25,7 @@ and walls. Lengths are in the spec's length unit.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +75,16 @@ class Level(NamedTuple):
     directions: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class Branches:
+    """The branches grown from the nodes of a level: their `directions` (B,) [rad], the poses at
+    their ends (B, N, 3), and the numbers of the squares of these ends (B,)."""
+
+    directions: Floats
+    ends: Floats
+    squares: Integers
+
+
 class Tree:
     """A tree of directions, of which the nodes of the last level can grow branches.
 
@@ -96,13 +106,7 @@ class Tree:
         self._nodes: Floats = problem.poses.array()[None]
         self._squares_of_nodes: Integers = np.empty(0, dtype=np.int64)
         """The numbers of all nodes of all levels."""
-        # of the branches grown last:
-        self._directions: Floats = np.empty(0)
-        """(B,)"""
-        self._ends: Floats = self._nodes
-        """(B, N, 3) poses at their ends."""
-        self._squares: Integers = self._squares_of_nodes
-        """(B,) the numbers of their ends."""
+        self._grown = Branches(np.empty(0), self._nodes, self._squares_of_nodes)
 
     def grow(self) -> Floats:
         """Grow BRANCHES of them from each node of the last level; return the poses
@@ -111,28 +115,32 @@ class Tree:
         first = uniform(self._key, 2 * count + len(self.levels), 1)
         all_round = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
         starts = self._nodes.repeat(BRANCHES, axis=0)
-        self._directions = np.tile(all_round, len(self._nodes))
+        directions = np.tile(all_round, len(self._nodes))
         turns = np.zeros(PARTS * self._held)
         part = self._problem.period / PARTS
-        path = compiled_branches(self._problem, starts, self._directions, turns, part)[1:]
-        self._ends = path[-1]
-        squares = np.floor(self._ends[..., :2].reshape(-1, 2 * count) / self._side)
-        self._squares = (squares.astype(np.int64) * self._factors).sum(axis=1)
+        path = compiled_branches(self._problem, starts, directions, turns, part)[1:]
+        self._grown = Branches(directions, path[-1], self._squares(path[-1]))
         return path
+
+    def _squares(self, poses: Floats) -> Integers:
+        """Return the numbers (B,) of the squares in which robots at poses (B, N, 3) are."""
+        squares = np.floor(poses[..., :2].reshape(len(poses), -1) / self._side)
+        return (squares.astype(np.int64) * self._factors).sum(axis=1)
 
     def unlike(self, order: Integers) -> Integers:
         """Return those of the branches `order`, best first, whose ends are like neither a node nor
         the end of a better branch."""
-        _, first_places = np.unique(self._squares[order], return_index=True)
+        squares = self._grown.squares
+        _, first_places = np.unique(squares[order], return_index=True)
         unlike_each_other = order[np.sort(first_places)]
-        like_a_node = np.isin(self._squares[unlike_each_other], self._squares_of_nodes)
+        like_a_node = np.isin(squares[unlike_each_other], self._squares_of_nodes)
         return unlike_each_other[~like_a_node]
 
     def keep(self, branches: Integers) -> None:
         """Make the ends of branches the nodes of the next level."""
-        self._squares_of_nodes = np.append(self._squares_of_nodes, self._squares[branches])
-        self._nodes = self._ends[branches]
-        self.levels.append(Level(branches // BRANCHES, self._directions[branches]))
+        self._squares_of_nodes = np.append(self._squares_of_nodes, self._grown.squares[branches])
+        self._nodes = self._grown.ends[branches]
+        self.levels.append(Level(branches // BRANCHES, self._grown.directions[branches]))
 
     def sequence(self, node: int, levels: int | None = None) -> Floats:
         """Return the signals (L,) that lead to a node of the last of so many levels, or of all."""

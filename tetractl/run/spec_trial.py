@@ -25,7 +25,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
-from tetractl.core.worker import Relay, Worker
+from tetractl.core.worker import QueueLimits, Relay, Worker
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.prepared import Prepare
 from tetractl.experiment.registry_fields import packages
@@ -49,10 +49,12 @@ class ObserverRelay(Relay):
         self.observer = observer
         self.worker = Worker(
             "observer",
-            size=QUEUED_CALLS_MAX,
-            wait_s=0.0,
-            patience_s=LAST_CALLS_S,
-            too_slow=TetractlError("an observer is too slow for the trial"),
+            QueueLimits(
+                size=QUEUED_CALLS_MAX,
+                wait_s=0.0,
+                patience_s=LAST_CALLS_S,
+                too_slow=TetractlError("an observer is too slow for the trial"),
+            ),
         )
 
 

@@ -6,7 +6,7 @@ from typing import Self
 from tetractl.core.commands import Command
 from tetractl.core.errors import LogError
 from tetractl.core.trial import Result, Start
-from tetractl.core.worker import Relay, Worker
+from tetractl.core.worker import QueueLimits, Relay, Worker
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.sink import Sink
 
@@ -55,12 +55,14 @@ class LogWriter(Relay):
         self.observer = self._encoder
         self.worker = Worker(
             f"log {self._path.name}",
-            size=QUEUE_MAX,
-            wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
-            patience_s=DISK_PATIENCE_S,
-            too_slow=LogError(
-                f"{self._path}: the disk is too slow for this log",
-                f"the log so far is in {self._path}.part",
+            QueueLimits(
+                size=QUEUE_MAX,
+                wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
+                patience_s=DISK_PATIENCE_S,
+                too_slow=LogError(
+                    f"{self._path}: the disk is too slow for this log",
+                    f"the log so far is in {self._path}.part",
+                ),
             ),
             idle=self._sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,

@@ -16,12 +16,12 @@ from pydantic import BaseModel
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import nearest_starts, nearest_targets
-from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec
 from tetractl.experiment.section_abilities import (
     Accepting,
+    Clearance,
     CountsSteps,
     Delaying,
     Estimating,
@@ -62,35 +62,83 @@ NAMED_MAX = 2
 Findings = Iterator[SpecFinding]
 
 
+@dataclass(frozen=True)
 class CheckContext:
     """An experiment, and the numbers of its controller that the rules read."""
 
-    def __init__(self, experiment: Experiment) -> None:
-        control = experiment.controller
-        self.experiment = experiment
-        self.setup = experiment.setup
-        self.unit = experiment.setup.unit
-        self.tolerance = control.arrival_tolerance
-        periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
-        self.signal_s = control.period * periods
+    experiment: Experiment
+
+    @property
+    def setup(self) -> Setup:
+        """The experiment's numbers as arrays."""
+        return self.experiment.setup
+
+    @property
+    def unit(self) -> str:
+        """The unit of length."""
+        return self.setup.unit
+
+    @property
+    def tolerance(self) -> float:
+        """Distance to its target within which a robot has arrived [length unit]."""
+        return self.experiment.controller.arrival_tolerance
+
+    @property
+    def signal_s(self) -> float:
         """Time for which a signal of a plan is held [s]."""
-        signals_max = control.horizon_max if isinstance(control, PlansSignals) else math.inf
-        self.plan_s = signals_max * self.signal_s
+        control = self.experiment.controller
+        periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
+        return control.period * periods
+
+    @property
+    def plan_s(self) -> float:
         """Longest time of a plan [s], inf if it is not limited."""
-        self.motion = control.motion if isinstance(control, Modelled) else ""
+        control = self.experiment.controller
+        signals_max = control.horizon_max if isinstance(control, PlansSignals) else math.inf
+        return signals_max * self.signal_s
+
+    @property
+    def motion(self) -> str:
         """The controller's model of the motion, "" if it has none."""
-        self.estimates = control.estimate if isinstance(control, Estimating) else False
+        control = self.experiment.controller
+        return control.motion if isinstance(control, Modelled) else ""
+
+    @property
+    def estimates(self) -> bool:
         """Whether the controller identifies the plant's dead time."""
-        self.collision = control.collision if isinstance(control, KeepsClear) else None
+        control = self.experiment.controller
+        return control.estimate if isinstance(control, Estimating) else False
+
+    @property
+    def collision(self) -> Clearance | None:
         """What plans keep clear of, None if they keep clear of nothing."""
-        self.margin = self.collision.margin + self.collision.radius if self.collision else 0.0
+        control = self.experiment.controller
+        return control.collision if isinstance(control, KeepsClear) else None
+
+    @property
+    def margin(self) -> float:
         """Distance that plans keep to obstacles, including a robot's radius [length unit]."""
-        self.walls = self.collision is not None and self.collision.walls
+        collision = self.collision
+        return collision.margin + collision.radius if collision else 0.0
+
+    @property
+    def walls(self) -> bool:
         """Whether plans keep that distance to the arena's edge too."""
-        self.longest_s = self.setup.time_limit_s
+        return self.collision is not None and self.collision.walls
+
+    @property
+    def longest_s(self) -> float:
         """Longest time for which robots move [s], the lesser one of two limits."""
-        self.limit = _field_of_limit(control, self.longest_s)
-        """The controller's field that sets that time."""
+        return self.setup.time_limit_s
+
+    @property
+    def limit(self) -> str:
+        """The controller's field that sets that time: the number of its steps, if these are over by
+        then, else its time."""
+        control = self.experiment.controller
+        steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
+        steps_s = (steps_max + 1) * control.period
+        return "steps_max" if steps_s <= self.longest_s * (1 + ROUNDING) else "time_limit"
 
     @property
     def least_total_error(self) -> float:
@@ -119,14 +167,6 @@ class CheckContext:
     def driven(self, i: int, seconds: float) -> str:
         """Return how far robot i drives in a time [s] as text."""
         return self.length_text(self.setup.speed[i] * seconds)
-
-
-def _field_of_limit(control: ControllerSection, longest_s: float) -> str:
-    """Return which field of a controller limits a trial to `longest_s`: the number of its steps, if
-    these are over by then, else its time."""
-    steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
-    steps_s = (steps_max + 1) * control.period
-    return "steps_max" if steps_s <= longest_s * (1 + ROUNDING) else "time_limit"
 
 
 def angles_of_many_turns(context: CheckContext) -> Findings:

@@ -7,6 +7,7 @@ field of these currents.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -34,7 +35,7 @@ from tetractl_emulator.faults import (
     switching,
 )
 from tetractl_emulator.loop import Timeline
-from tetractl_emulator.pictures.dish.live_dish import CellBody, Dish, cells_of, culture
+from tetractl_emulator.pictures.dish.live_dish import CellBody, CoilField, Dish, cells_of, culture
 from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
 from tetractl_emulator.rehearsal.cell_faults import DISH, SPAN_S, dish_world, field_rows
@@ -42,13 +43,33 @@ from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class DriverReadings:
+    """What a driver measures apart from its currents; faults set the fields."""
+
+    supply_mv: int = 12_000
+    """The supply's voltage [mV]."""
+    temperature_dc: int = 250
+    """The coils' temperature [tenths of a degree Celsius]."""
+
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class DriverTrouble:
+    """What is wrong with a driver now; faults set the fields, and restore them when they end."""
+
+    mute: bool = False
+    """Whether it receives but does not reply."""
+    late_ns: int = 0
+    """Time by which it receives bytes late [ns]."""
+    doubled: bool = False
+    """Whether it receives them twice."""
+
+
 class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
-    `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set
-    `supply_mv`, `temperature_dc` (tenths of a degree Celsius), `mute` (the driver receives but does
-    not reply), `late_ns` [ns] and `doubled` of what it receives, or call `switch`. `note(event,
-    **facts)` records each command when it is read from the port, before the driver receives it.
+    `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set fields of
+    its `readings`, `trouble` and `line`, or call `switch`.
     """
 
     def __init__(
@@ -62,12 +83,9 @@ class CurrentDriver(SerialDevice):
     ) -> None:
         super().__init__(timeline, port, baud, note)
         self.currents: Pair = (0.0, 0.0)
-        self.supply_mv = 12_000
-        self.temperature_dc = 250
+        self.readings = DriverReadings()
+        self.trouble = DriverTrouble()
         self.powered = True
-        self.mute = False
-        self.late_ns = 0
-        self.doubled = False
         self._due_ns = 0
         self._limits = limits
         self._keep = math.exp(-MILLISECOND / SECOND / lag_s)
@@ -88,19 +106,20 @@ class CurrentDriver(SerialDevice):
         """Take bytes received over the line, one by one, and reply to polls, as a real driver
         does.
         """
-        if not self.late_ns and self._due_ns <= self._timeline.now_ns:
+        late_ns = self.trouble.late_ns
+        if not late_ns and self._due_ns <= self._timeline.now_ns:
             self._receive(data)
             return
-        self._due_ns = max(self._due_ns, self._timeline.now_ns + self.late_ns)  # in their order
+        self._due_ns = max(self._due_ns, self._timeline.now_ns + late_ns)  # in their order
         self._timeline.at(self._due_ns, lambda: self._receive(data))
 
     def _receive(self, data: bytes) -> None:
         if not self.powered:
             return
-        for byte in data * (1 + self.doubled):
+        for byte in data * (1 + self.trouble.doubled):
             self._core.push(bytes([byte]), self._now_ms)
             reply = self._core.take_reply(self._now_ms)
-            if reply and not self.mute:
+            if reply and not self.trouble.mute:
                 self._answer(reply)
 
     def advance(self, until_ns: int) -> None:
@@ -131,7 +150,8 @@ class CurrentDriver(SerialDevice):
             for now, before in zip(wished, self.currents, strict=True)
         )
         self.currents = x, y
-        self._core.measured(round(1000 * x), round(1000 * y), self.supply_mv, self.temperature_dc)
+        read = self.readings
+        self._core.measured(round(1000 * x), round(1000 * y), read.supply_mv, read.temperature_dc)
 
     @property
     def _now_ms(self) -> int:
@@ -154,15 +174,23 @@ class FieldSettings(Model):
     """The driver's supply voltage [mV]."""
 
 
-def _driver_of(fault: Any, device: Any) -> CurrentDriver:
-    return device.driver
+# parts of a `CurrentDriver`
+READINGS = attrgetter("readings")
+TROUBLE = attrgetter("trouble")
+LINE = attrgetter("line")
+
+
+def _driver(part: Callable[[CurrentDriver], object], **values: Any) -> Begin:
+    """Return a function that begins a fault: it sets attributes of a part of the driver."""
+    return settings(lambda fault, device: part(device.driver), **values)
 
 
 def _coils(change: Callable[[Any, CoilsSection], CoilsSection]) -> Begin:
     """Return a function that starts a fault by a change of the true coils."""
 
     def begin(fault: Any, device: Any) -> Undo:
-        return setting(device.dish, coils=change(fault, device.dish.coils))
+        field = device.dish.field
+        return setting(field, coils=change(fault, field.coils))
 
     return begin
 
@@ -208,13 +236,13 @@ FAULTS = (
     fault_kind(
         "low_supply",
         "The driver's supply has this voltage [mV].",
-        settings(_driver_of, supply_mv=attrgetter("millivolts")),
+        _driver(READINGS, supply_mv=attrgetter("millivolts")),
         fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
     ),
     fault_kind(
         "hot",
         "The coils have this temperature [degrees Celsius].",
-        settings(_driver_of, temperature_dc=lambda f: round(10 * f.celsius)),
+        _driver(READINGS, temperature_dc=lambda f: round(10 * f.celsius)),
         fields={"celsius": Annotated[float, Field(ge=0, le=200)]},
     ),
     fault_kind("divides", "A cell divides into two.", _divides, fields={"cell": Name}),
@@ -228,18 +256,18 @@ FAULTS = (
     fault_kind(
         "late_driver",
         "What the driver receives arrives late [s].",
-        settings(_driver_of, late_ns=lambda f: round(f.by * SECOND)),
+        _driver(TROUBLE, late_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
     ),
     fault_kind(
         "doubled_commands",
         "The driver receives each command twice.",
-        settings(_driver_of, doubled=True),
+        _driver(TROUBLE, doubled=True),
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the driver's wire is changed, both ways.",
-        settings(lambda f, d: d.driver.line, noise=attrgetter("share")),
+        _driver(LINE, noise=attrgetter("share")),
         fields={"share": Share},
     ),
     fault_kind(
@@ -254,7 +282,7 @@ FAULTS = (
         _coils(_turned),
         fields={"by": Finite},
     ),
-    fault_kind("mute", "The driver receives but does not reply.", settings(_driver_of, mute=True)),
+    fault_kind("mute", "The driver receives but does not reply.", _driver(TROUBLE, mute=True)),
 )
 
 
@@ -274,7 +302,7 @@ class EmulatedField(PluggedDevice):
         self.driver = self.wired = CurrentDriver(
             stage.timeline, self.port, _limits(section), section.baud, note=stage.note
         )
-        self.driver.supply_mv = settings.supply_mv
+        self.driver.readings.supply_mv = settings.supply_mv
         seed = stage.options.seed
         walk = settings.heading_noise
         names = setup.names
@@ -285,8 +313,8 @@ class EmulatedField(PluggedDevice):
             cells, names = culture(settings.cells, settings.strangers, walk, drawn)
         else:
             cells = cells_of(setup, walk, seed)
-        reference_mt = section.reference_mt(setup)
-        self.dish = Dish(self.driver, section.coils, reference_mt, cells, start_ns, seed, walls)
+        field = CoilField(section.coils, section.reference_mt(setup))
+        self.dish = Dish(self.driver, field, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
 
     @classmethod

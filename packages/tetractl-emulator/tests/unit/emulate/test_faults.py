@@ -106,8 +106,8 @@ def state(lab):
         parts += [robot_state(robot) for robot in actuator.robots]
     else:
         driver = actuator.driver
-        parts += [driver.powered, driver.mute, driver.supply_mv, driver.temperature_dc]
-        parts += [driver.late_ns, driver.doubled, *line_state(driver), actuator.dish.coils]
+        parts += [driver.powered, driver.trouble, driver.readings, *line_state(driver)]
+        parts += [actuator.dish.field]
     return repr(parts)
 
 

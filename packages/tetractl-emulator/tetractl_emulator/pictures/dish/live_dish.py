@@ -1,6 +1,7 @@
 """Cells that swim between the coils of an emulated driver, in real or virtual time."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -33,35 +34,51 @@ class FieldDriver(Protocol):
         ...
 
 
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class CoilField:
+    """The field of the true coils, which faults change. At the strength `reference_mt` [mT], the
+    cells' turning rates are their a of equation (3) of the paper.
+    """
+
+    coils: CoilsSection
+    reference_mt: float
+
+    def field_mt(self, currents: Pair) -> Pair:
+        """Return the field of currents [A] at the cells, in the spec's axes [mT]."""
+        return self.coils.field(currents)
+
+    def relative(self, currents: Pair) -> Pair:
+        """Return the field of currents [A] in units of the reference."""
+        x_mt, y_mt = self.field_mt(currents)
+        return x_mt / self.reference_mt, y_mt / self.reference_mt
+
+
 class Dish:
     """Cells between the coils of a driver.
 
-    `coils` are the true coils; at the field strength `reference_mt` the cells' turning rates are
-    their a of equation (3) of the paper. `walls` [um] are the edges along which cells slide, None
-    for a dish without edges. If `held`, a placed cell stays at its place until the driver makes a
-    field, as if a helper held it with a pipette, so that a trial begins with the cells on their
-    starts.
+    `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
+    placed cell stays at its place until the driver makes a field, as if a helper held it with a
+    pipette, so that a trial begins with the cells on their starts.
     """
 
     def __init__(
         self,
         driver: FieldDriver,
-        coils: CoilsSection,
-        reference_mt: float,
+        field: CoilField,
         cells: Swimmers,
         start_ns: int,
         seed: int,
         walls: Bounds | None = None,
     ) -> None:
         self.driver = driver
-        self.coils = coils
+        self.field = field
         self.cells = cells
         self.held = True
         self.steered = False
         self._walls = walls
-        self._reference_mt = reference_mt
         self._random = np.random.default_rng(seed)
-        self._now_ns = self._swum_ns = start_ns
+        self._now_ns = start_ns
+        self._swum_ns = start_ns
         self.drop()
 
     def drop(self) -> None:
@@ -87,7 +104,7 @@ class Dish:
     @property
     def field_mt(self) -> Pair:
         """The field at the cells, in the spec's axes [mT]."""
-        return self.coils.field(self.driver.currents)
+        return self.field.field_mt(self.driver.currents)
 
     def advance(self, until_ns: int) -> None:
         """Advance driver and cells in whole steps, as long as a step does not go beyond
@@ -101,8 +118,7 @@ class Dish:
                 self.cells.resting[:] = False
             self.steered = steered
             if self._now_ns - self._swum_ns >= SWIM_NS:
-                x, y = self.field_mt
-                field = x / self._reference_mt, y / self._reference_mt
+                field = self.field.relative(self.driver.currents)
                 seconds = (self._now_ns - self._swum_ns) / SECOND
                 self.cells.swim(field, seconds, self._random, walls=self._walls)
                 self._swum_ns = self._now_ns

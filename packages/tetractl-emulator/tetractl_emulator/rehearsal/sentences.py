@@ -177,9 +177,12 @@ def _emergency(truth: Truth) -> Iterator[Violation]:
 
 
 def _obeys(truth: Truth) -> Iterator[Violation]:
-    """A robot that has stood after the end is not driven again, by a command that came late."""
+    """A robot that has stood after the end is not driven again, by a command that another has
+    overtaken. A radio that delays all alike delays the end, too.
+    """
+    delay_s = sum(fault.fields["by"] for fault in truth.faults_of("late_radio"))
     runs = truth.has_status(RUNNING)
-    after = (truth.times_s > truth.ended_s + AIR_S)[:, None]
+    after = (truth.times_s > truth.ended_s + AIR_S + delay_s)[:, None]
     stood = np.maximum.accumulate(after & ~runs & ~truth.has_status(SILENT), axis=0)
     again = (stood & runs).any(axis=1)
     if again.any() and not truth.met("off"):

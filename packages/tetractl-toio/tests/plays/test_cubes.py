@@ -120,6 +120,17 @@ def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
     assert record["reason"] == "no message came from green, blue, red"
 
 
+def test_frozen_readings_of_cubes_that_stand_show_them(folder, tmp_path, monkeypatch):
+    """Regression: a trial was said to count though its robots were unseen, as the cubes reported
+    the same readings while they stood."""
+    frozen = {"kind": "frames frozen", "strength": 0.5, "fault": "freeze"}
+    frozen |= {"since": "stop", "at": 0.3, "for": 1.046}
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [frozen], ""))
+    words = ("lab", "rehearse", "cubes.yaml", "--days", "1", "--out", tmp_path / "days")
+    done = tetractl(folder, *words).ok()
+    assert done.stdout.endswith("1 day, 0 violations\n")
+
+
 def test_cubes_that_report_at_one_instant_have_times_of_their_own_all_the_same(folder):
     """Regression: one that was refused got the instant for its old pose."""
     experiment = load_spec(folder / "cubes.yaml").experiment

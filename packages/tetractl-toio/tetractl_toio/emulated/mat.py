@@ -132,15 +132,17 @@ class EmulatedMat:
             return
         if not (program.notifies or program.asked):
             return
+        present = self._reading(cube, eye)
         if not eye.frozen:
-            eye.last = self._reading(cube, eye)
-        sees_mat = eye.last is not None
-        if not sees_mat and last is None and not program.asked:
+            eye.last = present
+        if eye.last is None and last is None and not program.asked:
             return  # that it sees no mat it says once, and when it is asked
         program.asked = False
         message = pack(Characteristic.ID, encode_reading(eye.last))
         at_ns = timeline.now_ns
-        cube.connection.notify(message, lambda: self._passed(i, sees_mat, at_ns))
+        # a frozen reading of a cube that stands is as good as a new one
+        shows_place = eye.last is not None and eye.last == present
+        cube.connection.notify(message, lambda: self._passed(i, shows_place, at_ns))
 
     def _reading(self, cube: ConnectedCube, eye: Eye) -> Reading | None:
         x = cube.x + eye.shift[0]
@@ -151,10 +153,10 @@ class EmulatedMat:
         printed = LEFT <= reading.x <= RIGHT and TOP <= reading.y <= BOTTOM
         return None if eye.hidden or eye.carried or not printed else reading
 
-    def _passed(self, i: int, sees_mat: bool, at_ns: int) -> None:
-        """Record a report that has been passed on."""
+    def _passed(self, i: int, shows_place: bool, at_ns: int) -> None:
+        """Record a report that has been passed on, and whether it shows where the cube was."""
         self._exposures += 1
         self._stage.exposed(self._exposures, self._exposures)
-        if sees_mat and not self.eyes[self.cubes[i].name].frozen:
+        if shows_place:
             self.shown_ns[i] = max(self.shown_ns[i], at_ns)
         self._stage.sent(self._exposures)

@@ -183,6 +183,17 @@ def test_a_plan_that_begins_in_the_tick_of_the_end_is_stopped_at_once():
     assert not broken([*GOOD, command(2.501, 20), command(2.503, 0, 0)])
 
 
+SLOW_RADIO = {"kind": "radio late", "strength": 0.5, "fault": "late_radio", "by": 0.6, "at": 1.0}
+DRIVEN_AGAIN = [truth_at(2.4), truth_at(2.6, 180.0, status=(1, 0, 0)), truth_at(2.9)]
+
+
+@pytest.mark.parametrize(("fault", "wrong"), [(SLOW_RADIO, False), (LOST, True)])
+def test_a_radio_that_delays_all_alike_lets_old_commands_drive_after_the_end(fault, wrong):
+    """Regression: on a day on which commands came 0.6 s late robots that had stood for one period,
+    by a stop of before the end, were said to be driven again."""
+    assert ("not at rest" in broken([*GOOD, *DRIVEN_AGAIN], fault=fault)) == wrong
+
+
 def test_a_robot_that_latched_an_emergency_stop_and_rests_breaks_nothing():
     latched = (2, 2, 2)
     abort = at(2.0, "guard", state="abort", reason="emergency stop by the operator")

@@ -74,6 +74,16 @@ def test_what_no_fault_causes_and_days_of_another_seed_are_refused(tmp_path):
     assert again.returncode == 2
 
 
+def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):
+    """Regression: no row of the table had the reason."""
+    silent = {"kind": "server silent", "strength": 0.5, "fault": "no_server"}
+    silent |= {"since": "start", "at": 0.0, "for": 2.778}
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent], ""))
+    done = rehearse(tmp_path, "--days", "1").ok()
+    assert done.stdout.endswith("1 day, 0 violations\n")
+    assert rows(tmp_path)[0]["reason"].startswith("no camera server answers at")
+
+
 @pytest.mark.long
 def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
     robots = "robots: [{name: green}, {name: blue}, {name: red}]"

@@ -14,7 +14,7 @@ from typing import Any
 SIGHT = (
     r"no new camera frame|no new frames|no frames|outdated|not tracked|too rarely|old on arrival"
     r"|watched long enough|before reception|no camera frame|not known: the camera|frames came"
-    r"|no message came"
+    r"|no message came|no camera server answers"
 )
 MOTION = (
     r"moves? |turns? |does not move|drift together|off its commanded speed|radio slow"

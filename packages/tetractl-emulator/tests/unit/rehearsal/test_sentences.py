@@ -300,13 +300,28 @@ def test_the_log_has_no_pose_of_a_robot_that_is_hidden(fault, wrong):
     assert names_of(3, with_log(STARTS, fault=fault)) == ({"untrue"} if wrong else set())
 
 
+def complete_result(poses, more_mm=0.0):
+    """The result of a trial that arrived with robots at these poses, but for an error."""
+    mm = SETUP.metres * 1000
+    away = np.array(poses)[:, :2] / mm - SETUP.targets.reshape(-1, 2)
+    errors = np.hypot(*away.T) + more_mm / mm
+    return SimpleNamespace(outcome=Outcome.ARRIVED, robot_errors=errors, reason="")
+
+
 @pytest.mark.parametrize(("more_mm", "wrong"), [(5.0, False), (15.0, True)])
 def test_the_errors_of_a_complete_trial_are_true(more_mm, wrong):
-    mm = SETUP.metres * 1000
-    away = np.array(STARTS)[:, :2] / mm - SETUP.targets.reshape(-1, 2)
-    errors = np.hypot(*away.T) + more_mm / mm
-    result = SimpleNamespace(outcome=Outcome.ARRIVED, robot_errors=errors, reason="")
-    assert names_of(3, with_log(STARTS, result=result)) == ({"untrue"} if wrong else set())
+    truth = with_log(STARTS, result=complete_result(STARTS, more_mm))
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
+@pytest.mark.parametrize(("pushed_s", "wrong"), [(2.19, False), (2.05, True)])
+def test_a_result_may_be_of_just_before_a_robot_is_put_elsewhere(pushed_s, wrong):
+    """Regression: a cube was put elsewhere in the last 28 ms of a trial, and its new pose was not
+    believed in that time."""
+    before = [[600.0, 800.0, 0.0], *STARTS[1:]]
+    truth = with_log(STARTS, result=complete_result(before))
+    truth.day.events.insert(2, truth_at(pushed_s, poses=before))
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
 
 
 @pytest.mark.parametrize(

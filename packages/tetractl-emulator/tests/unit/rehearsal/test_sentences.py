@@ -317,7 +317,7 @@ def test_the_errors_of_a_complete_trial_are_true(more_mm, wrong):
 @pytest.mark.parametrize(("pushed_s", "wrong"), [(2.19, False), (2.05, True)])
 def test_a_result_may_be_of_just_before_a_robot_is_put_elsewhere(pushed_s, wrong):
     """Regression: a cube was put elsewhere in the last 28 ms of a trial, and its new pose was not
-    believed in that time."""
+    accepted in that time."""
     before = [[600.0, 800.0, 0.0], *STARTS[1:]]
     truth = with_log(STARTS, result=complete_result(before))
     truth.day.events.insert(2, truth_at(pushed_s, poses=before))

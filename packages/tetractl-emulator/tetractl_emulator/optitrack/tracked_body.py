@@ -1,4 +1,10 @@
-"""Robots as rigid bodies in the server's axes, with the faults of each body."""
+"""Robots as rigid bodies in the server's axes, with the faults of each body.
+
+A `TrackedBody` takes the pose of its robot, displaces it by what faults and errors ask for, and
+reports it as a `RigidBody` [m, quaternion] in the axes of a `View`. A complex number is a vector on
+the floor, x + iy [mm], in the spec's axes unless said otherwise. Faults set fields of the parts;
+they find what another has set by the part itself, which is therefore compared by identity.
+"""
 
 import cmath
 import math
@@ -17,7 +23,7 @@ Change = Callable[[RigidBody], RigidBody]
 @dataclass(frozen=True, slots=True)
 class PictureChange:
     """A change of the picture: it is displaced by `shift` [mm], grown by a factor and turned by an
-    angle [rad].
+    angle [rad]. None acts on the shift of another, so changes may be taken back in any order.
     """
 
     shift: complex = 0j
@@ -31,8 +37,9 @@ class View:
     `origin` [mm] and `rotation` [rad].
 
     Faults set the other fields: the picture is turned about the origin by `turned` [rad], `grown`
-    by a factor and displaced by `shift` [mm]; it changes by all of `creeping` at each exposure, and
-    stays where that has brought it, as a camera does whose tripod has slipped.
+    by a factor and displaced by `shift` [mm]. The camera calls `creep` at each exposure: the
+    picture changes by all of `creeping`, and stays where that has brought it, as a camera does
+    whose tripod has slipped.
     """
 
     up: UpAxis = UpAxis.Y
@@ -64,7 +71,8 @@ class View:
         """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
         from_origin = complex(x, y) - complex(*self.origin)
         in_picture = from_origin * cmath.rect(self.grown, self.turned) + self.shift
-        # the floor's axes are the spec's, turned by -rotation; with y up, z points to the spec's -y
+        # the system's axes are the spec's turned by `rotation`, so coordinates turn by -rotation;
+        # with y up, the system's z is the -y that it would have with z up
         floor_m = in_picture * cmath.rect(1e-3, -self.rotation)
         height_m = height / 1000
         half = cmath.rect(1.0, (heading + self.turned - self.rotation) / 2)
@@ -79,8 +87,8 @@ class View:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Asset:
-    """A body as the motion-capture system lists it: its number and name, its heading in the
-    system's axes less the robot's (`offset` [rad]), and whether its poses are in the stream.
+    """A body as the motion-capture system lists it: its number and name, the robot's heading less
+    the body's (`offset` [rad]), and whether its poses are in the stream.
     """
 
     number: int
@@ -91,7 +99,9 @@ class Asset:
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """The standard deviations of a pose, and what its errors are drawn from."""
+    """The standard deviations of a pose, and what its errors, and the frames that miss the body,
+    are drawn from: a generator of its own for each body.
+    """
 
     position_mm: float = 0.0
     heading_rad: float = 0.0
@@ -111,11 +121,11 @@ class BodyTracking:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Displacement:
-    """Where a body is seen away from its robot, and how that grows at each exposure in which the
-    body is seen.
+    """Where a body is seen away from its robot, and how that grows at each exposure that gives it
+    a new pose.
 
     - `shift` [mm] is constant; `strayed` [mm] grows by `step` [mm], along the axes of the robot if
-      `own`, else along those of the floor.
+      `own`, else along those of the spec.
     - `turned` [rad] grows by `turn` [rad].
     - `height` [mm] is that above the floor.
     """
@@ -158,17 +168,21 @@ class TrackedBody:
     displacement: Displacement = field(default_factory=Displacement)
     plate: Plate = field(default_factory=Plate)
     changes: list[Change] = field(default_factory=list)
-    last_tracked: RigidBody | None = None  # the body at its last tracked pose
+    last_seen: RigidBody | None = None  # as seen last, before `changes`
 
     def expose(self, view: View) -> RigidBody:
-        """Return the body as the cameras report it now; an untracked body keeps its last pose, and
-        the first one if it was never tracked."""
+        """Take an exposure: displace the body further and see it again, unless it is untracked or
+        repeats; return it as the cameras report it.
+
+        An untracked body has the pose at which it was seen last, without the changes; before it was
+        ever seen, its present one.
+        """
         tracked = self._tracked_now()
-        if self.last_tracked is None or (tracked and not self.tracking.repeats):
+        if self.last_seen is None or (tracked and not self.tracking.repeats):
             robot_axes = cmath.rect(1.0, self.robot.heading)
             self.displacement.grow(robot_axes)
-            self.last_tracked = self._seen(view, robot_axes)
-        body = self.last_tracked
+            self.last_seen = self._seen(view, robot_axes)
+        body = self.last_seen
         if not tracked:
             return replace(body, tracking_valid=False)
         for change in self.changes:
@@ -176,6 +190,8 @@ class TrackedBody:
         return body
 
     def _tracked_now(self) -> bool:
+        """Draw whether this frame has the body; nothing is drawn for a body that none misses, so
+        that its errors are the same as without this fault."""
         if not self.tracking.tracked:
             return False
         missing = self.tracking.missing
@@ -207,8 +223,8 @@ def halved(body: RigidBody) -> RigidBody:
 
 def is_somewhere(body: RigidBody) -> bool:
     """Return whether a body has a position, and a quaternion of norm 1."""
-    norm = sum(value * value for value in body.quaternion)
-    return math.isfinite(sum(body.position)) and abs(norm - 1.0) < 0.01
+    norm_squared = sum(value * value for value in body.quaternion)
+    return math.isfinite(sum(body.position)) and abs(norm_squared - 1.0) < 0.01
 
 
 def rolled(angle: float) -> Change:
@@ -217,7 +233,7 @@ def rolled(angle: float) -> Change:
     cos = math.cos(angle / 2)
 
     def roll(body: RigidBody) -> RigidBody:
-        x, y, z, w = body.quaternion
+        x, y, z, w = body.quaternion  # times (sin, 0, 0, cos) from the right: its own x axis
         turned = x * cos + w * sin, y * cos + z * sin, z * cos - y * sin, w * cos - x * sin
         return replace(body, quaternion=turned)
 

@@ -10,8 +10,9 @@ vectorised rollout and polishes only the best.
 """
 
 import math
+from dataclasses import dataclass
 from threading import get_ident
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -22,6 +23,11 @@ from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
+
+if TYPE_CHECKING:
+    from tetractl.control.kernels.levenberg import Polish
+    from tetractl.control.kernels.multistart import Rounds
+    from tetractl.control.kernels.rollout import Rollout
 
 ENDED = (None, StopReason.TARGET, StopReason.EVALUATIONS, None)
 """Why a search ended, by what its kernel returns; None if all rounds are done."""
@@ -104,8 +110,66 @@ class Multistart(OptimizerSection):
         return 1 if beyond > self.tolerance else self.rounds
 
 
+@dataclass(frozen=True, slots=True)
+class _PolishingSearch:
+    """The arrays and limits of a search by `tetractl.control.kernels.multistart.search`."""
+
+    polish: "Polish"
+    rollout: "Rollout"
+    rounds: "Rounds"
+    tolerance: float
+    slack: float
+    patience: int
+    iterations_between_looks: int
+
+    @classmethod
+    def of(cls, section: Multistart, problem: Problem, length: int) -> Self:
+        """Lay out a search of sequences of `length` signals."""
+        from tetractl.control.kernels import levenberg, multistart, rollout
+
+        growth = section.growth(problem)
+        longest_step = float(problem.speed.max()) * problem.period
+        polish = levenberg.lay_out_polish(problem, length)
+        robot_steps = len(polish.room.residual) * len(problem.a) * length  # of an iteration
+        return cls(
+            polish=polish,
+            rollout=rollout.lay_out(problem, section.particles),
+            rounds=multistart.workspace(
+                thread=get_ident(),
+                count=min(section.polished, section.particles),
+                particles=section.particles,
+                knots=min(round(section.knots * growth), length),
+                length=length,
+                steps_max=round(section.steps * growth),
+                rounds=section.rounds,
+            ),
+            tolerance=section.tolerance,
+            slack=section.slack * longest_step,
+            patience=round(section.patience * growth),
+            iterations_between_looks=max(1, multistart.BETWEEN_LOOKS // robot_steps),
+        )
+
+    def go_on(self, key: int, warm: Floats, rounds: int, budget: int, look: int) -> int:
+        """Search on by the kernel, and return how it ended."""
+        from tetractl.control.kernels import multistart
+
+        return multistart.search(
+            self.polish,
+            self.rollout,
+            np.uint64(key),
+            warm,
+            rounds,
+            self.tolerance,
+            self.slack,
+            self.patience,
+            budget,
+            look,
+            self.rounds,
+        )
+
+
 class _PolishedProgress(Progress):
-    """The progress of a search that polishes, with the arrays of the kernels.
+    """The progress of a search that polishes; `rounds` are the arrays of its kernel.
 
     A kernel searches until it ends or, with a deadline, until the next look at the clock; then it
     is called again and goes on.
@@ -119,33 +183,15 @@ class _PolishedProgress(Progress):
         warm: Floats | None,
         limits: Limits,
     ) -> None:
-        from tetractl.control.kernels import levenberg, multistart, rollout
-
         super().__init__(length, limits)
-        growth = section.growth(problem)
         self.section = section
-        self.kernels = multistart
-        longest_step = float(problem.speed.max()) * problem.period
-        self.slack = section.slack * longest_step
-        self.patience = round(section.patience * growth)
-        self.polish = levenberg.lay_out_polish(problem, length)
-        self.rollout = rollout.lay_out(problem, section.particles)
-        self.arrays = multistart.workspace(
-            thread=get_ident(),
-            count=min(section.polished, section.particles),
-            particles=section.particles,
-            knots=min(round(section.knots * growth), length),
-            length=length,
-            steps_max=round(section.steps * growth),
-            rounds=section.rounds,
-        )
+        self.searching = _PolishingSearch.of(section, problem, length)
+        self.rounds = self.searching.rounds
         self.warm = np.empty(0) if warm is None else warm
-        self.arrays.begin(np.empty((0, length)) if warm is None else warm[None])
-        robot_steps = len(self.polish.room.residual) * len(problem.a) * length  # of an iteration
-        self.iterations_between_looks = max(1, multistart.BETWEEN_LOOKS // robot_steps)
+        self.rounds.begin(np.empty((0, length)) if warm is None else warm[None])
 
     def run(self, key: int, rounds: int) -> None:
-        """Polish the starts with which `arrays` begin, and those of `rounds` that are scattered."""
+        """Polish the starts with which `rounds` begin, and those of so many scattered rounds."""
         if not self.limits.timed:
             how = self._call(key, rounds, look=0)
             self.ended = ENDED[how]
@@ -153,17 +199,19 @@ class _PolishedProgress(Progress):
             self._cut_short(key, rounds)
         else:
             self._run_to_deadline(key, rounds)
-        self.best = self.arrays.best.copy()
-        self.cost = float(self.arrays.costs[0])
+        self.best = self.rounds.best.copy()
+        self.cost = float(self.rounds.costs[0])
 
     def _run_to_deadline(self, key: int, rounds: int) -> None:
         """Search, and look at the clock every few iterations, until the search or time ends."""
+        from tetractl.control.kernels import multistart
+
         while True:
-            how = self._call(key, rounds, look=self.iterations_between_looks)
-            if how != self.kernels.UNDER_WAY:
+            how = self._call(key, rounds, look=self.searching.iterations_between_looks)
+            if how != multistart.UNDER_WAY:
                 self.ended = ENDED[how]
                 return
-            begun_evaluations = int(self.arrays.counts[self.kernels.POLISH_EVALUATIONS])
+            begun_evaluations = int(self.rounds.counts[multistart.POLISH_EVALUATIONS])
             # the evaluations with which the search would end now, so that a rerun of the search can
             # end at the same look; a polish under way is evaluated once more
             if self.limits.expired(
@@ -191,24 +239,15 @@ class _PolishedProgress(Progress):
         """Search on by the kernel, take over its history and its evaluations, and return how it
         ended; for `look`, see `tetractl.control.kernels.multistart.search`.
         """
+        from tetractl.control.kernels import multistart
+
         limit = self.limits.evaluations
-        how = self.kernels.search(
-            self.polish,
-            self.rollout,
-            np.uint64(key),
-            self.warm,
-            rounds,
-            self.section.tolerance,
-            self.slack,
-            self.patience,
-            UNLIMITED if limit is None else limit,
-            look,
-            self.arrays,
-        )
-        if not math.isfinite(self.arrays.costs[1]):
-            require_finite(self.arrays.costs[1:])
-        entries = self.arrays.counts[self.kernels.HISTORY_ENTRIES]
-        self.history += self.arrays.history[:entries].tolist()
-        self.arrays.counts[self.kernels.HISTORY_ENTRIES] = 0
-        self.evaluations = int(self.arrays.counts[self.kernels.EVALUATIONS])
+        budget = UNLIMITED if limit is None else limit
+        how = self.searching.go_on(key, self.warm, rounds, budget, look)
+        if not math.isfinite(self.rounds.costs[1]):
+            require_finite(self.rounds.costs[1:])
+        entries = self.rounds.counts[multistart.HISTORY_ENTRIES]
+        self.history += self.rounds.history[:entries].tolist()
+        self.rounds.counts[multistart.HISTORY_ENTRIES] = 0
+        self.evaluations = int(self.rounds.counts[multistart.EVALUATIONS])
         return how

@@ -10,6 +10,7 @@ from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
+from tetractl.core.worker import drained
 from tetractl.experiment.section_abilities import Addressed
 from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
@@ -18,6 +19,26 @@ ASKED = b"poses\n"
 FRAMES_WAITING_MAX = 1000  # frames
 PORT_BAUD = 115200  # of serial ports
 STAMPS = 600  # frames whose times on the camera's clock are compared with their arrivals
+
+
+class MessageFrames:
+    """The frames of a camera's messages that were not yet taken, and `count`, how many there were
+    in all. `wake` is called after each."""
+
+    def __init__(self, wake: Callable[[], None]) -> None:
+        self.count = 0
+        self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
+        self._wake = wake
+
+    def add(self, shot_ns: int, at_ns: int, poses: tuple[Pose | None, ...], fault: str) -> None:
+        """Add the frame exposed at `shot_ns` whose message came at `at_ns` [ns]."""
+        self.count += 1
+        self._waiting.append(CameraFrame(self.count, shot_ns, at_ns, poses, fault=fault))
+        self._wake()
+
+    def take(self) -> list[CameraFrame]:
+        """Return every frame since the last call, oldest first."""
+        return drained(self._waiting)
 
 
 class PortCamera(ABC):
@@ -34,6 +55,8 @@ class PortCamera(ABC):
 
     connect_s = 3.0  # longest wait for the first frame
     hint = "does the camera's program run, at this address?"
+    emulated = False
+    stamp_s: float | None = None
 
     def __init__(
         self,
@@ -46,16 +69,11 @@ class PortCamera(ABC):
         self.section = section
         self.setup = setup
         self.damaged = 0
-        self.emulated = False
-        self._none = (None,) * len(setup.names)
         self.latency_s = section.latency
-        self._first = ""
-        self.stamp_s: float | None = None
+        self._first_damaged = ""  # why the first damaged message could not be read
         self._clock = clock
-        self._wake = wake
-        self._gaps = deque[int](maxlen=STAMPS)
-        self._fresh = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
-        self._number = 0
+        self._frames = MessageFrames(wake)
+        self._gaps = deque[int](maxlen=STAMPS)  # from exposures by stamps to arrivals [ns]
         make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
         self._port = make(section.address, PORT_BAUD, "the camera", clock, self._heard, self.hint)
 
@@ -75,12 +93,12 @@ class PortCamera(ABC):
         """Ask for frames; return once one has come. AbortError if none comes."""
         self._port.open()
         self._port.write(ASKED)
-        came = wait_for(self._clock, lambda: bool(self._number), self.connect_s)
+        came = wait_for(self._clock, lambda: self._frames.count > 0, self.connect_s)
         if not came or self._port.failure:
             self._port.close()
-            if self._first:
+            if self._first_damaged:
                 many = f"none of {self.damaged} messages of the camera could be read; the first"
-                raise AbortError(f"{many}: {self._first}", "does `poses` read this form?")
+                raise AbortError(f"{many}: {self._first_damaged}", "does `poses` read this form?")
             raise AbortError(self._port.failure or "no camera frame came", self.hint)
         return self
 
@@ -93,23 +111,21 @@ class PortCamera(ABC):
 
     def frames(self) -> list[CameraFrame]:
         """Return every frame since the last call, oldest first."""
-        return [self._fresh.popleft() for _ in range(len(self._fresh))]
+        return self._frames.take()
 
     def _heard(self, data: bytes, at_ns: int) -> None:
         """Take a message; without data, the port has failed."""
         fault = "" if data else self._port.failure or "the camera's port has failed"
+        robots = len(self.setup.names)
         try:
-            poses = self.poses(data) if data else self._none
-            if len(poses) != len(self._none):
-                raise ValueError(f"{len(poses)} poses, not {len(self._none)}")
+            poses = self.poses(data) if data else (None,) * robots
+            if len(poses) != robots:
+                raise ValueError(f"{len(poses)} poses, not {robots}")
         except UNREADABLE as error:
             self.damaged += 1
-            self._first = self._first or f"{text_of(error)}, in {data[:60]!r}"
+            self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
-        self._number += 1
-        shot_ns = max(0, at_ns - self._age_ns(at_ns))
-        self._fresh.append(CameraFrame(self._number, shot_ns, at_ns, poses, fault=fault))
-        self._wake()
+        self._frames.add(max(0, at_ns - self._age_ns(at_ns)), at_ns, poses, fault)
 
     def _age_ns(self, at_ns: int) -> int:
         """Return the time from exposure to arrival of the message that came at a time [ns]."""

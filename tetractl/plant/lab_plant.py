@@ -112,8 +112,6 @@ class LabPlant:
 
     def __init__(self, rig: Rig, supervision: LabSupervision, kind: str = "lab") -> None:
         self.rig = rig
-        self.setup = rig.setup
-        self.clock = rig.clock
         self._kind = kind
         self._supervision = supervision
         self._frames = LabFrames(rig)
@@ -122,6 +120,16 @@ class LabPlant:
         self._stop: Command | None = None
         self._stopped_ns = 0  # when the robots were stopped last, 0 before
         self._settled = False  # whether the frames up to the verdict are still to be returned
+
+    @property
+    def setup(self) -> Setup:
+        """The numbers of the experiment."""
+        return self.rig.setup
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the trial."""
+        return self.rig.clock
 
     # ---- the protocol `Plant`, in the order of its calls ----
 

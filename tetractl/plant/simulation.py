@@ -102,6 +102,17 @@ def build_drive(
     return DirectDrive(MOTIONS.load(settings.motion), a, speed, starts)
 
 
+def build_heading_walk(
+    settings: SimSection, drive: Drive, random: np.random.Generator
+) -> HeadingWalk:
+    """Return the random walk of the headings from frame to frame. Drives that sum up their path
+    walk at each of its samples instead (`build_drive`): theirs stands still here."""
+    if drive.sampled:
+        return HeadingWalk(0.0, random)
+    step_rad = settings.heading_noise / np.sqrt(settings.camera_rate)
+    return HeadingWalk(float(step_rad), random)
+
+
 class SimPlant:
     """A `Plant` of simulated robots; `seed` determines all that is random.
 
@@ -125,32 +136,46 @@ class SimPlant:
         self.robots = draw_robots(
             settings, setup, disturbances, generator(seed, RandomStream.PARAMETERS)
         )
-        self.drive = build_drive(settings, setup, self.robots, seed)
-        self.camera = SimCamera(
-            count, settings.measurement_noise, disturbances, generator(seed, RandomStream.CAMERA)
-        )
+        drive = build_drive(settings, setup, self.robots, seed)
         transit = Transit(count, disturbances)
         self._sender = CommandSender(
             settings,
             setup,
-            self.drive.host,
+            drive.host,
             transit,
             disturbances,
             generator(seed, RandomStream.RADIO),
         )
         self._motion = TrueMotion(
-            drive=self.drive,
-            camera=self.camera,
+            drive=drive,
+            camera=SimCamera(
+                count,
+                settings.measurement_noise,
+                disturbances,
+                generator(seed, RandomStream.CAMERA),
+            ),
             timetable=Timetable(settings.camera_rate, settings.truth_rate),
             transit=transit,
             watchdogs=Watchdogs(count, setup.watchdog_s),
             disturbances=MotionDisturbances(disturbances, self.a, self.speed),
-            heading_walk=self._heading_walk(generator(seed, RandomStream.HEADINGS)),
+            heading_walk=build_heading_walk(
+                settings, drive, generator(seed, RandomStream.HEADINGS)
+            ),
             path=TruePath(PathCheck.of(setup)),
             transmit_again=self._transmit_again,
         )
         self._repeated: list[Command | Note] = []  # transmissions that `news` has not returned
         self._stop: Command | None = None
+
+    @property
+    def drive(self) -> Drive:
+        """What moves the robots."""
+        return self._motion.drive
+
+    @property
+    def camera(self) -> SimCamera:
+        """The camera that sees them."""
+        return self._motion.camera
 
     @property
     def a(self) -> Floats:
@@ -240,14 +265,6 @@ class SimPlant:
     def _catch_up(self) -> None:
         """Advance the true motion to the clock's time."""
         self._motion.advance(self.clock.now())
-
-    def _heading_walk(self, random: np.random.Generator) -> HeadingWalk:
-        """Return the random walk of the headings from frame to frame. Drives that sum up their path
-        walk at each of its samples instead (`build_drive`): theirs stands still here."""
-        if self.drive.sampled:
-            return HeadingWalk(0.0, random)
-        step_rad = self.settings.heading_noise / np.sqrt(self.settings.camera_rate)
-        return HeadingWalk(float(step_rad), random)
 
     def _newest_frame(self) -> Observation:
         newest = self.camera.frames.newest

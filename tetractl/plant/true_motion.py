@@ -177,8 +177,8 @@ class TrueMotion:
         path: TruePath,
         transmit_again: Callable[[int], None],
     ) -> None:
-        self._drive = drive
-        self._camera = camera
+        self.drive = drive
+        self.camera = camera
         self.timetable = timetable
         self.transit = transit
         self._watchdogs = watchdogs
@@ -218,7 +218,7 @@ class TrueMotion:
         Of what is due at the same time, a command comes first, then a watchdog, then the host.
         """
         frame_ns = self.timetable.next_frame_ns
-        end_ns = min(until_ns, self._drive.repeats_ns, self._watchdogs.next_ns)
+        end_ns = min(until_ns, self.drive.repeats_ns, self._watchdogs.next_ns)
         if self._frames_are_events:
             end_ns = min(end_ns, frame_ns)
         command = None
@@ -233,7 +233,7 @@ class TrueMotion:
             disturbed=self.disturbances.any and (at_frame or command is not None),
             at_frame=at_frame,
             command=command,
-            repeats=command is None and end_ns == self._drive.repeats_ns,
+            repeats=command is None and end_ns == self.drive.repeats_ns,
         )
 
     def _move(self, step: MotionStep) -> None:
@@ -243,11 +243,11 @@ class TrueMotion:
         the path does not depend on how often the plant is read.
         """
         stays = step.end_ns == self._now_ns and not (step.is_event and self._frames_are_events)
-        stops_early = self._drive.sampled and not step.is_event
+        stops_early = self.drive.sampled and not step.is_event
         if (stays or stops_early) and self.timetable.next_ns > step.end_ns:
             return
         due = self.timetable.take(step.end_ns, with_end=not stops_early)
-        poses = self._drive.advance(self._now_ns, due.times_ns, due.samples)
+        poses = self.drive.advance(self._now_ns, due.times_ns, due.samples)
         self._now_ns = int(due.times_ns[-1])
         step.part = PathPart(due, poses)
 
@@ -255,8 +255,8 @@ class TrueMotion:
         """Let the disturbances act; a frame at the end of the step shows where they put robots."""
         if step.disturbed:
             assert step.part is not None, "an event at a frame or command needs poses"
-            self.disturbances.act(self._drive, step.end_ns)
-            poses = self._drive.poses
+            self.disturbances.act(self.drive, step.end_ns)
+            poses = self.drive.poses
             step.part.poses[-1] = poses.x, poses.y, poses.heading
 
     def _record(self, step: MotionStep) -> None:
@@ -264,7 +264,7 @@ class TrueMotion:
         if step.part is None:
             return
         poses = step.part.poses
-        of_all_robots = self._drive.poses.x.shape == poses.shape[2:]
+        of_all_robots = self.drive.poses.x.shape == poses.shape[2:]
         if not (of_all_robots and (np.abs(poses) <= POSE_MAX).all()):  # not so for NaN
             raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
         self.path.add(poses)
@@ -275,21 +275,21 @@ class TrueMotion:
             return
         frames = step.part.due.frames.nonzero()[0]
         if frames.size:
-            self._camera.expose(step.part.due.times_ns[frames], step.part.poses[frames])
+            self.camera.expose(step.part.due.times_ns[frames], step.part.poses[frames])
 
     def _receive(self, step: MotionStep) -> None:
         """Pass to the host the frames that have reached it."""
-        self._camera.frames.receive(step.end_ns)
+        self.camera.frames.receive(step.end_ns)
 
     def _swerve(self, step: MotionStep) -> None:
         """Turn the robots by their random walk, after the frame."""
         if step.at_frame and self._heading_walk.step_rad > 0:
-            self._heading_walk.swerve(self._drive)
+            self._heading_walk.swerve(self.drive)
 
     def _act(self, step: MotionStep) -> None:
         """Give the robots their command, or let the host transmit again."""
         if step.command is not None:
-            self._drive.apply(step.command)
+            self.drive.apply(step.command)
             self._watchdogs.hear(step.command)
         elif step.repeats:
             self._transmit_again(step.end_ns)

@@ -23,6 +23,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
@@ -109,11 +110,52 @@ class MotionWindow:
             self.over_most = (rows[:, 0] - rows[:, 2]).min(axis=0).tolist()
 
 
+@dataclass(frozen=True, slots=True)
+class MotionSlack:
+    """How far motion may be beyond its bounds, and how far a camera cannot see: (N, 3), along,
+    across and around the heading."""
+
+    allowed: Floats
+    """Slack that is added to each bound."""
+    less: list[list[float]]
+    """The same, less what numbers may be rounded by."""
+    visible: Floats
+    """Motion after which a pose on a grid must have changed."""
+
+    @classmethod
+    def of(cls, speeds: Sequence[float], noise: float, sight: Sight, mm: float) -> Self:
+        """Return the slack of robots; arguments as of MotionCheck."""
+        robots = len(speeds)
+        drive = SLACK_S * np.array(speeds)
+        way = drive + noise
+        angle = np.full(robots, SLACK_RAD + 2 * sight.largest[1])
+        allowed = np.array([way, way, angle]).T
+        step = math.sqrt(2) * sight.grid_mm / mm
+        grid = np.array([step, step, sight.grid_rad])
+        visible = grid + np.column_stack([drive, drive, np.full(robots, SLACK_RAD)])
+        return cls(allowed, ((1.0 - ROUNDING) * allowed).tolist(), visible)
+
+
+class MotionSinceRest:
+    """The motion of N robots since they started from rest.
+
+    `travelled` (N, 3) is their motion by consistent poses, `allowed` (2, N, 3) are the integrals of
+    the bounds, `at_change` those at the last pose of each that differs.
+    """
+
+    def __init__(self, robots: int) -> None:
+        self.travelled = np.zeros((robots, 3))
+        self.allowed = np.zeros((2, robots, 3))
+        self.at_change = self.allowed.copy()
+        self.windows = [MotionWindow() for _ in range(robots)]
+
+
 class MotionCheck:
     """Compares the motion of N robots, with the speeds `speeds` (N,), with their commands.
 
     `radius` is r, 0 for robots without wheels; `noise` is the largest error of a position. Both are
     in the spec's length unit, which has `mm` millimetres. `sight` is what the camera can see.
+    `times` (N,) are those of the newest poses [ns].
 
     For each frame call `take_frame`, then `take_pose` for each pose to compare.
     """
@@ -127,34 +169,27 @@ class MotionCheck:
         mm: float = 1.0,
     ) -> None:
         robots = len(speeds)
-        drive = SLACK_S * np.array(speeds)
-        way = drive + noise
-        angle = np.full(robots, SLACK_RAD + 2 * sight.largest[1])
-        step = math.sqrt(2) * sight.grid_mm / mm
-        grid = np.array([step, step, sight.grid_rad])
+        self.times = (0,) * robots
         self._radius = radius
-        self._slack = np.array([way, way, angle]).T  # (N, 3)
-        self._less_slack = ((1.0 - ROUNDING) * self._slack).tolist()
         self._coarse = sight.coarse
-        # way after which a pose on a grid must have changed (N, 3)
-        self._visible = grid + np.column_stack([drive, drive, np.full(robots, SLACK_RAD)])
+        self._slack = MotionSlack.of(speeds, noise, sight, mm)
         # least and greatest rates of each transmission (2, N, 3): along, across, around
         self._commanded = CommandHistory(2, robots, 3)
-        self.times = (0,) * robots  # of the newest poses [ns]
         self._bounds = np.zeros((2, robots, 3))  # bounds in force now
-        self.restart()
+        self._since_rest = MotionSinceRest(robots)
+
+    @property
+    def travelled(self) -> Floats:
+        """The motion (N, 3) since the start, by consistent poses."""
+        return self._since_rest.travelled
 
     def restart(self) -> None:
         """Forget all motion; called when robots start from rest."""
-        robots = len(self._slack)
-        self.travelled = np.zeros((robots, 3))  # motion since the start, by consistent poses
-        self._allowed = np.zeros((2, robots, 3))  # integrals of the bounds since the start
-        self._at_change = self._allowed.copy()  # of them, those at the last pose that differs
-        self._windows = [MotionWindow() for _ in range(robots)]
+        self._since_rest = MotionSinceRest(len(self.times))
 
     def forget(self, i: int) -> None:
         """Forget the motion of robot i, which is compared again from its next pose on."""
-        self._windows[i].moments.clear()
+        self._since_rest.windows[i].moments.clear()
 
     def sent(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
@@ -173,14 +208,15 @@ class MotionCheck:
     def take_frame(self, times: tuple[int, ...]) -> None:
         """Take the times (N,) of a frame's poses, before `take_pose` is called for these."""
         spans = list(zip(self.times, times, strict=True))
-        self._allowed = self._allowed.copy()
+        allowed = self._since_rest.allowed.copy()
         for span in set(spans):
             since_ns, until_ns = span
             robots = [i for i, span_of_robot in enumerate(spans) if span_of_robot == span]
             rows = slice(None) if len(robots) == len(spans) else robots  # which is faster
             bounds = self._bounds_between(since_ns, until_ns)[:, rows]
             self._bounds[:, rows] = bounds
-            self._allowed[:, rows] += bounds * ((until_ns - since_ns) / SECOND)
+            allowed[:, rows] += bounds * ((until_ns - since_ns) / SECOND)
+        self._since_rest.allowed = allowed
         self.times = times
 
     def _bounds_between(self, since_ns: int, now_ns: int) -> Floats:
@@ -200,24 +236,26 @@ class MotionCheck:
         least, most = self._bounds[:, i]
         if not np.any((least > 0.0) | (most < 0.0)):
             return False
-        least_way, most_way = self._allowed[:, i] - self._at_change[:, i]
-        visible = self._visible[i]
+        since_rest = self._since_rest
+        least_way, most_way = since_rest.allowed[:, i] - since_rest.at_change[:, i]
+        visible = self._slack.visible[i]
         return not self._coarse or bool(np.any((least_way > visible) | (most_way < -visible)))
 
     def take_pose(self, i: int, before: Pose, pose: Pose) -> str:
         """Take a pose of robot i that differs from the last consistent one, `before`. Return how it
         contradicts the commands since then; "" if it does not: it is then the last consistent one.
         """
-        window = self._windows[i]
-        allowed = self._allowed[:, i]
-        self._at_change[:, i] = allowed
-        travelled = self.travelled[i]
+        since_rest = self._since_rest
+        window = since_rest.windows[i]
+        allowed = since_rest.allowed[:, i]
+        since_rest.at_change[:, i] = allowed
+        travelled = since_rest.travelled[i]
         if window.moments:
             travelled = travelled + motion(before, pose)
             fault = self._contradiction(i, np.array([travelled, *allowed]))
             if fault:
                 return fault
-        self.travelled[i] = travelled
+        since_rest.travelled[i] = travelled
         window.add(self.times[i], np.array([travelled, *allowed]))
         return ""
 
@@ -227,24 +265,25 @@ class MotionCheck:
         """
         if not self._may_contradict(i, ways):
             return ""
-        slack = self._slack[i]
-        since = ways - np.array([moment.ways for moment in self._windows[i].moments])  # (K, 3, 3)
+        slack = self._slack.allowed[i]
+        moments = self._since_rest.windows[i].moments
+        since = ways - np.array([moment.ways for moment in moments])  # (K, 3, 3)
         way = since[:, 0]
         least = since[:, 1]
         most = since[:, 2]
         wrong = (way < least - slack) | (way > most + slack)
-        moments = np.flatnonzero(wrong.any(axis=1))
-        if not len(moments):
+        wrong_since = np.flatnonzero(wrong.any(axis=1))
+        if not len(wrong_since):
             return ""
-        k = moments[-1]
+        k = wrong_since[-1]
         fault = _diagnosis(way[k], least[k], most[k], slack)
         return fault if self._radius else OF_CELLS.get(fault, fault)
 
     def _may_contradict(self, i: int, ways: Floats) -> bool:
         """Return whether motion since any moment may be out of its bounds, but for rounding."""
-        window = self._windows[i]
+        window = self._since_rest.windows[i]
         travelled, least, most = ways.tolist()
-        for axis, slack in enumerate(self._less_slack[i]):
+        for axis, slack in enumerate(self._slack.less[i]):
             over_least = travelled[axis] - least[axis] - window.over_least[axis]
             over_most = travelled[axis] - most[axis] - window.over_most[axis]
             if over_least < -slack or over_most > slack:

@@ -161,7 +161,6 @@ class _Bench:
         assert isinstance(rig.actuator, WheeledActuator), "its section says that it has wheels"
         self.rig = rig
         self.actuator = rig.actuator
-        self.clock = rig.clock
         (self.name,) = rig.setup.names
         self._offset_before = offset
         self._dead_zone_max = section.dead_zone_max
@@ -306,7 +305,7 @@ class _Bench:
                     return frame.frame.received_ns
             return None
 
-        wait_for(self.clock, lambda: arrived_ns() is not None or self._strayed(), SPIN_UP_S)
+        wait_for(self.rig.clock, lambda: arrived_ns() is not None or self._strayed(), SPIN_UP_S)
         self._raise_abort()
         arrived = arrived_ns()
         return None if arrived is None else (arrived - sent_ns) / SECOND
@@ -359,7 +358,7 @@ class _Bench:
             first = self.rig.frames.count
             began_ns = self._hold(counts)
             end_ns = began_ns + round((seconds + 2 * self._late_s) * SECOND)
-            wait_for(self.clock, self._strayed, (end_ns - self.clock.now()) / SECOND)
+            wait_for(self.rig.clock, self._strayed, (end_ns - self.rig.clock.now()) / SECOND)
             self._raise_abort()
             frames, _ = self.rig.frames.since(first)
             self._late_s = max(self._late_s, _late_s(frames))
@@ -369,7 +368,7 @@ class _Bench:
                 return _steady(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
             self._hold(_pair((-1, -1), counts))
-            wait_for(self.clock, self._strayed, seconds)
+            wait_for(self.rig.clock, self._strayed, seconds)
         raise AbortError(
             f"{self.name}: too many camera frames are missing; check the camera and the network"
         )
@@ -382,7 +381,7 @@ class _Bench:
     def _stand(self) -> None:
         """Stop the wheels, and wait until the robot stands."""
         self._hold((0, 0))
-        self.clock.sleep_until(self.clock.now() + round(STAND_S * SECOND))
+        self.rig.clock.sleep_until(self.rig.clock.now() + round(STAND_S * SECOND))
 
     def _strayed(self) -> bool:
         """Abort the calibration if the robot is too far from its first place; return whether it

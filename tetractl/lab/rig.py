@@ -13,10 +13,51 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
+from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
+
+
+class RigDevices:
+    """The camera and the actuator of a rig. `emulated` names those that the plant emulates, whether
+    or not they say so."""
+
+    def __init__(self, camera: Camera, actuator: Actuator, emulated: Sequence[str]) -> None:
+        self.camera = camera
+        self.actuator = actuator
+        self._emulated = frozenset(emulated)
+        self._open = set[str]()  # the names of those that are open
+        self._releases = ExitStack()
+
+    def open(self) -> dict[str, AbortError]:
+        """Open the devices that are not open; return the errors of those that cannot be opened, by
+        "actuator" or "camera".
+        """
+        failures = dict[str, AbortError]()
+        for name, device in (("actuator", self.actuator), ("camera", self.camera)):
+            if name in self._open:
+                continue
+            try:
+                self._releases.enter_context(device)
+                self._open.add(name)
+            except AbortError as failure:
+                failures[name] = failure
+        return failures
+
+    def after_close(self, act: Callable[[], object]) -> None:
+        """Call `act` once the devices are released."""
+        self._releases.callback(act)
+
+    def close(self) -> None:
+        """Release the devices; may be called twice, never raises."""
+        self._releases.close()
+
+    def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
+        """Return which devices are not real, as the plant or their checks say: "camera"."""
+        said = {"camera": camera.emulated, "actuator": actuator.emulated}
+        return tuple(name for name in said if said[name] or name in self._emulated)
 
 
 class Rig:
@@ -24,8 +65,7 @@ class Rig:
 
     Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
     `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
-    `frames` are the camera frames that the guard accepted. `emulated` names the devices that the
-    plant emulates, whether or not they say so. `checks_of` makes the guard's checks.
+    `emulated` is that of `RigDevices`. `checks_of` makes the guard's checks.
     """
 
     def __init__(
@@ -41,28 +81,46 @@ class Rig:
         emulated: Sequence[str] = (),
         checks_of: ChecksOf = robot_checks,
     ) -> None:
-        self.camera = camera
-        self.actuator = actuator
+        self.devices = RigDevices(camera, actuator, emulated)
         self.limits = limits
-        self._emulated = frozenset(emulated)
         self.setup = setup
         self.clock = clock
-        self.mm = setup.metres / MM  # millimetres per length unit of the spec
         self._checks_of = checks_of
-        self.guard = Guard(guard_rules(setup, limits), checks_of)
         self.loop = InnerLoop(
             camera,
             actuator,
-            self.guard,
+            Guard(guard_rules(setup, limits), checks_of),
             clock,
             wake or threading.Event(),
             emergency or threading.Event(),
         )
-        self.frames = self.loop.frames
         self._threaded = threaded
         self._entered = False
-        self._opened = ExitStack()
-        self._open = set[str]()  # the devices that are open
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+        return self.devices.camera
+
+    @property
+    def actuator(self) -> Actuator:
+        """The actuator."""
+        return self.devices.actuator
+
+    @property
+    def guard(self) -> Guard:
+        """The guard of the present robots."""
+        return self.loop.guard
+
+    @property
+    def frames(self) -> FrameBuffer:
+        """The camera frames that this guard accepted."""
+        return self.loop.frames
+
+    @property
+    def mm(self) -> float:
+        """Millimetres per length unit of the spec."""
+        return self.setup.metres / MM
 
     def __enter__(self) -> Self:
         """Open the devices and start the inner loop, once; AbortError with all that fails."""
@@ -70,7 +128,8 @@ class Rig:
             return self
         self._entered = True
         try:
-            if failures := self.open_devices():
+            failures = self.devices.open()
+            if failures:
                 messages = [failure.message for failure in failures.values()]
                 hints = [failure.hint for failure in failures.values() if failure.hint]
                 raise AbortError("; ".join(messages), "; ".join(hints) or None)
@@ -85,34 +144,13 @@ class Rig:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def open_devices(self) -> dict[str, AbortError]:
-        """Open the devices that are not open; return the errors of those that cannot be opened, by
-        "actuator" or "camera".
-        """
-        failures = dict[str, AbortError]()
-        for name, device in (("actuator", self.actuator), ("camera", self.camera)):
-            if name in self._open:
-                continue
-            try:
-                self._opened.enter_context(device)
-                self._open.add(name)
-            except AbortError as failure:
-                failures[name] = failure
-        return failures
-
-    def after_close(self, act: Callable[[], object]) -> None:
-        """Call `act` once the devices are released."""
-        self._opened.callback(act)
-
     def settle(self, setup: Setup) -> None:
         """Continue with the robots of a new setup, to which camera and actuator have settled; their
         present poses become their starts.
         """
         self.setup = setup
         self.start_anywhere()
-        self.guard = Guard(guard_rules(setup, self.limits), self._checks_of)
-        self.loop.restart(self.guard)
-        self.frames = self.loop.frames
+        self.loop.restart(Guard(guard_rules(setup, self.limits), self._checks_of))
         wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:
@@ -125,11 +163,6 @@ class Rig:
         """The indices of the robots that are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
 
-    def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
-        """Return which devices are not real, as the plant or their checks say: "camera"."""
-        said = {"camera": camera.emulated, "actuator": actuator.emulated}
-        return tuple(name for name in said if said[name] or name in self._emulated)
-
     def not_tracked(self, i: int) -> str:
         """Return a line that says that robot i is not tracked and, if known, why."""
         why = self.guard.refused[i]
@@ -138,7 +171,7 @@ class Rig:
     def close(self) -> None:
         """End the inner loop and release the devices; may be called twice, never raises."""
         self.loop.close()
-        self._opened.close()
+        self.devices.close()
 
     def silent_ns(self) -> int:
         """Return the time since the last accepted frame [ns]."""

@@ -140,12 +140,12 @@ class EmulatedPlantSection(RigSection):
             checks_of=resolve_name(self.actuator.checks),
         )
         if live:
-            rig.after_close(clock.start())
+            rig.devices.after_close(clock.start())
         else:
             clock.steps.append(rig.loop.step_if_due)
         if record is not None:
             clock.steps.append(lambda: emulation.ruled(rig.guard.state, rig.guard.reason))
-            rig.after_close(lambda: outlive(emulation))
+            rig.devices.after_close(lambda: outlive(emulation))
         return rig
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> LabPlant:

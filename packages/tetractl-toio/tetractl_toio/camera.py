@@ -43,6 +43,38 @@ class CubeReport:
     has_settings: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class ReportsNow:
+    """The last poses and their times (N,) [ns] of all cubes, and the `number` of reports so far."""
+
+    number: int
+    poses: tuple[Pose | None, ...]
+    times: tuple[int, ...]
+
+
+class CubeReports:
+    """What N cubes have reported, `of_cubes`; a thread notes poses while another one reads all."""
+
+    def __init__(self, cubes: int) -> None:
+        self.of_cubes = [CubeReport() for _ in range(cubes)]
+        self._number = 0
+        self._lock = threading.Lock()
+
+    def note_pose(self, i: int, pose: Pose | None, at_ns: int) -> None:
+        """Take the pose that cube i reported at a time."""
+        with self._lock:
+            self.of_cubes[i].pose = pose
+            self.of_cubes[i].read_ns = at_ns
+            self._number += 1
+
+    def now(self) -> ReportsNow:
+        """Return the reports of all cubes."""
+        with self._lock:
+            poses = tuple(report.pose for report in self.of_cubes)
+            times = tuple(report.read_ns for report in self.of_cubes)
+            return ReportsNow(self._number, poses, times)
+
+
 class ToioCamera:
     """Tracks the setup's robots by their own readings; see `tetractl.core.protocols.Camera`.
     `ports` is for `CubesLink`.
@@ -60,17 +92,13 @@ class ToioCamera:
         ports: Ports | None = None,
     ) -> None:
         self.section = section
-        self.names = setup.names
+        self.setup = setup
         self.damaged = 0
         self._clock = clock
         self._wake = wake
-        self._mm = setup.metres * 1000
         cubes = [entry(section.robots, name).cube for name in setup.names]
         self._link = CubesLink(clock, cubes, ports, self._heard)
-        self._lock = threading.Lock()
-        self._reports = [CubeReport() for _ in setup.names]
-        self._number = 0  # of reports so far
-        self._number_taken = 0  # of reports when frames were last taken
+        self._reports = CubeReports(len(cubes))
         self._asked_ns = 0  # when silent cubes were last asked
         self._newest_ns = NEVER  # time of the newest report in a frame
 
@@ -81,7 +109,7 @@ class ToioCamera:
             has_begun = any(self._begun() for _ in range(TRIES))
             silent = [
                 name
-                for name, report in zip(self.names, self._reports, strict=True)
+                for name, report in zip(self.setup.names, self._reports.of_cubes, strict=True)
                 if report.read_ns < 0
             ]
             if not has_begun and silent:
@@ -103,7 +131,8 @@ class ToioCamera:
             self._link.send(cube, Characteristic.ID)
 
         def begun() -> bool:
-            return all(report.has_settings and report.read_ns >= 0 for report in self._reports)
+            reports = self._reports.of_cubes
+            return all(report.has_settings and report.read_ns >= 0 for report in reports)
 
         return wait_for(self._clock, begun, FIRST_S / TRIES)
 
@@ -111,7 +140,7 @@ class ToioCamera:
         """Return which robots do not see the mat."""
         problems = tuple(
             f"{name} does not see the mat: is it on it, and clean below?"
-            for name, report in zip(self.names, self._reports, strict=True)
+            for name, report in zip(self.setup.names, self._reports.of_cubes, strict=True)
             if report.pose is None
         )
         return Health(problems, emulated=self._link.emulated)
@@ -119,19 +148,19 @@ class ToioCamera:
     def frames(self) -> list[CameraFrame]:
         """Return a frame if a cube has reported since the last call; ask cubes that are silent."""
         self._ask_silent()
-        with self._lock:
-            number = self._number
-            has_news = number != self._number_taken
-            self._number_taken = number
-            poses = tuple(report.pose for report in self._reports)
-            times = tuple(report.read_ns for report in self._reports)
-        newest = max(times)
-        if not has_news or min(times) < 0 or newest <= self._newest_ns:
+        reports = self._reports.now()
+        newest_ns = max(reports.times)
+        if min(reports.times) < 0 or newest_ns <= self._newest_ns:
             return []  # a reading that another cube's has overtaken is in the next frame
-        self._newest_ns = newest
-        sampled = tuple(map(self._sampled, times))
-        now = self._clock.now()
-        return [CameraFrame(number, self._sampled(newest), now, poses, exposed_ns=sampled)]
+        self._newest_ns = newest_ns
+        frame = CameraFrame(
+            number=reports.number,
+            sampled_ns=self._sampled(newest_ns),
+            received_ns=self._clock.now(),
+            poses=reports.poses,
+            exposed_ns=tuple(map(self._sampled, reports.times)),
+        )
+        return [frame]
 
     def _ask_silent(self) -> None:
         """Ask each cube that has been silent for ASK_NS: one that is lifted says only once that it
@@ -140,7 +169,7 @@ class ToioCamera:
         if self._asked_ns > silent_since_ns:
             return
         self._asked_ns = silent_since_ns + ASK_NS
-        for cube, report in zip(self._link.cubes, self._reports, strict=True):
+        for cube, report in zip(self._link.cubes, self._reports.of_cubes, strict=True):
             if report.read_ns <= silent_since_ns:
                 with suppress(AbortError):  # the actuator's side says why
                     self._link.send(cube, Characteristic.ID)
@@ -149,9 +178,8 @@ class ToioCamera:
         return max(0, at_ns - round(self.section.latency * SECOND))
 
     def _heard(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
-        report = self._reports[i]
         if characteristic == Characteristic.CONFIGURATION:
-            report.has_settings = True
+            self._reports.of_cubes[i].has_settings = True
         if characteristic != Characteristic.ID:
             return
         try:
@@ -159,15 +187,12 @@ class ToioCamera:
         except WireError:
             self.damaged += 1
             return
-        with self._lock:
-            report.pose = None if reading is None else self._pose(reading)
-            report.read_ns = at_ns
-            self._number += 1
+        self._reports.note_pose(i, None if reading is None else self._pose(reading), at_ns)
         self._wake()
 
     def _pose(self, reading: Reading) -> Pose:
         """Return a reading in the spec's coordinates, whose y axis points up."""
-        unit = self.section.unit_mm / self._mm
+        unit = self.section.unit_mm / (self.setup.metres * 1000)
         x = reading.x - self.section.origin[0]
         y = self.section.origin[1] - reading.y
         return Pose(x * unit, y * unit, -math.remainder(math.radians(reading.angle), math.tau))

@@ -12,6 +12,7 @@ for the directions that acted, and near 0 for others, unless these hardly change
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,13 +93,14 @@ class Delayed:
 
 @dataclass(frozen=True, slots=True)
 class DirectionReading:
-    """Directions that act instead of those stated, after one of `delays_s` [s], `rotated` by an
-    angle that is fitted or not at all; and what is wrong if they do, by the delay that fits best.
+    """Directions that act instead of those stated, after one of `delays_s` [s]; the response by
+    which robots turn to them; and a function that returns what is wrong if they do, by the delay
+    [s] that fits best.
     """
 
     sent: SentDirections
     delays_s: Floats
-    rotated: bool
+    response: Response
     problem: Callable[[float], UsageError]
 
 
@@ -115,7 +117,7 @@ def courses_of_headings(times: Floats, headings: Floats) -> list[TurnedCourse]:
 
 def turning_fit(turned: Sequence[TurnedCourse], field: FieldAt) -> TurningFit:
     """Return how a field explains the turning of courses, if it may be rotated."""
-    return _fit(turned, field, _rotated)
+    return _fit(turned, field, rotated)
 
 
 def check_directions(
@@ -133,45 +135,76 @@ def check_directions(
     longest = _longest(turned)
     if sum(len(course.times) for course in longest) * GRID_S < ENOUGH_S:
         return
-    stated = _best_delay(longest, sent, delays_s, rotated=False)
-    if stated.share >= EXPLAINED:
+    as_stated = _best_delay(longest, sent, delays_s, towards)
+    if as_stated.share >= EXPLAINED:
         return
-    rotated = _best_delay(longest, sent, delays_s, rotated=True)
+    only_rotated = _best_delay(longest, sent, delays_s, rotated)
     by_share = [
-        (_best_delay(longest, reading.sent, reading.delays_s, reading.rotated), reading)
+        (_best_delay(longest, reading.sent, reading.delays_s, reading.response), reading)
         for reading in readings
     ]
     best, reading = max(by_share, key=lambda pair: pair[0].share)
-    if best.share >= max(EXPLAINED, rotated.share + SURELY_MORE):
+    if best.share >= max(EXPLAINED, only_rotated.share + SURELY_MORE):
         raise reading.problem(best.delay_s)
 
 
 def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReading:
     """Return the mirror image of the directions of the file `source`."""
+    return DirectionReading(
+        sent=SentDirections(sent.times, sent.acts.conj()),
+        delays_s=DELAYS_S,
+        response=rotated,
+        problem=partial(_mirrored, poses_file, source),
+    )
+
+
+def _mirrored(poses_file: str, source: str, _delay_s: float) -> UsageError:
+    """Return the error that robots turn by the mirror image, whatever its delay."""
     said = f"{poses_file}: robots turn right where {source} turns left"
     hint = "is the picture mirrored, or y downwards? reverse y and headings, or the directions"
-    mirrored = SentDirections(sent.times, sent.acts.conj())
-    return DirectionReading(mirrored, DELAYS_S, True, lambda _: UsageError(said, hint))
+    return UsageError(said, hint)
 
 
 def other_times(source: str, sent: SentDirections, picture_s: float) -> list[DirectionReading]:
     """Return the directions of the file `source` at other times: those of another clock, or of
     times that count pictures, of `picture_s` [s] each, milliseconds or minutes."""
     return [
-        DirectionReading(sent, SHIFTS_S, False, lambda shift_s: _other_clock(source, shift_s)),
-        _counted(source, sent, picture_s, "numbers of pictures", f"multiply by {picture_s:.4g} s"),
-        _counted(source, sent, 1e-3, "milliseconds", "name the column time_ms"),
-        _counted(source, sent, 60.0, "minutes", "name the column time_min"),
+        DirectionReading(sent, SHIFTS_S, towards, partial(_other_clock, source)),
+        *(_in_unit(source, sent, unit) for unit in units_of_time(picture_s)),
     ]
 
 
-def _counted(
-    source: str, sent: SentDirections, unit_s: float, unit: str, hint: str
-) -> DirectionReading:
-    """Return directions whose times count a unit [s]."""
-    said = f"{source}: robots turn at its times if these are {unit}"
-    counted = SentDirections(unit_s * sent.times, sent.acts)
-    return DirectionReading(counted, DELAYS_S, False, lambda _: UsageError(said, hint))
+@dataclass(frozen=True, slots=True)
+class TimeUnit:
+    """A unit that a file's times may have been counted in: its length, its name, and what to do."""
+
+    seconds: float
+    name: str
+    hint: str
+
+
+def units_of_time(picture_s: float) -> list[TimeUnit]:
+    """Return the units in which times may be counted; a picture takes `picture_s` [s]."""
+    return [
+        TimeUnit(picture_s, "numbers of pictures", f"multiply by {picture_s:.4g} s"),
+        TimeUnit(1e-3, "milliseconds", "name the column time_ms"),
+        TimeUnit(60.0, "minutes", "name the column time_min"),
+    ]
+
+
+def _in_unit(source: str, sent: SentDirections, unit: TimeUnit) -> DirectionReading:
+    """Return the directions at times that count a unit."""
+    return DirectionReading(
+        sent=SentDirections(unit.seconds * sent.times, sent.acts),
+        delays_s=DELAYS_S,
+        response=towards,
+        problem=partial(_other_unit, source, unit),
+    )
+
+
+def _other_unit(source: str, unit: TimeUnit, _delay_s: float) -> UsageError:
+    """Return the error that a file's times count a unit, whatever the delay."""
+    return UsageError(f"{source}: robots turn at its times if these are {unit.name}", unit.hint)
 
 
 def _other_clock(source: str, shift_s: float) -> UsageError:
@@ -192,19 +225,14 @@ def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
 
 
 def _best_delay(
-    turned: Sequence[TurnedCourse], sent: SentDirections, delays_s: Floats, rotated: bool
+    turned: Sequence[TurnedCourse], sent: SentDirections, delays_s: Floats, response: Response
 ) -> Delayed:
-    """Return the delay after which directions explain most of the turning."""
+    """Return the delay after which directions explain most of the turning by a response."""
     fits = list[Delayed]()
     for delay_s in delays_s.tolist():
         field = SentDirections(sent.times + delay_s, sent.acts).at
-        fits.append(Delayed(_share(turned, field, rotated), delay_s))
+        fits.append(Delayed(_fit(turned, field, response).explained, delay_s))
     return max(fits, key=lambda fit: fit.share)
-
-
-def _share(turned: Sequence[TurnedCourse], field: FieldAt, rotated: bool) -> float:
-    """Return the share of the turning that a field explains, which may be rotated."""
-    return _fit(turned, field, _rotated if rotated else _towards).explained
 
 
 def _fit(turned: Sequence[TurnedCourse], field: FieldAt, response: Response) -> TurningFit:
@@ -223,18 +251,18 @@ def _fit(turned: Sequence[TurnedCourse], field: FieldAt, response: Response) -> 
     return TurningFit(1 - unexplained / total, np.array(vectors))
 
 
-def _rotated(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
+def rotated(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
     """Return the response to a field that may be rotated, by least squares."""
     fitted = np.linalg.lstsq(basis, rate, rcond=None)[0]
     return complex(*fitted), basis @ fitted
 
 
-def _towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
+def towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
     """Return the response of a robot that turns towards the field by a rate a of at least 0."""
-    towards = basis[:, 0]
-    squares = float(towards @ towards)
-    a = max(0.0, float(rate @ towards) / squares) if squares > 0 else 0.0
-    return complex(a), a * towards
+    pull = basis[:, 0]
+    squares = float(pull @ pull)
+    a = max(0.0, float(rate @ pull) / squares) if squares > 0 else 0.0
+    return complex(a), a * pull
 
 
 def _pieces(path: Floats) -> list[Floats]:

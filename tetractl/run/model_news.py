@@ -81,23 +81,55 @@ def turning(estimate: Estimate, i: int) -> str:
     return ", ".join(parts)
 
 
+@dataclass(frozen=True, slots=True)
+class EstimatedNumber:
+    """A number of an estimate, and its standard deviation."""
+
+    value: float
+    std: float
+
+    def differs(self, before: "EstimatedNumber") -> bool:
+        """Return whether it differs by more than standard deviations explain."""
+        return abs(self.value - before.value) > SURE_STDS * math.hypot(self.std, before.std)
+
+
+def _dead_time(estimate: Estimate) -> EstimatedNumber | None:
+    """Return the dead time [s], None if it is not estimated."""
+    if estimate.dead_time is None or estimate.dead_time_std is None:
+        return None
+    return EstimatedNumber(estimate.dead_time, estimate.dead_time_std)
+
+
+def _turning_rate(estimate: Estimate, i: int) -> EstimatedNumber:
+    """Return the turning rate a of robot i [rad/s]."""
+    return EstimatedNumber(estimate.a[i], estimate.a_std[i])
+
+
+def _speed(estimate: Estimate, i: int) -> EstimatedNumber:
+    """Return the speed of robot i [length unit/s]."""
+    return EstimatedNumber(estimate.speed[i], estimate.speed_std[i])
+
+
 def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     """Yield in words what is estimated otherwise than `before`, by more than standard deviations
     explain."""
-    now = estimate.dead_time
-    was = before.dead_time
-    if now is not None and was is not None:
-        std = math.hypot(estimate.dead_time_std or 0.0, before.dead_time_std or 0.0)
-        if abs(now - was) > SURE_STDS * std:
-            yield f"commands act {now:.3f} s after they are sent, not {was:.3f} s"
+    dead_time = _dead_time(estimate)
+    dead_time_before = _dead_time(before)
+    if dead_time and dead_time_before and dead_time.differs(dead_time_before):
+        yield (
+            f"commands act {dead_time.value:.3f} s after they are sent, "
+            f"not {dead_time_before.value:.3f} s"
+        )
     for i, name in enumerate(setup.names):
-        for what, unit in ("a", "rad/s"), ("speed", f"{setup.unit}/s"):
-            (new, std), (old, old_std) = (
-                (getattr(values, what)[i], getattr(values, f"{what}_std")[i])
-                for values in (estimate, before)
-            )
-            if abs(new - old) > SURE_STDS * math.hypot(std, old_std):
-                yield f"{what} of {name} is {new:.3g} {unit}, not {old:.3g}"
+        a = _turning_rate(estimate, i)
+        a_before = _turning_rate(before, i)
+        if a.differs(a_before):
+            yield f"a of {name} is {a.value:.3g} rad/s, not {a_before.value:.3g}"
+        speed = _speed(estimate, i)
+        speed_before = _speed(before, i)
+        if speed.differs(speed_before):
+            now = f"{speed.value:.3g} {setup.unit}/s"
+            yield f"speed of {name} is {now}, not {speed_before.value:.3g}"
         turns = turning(estimate, i)
         if turns and turns != turning(before, i):
             yield f"{name} {turns}"

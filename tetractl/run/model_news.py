@@ -138,14 +138,15 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
 @dataclass(slots=True)
 class ModelNews:
     """Tells changes of how a controller's model fits: each heading that does not fit once, until
-    all have fitted for FITS_S, and meanwhile, once, that commands act at another time than
-    `stated`. What robots do otherwise is said once a trial: screen and log show every time."""
+    all have fitted for FITS_S. Meanwhile, but once a trial, that commands act at another time than
+    `stated`: it questions the spec, which a trial does not change. What robots do otherwise is said
+    once a trial too: screen and log show every time."""
 
     stated: StatedModel | None = None
     _said: set[str] = field(default_factory=set)  # what does not fit
     _before: Estimate | None = None  # the estimate when it was said
     _unfit_ns: int = 0  # time at which something last did not fit
-    _delay_said: bool = False  # whether the dead time was said to differ from the stated one
+    _dead_time_questioned: bool = False  # whether the stated one was said to differ
     _said_once: set[str] = field(default_factory=set)  # texts that are not said again
 
     def of(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
@@ -167,6 +168,15 @@ class ModelNews:
             self._said_once.add(text)
             yield level, text
 
+    def _question_dead_time(self, estimate: Estimate) -> Iterator[tuple[str, str]]:
+        """Yield level and text, once a trial, that commands act at another time than is stated."""
+        if self.stated is None or self._dead_time_questioned:
+            return
+        question = other_delay(estimate, self.stated)
+        if question:
+            self._dead_time_questioned = True
+            yield "warning", question
+
     def _fit(
         self, unfit: set[str], estimate: Estimate, setup: Setup, now_ns: int
     ) -> Iterator[tuple[str, str]]:
@@ -178,13 +188,7 @@ class ModelNews:
             if new:
                 self._said |= new
                 yield "warning", f"the model does not fit: {', '.join(sorted(new))}"
-            if (
-                self.stated
-                and not self._delay_said
-                and (text := other_delay(estimate, self.stated))
-            ):
-                self._delay_said = True
-                yield "warning", text
+            yield from self._question_dead_time(estimate)
         elif self._before and now_ns - self._unfit_ns >= FITS_S * SECOND:
             changes = "; ".join(learnt(estimate, self._before, setup)) or "with the same values"
             self._said = set()

@@ -109,6 +109,22 @@ def test_a_latency_that_is_wrong_is_named(dead_time, std, question):
     assert texts[1:] == ([f"commands act {question}"] if question else [])
 
 
+def test_a_stated_dead_time_is_questioned_once_a_trial_however_often_the_model_fits_again():
+    news = ModelNews(StatedModel(0.03, has_latency=False))
+    times_s = {0: UNFIT, FITS_S: FITS, FITS_S + 1: UNFIT}
+    texts = [
+        text
+        for time_s, estimate in times_s.items()
+        for _, text in news.of(estimate, SETUP, round(1e9 * time_s))
+    ]
+    assert [text.split(":")[0] for text in texts] == [
+        "the model does not fit",
+        "commands act 0.110 s after they are sent, not 0.030 s",
+        "the model fits again",
+        "the model does not fit",
+    ]
+
+
 def test_a_dead_time_is_not_questioned_while_the_model_fits():
     news = ModelNews(StatedModel(0.03, has_latency=False))
     assert [*news.of(FITS, SETUP, 0)] == []

@@ -28,7 +28,7 @@ from typing import Any
 import cv2
 import numpy as np
 from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
-from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera
+from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, PictureTiming
 from tetractl_microscope.apriltag.camera import AprilTagCamera, Tracker
 from tetractl_microscope.apriltag.detect import MODULES, refined
 from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag
@@ -314,7 +314,7 @@ def serve(size: tuple[int, int], rate_hz: float, pipe: Connection) -> None:
     cv2.setNumThreads(1)
     where = scattered(np.random.default_rng(5))
     draw = partial(renderer(size).picture, lambda t: where)
-    server = EmulatedNetworkCamera(draw, MonotonicClock(), rate_hz, latency_s=0.05)
+    server = EmulatedNetworkCamera(draw, MonotonicClock(), PictureTiming(rate_hz, latency_s=0.05))
     with server:
         pipe.send(server.url)
         pipe.recv()

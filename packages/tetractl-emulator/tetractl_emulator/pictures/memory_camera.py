@@ -6,7 +6,6 @@ from typing import Self
 
 from tetractl_microscope.pictures.multipart import Multipart
 
-from tetractl.core.clock import SECOND
 from tetractl_emulator.pictures.network_camera import BOUNDARY, EmulatedNetworkCamera, coded, part
 from tetractl_emulator.virtual_wires import LabClock
 
@@ -31,6 +30,7 @@ class MemoryCamera(EmulatedNetworkCamera):
 
     def __enter__(self) -> Self:
         self._start = self._clock.true_ns
+        self._number = 0  # of the next picture
         self._sent = deque[tuple[int, int, bytes]](maxlen=WAIT)
         self._clock.steps.append(self._turn)
         return self
@@ -65,16 +65,16 @@ class MemoryCamera(EmulatedNetworkCamera):
 
     def _turn(self) -> None:
         now = self._clock.true_ns
-        exposed = self._start + round(self.exposed * SECOND / self._rate_hz)
-        if now >= exposed + self._half:
-            self.exposed += 1
-            if self.watched and not self.frozen.is_set() and self.exposed % self.every == 0:
-                jpeg = coded(self._draw(exposed), self._quality)
-                self._sent.append((exposed + self.latency_ns, exposed, jpeg))
+        exposed = self._start + self.timing.middle_ns(self._number)
+        if now >= exposed + self.timing.half_ns:
+            self._number += 1
+            if self.watched and not self.trouble.withholds(self._number):
+                jpeg = coded(self._draw(exposed))
+                self._sent.append((exposed + self._latency_ns, exposed, jpeg))
         while self._sent and self._sent[0][0] <= now:
             _, exposed, jpeg = self._sent.popleft()
             sent_part = part(jpeg)
-            body = self._changed(sent_part)
+            body = self.trouble.changed(sent_part)
             if self._take is not None:
                 if body.startswith(sent_part):
                     self.on_shown(exposed)

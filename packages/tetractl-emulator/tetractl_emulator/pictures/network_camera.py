@@ -4,6 +4,7 @@ import queue
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Self
 
@@ -18,39 +19,80 @@ from tetractl.core.worker import LOOK_S
 BOUNDARY = "emulated-by-tetractl"
 
 
+@dataclass(frozen=True, slots=True)
+class PictureTiming:
+    """When pictures are exposed and sent: the middle of picture k's exposure, which lasts
+    `exposure_s`, is k / `rate_hz` after the camera was entered, and the picture is sent `latency_s`
+    after the middle.
+    """
+
+    rate_hz: float = 30.0
+    exposure_s: float = 0.0
+    latency_s: float = 0.0
+
+    def middle_ns(self, number: int) -> int:
+        """Return the middle of a picture's exposure, after the camera was entered [ns]."""
+        return round(number * SECOND / self.rate_hz)
+
+    @property
+    def half_ns(self) -> int:
+        """Half the time of an exposure [ns]."""
+        return round(self.exposure_s * SECOND / 2)
+
+    @property
+    def latency_ns(self) -> int:
+        """Time from the middle of an exposure to the sending of its picture [ns]."""
+        return round(self.latency_s * SECOND)
+
+
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class StreamTrouble:
+    """What is wrong with a stream now. Faults set `every` and restore it when they end; to the
+    lists they add, and remove again what they added.
+    """
+
+    every: int = 1
+    """Only pictures whose numbers are multiples of this one are sent."""
+    freezes: list[object] = field(default_factory=list)
+    """What stops exposures."""
+    delays_ns: list[int] = field(default_factory=list)
+    """Times by which pictures are sent late, which add up [ns]."""
+    changes: list[Callable[[bytes], bytes]] = field(default_factory=list)
+    """Each changes the bytes of a part before they are sent, in this order."""
+
+    def withholds(self, number: int) -> bool:
+        """Return whether the picture with this number is not exposed or not sent."""
+        return bool(self.freezes) or number % self.every != 0
+
+    def changed(self, part: bytes) -> bytes:
+        """Return a part as it is sent."""
+        for change in self.changes:
+            part = change(part)
+        return part
+
+
 class EmulatedNetworkCamera:
     """Serves pictures at http://127.0.0.1:`port`/; a context manager.
 
-    `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. The
-    middle of picture k's exposure, which lasts `exposure_s`, is k / `rate_hz` after the camera was
-    entered. The picture is sent `latency_s` after the middle of the exposure, or as soon as it is
-    drawn; a busy host skips some exposures. Each of `changes` changes the bytes of a part before
-    they are sent; `frozen` stops exposures while it is set; only every `every`-th picture is sent.
-    A camera that `drips` sends an endless header byte by byte. TetractlError if the port is in use.
+    `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. A
+    picture is sent when its `timing` says so, or as soon as it is drawn; a busy host skips some
+    exposures. Faults change the `trouble`. A camera that `drips` sends an endless header byte by
+    byte. TetractlError if the port is in use.
     """
 
     def __init__(
         self,
         draw: Callable[[int], Grey],
         clock: Clock,
-        rate_hz: float = 30.0,
-        exposure_s: float = 0.0,
-        latency_s: float = 0.0,
-        quality: int = 90,
+        timing: PictureTiming,
         port: int = 0,
         drips: bool = False,
     ) -> None:
-        self.changes: list[Callable[[bytes], bytes]] = []
+        self.timing = timing
+        self.trouble = StreamTrouble()
         self._drips = drips
-        self.frozen = threading.Event()
-        self.every = 1
-        self.exposed = 0  # number of the last picture
         self._draw = draw
         self._clock = clock
-        self._rate_hz = rate_hz
-        self._quality = quality
-        self._half = round(exposure_s * SECOND / 2)
-        self.latency_ns = round(latency_s * SECOND)
         self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
         self._closing = threading.Event()
         self._open(port)
@@ -107,24 +149,24 @@ class EmulatedNetworkCamera:
 
     def _expose(self) -> None:
         start = self._clock.now()
-        half = self._half
+        half = self.timing.half_ns
+        number = 0
         while not self._closing.is_set():
-            due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
-            self.exposed = max(self.exposed + 1, due)  # a busy host skips some exposures
-            exposed = start + round(self.exposed * SECOND / self._rate_hz)
+            due = int((self._clock.now() - start - half) * self.timing.rate_hz / SECOND)
+            number = max(number + 1, due)  # a busy host skips some exposures
+            exposed = start + self.timing.middle_ns(number)
             self._clock.sleep_until(exposed + half)
-            if self.frozen.is_set() or not self._clients or self.exposed % self.every:
+            if self.trouble.withholds(number) or not self._clients:
                 continue
-            jpeg = coded(self._draw(exposed), self._quality)
+            jpeg = coded(self._draw(exposed))
             for client in list(self._clients):
                 with suppress(queue.Full):
-                    client.put_nowait((exposed + self.latency_ns, jpeg))
+                    client.put_nowait((exposed + self._latency_ns, jpeg))
 
-    def _changed(self, part: bytes) -> bytes:
-        """Return a part as it is sent."""
-        for change in self.changes:
-            part = change(part)
-        return part
+    @property
+    def _latency_ns(self) -> int:
+        """Time from the middle of an exposure to the sending of its picture, at present [ns]."""
+        return self.timing.latency_ns + sum(self.trouble.delays_ns)
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
         # further pictures are dropped, for a client that reads slowly
@@ -143,14 +185,14 @@ class EmulatedNetworkCamera:
                 with suppress(queue.Empty):
                     due, jpeg = mine.get(timeout=LOOK_S)
                     self._clock.sleep_until(due)
-                    answer.wfile.write(self._changed(part(jpeg)))
+                    answer.wfile.write(self.trouble.changed(part(jpeg)))
         except OSError:
             pass  # the client has gone
         finally:
             self._clients.discard(mine)
 
 
-def coded(picture: Grey, quality: int) -> bytes:
+def coded(picture: Grey, quality: int = 90) -> bytes:
     """Return a picture as a JPEG file."""
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from operator import attrgetter
 from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
@@ -21,7 +22,12 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl_emulator.faults import Fault, Share, Undo, Visible, adding, fault_kind, settings
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
-from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, part
+from tetractl_emulator.pictures.network_camera import (
+    EmulatedNetworkCamera,
+    PictureTiming,
+    StreamTrouble,
+    part,
+)
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.rehearsal.picture_faults import stream_rows
 from tetractl_emulator.sides import Facts, Stage
@@ -65,16 +71,12 @@ class StreamSettings(Model):
     """Whether the camera sends an endless answer byte by byte."""
 
 
-def _freeze(fault: Any, device: Any) -> Undo:
-    def freeze(more: int) -> None:
-        device.freezes += more
-        if device.freezes:
-            device.camera.frozen.set()
-        else:  # of several faults at once, the last to end lets it go on
-            device.camera.frozen.clear()
+def _trouble_of(fault: Any, device: Any) -> StreamTrouble:
+    return device.camera.trouble
 
-    freeze(1)
-    return lambda: freeze(-1)
+
+def _freeze(fault: Any, device: Any) -> Undo:
+    return adding(_trouble_of(fault, device).freezes, fault)
 
 
 WAYS: dict[str, Callable[[bytes], bytes]] = {
@@ -89,26 +91,24 @@ WAYS: dict[str, Callable[[bytes], bytes]] = {
 def _spoil(fault: Any, device: Any) -> Undo:
     chance = random.Random(device.seed)
     way = WAYS[fault.how]
-    return _sending(device, lambda part: way(part) if chance.random() < fault.share else part)
 
+    def spoilt(part: bytes) -> bytes:
+        return way(part) if chance.random() < fault.share else part
 
-def _sending(device: Any, change: Callable[[bytes], bytes]) -> Undo:
-    """Let a function change what is sent."""
-    return adding(device.camera.changes, change)
+    return adding(_trouble_of(fault, device).changes, spoilt)
 
 
 def _repeat(fault: Any, device: Any) -> Undo:
     sent: dict[str, bytes] = {}
-    return _sending(device, lambda part: sent.setdefault("first", part))
+
+    def first(part: bytes) -> bytes:
+        return sent.setdefault("first", part)
+
+    return adding(_trouble_of(fault, device).changes, first)
 
 
 def _late(fault: Any, device: Any) -> Undo:
-    def later(by_ns: int) -> None:
-        device.camera.latency_ns += by_ns
-
-    by_ns = round(fault.by * SECOND)
-    later(by_ns)
-    return lambda: later(-by_ns)
+    return adding(_trouble_of(fault, device).delays_ns, round(fault.by * SECOND))
 
 
 STREAM_FAULTS = (
@@ -122,7 +122,7 @@ STREAM_FAULTS = (
     fault_kind(
         "half_rate",
         "Only every second picture, or every n-th, is sent.",
-        settings(lambda f, d: d.camera, every=attrgetter("every")),
+        settings(_trouble_of, every=attrgetter("every")),
         Visible.SENT,
         fields={"every": (Annotated[int, Field(ge=2, le=1000)], 2)},
     ),
@@ -143,6 +143,58 @@ STREAM_FAULTS = (
 )
 
 
+class SceneHistory:
+    """The newest scenes, as numbers that can be interpolated in time."""
+
+    def __init__(self) -> None:
+        self._scenes: deque[tuple[int, Floats]] = deque(maxlen=200)
+
+    def add(self, time_ns: int, scene: Floats) -> None:
+        """Add the scene at a time [ns], which is later than those before."""
+        self._scenes.append((time_ns, scene))
+
+    def at(self, when_ns: int) -> Floats:
+        """Return the scene at a time [ns], interpolated between the scenes before and after."""
+        scenes = list(self._scenes)
+        times_ns = [time_ns for time_ns, _ in scenes]
+        later = max(bisect_left(times_ns, when_ns), 1)
+        i = min(later, len(scenes) - 1)
+        if i == 0:
+            return scenes[0][1]
+        before_ns, before = scenes[i - 1]
+        after_ns, after = scenes[i]
+        part = min(max((when_ns - before_ns) / (after_ns - before_ns), 0.0), 1.0)
+        # a cell may have divided between the two scenes
+        return before + part * (after[..., : before.shape[-1]] - before)
+
+
+class ShownBodies:
+    """Which bodies the pictures show, by the times of exposure [ns] on the camera's clock, and
+    `newest_ns`, when each body was exposed in the newest picture that has shown it to our side.
+    """
+
+    def __init__(self) -> None:
+        self.newest_ns: list[int] = []  # empty where it is not known what has come
+        self._visible: dict[int, Sequence[bool]] = {}
+
+    def begin(self, count: int) -> None:
+        """Begin with `count` bodies that no picture has shown."""
+        self.newest_ns = [0] * count
+
+    def expose(self, exposed_ns: int, visible: Sequence[bool]) -> None:
+        """Remember which bodies are visible in the picture of an exposure."""
+        self._visible[exposed_ns] = visible
+
+    def come(self, exposed_ns: int, start_ns: int) -> None:
+        """Note that the picture of an exposure has come; the camera's clock began at `start_ns`."""
+        for i, visible in enumerate(self._visible[exposed_ns]):
+            if visible:
+                self.newest_ns[i] = start_ns + exposed_ns
+        self._visible = {
+            t_ns: visible for t_ns, visible in self._visible.items() if t_ns >= exposed_ns
+        }
+
+
 class StreamedCamera(ABC):
     """Base class of emulated cameras that serve pictures as MJPEG; a thread draws the pictures.
 
@@ -156,31 +208,45 @@ class StreamedCamera(ABC):
         section = stage.lab.camera
         assert isinstance(section, PictureSection), "the camera searches pictures"
         source = section.source
-        in_memory = not stage.wires.http
-        served = (MjpegSource, DeviceSource) if in_memory else MjpegSource
+        http = stage.wires.http
+        served = MjpegSource if http else (MjpegSource, DeviceSource)
         if not isinstance(source, served):
             raise SpecError(
                 f"a source of type {source.type} cannot be emulated",
                 "use {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
             )
-        self.seed = stage.options.seed
-        self._stage = stage
-        self._settings = settings
-        self._latency = section.latency
         port = stage.options.command_port
         named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
-        self._port = named if port is None else port
-        self._past: deque[tuple[int, Floats]] = deque(maxlen=200)
-        self._watched = self._opened = False
-        self.freezes = 0  # number of present faults that stop exposures
-        self.shown_ns: list[int] = []  # unknown over HTTP
-        self._visible: dict[int, Sequence[bool]] = {}  # by the time of exposure [ns]
+        self._stage = stage
+        self._make_camera = partial(
+            EmulatedNetworkCamera if http else MemoryCamera,
+            self._taken,
+            timing=PictureTiming(settings.rate, settings.exposure, section.latency),
+            port=named if port is None else port,
+            drips=settings.drips,
+        )
+        self._history = SceneHistory()
+        self._shown = ShownBodies()
+        self._watched = False
+        self._opened = False
         self._exposures = 0
 
     @classmethod
     def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
         """Return what rehearsals draw of the pictures."""
         return Rehearsal([*stream_rows()])
+
+    @property
+    def seed(self) -> int:
+        """The seed of all that is drawn at random."""
+        return self._stage.options.seed
+
+    @property
+    def shown_ns(self) -> Sequence[int]:
+        """When each body was exposed in the newest picture that has shown it to our side [ns];
+        empty over HTTP, where that is not known.
+        """
+        return self._shown.newest_ns
 
     @abstractmethod
     def _scene(self) -> Floats:
@@ -197,21 +263,12 @@ class StreamedCamera(ABC):
     def open(self, loop: Loop) -> Facts:
         """Start to serve the stream; return its address."""
         wires = self._stage.wires
-        settings = self._settings
         clock = wires.clock()
         self._start_ns = loop.now() - clock.now()
         self._remember()
-        self.camera: Any = (EmulatedNetworkCamera if wires.http else MemoryCamera)(
-            self._taken,
-            clock,
-            settings.rate,
-            settings.exposure,
-            self._latency,
-            port=self._port,
-            drips=settings.drips,
-        )
+        self.camera: Any = self._make_camera(clock=clock)
         if not wires.http:
-            self.shown_ns = [0] * len(self._visible_now())
+            self._shown.begin(len(self._visible_now()))
             self.camera.on_shown = self._show
         self.camera.__enter__()
         self._opened = True
@@ -236,39 +293,21 @@ class StreamedCamera(ABC):
 
     def _taken(self, exposed_ns: int) -> Grey:
         """Return the picture of an exposure; remember what it shows."""
-        self._visible[exposed_ns] = self._visible_now()
+        self._shown.expose(exposed_ns, self._visible_now())
         return self._draw(exposed_ns)
 
     def _show(self, exposed_ns: int) -> None:
         """Note which bodies a picture has shown to our side."""
-        for i, visible in enumerate(self._visible[exposed_ns]):
-            if visible:
-                self.shown_ns[i] = self._start_ns + exposed_ns
-        self._visible = {
-            t_ns: visible for t_ns, visible in self._visible.items() if t_ns >= exposed_ns
-        }
+        self._shown.come(exposed_ns, self._start_ns)
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time [ns] on the camera's clock, interpolated between the stored
-        scenes before and after that time.
-        """
-        past = list(self._past)
-        when = self._start_ns + t_ns
-        times_ns = [time_ns for time_ns, _ in past]
-        later = max(bisect_left(times_ns, when), 1)
-        i = min(later, len(past) - 1)
-        if i == 0:
-            return past[0][1]
-        before_ns, before = past[i - 1]
-        after_ns, after = past[i]
-        part = min(max((when - before_ns) / (after_ns - before_ns), 0.0), 1.0)
-        # a cell may have divided between the two scenes
-        return before + part * (after[..., : before.shape[-1]] - before)
+        """Return the scene at a time [ns] on the camera's clock."""
+        return self._history.at(self._start_ns + t_ns)
 
     def _remember(self) -> None:
         """Store the present scene for exposures that are drawn later."""
         now = self._stage.timeline.now_ns
-        self._past.append((now, self._scene()))
+        self._history.add(now, self._scene())
         # exposures are drawn between two of these scenes
         self._stage.timeline.at(now + 5_000_000, self._remember)
 
@@ -282,4 +321,4 @@ class StreamedCamera(ABC):
             self._joined()
             self._stage.client(self.camera.url)
         self._watched = self.camera.watched
-        self._stage.timeline.at(now + round(SECOND / self._settings.rate), self._expose)
+        self._stage.timeline.at(now + self.camera.timing.middle_ns(1), self._expose)

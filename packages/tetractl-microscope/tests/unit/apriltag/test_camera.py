@@ -10,7 +10,7 @@ import pytest
 from support.needs_opencv import finds_small_tags
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
-from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera
+from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, PictureTiming
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
 
@@ -219,7 +219,7 @@ class Served:
     def __init__(self, rate_hz=40.0, **changes):
         clock = MonotonicClock()
         draw = partial(rendered().picture, standing)
-        self.server = EmulatedNetworkCamera(draw, clock, rate_hz, latency_s=0.02)
+        self.server = EmulatedNetworkCamera(draw, clock, PictureTiming(rate_hz, latency_s=0.02))
         source = {"type": "mjpeg", "url": self.server.url}
         self.camera, self.woken = built(source, clock, **{"latency": 0.02, **changes})
 
@@ -242,7 +242,7 @@ def test_exposure_times_are_right_to_a_few_milliseconds():
         return Poses(STANDING.x + 1e-9 * t_ns * speed, STANDING.y, np.zeros(3))
 
     draw = partial(rendered().picture, driving)
-    with EmulatedNetworkCamera(draw, clock, 30.0, latency_s=0.04) as server:
+    with EmulatedNetworkCamera(draw, clock, PictureTiming(latency_s=0.04)) as server:
         source = {"type": "mjpeg", "url": server.url}
         camera, woken = built(source, clock, latency=0.04)
         with camera:
@@ -258,15 +258,17 @@ def test_exposure_times_are_right_to_a_few_milliseconds():
 def test_a_camera_that_stops_sending_is_told():
     with Served(connect=0.7) as it:
         it.woken.wait(lambda: it.woken.count >= 3)
-        it.server.frozen.set()
+        it.server.trouble.freezes.append("this test")
         problems = it.camera.check().problems
         assert problems == (f"no picture comes from {it.server.url} any more",)
 
 
 def test_a_camera_without_pictures_is_no_camera():
     clock = MonotonicClock()
-    with EmulatedNetworkCamera(partial(rendered().picture, standing), clock) as server:
-        server.frozen.set()
+    with EmulatedNetworkCamera(
+        partial(rendered().picture, standing), clock, PictureTiming()
+    ) as server:
+        server.trouble.freezes.append("this test")
         camera, _ = built({"type": "mjpeg", "url": server.url}, clock, connect=0.3)
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
             camera.__enter__()

@@ -27,6 +27,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
+from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
@@ -230,17 +231,21 @@ class Truth:
 
     @cached_property
     def undirected_s(self) -> Floats:
-        """How long before each command (C,) the log has the controller's last direction; 0 before
-        the first, without a log, and after the last in a log that was broken off.
+        """How long before each command (C,) the log has the controller's last direction or, if
+        robots were to turn on the spot, the end of their turn; 0 before the first, without a log,
+        and after the last in a log that was broken off.
         """
         if self.trial is None or not self.trial.steps:
             return np.zeros(len(self.commanded_s))
-        directed_s = np.array([step.command.sent_ns for step in self.trial.steps]) / SECOND
+        steps = self.trial.steps
+        directed_s = np.array([step.command.sent_ns for step in steps]) / SECOND
+        turns_s = np.array([PAUSE_S if step.plan.pauses else 0.0 for step in steps])
         last_step = np.searchsorted(directed_s, self.commanded_s, "right") - 1
         is_known = last_step >= 0
         if self.trial.result is None:
             is_known &= last_step < len(directed_s) - 1
-        return np.where(is_known, self.commanded_s - directed_s[last_step], 0.0)
+        since_s = self.commanded_s - directed_s[last_step] - turns_s[last_step]
+        return np.where(is_known, np.maximum(0.0, since_s), 0.0)
 
     # States of the guard
 

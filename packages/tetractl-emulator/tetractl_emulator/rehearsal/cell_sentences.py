@@ -233,12 +233,13 @@ def cells_are_not_mistaken(truth: DishTruth, limits: LabLimits) -> Iterator[Viol
 
 def _jumps(truth: DishTruth, i: int, frames: Integers, off_um: Floats) -> Iterator[Violation]:
     """Yield a pose in the frames (K,) that is further off (K,) than what is streamed as robot i
-    can have swum away from it since its pose was true: a body, and two cells' way.
+    can have swum away from it since its pose was true: a body, and two cells' way. None jumps that
+    was off in each frame so far, as in a picture that had changed before the run.
     """
     times_s = truth.times_s[truth.logged_exposures[frames]]
     fastest_um_s = FASTEST * float(truth.setup.speed.max()) * truth.setup.metres * 1e6
     true_s = np.where(off_um <= STREAM_UM, times_s, -np.inf)
-    last_true_s = np.maximum.accumulate(np.maximum(true_s, times_s[0]))
+    last_true_s = np.maximum.accumulate(true_s)
     jumps = off_um > WRONG_UM + 2 * fastest_um_s * (times_s - last_true_s)
     if jumps.any():
         row = int(jumps.argmax())

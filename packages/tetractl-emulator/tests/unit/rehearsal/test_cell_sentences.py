@@ -174,3 +174,29 @@ def test_a_wrong_pose_is_found_unless_its_cell_has_met_the_other(
     violations = [*mistaken, *errors_are_true(truth)]
     kinds = {(violation.name, violation.predicted.partition(":")[0]) for violation in violations}
     assert kinds == expected
+
+
+def streamed_cell(off_um):
+    """A streamed cell on a day of false pictures: how far off successive poses are."""
+    exposures = np.arange(len(off_um))
+    return SimpleNamespace(
+        times_s=exposures / 120,
+        logged_exposures=exposures,
+        setup=EXPERIMENT.setup,
+        numbered=True,
+        steered=[0],
+        apart_um=np.array(off_um)[:, None, None],
+        poses=np.zeros((len(off_um), 1, 3)),
+        late_s=0.0,
+        met=lambda *_: True,
+        mistaken=lambda *_: "",
+    )
+
+
+@pytest.mark.parametrize(
+    ("off_um", "wrong"), [((200.0, 200.0, 200.0), False), ((5.0, 200.0, 200.0), True)]
+)
+def test_a_pose_jumps_only_away_from_where_it_was_true(off_um, wrong):
+    """Regression: a picture that had grown by 2 % before the run was said to jump in its first
+    frame."""
+    assert any(cells_are_not_mistaken(streamed_cell(off_um), LIMITS)) == wrong

@@ -2,13 +2,15 @@
 
 import random
 from abc import ABC, abstractmethod
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl_emulator.optitrack.scripted import Trouble
+from tetractl_emulator.loop import Timeline
+from tetractl_emulator.optitrack.scripted import SendingTrouble, Trouble
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, is_somewhere
 from tetractl_emulator.sides import Stage
 
@@ -24,6 +26,51 @@ class BodyFrame(Protocol):
     def bodies(self) -> tuple[RigidBody, ...]:
         """The bodies that it shows."""
         ...
+
+
+@dataclass(slots=True)
+class Shutter:
+    """Exposes frames `rate` times a second from `start_ns` on; `count` is the number of exposures
+    that have been planned.
+    """
+
+    rate: float
+    start_ns: int = 0
+    count: int = 0
+
+    def plan(self) -> int:
+        """Plan the next exposure; return its time [ns]."""
+        due_ns = self.start_ns + round(self.count * SECOND / self.rate)
+        self.count += 1
+        return due_ns
+
+
+@dataclass(slots=True)
+class Outlet:
+    """Sends frames by `stream(frame)`, unless the server's trouble forbids it.
+
+    `left_ns` is the exposure of the last frame sent [ns], and `last` the frame that was last to be
+    sent.
+    """
+
+    trouble: SendingTrouble
+    stream: Callable[[Any], None]
+    left_ns: int = 0
+    last: Any = None
+
+    def send(self, frame: Any, exposed_ns: int) -> bool:
+        """Send a frame, or in place of it the last one if frames are frozen; return whether the
+        frame itself was sent.
+        """
+        trouble = self.trouble
+        slow = self.left_ns < exposed_ns < self.left_ns + SECOND / trouble.hz
+        if not trouble.frozen or self.last is None:
+            self.last = frame
+        if trouble.silent or trouble.no_frames or slow:
+            return False
+        self.left_ns = exposed_ns
+        self.stream(self.last)
+        return not trouble.frozen
 
 
 class PoseCamera(ABC):
@@ -42,17 +89,19 @@ class PoseCamera(ABC):
         self.tracked = tracked
         self.view = view
         self.trouble = Trouble()
-        self.swapped: set[int] = set()  # the indices of two bodies that exchange their ids
         self.shown_ns = [0] * len(tracked)
-        self.timeline = stage.timeline
         self._stage = stage
-        self._rate = rate
+        self._shutter = Shutter(rate)
+        self._outlet = Outlet(
+            self.trouble.sending, lambda frame: self._stream(frame, self.timeline.now_ns)
+        )
         self._latency_s = latency_s
         self._random = random.Random(stage.options.seed)
-        self._left_ns = 0  # exposure of the last frame sent [ns]
-        self._last: Any = None
-        self._start_ns = 0
-        self._exposures = 0
+
+    @property
+    def timeline(self) -> Timeline:
+        """The time in which it exposes and sends."""
+        return self._stage.timeline
 
     @abstractmethod
     def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> BodyFrame:
@@ -64,7 +113,7 @@ class PoseCamera(ABC):
 
     def begin(self) -> None:
         """Expose the first frame now."""
-        self._start_ns = self.timeline.now_ns
+        self._shutter.start_ns = self.timeline.now_ns
         self._plan()
 
     def hide(self, hidden: bool) -> None:
@@ -81,26 +130,26 @@ class PoseCamera(ABC):
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
     def _plan(self) -> None:
-        due = self._start_ns + round(self._exposures * SECOND / self._rate)
-        self._exposures += 1
-        self.timeline.at(due, self._take)
+        self.timeline.at(self._shutter.plan(), self._take)
 
     def _take(self) -> None:
         """Expose one frame, and schedule its sending after the latency."""
         now = self.timeline.now_ns
         exposed = now
-        number = self._exposures - self.trouble.counter
-        self._stage.exposed(self._exposures, number if self.numbered else 0)
+        exposure = self._shutter.count
+        trouble = self.trouble.frames
+        number = exposure - trouble.counter
+        self._stage.exposed(exposure, number if self.numbered else 0)
         delay = self._delay_s()
         self.view.creep()
-        if self.trouble.outdated:
-            self.trouble.outdated -= 1
-            exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
+        if trouble.outdated:
+            trouble.outdated -= 1
+            exposed = max(0, now - round(trouble.outdated_s * SECOND))
         frame = self._shot(number, exposed, self._expose())
         leaves = now + round(delay * SECOND)
-        times = 2 if self.trouble.doubled else 1
+        times = 2 if self.trouble.sending.doubled else 1
         for _ in range(times):
-            self.timeline.at(leaves, partial(self._leave, self._exposures, now, frame))
+            self.timeline.at(leaves, partial(self._leave, exposure, now, frame))
         self._plan()
 
     def _delay_s(self) -> float:
@@ -109,23 +158,17 @@ class PoseCamera(ABC):
         normal_s = jitter.gauss(0, JITTER_S)
         delay_s = self._latency_s + min(max(normal_s, -4 * JITTER_S), 4 * JITTER_S)
         if jitter.random() < DELAYED_SHARE:
-            delay_s += jitter.uniform(0, DELAYED_PERIODS / self._rate)
-        delay_s += self.trouble.late_s
-        if self.trouble.jitter_s:
-            delay_s += jitter.uniform(0, self.trouble.jitter_s)
+            delay_s += jitter.uniform(0, DELAYED_PERIODS / self._shutter.rate)
+        trouble = self.trouble.sending
+        delay_s += trouble.late_s
+        if trouble.jitter_s:
+            delay_s += jitter.uniform(0, trouble.jitter_s)
         return delay_s
 
     def _leave(self, exposure: int, exposed_ns: int, frame: BodyFrame) -> None:
         """Send a frame unless the server's trouble forbids it, and remember whom it showed."""
-        slow = self._left_ns < exposed_ns < self._left_ns + SECOND / self.trouble.hz
-        if self.trouble.frozen and self._last is not None:
-            frame = self._last
-        self._last = frame
-        if not (self.trouble.silent or self.trouble.no_frames or slow):
-            self._left_ns = exposed_ns
-            self._stream(frame, self.timeline.now_ns)
-            if not self.trouble.frozen:
-                self._show(exposed_ns, frame)
+        if self._outlet.send(frame, exposed_ns):
+            self._show(exposed_ns, frame)
         self._stage.sent(exposure)
 
     def _show(self, exposed_ns: int, frame: BodyFrame) -> None:
@@ -138,8 +181,8 @@ class PoseCamera(ABC):
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
         bodies = [body.expose(self.view) for body in self.tracked]
-        if len(self.swapped) == 2:
-            i, j = self.swapped
+        if self.trouble.frames.swapped is not None:
+            i, j = self.trouble.frames.swapped
             first = bodies[i]
             second = bodies[j]
             bodies[i] = replace(second, id=first.id)

@@ -33,7 +33,7 @@ from tetractl_emulator.optitrack.scripted import (
 )
 from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
 from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
-from tetractl_emulator.sides import Body, Facts, Stage
+from tetractl_emulator.sides import Body, Facts, Options, Stage
 
 Address = tuple[str, int]
 
@@ -48,13 +48,57 @@ class Client:
     heard_ns: int
 
 
-class EmulatedOptitrack(PoseCamera):
-    """An emulated Motive server, and the rigid bodies on the robots.
+@dataclass(slots=True)
+class ServerCounts:
+    """Numbers of frames sent, of requests that could not be read, of requests for MODELDEF, and of
+    clients dropped because they were silent.
+    """
 
-    `data_port` is the UDP port from which frames are
-    sent or, in multicast, to which they are sent; `command_port` is that of messages. `frames`,
-    `refused`, `models_asked` and `timed_out` are numbers of frames sent, of requests that could not
-    be read, of requests for MODELDEF, and of clients dropped because they were silent.
+    frames: int = 0
+    refused: int = 0
+    models_asked: int = 0
+    timed_out: int = 0
+
+
+class ServerPorts:
+    """The UDP ports of the server: `command_port`, that of messages, and `data_port`, from which
+    frames are sent or, in multicast, to which they are sent. `command` and `data` are the ends of
+    the connections, once they are open.
+    """
+
+    def __init__(self, section: OptitrackSection, options: Options) -> None:
+        self.address = options.address or section.server
+        self.command_port = section.command_port
+        self.data_port = section.data_port
+        if options.command_port is not None:
+            self.command_port = options.command_port
+        if options.data_port is not None:
+            self.data_port = options.data_port
+        self.command: Any = None
+        self.data: Any = None
+
+    def open(self, bound: Callable[[str, int], Any], sender: str, multicast: bool) -> None:
+        """Open both by `bound(address, port)`; frames are sent from the address `sender`."""
+        self.command = bound(self.address, self.command_port)
+        self.command_port = _port(self.command)
+        self.data = bound(sender, 0 if multicast else self.data_port)
+        if multicast:
+            interface = socket.inet_aton(self.address)
+            self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+        if not (multicast and self.data_port):
+            # in multicast too, since no other server uses this port
+            self.data_port = _port(self.data)
+
+    def close(self) -> None:
+        """Close what is open; may be called twice."""
+        for opened in (self.command, self.data):
+            if opened is not None:
+                opened.close()
+
+
+class EmulatedOptitrack(PoseCamera):
+    """An emulated Motive server, and the rigid bodies on the robots; `names` are the names and
+    numbers of bodies that it reports. It serves `clients` by unicast, and has `greeted` addresses.
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -75,78 +119,73 @@ class EmulatedOptitrack(PoseCamera):
         up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
         view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
         super().__init__(stage, tracked, settings.rate, settings.latency, view)
-        self.join = stage.wires.make_socket
         self.section = section
         self.settings = settings
-        self.address = options.address or section.server
-        self.command_port = section.command_port
-        self.data_port = section.data_port
-        if options.command_port is not None:
-            self.command_port = options.command_port
-        if options.data_port is not None:
-            self.data_port = options.data_port
-        self.multicast = section.transport == "multicast"
-        self.own_version = natnet.Version.of(settings.version)
+        self.ports = ServerPorts(section, options)
         self.clock = ServerClock()
         self.clients: dict[Address, Client] = {}
-        self.frames = self.refused = self.models_asked = self.timed_out = 0
-        self._greeted: set[Address] = set()
-        self.command: Any = None
-        self.data: Any = None
+        self.greeted: set[Address] = set()
+        self.counts = ServerCounts()
+
+    @property
+    def join(self) -> Any:
+        """What makes our camera's socket."""
+        return self._stage.wires.make_socket
+
+    @property
+    def multicast(self) -> bool:
+        """Whether frames are sent to a group of receivers."""
+        return self.section.transport == "multicast"
+
+    @property
+    def own_version(self) -> natnet.Version:
+        """The server's protocol version."""
+        return natnet.Version.of(self.settings.version)
 
     def open(self, loop: Loop) -> Facts:
         """Open the UDP ports and expose the first frame now; return the ports' addresses."""
-        bound = self._stage.wires.bound
-        self.command = bound(self.address, self.command_port)
-        self.command_port = _port(self.command)
-        sender = self.settings.frames_from or self.address
-        self.data = bound(sender, 0 if self.multicast else self.data_port)
-        if self.multicast:
-            interface = socket.inet_aton(self.address)
-            self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
-        if not (self.multicast and self.data_port):
-            # in multicast too, since no other server uses this port
-            self.data_port = _port(self.data)
+        ports = self.ports
+        sender = self.settings.frames_from or ports.address
+        ports.open(self._stage.wires.bound, sender, self.multicast)
         self.begin()
-        loop.watch(self.command.fileno(), lambda: self._readable(loop.catch_up))
+        loop.watch(ports.command.fileno(), lambda: self._readable(loop.catch_up))
         transport = self.section.transport
         return {
-            "camera": f"{self.address}:{self.command_port} ({transport})",
-            "address": self.address,
-            "command_port": self.command_port,
-            "data_port": self.data_port,
+            "camera": f"{ports.address}:{ports.command_port} ({transport})",
+            "address": ports.address,
+            "command_port": ports.command_port,
+            "data_port": ports.data_port,
             "transport": transport,
         }
 
     def close(self) -> Facts:
         """Close the UDP ports; return counts to be recorded."""
-        for opened in (self.command, self.data):
-            if opened is not None:
-                opened.close()
-        return {"frames": self.frames, "refused": self.refused, "timed_out": self.timed_out}
+        self.ports.close()
+        counts = self.counts
+        return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
 
     def _readable(self, catch_up: Callable[[], None]) -> None:
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
         for _ in range(100):
             try:
-                datagram, sender = self.command.recvfrom(65_535)
+                datagram, sender = self.ports.command.recvfrom(65_535)
             except BlockingIOError:
                 return
             except OSError:  # a client has gone: its host answered port unreachable
                 continue
-            if self.trouble.silent:
+            if self.trouble.sending.silent:
                 continue
             catch_up()  # otherwise an echo could report a time before its request
             try:
                 message = parse_request(datagram)
             except WireError:
-                self.refused += 1
+                self.counts.refused += 1
                 continue
             answer = self._answer(message, sender, self.timeline.now_ns)
             if answer is not None:
                 client = self.clients.get(sender)
                 version = client.version if client else self.own_version
-                self._send(self.command, pack_answer(answer, version), sender)
+                self._send(self.ports.command, pack_answer(answer, version), sender)
 
     def _answer(
         self, message: natnet.ClientMessage, sender: Address, now_ns: int
@@ -158,7 +197,7 @@ class EmulatedOptitrack(PoseCamera):
             case natnet.Connect():
                 self._admit(message, sender, now_ns)
                 name = f"Motive ({EMULATED_NAME})"
-                return natnet.ServerInfo(name, self.own_version, CLOCK_HZ, self.data_port)
+                return natnet.ServerInfo(name, self.own_version, CLOCK_HZ, self.ports.data_port)
             case natnet.EchoRequest(client):
                 return natnet.EchoResponse(client, self.clock.ticks(now_ns))
             case natnet.NatNetRequest("UnitsToMillimeters"):
@@ -168,7 +207,7 @@ class EmulatedOptitrack(PoseCamera):
             case natnet.NatNetRequest():
                 return natnet.Bare(natnet.MessageKind.UNRECOGNIZED)
             case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
-                self.models_asked += 1
+                self.counts.models_asked += 1
                 return natnet.ModelDef(self.names) if self.settings.answers_models else None
             case natnet.Bare(natnet.MessageKind.DISCONNECT):
                 self.clients.pop(sender, None)
@@ -176,8 +215,8 @@ class EmulatedOptitrack(PoseCamera):
 
     def _admit(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
         """Add a client; from 4.0 on, a unicast client may choose a version."""
-        if sender not in self._greeted:
-            self._greeted.add(sender)
+        if sender not in self.greeted:
+            self.greeted.add(sender)
             self._stage.client(f"{sender[0]}:{sender[1]}")
         if self.multicast:
             return
@@ -192,30 +231,33 @@ class EmulatedOptitrack(PoseCamera):
         unicast, first drop the clients that have been silent for too long.
         """
         if self.multicast:
-            yield (self.section.group, self.data_port), self.own_version
+            yield (self.section.group, self.ports.data_port), self.own_version
         for address, client in list(self.clients.items()):
             if now_ns - client.heard_ns > 5 * SECOND:
                 del self.clients[address]
-                self.timed_out += 1
+                self.counts.timed_out += 1
             else:
                 yield address, client.version
 
     def _shot(
         self, number: int, exposed_ns: int, bodies: tuple[natnet.RigidBody, ...]
     ) -> natnet.NatNetFrame:
-        params = 2 * self.settings.models_changed | 4 * self.trouble.edit_mode  # as it reads them
+        params = (
+            2 * self.settings.models_changed | 4 * self.trouble.frames.edit_mode
+        )  # as it reads them
         return natnet.NatNetFrame(number, bodies, params, self.clock.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
+        trouble = self.trouble.frames
         packed: dict[natnet.Version, bytes] = {}
         for address, version in self._receivers(now_ns):
             if version not in packed:
-                packed[version] = pack_answer(frame, self.trouble.version or version)
+                packed[version] = pack_answer(frame, trouble.version or version)
             message = packed[version]
-            if self.trouble.damaged and self._random.random() < self.trouble.damaged:
+            if trouble.damaged and self._random.random() < trouble.damaged:
                 message = mangle(message, self._random)
-            self._send(self.data, message, address)
-        self.frames += 1
+            self._send(self.ports.data, message, address)
+        self.counts.frames += 1
 
     def _send(self, sender: Any, data: bytes, to: Address) -> None:
         with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone

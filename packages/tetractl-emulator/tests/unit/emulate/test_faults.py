@@ -97,7 +97,7 @@ def state(lab):
     """All that a fault may change: of the camera's side, of the radio or the driver, of robots."""
     camera = lab.camera
     actuator = lab.actuator
-    parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else [camera.swapped]
+    parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else []
     if hasattr(camera, "trouble"):
         parts += [camera.trouble, camera.clock, camera.view]
         parts += [body_state(body) for body in camera.tracked]

@@ -31,7 +31,7 @@ class Client:
 
     def send(self, data):
         data = data if isinstance(data, bytes) else pack(data)
-        self.socket.sendto(data, (self.motive.address, self.motive.command_port))
+        self.socket.sendto(data, (self.motive.ports.address, self.motive.ports.command_port))
 
     def got(self):
         """Return the messages that came since the last call."""
@@ -72,7 +72,7 @@ def test_unicast_clients_time_out_and_are_kept_alive(client):
         client.send(natnet.NatNetRequest("UpAxis"))
         assert client.comes(natnet.Response)
         assert not motive.clients
-    assert motive.timed_out == 2
+    assert motive.counts.timed_out == 2
 
 
 def test_latency_and_jitter_are_those_of_the_real_capture():
@@ -109,7 +109,7 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
 def test_garbage_is_counted_and_survived(client):
     for noise in (b"", b"\0", b"\xff" * 300, pack(natnet.Connect())[:-1]):
         client.send(noise)
-    assert client.clock.wait(lambda: client.motive.refused == 4)
+    assert client.clock.wait(lambda: client.motive.counts.refused == 4)
     client.send(natnet.Connect())
     assert client.comes(natnet.ServerInfo)
 

@@ -88,7 +88,7 @@ def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(
         model = camera.stream.model
         info = camera.stream.info
         offset = camera.stream.sync.to_host(0)
-        sender = getattr(lab.camera, which)
+        sender = getattr(lab.camera.ports, which)
         forged = (
             natnet.ServerInfo("else", natnet.Version(3, 0), 10**7, 1511),
             natnet.ModelDef((("Green", 7),)),
@@ -119,9 +119,9 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
     )
     with motive(tmp_path, "", *sets) as (lab, camera, clock), camera:
         stranger = stranger_of()
-        assert camera.senders.frames_port == lab.camera.data.getsockname()[1]
+        assert camera.senders.frames_port == lab.camera.ports.data.getsockname()[1]
         stranger.sendto(
-            stray(camera.stream.newest.number + 1), ("239.255.42.97", lab.camera.data_port)
+            stray(camera.stream.newest.number + 1), ("239.255.42.97", lab.camera.ports.data_port)
         )
         assert clock.wait(lambda: camera.senders.refused.total() == 1)
 
@@ -158,7 +158,7 @@ def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, s
 
 def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
-        lab.camera.trouble.version = natnet.Version(3, 0)
+        lab.camera.trouble.frames.version = natnet.Version(3, 0)
         with pytest.raises(
             AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
         ) as e:
@@ -170,7 +170,7 @@ def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
 def test_a_server_that_answers_from_another_address_is_named(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         second = stranger_of("127.0.0.3")
-        lab.camera.trouble.silent = True
+        lab.camera.trouble.sending.silent = True
         info = natnet.ServerInfo("Motive", V41, 10**7, 1511)
         camera.open()
         second.sendto(pack_answer(info), own_address(camera))
@@ -232,9 +232,9 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
 def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
     """Regression: four times a second, for as long as the bit lasted."""
     with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:
-        before = lab.camera.models_asked
+        before = lab.camera.counts.models_asked
         clock.sleep_until(clock.now() + 60 * SECOND)
-        assert 5 <= lab.camera.models_asked - before <= 13
+        assert 5 <= lab.camera.counts.models_asked - before <= 13
 
 
 def test_a_body_that_gets_its_name_is_found(tmp_path):

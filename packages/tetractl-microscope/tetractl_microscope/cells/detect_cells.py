@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Bools, Floats, Grey
 from tetractl_microscope.cells.knocks import moved, shift_of
 
 STRIPES = 16  # number of stripes of the background; each picture updates one
@@ -89,7 +89,78 @@ class Light:
     limit: float = 0.0
 
 
+class Background:
+    """The learned picture without cells, in fractions of grey levels and in whole ones."""
+
+    def __init__(self, fine: NDArray[np.float32]) -> None:
+        self.fine = fine
+        self.grey = _grey(cv2.convertScaleAbs(fine))
+
+    def move(self, shift_px: tuple[float, float]) -> None:
+        """Move it with the picture's content: columns to the right, rows down."""
+        self.fine = np.asarray(moved(self.fine, shift_px), np.float32)
+        self.grey = _grey(cv2.convertScaleAbs(self.fine))
+
+    def correct(
+        self, part: tuple[slice, slice], wrong: Bools, levels: NDArray[np.floating]
+    ) -> None:
+        """Replace the pixels of a part that are `wrong` by those of `levels`."""
+        self.fine[part][wrong] = levels[wrong]
+        self.grey[part][wrong] = np.clip(self.fine[part][wrong], 0, 255)
+
+    def update(self, rows: slice, levels: NDArray[np.float32], calm: Grey, still: Grey) -> None:
+        """Let rows approach `levels`, slowly where a mask `calm` says so and quickly where `still`
+        does."""
+        fine = self.fine[rows]
+        cv2.accumulateWeighted(levels, fine, LEARNING, calm)
+        cv2.accumulateWeighted(levels, fine, RELEARNING, still)
+        self.grey[rows] = cv2.convertScaleAbs(fine)
+
+
+class SearchArrays:
+    """The newest picture, and what differs in it from the background; of pictures of one shape.
+
+    `smooth` is the blurred picture, `difference` that from the background, `mean` its averages over
+    squares, `mask` those above the lower of `limits`. `followed_mask` is the mask of each row when
+    the background was updated by it last, `stripe` the stripe that is next.
+    """
+
+    limits: "SearchLimits"
+
+    def __init__(self, picture: Grey) -> None:
+        self.smooth: Grey = np.zeros_like(picture)
+        self.difference: Grey = np.zeros_like(picture)
+        self.mean = np.empty(picture.shape, np.float32)
+        self.mask: Grey = np.zeros_like(picture)
+        self.followed_mask: Grey = np.zeros_like(picture)
+        self.stripe = 0
+
+    def next_stripe(self) -> slice:
+        """Return the rows of the next stripe, and go on to the one after it."""
+        height = len(self.smooth)
+        top = self.stripe * height // STRIPES
+        bottom = (self.stripe + 1) * height // STRIPES
+        self.stripe = (self.stripe + 1) % STRIPES
+        return slice(top, bottom)
+
+
+@dataclass(frozen=True, slots=True)
+class UsualPicture:
+    """What pictures usually are: the mean fraction of `changed` pixels, and the `noise` of the
+    first one after learning [grey levels]."""
+
+    changed: float
+    noise: float
+
+
 @dataclass(slots=True)
+class LostPictures:
+    """How many pictures were lost `in_turn`, and a `sample` of them, for a new background."""
+
+    in_turn: int = 0
+    sample: list[Grey] = field(default_factory=list)
+
+
 class BlobFinder:
     """Finds blobs that cover `least_px2` to `most_px2` pixels once differences were averaged over
     squares a little larger than the least; either are brighter or darker than the background.
@@ -98,29 +169,25 @@ class BlobFinder:
     by later pictures, except around the cells, so that the background shows no resting cells. After
     a knock the background is moved by the picture's shift; where a cell rested while the background
     was learned, it is mended once the cell has left; it is learned again if it does not apply.
+
+    `bright`: most of what moves is brighter than the background. `light` is that of the newest
+    picture.
     """
 
-    least_px2: float
-    most_px2: float
-    bright: bool = field(default=False, init=False)
-    """Whether most of what moves is brighter than the background."""
-    light: Light = field(default=Light(1.0, 0.0, None, 0.0, False), init=False)
-    background: Grey | None = field(default=None, init=False)
-    """The learned picture without cells."""
-    _searched: Grey = field(init=False)  # the newest picture minus its background
-    _limits: "SearchLimits" = field(init=False)  # of the newest search
-    _fine: NDArray[np.float32] = field(init=False)  # the background in fractions of grey levels
-    _smooth: Grey = field(init=False)  # the newest picture, blurred
-    _mean: NDArray[np.float32] = field(  # averaged differences
-        default_factory=lambda: np.empty(0, np.float32), init=False
-    )
-    _mask: Grey = field(init=False)  # those above the lower limit
-    _was: Grey = field(init=False)  # the mask when the background was updated last
-    _stripe: int = field(default=0, init=False)
-    _usual: float | None = field(default=None, init=False)  # usual fraction of changed pixels
-    _noise: float = field(default=0.0, init=False)  # of the first picture after learning
-    _lost: int = field(default=0, init=False)  # successive pictures that were lost
-    _again: list[Grey] = field(default_factory=list, init=False)  # of them, for a new background
+    def __init__(self, least_px2: float, most_px2: float) -> None:
+        self.least_px2 = least_px2
+        self.most_px2 = most_px2
+        self.bright = False
+        self.light = Light(1.0, 0.0, None, 0.0, False)
+        self._background: Background | None = None
+        self._newest = SearchArrays(np.empty((0, 0), np.uint8))
+        self._usual: UsualPicture | None = None
+        self._lost = LostPictures()
+
+    @property
+    def background(self) -> Grey | None:
+        """The learned picture without cells."""
+        return None if self._background is None else self._background.grey
 
     def learn(self, pictures: Sequence[Grey]) -> None:
         """Compute the background as the median of pictures (height, width), each shifted and scaled
@@ -136,68 +203,67 @@ class BlobFinder:
             moved(picture, shift_of(cv2.convertScaleAbs(picture, alpha=gain), usual))
             for picture, gain in zip(pictures, gains, strict=True)
         ]
-        self._fine = _median(still, gains)
-        _blurred(self._fine, np.empty_like(self._fine), self._fine)
-        self.background = _grey(cv2.convertScaleAbs(self._fine))
-        expected = _sparse(self._fine)
+        fine = _median(still, gains)
+        _blurred(fine, np.empty_like(fine), fine)
+        self._background = Background(fine)
+        expected = _sparse(fine)
         apart = [
             gain * _sparse(picture) - expected for picture, gain in zip(still, gains, strict=True)
         ]
         self.bright = float(np.sum(np.power(apart, 3))) > 0  # noise is symmetric, cells are not
         self._usual = None
-        self._lost = 0
-        self._again = []
+        self._lost = LostPictures()
 
     def find(self, picture: Grey) -> list[Blob]:
         """Return the blobs of a picture (height, width), largest first."""
-        assert self.background is not None, "learn() comes first"
-        if self._mean.shape != picture.shape:
-            self._searched, self._smooth, self._mask, self._was = (
-                np.zeros_like(picture) for _ in range(4)
-            )
-            self._mean = np.empty(picture.shape, np.float32)
-        _blurred(picture, self._searched, self._smooth)
-        light = self._compare()
+        assert self._background is not None, "learn() comes first"
+        background = self._background
+        if self._newest.smooth.shape != picture.shape:
+            self._newest = SearchArrays(picture)
+        newest = self._newest
+        _blurred(picture, newest.difference, newest.smooth)
+        light = self._compare(background, newest)
+        usual = self._usual
         shift = (0.0, 0.0)
-        first = self._usual is None
-        usual = self._usual or 0.0
-        if first or light.changed > KNOCK[0] * usual + KNOCK[1]:
-            shift = shift_of(cv2.convertScaleAbs(self.background, alpha=light.gain), self._smooth)
+        if usual is None or light.changed > KNOCK[0] * usual.changed + KNOCK[1]:
+            expected = cv2.convertScaleAbs(background.grey, alpha=light.gain)
+            shift = shift_of(expected, newest.smooth)
             if shift != (0.0, 0.0):
-                self._fine = np.asarray(moved(self._fine, shift), np.float32)
-                self.background = _grey(cv2.convertScaleAbs(self._fine))
-                light = self._compare()
-            usual = light.changed
-        self._usual = usual + 0.05 * (light.changed - usual)
-        self._noise = light.noise if first else self._noise
-        noisy = light.noise > NOISY * max(self._noise, 1.0)
-        lost = light.lost or noisy or light.changed > CHANGED or bool(self._again)
-        candidates = [] if lost else self._blobs()
-        blobs = [blob for blob in candidates if not self._mended(blob, light.gain)]
+                background.move(shift)
+                light = self._compare(background, newest)
+            changed = light.changed
+        else:
+            changed = usual.changed + 0.05 * (light.changed - usual.changed)
+        first_noise = light.noise if usual is None else usual.noise
+        self._usual = UsualPicture(changed, first_noise)
+        noisy = light.noise > NOISY * max(first_noise, 1.0)
+        lost = light.lost or noisy or light.changed > CHANGED or bool(self._lost.sample)
+        candidates = [] if lost else self._blobs(newest)
+        blobs = [blob for blob in candidates if not self._mended(blob, light.gain, background)]
         contrast = float(np.median([blob.strength for blob in blobs])) if blobs else None
         self.light = replace(
-            light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if first else shift
+            light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if usual is None else shift
         )
-        self._lost = self._lost + 1 if lost else 0
+        self._lost.in_turn = self._lost.in_turn + 1 if lost else 0
         return blobs
 
-    def _compare(self) -> Light:
+    def _compare(self, background: Background, newest: SearchArrays) -> Light:
         """Compute the difference of the newest picture from the background, its limits, the mean
-        differences and the mask of those above the lower limit.
+        differences and the mask of those above the lower limit; return its light.
         """
-        assert self.background is not None
-        levels = _sparse(self._smooth)
-        background_levels = np.maximum(_sparse(self.background), 1)
+        levels = _sparse(newest.smooth)
+        background_levels = np.maximum(_sparse(background.grey), 1)
         gain = float(np.median(levels / background_levels))
         gain = gain if 0.05 < gain < 20 else 1.0
-        cv2.convertScaleAbs(self.background, self._searched, gain)
-        cv2.absdiff(self._smooth, self._searched, self._searched)
+        cv2.convertScaleAbs(background.grey, newest.difference, gain)
+        cv2.absdiff(newest.smooth, newest.difference, newest.difference)
         # medians, and averages of what is near them: cells and debris do not count
         off = np.abs(levels - gain * background_levels)
         noise = min(1.48 * float(np.median(off)), NOISE_MAX)
         size = _square(self.least_px2).shape
-        cv2.boxFilter(self._searched, cv2.CV_32F, size, self._mean, borderType=cv2.BORDER_CONSTANT)
-        sample = _sparse(self._mean)
+        border = cv2.BORDER_CONSTANT
+        cv2.boxFilter(newest.difference, cv2.CV_32F, size, newest.mean, borderType=border)
+        sample = _sparse(newest.mean)
         highest_usual = np.median(sample) + max(2.0, noise)
         is_usual = sample <= highest_usual
         usual = sample[is_usual].astype(float)
@@ -205,15 +271,15 @@ class BlobFinder:
         spread = max(float(usual.std()), LEAST)
         low = level + LOW * spread
         high = level + HIGH * spread
-        self._limits = SearchLimits(low, high, self.least_px2, self.most_px2)
-        np.greater(self._mean, low, out=self._mask)
+        newest.limits = SearchLimits(low, high, self.least_px2, self.most_px2)
+        np.greater(newest.mean, low, out=newest.mask)
         # a saturated or noisy picture differs little from one expected to be as bright or noisy
         is_newly_white = np.median(levels) == 255 and np.median(background_levels) < 255
         lost = noise == NOISE_MAX or bool(is_newly_white)
-        changed = cv2.countNonZero(self._mask) / self._mask.size
+        changed = cv2.countNonZero(newest.mask) / newest.mask.size
         return Light(gain, noise, None, changed, lost, limit=high)
 
-    def _blobs(self) -> list[Blob]:
+    def _blobs(self, newest: SearchArrays) -> list[Blob]:
         """Return the blobs of the newest picture, largest first."""
         contours = self.regions()
         boxes = [Box(*cv2.boundingRect(contour)) for contour in contours]
@@ -222,59 +288,53 @@ class BlobFinder:
         large.sort(key=lambda region: -region.box.area)
         blobs: list[Blob] = []
         for region in large[:BLOBS]:
-            blobs += _bodies(region, self._searched, self._mean, self._limits)
+            blobs += _bodies(region, newest.difference, newest.mean, newest.limits)
         return blobs[:BLOBS]
 
     def regions(self) -> Sequence[np.ndarray]:
         """Return the contours of all that differs from the background in the newest picture."""
-        return cv2.findContours(self._mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+        return cv2.findContours(self._newest.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
 
-    def _mended(self, blob: Blob, gain: float) -> bool:
+    def _mended(self, blob: Blob, gain: float, background: Background) -> bool:
         """Return whether a blob is not in the picture but only in the background, which is then
         corrected.
         """
-        assert self.background is not None
         tall, wide = blob.body.shape
         part = Box(*blob.corner, wide, tall).part
-        sd_now = cv2.meanStdDev(self._smooth[part])[1].item()
-        sd_before = cv2.meanStdDev(self.background[part])[1].item()
+        now = self._newest.smooth[part]
+        sd_now = cv2.meanStdDev(now)[1].item()
+        sd_before = cv2.meanStdDev(background.grey[part])[1].item()
         if gain * sd_before < GHOST * max(sd_now, 1.0):
             return False
         wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
-        self._fine[part][wrong] = self._smooth[part][wrong] / gain
-        self.background[part][wrong] = np.clip(self._fine[part][wrong], 0, 255)
+        background.correct(part, wrong, now / gain)
         return True
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
         """Update the next stripe of the background by the last picture, except in the rectangles
         `keep`, each given by left, top, right and bottom [px].
         """
-        assert self.background is not None, "learn() comes first"
-        height = len(self._fine)
-        top = self._stripe * height // STRIPES
-        bottom = (self._stripe + 1) * height // STRIPES
-        self._stripe = (self._stripe + 1) % STRIPES
-        if top == bottom:  # a picture with fewer rows than stripes
+        assert self._background is not None, "learn() comes first"
+        newest = self._newest
+        rows_of_stripe = newest.next_stripe()
+        top = rows_of_stripe.start
+        if top == rows_of_stripe.stop:  # a picture with fewer rows than stripes
             return
-        rows_of_stripe = slice(top, bottom)
-        old = self._fine[rows_of_stripe]
-        mask = self._mask[rows_of_stripe]
-        was = self._was[rows_of_stripe]
-        still = mask & was
+        mask = newest.mask[rows_of_stripe]
+        mask_before = newest.followed_mask[rows_of_stripe]
+        still = mask & mask_before
         calm = 1 - mask
-        was[:] = mask
+        mask_before[:] = mask
         for first_column, upper, last_column, lower in keep:
             rows = slice(max(0, upper - top), max(0, lower - top))
             for updated in (still, calm):
                 updated[rows, max(0, first_column) : max(0, last_column)] = 0
-        scaled = self._smooth[rows_of_stripe].astype(np.float32) / max(self.light.gain, 0.05)
-        cv2.accumulateWeighted(scaled, old, LEARNING, calm)
-        cv2.accumulateWeighted(scaled, old, RELEARNING, still)
-        self.background[rows_of_stripe] = cv2.convertScaleAbs(old)
-        if self._lost > LOST and self._stripe % EVERY == 0:
-            self._again.append(self._smooth.copy())
-            if len(self._again) == AGAIN:
-                self.learn(self._again)
+        scaled = newest.smooth[rows_of_stripe].astype(np.float32) / max(self.light.gain, 0.05)
+        self._background.update(rows_of_stripe, scaled, calm, still)
+        if self._lost.in_turn > LOST and newest.stripe % EVERY == 0:
+            self._lost.sample.append(newest.smooth.copy())
+            if len(self._lost.sample) == AGAIN:
+                self.learn(self._lost.sample)
 
 
 class Box(NamedTuple):

@@ -2,7 +2,8 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import FrameAddition, Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
+from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import LabLimits
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
@@ -34,6 +36,108 @@ MEAN_S = 2.0  # time from which a cell's speed is the mean since it was first se
 ADDED = 1024  # most pictures queued; one per second is kept whole
 
 
+@dataclass(frozen=True, slots=True)
+class FirstSight:
+    """When [s], and where on its way [um], a track was first in view."""
+
+    seconds: float
+    way_um: float
+
+
+@dataclass(frozen=True, slots=True)
+class CellSpeed:
+    """A cell's speed and its standard deviation [um/s]."""
+
+    um_s: float
+    sd_um_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class CellsInView:
+    """The cells of the picture exposed at `now_s` [s], and when each track was `first` in view.
+
+    The searching thread replaces it as a whole, since another thread reads it.
+    """
+
+    cells: Sequence[SeenCell] = ()
+    now_s: float = 0.0
+    first: Mapping[int, FirstSight] = field(default_factory=dict)
+
+    def followed_by(self, cells: Sequence[SeenCell], now_s: float) -> "CellsInView":
+        """Return the view of the next picture."""
+        first = {
+            cell.track: self.first.get(cell.track, FirstSight(now_s, float(cell.mean[WAY])))
+            for cell in cells
+        }
+        return CellsInView(cells, now_s, first)
+
+    def speed(self, cell: SeenCell) -> CellSpeed:
+        """Return the mean speed of a cell in view since it was first seen; the filter's present one
+        if that was just now."""
+        first = self.first[cell.track]
+        seconds = self.now_s - first.seconds
+        if seconds > MEAN_S:
+            um_s = float(cell.mean[WAY] - first.way_um) / seconds
+            sd_um_s = WIDER * float(cell.sd[WAY]) / seconds
+        else:
+            um_s = float(cell.mean[SPEED])
+            sd_um_s = WIDER * float(cell.sd[SPEED])
+        return CellSpeed(um_s, math.hypot(sd_um_s, SPEED_ERROR * um_s))
+
+
+class LearningPictures:
+    """The pictures of the first `learning_s` [s], from which the background is computed."""
+
+    def __init__(self, learning_s: float) -> None:
+        self._learning_s = learning_s
+        self._pictures: list[Grey] = []
+        self._first_ns: int | None = None
+
+    def take(self, picture: Grey, exposed_ns: int) -> list[Grey]:
+        """Take a picture, if one is due; return all once they are enough, else none."""
+        if self._first_ns is None:
+            self._first_ns = exposed_ns
+        passed_s = (exposed_ns - self._first_ns) / SECOND
+        pictures = self._pictures
+        if passed_s >= len(pictures) * self._learning_s / BACKGROUND:
+            fits = not pictures or picture.shape == pictures[0].shape
+            pictures = [*pictures, picture] if fits else [picture]
+        is_enough = passed_s >= self._learning_s and len(pictures) >= BACKGROUND // 2
+        self._pictures = [] if is_enough else pictures
+        return pictures if is_enough else []
+
+
+@dataclass(slots=True)
+class RobotCells:
+    """The cells that are the robots: their `numbers` (N,), None before all were seen in one
+    picture, and the robots from whose blob another cell has `divided`."""
+
+    numbers: list[int] | None = None
+    divided: set[int] = field(default_factory=set)
+
+
+class PictureNews:
+    """What there is to say of each picture besides its frame: messages for the log, and how sure
+    the robots' cells are `identified`, for a watch."""
+
+    def __init__(self) -> None:
+        self.identified = deque[Identities](maxlen=ADDED)
+        self._whole = PictureLog()
+        self._added = deque[FrameAddition](maxlen=ADDED)
+
+    def add(
+        self, picture: Grey, exposed_ns: int, background: Grey | None, probability: Floats
+    ) -> None:
+        """Add a picture, in which the robots' cells are those with a probability (N,)."""
+        messages = self._whole.messages(picture, exposed_ns, background)
+        self._added.append(FrameAddition(exposed_ns, messages))
+        self.identified.append(Identities(exposed_ns, probability))
+
+    def take_additions(self) -> list[FrameAddition]:
+        """Return the messages since the last call, oldest first."""
+        return drained(self._added)
+
+
 class CellCamera(PictureCamera[SeenDish]):
     """Tracks N cells; a `Camera`.
 
@@ -54,25 +158,17 @@ class CellCamera(PictureCamera[SeenDish]):
         super().__init__(section, clock, wake, join)
         self.section = section
         self._setup = setup
-        self._organism = named(section.organism)
         self._moved_um = 0.0, 0.0  # by how much knocks have moved what the pictures show
         self._tracker = CellTracker(
             section.um_px,
             field_known=True,
             near_wall=self._near_wall,
-            organism=self._organism,
+            organism=named(section.organism),
         )
-        self._cells: Sequence[SeenCell] = ()
-        self._now = 0.0  # time of the newest picture [s]
-        # for each track: time [s] and way [um] from which its mean speed is computed
-        self._since: dict[int, tuple[float, float]] = {}
-        self._pictures = PictureLog()
-        self._added = deque[FrameAddition](maxlen=ADDED)
-        self._identified = deque[Identities](maxlen=ADDED)
-        self._first: list[Grey] = []
-        self._first_ns: int | None = None
-        self._identities: list[int] | None = None  # cell number per robot, once all were seen
-        self.divided: set[int] = set()  # robots from whose blob another cell separated
+        self._learning = LearningPictures(section.learning)
+        self._view = CellsInView()
+        self._robots = RobotCells()
+        self._news = PictureNews()
         self._sent = FieldSignals()
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
@@ -86,49 +182,56 @@ class CellCamera(PictureCamera[SeenDish]):
         estimates of a and of the mean speed since each was first seen. Cells near the arena's edge
         are not free.
         """
-        return [self._found(c) for c in self._cells if c.has_blob and c.probability >= SURE]
+        view = self._view
+        sure = [cell for cell in view.cells if cell.has_blob and cell.probability >= SURE]
+        return [self._candidate(cell, view.speed(cell)) for cell in sure]
 
-    def _found(self, cell: SeenCell) -> RobotCandidate:
+    def _candidate(self, cell: SeenCell, speed: CellSpeed) -> RobotCandidate:
+        """Return a cell of this mean speed as a candidate."""
         per_um = 1e-6 / self._setup.metres
-        since, before = self._since.get(cell.track, (self._now, 0.0))
         a = float(cell.mean[A])
-        seconds = self._now - since
-        a_sd, speed_sd = (WIDER * float(cell.sd[i]) for i in (A, SPEED))
-        speed = float(cell.mean[SPEED])
-        if seconds > MEAN_S:
-            speed = float(cell.mean[WAY] - before) / seconds
-            speed_sd = WIDER * float(cell.sd[WAY]) / seconds
-        speed_sd = math.hypot(speed_sd, SPEED_ERROR * speed) * per_um
+        a_sd = math.hypot(WIDER * float(cell.sd[A]), A_ERROR * a)
         x, y = np.array([[cell.x], [cell.y]])
-        free = not self._near_wall(x, y).item()
-        a_sd = math.hypot(a_sd, A_ERROR * a)
-        pose = self._pose_of(cell)
-        return RobotCandidate(cell.identity, pose, a, a_sd, speed * per_um, speed_sd, free)
+        is_free = not self._near_wall(x, y).item()
+        return RobotCandidate(
+            cell.identity,
+            self._pose_of(cell),
+            a,
+            a_sd,
+            speed.um_s * per_um,
+            speed.sd_um_s * per_um,
+            is_free,
+        )
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Track the cells with these numbers as the robots of a setup from now on."""
         self._setup = setup
-        self._identities = list(numbers)
-        self.divided.clear()
+        self._robots = RobotCells(list(numbers))
 
     @property
     def robots(self) -> Sequence[int]:
         """The numbers of the robots' cells; empty before all were seen in one picture."""
-        return tuple(self._identities or ())
+        return tuple(self._robots.numbers or ())
+
+    @property
+    def divided(self) -> Collection[int]:
+        """The robots from whose blob another cell separated."""
+        return tuple(self._robots.divided)  # a copy: another thread adds to it
 
     def replace(self, robot: int, number: int) -> None:
         """From now on, track the cell with this number as the robot with the index `robot`."""
-        assert self._identities is not None, "only a robot that was seen can be replaced"
-        self._identities[robot] = number
-        self.divided.discard(robot)
+        robots = self._robots
+        assert robots.numbers is not None, "only a robot that was seen can be replaced"
+        robots.numbers[robot] = number
+        robots.divided.discard(robot)
 
     def additions(self) -> list[FrameAddition]:
         """Return the pictures of each frame since the last call, oldest first."""
-        return [self._added.popleft() for _ in range(len(self._added))]
+        return self._news.take_additions()
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
         """Return the watch of a trial with this setup's robots."""
-        return CellWatch(self, self._identified, setup, limits.identity)
+        return CellWatch(self, self._news.identified, setup, limits.identity)
 
     def check(self) -> Health:
         """Examine some pictures; return problems, warnings and facts of source, light, focus and
@@ -136,7 +239,7 @@ class CellCamera(PictureCamera[SeenDish]):
         """
         looks = self._look()
         problems, warnings = self._stream_lines(looks)
-        width_px = self._organism.body_um[1] / self.section.um_px
+        width_px = named(self.section.organism).body_um[1] / self.section.um_px
         wrong, doubtful = dish_lines(self._setup.names, looks, width_px)
         facts = {
             "source": self.section.source_name,
@@ -153,51 +256,37 @@ class CellCamera(PictureCamera[SeenDish]):
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
         if self.section.mirrored:
             picture = np.asarray(cv2.flip(picture, 1), np.uint8)
-        if self._tracker.finder.background is None:
-            self._learn(picture, exposed_ns)
+        finder = self._tracker.finder
+        if finder.background is None:
+            pictures = self._learning.take(picture, exposed_ns)
+            if pictures:
+                finder.learn(pictures)
             return None
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
-        columns, rows = self._tracker.finder.light.shift_px
+        columns, rows = finder.light.shift_px
         um_px = self.section.um_px
         self._moved_um = self._moved_um[0] + columns * um_px, self._moved_um[1] - rows * um_px
-        self._cells = cells
-        self._now = exposed_ns / SECOND
-        since = self._since
-        self._since = {c.track: since.get(c.track, (self._now, float(c.mean[WAY]))) for c in cells}
+        self._view = self._view.followed_by(cells, exposed_ns / SECOND)
         identities = self._bound(cells)
         mothers = {born.divided for born in self._tracker.born}
-        self.divided |= {i for i, identity in enumerate(identities) if identity in mothers}
+        self._robots.divided |= {i for i, number in enumerate(identities) if number in mothers}
         by_identity = {cell.identity: cell for cell in cells}
         robots = [by_identity.get(identity) for identity in identities]
-        messages = self._pictures.messages(picture, exposed_ns, self._tracker.finder.background)
         sure = np.array([np.nan if cell is None else cell.probability for cell in robots])
-        self._added.append(FrameAddition(exposed_ns, messages))
-        self._identified.append(Identities(exposed_ns, sure))
+        self._news.add(picture, exposed_ns, finder.background, sure)
         return SeenDish(
             poses=tuple(None if cell is None else self._pose_of(cell) for cell in robots),
             strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),
-            light=self._tracker.finder.light,
+            light=finder.light,
             level=float(np.median(picture[::8, ::8])),
-            sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.finder.light),
+            sharpness=_sharpness(picture, cells, self.section.um_px, finder.light),
             sure=min((cell.probability for cell in robots if cell is not None), default=0.0),
         )
 
-    def _learn(self, picture: Grey, exposed_ns: int) -> None:
-        """Collect pictures over the learning time, and then compute the background from them."""
-        if self._first_ns is None:
-            self._first_ns = exposed_ns
-        passed = (exposed_ns - self._first_ns) / SECOND
-        if passed >= len(self._first) * self.section.learning / BACKGROUND:
-            fits = not self._first or picture.shape == self._first[0].shape
-            self._first = [*self._first, picture] if fits else [picture]
-        if passed >= self.section.learning and len(self._first) >= BACKGROUND // 2:
-            self._tracker.finder.learn(self._first)
-            self._first = []
-
     def _bound(self, cells: Sequence[SeenCell]) -> list[int]:
         """Return the numbers of the robots' cells; -1 before all of them were seen at once."""
-        if self._identities is not None:
-            return self._identities
+        if self._robots.numbers is not None:
+            return self._robots.numbers
         count = len(self._setup.names)
         if len(cells) < count:
             return [-1] * count
@@ -205,8 +294,9 @@ class CellCamera(PictureCamera[SeenDish]):
         places = np.array([self._placed(c.x, c.y) for c in cells])
         gaps = np.linalg.norm(starts[:, None] - places[None], axis=-1)
         chosen = linear_sum_assignment(gaps)[1]
-        self._identities = [cells[int(j)].identity for j in chosen]
-        return self._identities
+        numbers = [cells[int(j)].identity for j in chosen]
+        self._robots.numbers = numbers
+        return numbers
 
     def _pose_of(self, cell: SeenCell) -> Pose:
         """Return the pose of a cell in the spec's coordinates."""

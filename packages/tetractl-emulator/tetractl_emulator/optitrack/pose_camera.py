@@ -45,32 +45,41 @@ class Shutter:
         return due_ns
 
 
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """A frame, and when it was exposed [ns]."""
+
+    frame: Any
+    at_ns: int
+
+
 @dataclass(slots=True)
 class Outlet:
     """Sends frames by `stream(frame)`, unless the server's trouble forbids it.
 
-    `left_ns` is the exposure of the last frame sent [ns], and `last` the frame that was last to be
-    sent.
+    `left_ns` is the exposure of the last frame sent [ns], and `last` what was last to be sent.
     """
 
     trouble: SendingTrouble
     stream: Callable[[Any], None]
     left_ns: int = 0
-    last: Any = None
+    last: Exposure | None = None
 
-    def send(self, frame: Any, exposed_ns: int) -> bool:
-        """Send a frame, or in place of it the last one if frames are frozen; return whether the
-        frame itself was sent.
+    def send(self, exposure: Exposure) -> Exposure | None:
+        """Send a frame, or in place of it the last one if frames are frozen; return what was sent,
+        None if nothing was.
         """
         trouble = self.trouble
-        slow = self.left_ns < exposed_ns < self.left_ns + SECOND / trouble.hz
-        if not trouble.frozen or self.last is None:
-            self.last = frame
+        slow = self.left_ns < exposure.at_ns < self.left_ns + SECOND / trouble.hz
+        to_send = exposure
+        if trouble.frozen and self.last is not None:
+            to_send = self.last
+        self.last = to_send
         if trouble.silent or trouble.no_frames or slow:
-            return False
-        self.left_ns = exposed_ns
-        self.stream(self.last)
-        return not trouble.frozen
+            return None
+        self.left_ns = exposure.at_ns
+        self.stream(to_send.frame)
+        return to_send
 
 
 class PoseCamera(ABC):
@@ -149,7 +158,7 @@ class PoseCamera(ABC):
         leaves = now + round(delay * SECOND)
         times = 2 if self.trouble.sending.doubled else 1
         for _ in range(times):
-            self.timeline.at(leaves, partial(self._leave, exposure, now, frame))
+            self.timeline.at(leaves, partial(self._leave, exposure, Exposure(frame, now)))
         self._plan()
 
     def _delay_s(self) -> float:
@@ -165,18 +174,20 @@ class PoseCamera(ABC):
             delay_s += jitter.uniform(0, trouble.jitter_s)
         return delay_s
 
-    def _leave(self, exposure: int, exposed_ns: int, frame: BodyFrame) -> None:
-        """Send a frame unless the server's trouble forbids it, and remember whom it showed."""
-        if self._outlet.send(frame, exposed_ns):
-            self._show(exposed_ns, frame)
-        self._stage.sent(exposure)
+    def _leave(self, number: int, exposure: Exposure) -> None:
+        """Send an exposure unless the server's trouble forbids it, and remember whom it showed."""
+        sent = self._outlet.send(exposure)
+        if sent is not None:
+            self._show(sent)
+        self._stage.sent(number)
 
-    def _show(self, exposed_ns: int, frame: BodyFrame) -> None:
+    def _show(self, exposure: Exposure) -> None:
         """Remember when each robot was last shown as tracked."""
-        shown_ids = {body.id for body in frame.bodies if body.tracking_valid and is_somewhere(body)}
+        bodies = exposure.frame.bodies
+        shown_ids = {body.id for body in bodies if body.tracking_valid and is_somewhere(body)}
         for i, body in enumerate(self.tracked):
             if body.asset.number in shown_ids:
-                self.shown_ns[i] = max(self.shown_ns[i], exposed_ns)
+                self.shown_ns[i] = max(self.shown_ns[i], exposure.at_ns)
 
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""

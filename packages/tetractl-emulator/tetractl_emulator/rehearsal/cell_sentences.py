@@ -149,7 +149,7 @@ def cell_violations(truth: DishTruth, lab: LabSection) -> list[Violation]:
     field = lab.actuator
     limits = lab.limits
     assert isinstance(field, FieldSection), "cells are steered by a field"
-    driver_late_s = sum(fault.fields["by"] for fault in truth.faults_of("late_driver"))
+    driver_late_s = truth.delay_s("late_driver")
     ramp_s = field.current_max_a / field.slew_max_a_s
     off_s = SENT_S + field.watchdog + ramp_s + LAG_S + driver_late_s
     off_a = OFF * field.current_max_a

@@ -156,7 +156,7 @@ def _unrest(at_s: float, finding: str) -> Violation:
 
 def _radio_late_s(truth: Truth) -> float:
     """Return by how much faults of the radio delay what is sent [s]."""
-    return sum(fault.fields["by"] for fault in truth.faults_of(*LATE_RADIO))
+    return truth.delay_s(*LATE_RADIO)
 
 
 def _emergency(truth: Truth) -> Iterator[Violation]:
@@ -180,9 +180,9 @@ def _obeys(truth: Truth) -> Iterator[Violation]:
     """A robot that has stood after the end is not driven again, by a command that another has
     overtaken. A radio that delays all alike delays the end, too.
     """
-    delay_s = sum(fault.fields["by"] for fault in truth.faults_of("late_radio"))
+    heard_s = truth.ended_s + AIR_S + truth.delay_s("late_radio")
     runs = truth.has_status(RUNNING)
-    after = (truth.times_s > truth.ended_s + AIR_S + delay_s)[:, None]
+    after = (truth.times_s > heard_s)[:, None]
     stood = np.maximum.accumulate(after & ~runs & ~truth.has_status(SILENT), axis=0)
     again = (stood & runs).any(axis=1)
     if again.any() and not truth.met("off"):

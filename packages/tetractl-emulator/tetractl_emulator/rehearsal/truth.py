@@ -239,7 +239,8 @@ class Truth:
             return np.zeros(len(self.commanded_s))
         steps = self.trial.steps
         directed_s = np.array([step.command.sent_ns for step in steps]) / SECOND
-        turns_s = np.array([PAUSE_S if step.plan.pauses else 0.0 for step in steps])
+        is_turn = [step.plan.facing is not None for step in steps]
+        turns_s = np.where(is_turn, PAUSE_S, 0.0)
         last_step = np.searchsorted(directed_s, self.commanded_s, "right") - 1
         is_known = last_step >= 0
         if self.trial.result is None:
@@ -309,6 +310,10 @@ class Truth:
         """Return the visible faults of these names of scripts."""
         return [fault for fault in self.faults if fault.name in names]
 
+    def delay_s(self, *names: str) -> float:
+        """Return by how much faults of these names, which state their delay, delay together [s]."""
+        return sum(fault.fields["by"] for fault in self.faults_of(*names))
+
     def met(self, *names: str) -> bool:
         """Return whether one of these faults became visible, by the names of scripts."""
         return bool(self.faults_of(*names))
@@ -352,7 +357,7 @@ class Truth:
     @cached_property
     def longest_delay_s(self) -> float:
         """By how much frames came late at most: delayed ones, and those that waited in the wire."""
-        late_s = sum(fault.fields["by"] for fault in self.faults_of(*LATE_FRAMES))
+        late_s = self.delay_s(*LATE_FRAMES)
         suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))
         busy_s = sum(fault.fields["seconds"] for fault in self.faults_of("busy"))
         return late_s + suspended_s + busy_s

@@ -132,20 +132,20 @@ WITH_RESULT = SimpleNamespace()
 
 
 @pytest.mark.parametrize(
-    ("sent_s", "result", "pauses", "wrong"),
+    ("sent_s", "result", "facing", "wrong"),
     [
-        (1.6, WITH_RESULT, False, False),
-        (1.4, WITH_RESULT, False, True),
-        (1.4, WITHOUT_RESULT, False, False),
-        (1.1, WITH_RESULT, True, False),
-        (0.9, WITH_RESULT, True, True),
+        (1.6, WITH_RESULT, None, False),
+        (1.4, WITH_RESULT, None, True),
+        (1.4, WITHOUT_RESULT, None, False),
+        (1.1, WITH_RESULT, 0.5, False),
+        (0.9, WITH_RESULT, 0.5, True),
     ],
 )
-def test_no_robot_is_driven_without_a_direction(sent_s, result, pauses, wrong):
+def test_no_robot_is_driven_without_a_direction(sent_s, result, facing, wrong):
     """Regression: what a log that a full disk broke off no longer has counted as not sent; and a
     turn on the spot, which lasts 0.5 s, as if it were a direction for one period."""
     truth = day(GOOD)
-    give_log(truth, steps=[step(sent_s, sent_s, pauses)], result=result)
+    give_log(truth, steps=[step(sent_s, sent_s, facing)], result=result)
     assert names_of(0, truth) == ({"driven blind"} if wrong else set())
 
 
@@ -369,9 +369,9 @@ def complete(fault=LOST, events=(), steps=()):
     return truth
 
 
-def step(received_s, sent_s, pauses=False):
+def step(received_s, sent_s, facing=None):
     return SimpleNamespace(
-        plan=SimpleNamespace(pauses=pauses),
+        plan=SimpleNamespace(facing=facing),
         observation=SimpleNamespace(received_ns=round(received_s * 1e9)),
         command=SimpleNamespace(sent_ns=round(sent_s * 1e9)),
     )

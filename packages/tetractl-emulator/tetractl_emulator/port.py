@@ -27,9 +27,23 @@ def uart_ns(size: int, baud: int) -> int:
     return size * 10 * SECOND // baud
 
 
+class OneWay:
+    """One direction of a serial line at `baud` bits per second: bytes pass one after the other."""
+
+    def __init__(self, timeline: Timeline, baud: int) -> None:
+        self._timeline = timeline
+        self._baud = baud
+        self._free_ns = 0  # when the bytes on their way have passed
+
+    def send(self, size: int) -> int:
+        """Send `size` bytes; return the time at which they have passed [ns]."""
+        start_ns = max(self._timeline.now_ns, self._free_ns)
+        self._free_ns = start_ns + uart_ns(size, self._baud)
+        return self._free_ns
+
+
 class SerialLine:
-    """The line between a port and a device: bytes take their time at `baud` bits per second, in
-    each direction one after the other.
+    """The line between a port and a device, at `baud` bits per second in each direction.
 
     Faults set `speed`, the baud rate that the device really has, and `noise`, the share of bytes
     that are changed.
@@ -39,26 +53,9 @@ class SerialLine:
         self.baud = baud
         self.speed = baud
         self.noise = 0.0
-        self._timeline = timeline
+        self.to_device = OneWay(timeline, baud)
+        self.to_port = OneWay(timeline, baud)
         self._chance = random.Random(baud)
-        self._in_free_ns = 0
-        self._out_free_ns = 0
-
-    def bring(self, size: int) -> int:
-        """Bring `size` bytes to the device, after those on their way; return the time at which
-        they have come [ns].
-        """
-        start_ns = max(self._timeline.now_ns, self._in_free_ns)
-        self._in_free_ns = start_ns + uart_ns(size, self.baud)
-        return self._in_free_ns
-
-    def take_away(self, size: int) -> int:
-        """Take `size` bytes from the device, after those on their way; return the time at which
-        they have come to the port [ns].
-        """
-        start_ns = max(self._timeline.now_ns, self._out_free_ns)
-        self._out_free_ns = start_ns + uart_ns(size, self.baud)
-        return self._out_free_ns
 
     def disturbed(self, data: bytes) -> bytes:
         """Return bytes as the line passes them on."""
@@ -109,8 +106,8 @@ class SerialDevice(ABC):
             self.garbled += 1
             return
         passed = self.line.disturbed(data)
-        come_ns = self.line.bring(len(data))
-        self._timeline.at(come_ns, lambda: None if self._down else self.hear(passed))
+        heard_ns = self.line.to_device.send(len(data))
+        self._timeline.at(heard_ns, lambda: None if self._down else self.hear(passed))
 
     def restart(self, down: bool) -> None:
         """Take and give no bytes while it is `down`."""
@@ -129,7 +126,7 @@ class SerialDevice(ABC):
         """Return the facts of a frame's command, to be recorded; WireError if there is none."""
 
     def _answer(self, data: bytes) -> None:
-        come_ns = self.line.take_away(len(data))
+        come_ns = self.line.to_port.send(len(data))
         if not self._down and self.line.speed == self.line.baud:
             passed = self.line.disturbed(data)
             self._timeline.at(come_ns, lambda: self.port.write(passed))

@@ -19,7 +19,13 @@ from tetractl_emulator.faults import Fault, Share, fault_kind, settings
 from tetractl_emulator.firmware import RobotCore
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
-from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, WheeledSide, robots_of_day
+from tetractl_emulator.m3pi.wheeled_side import (
+    WHEELED_FAULTS,
+    WheeledSide,
+    robot_of,
+    robots_of_day,
+    trouble_of,
+)
 from tetractl_emulator.port import PluggedDevice
 from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
@@ -63,21 +69,17 @@ class M3piSettings(Model):
     """The robots whose true properties differ from the spec."""
 
 
-def _robot_of(fault: Any, device: Any) -> EmulatedRobot:
-    return device.robot(fault.robot)
-
-
 FAULTS = (
     fault_kind(
         "veer",
         "A robot's motors get these counts in place of every count other than 0.",
-        settings(lambda f, d: _robot_of(f, d).trouble, veer=attrgetter("counts")),
+        settings(trouble_of, veer=attrgetter("counts")),
         fields={"robot": Name, "counts": tuple[Count, Count]},
     ),
     fault_kind(
         "wrong_id",
         "A robot's firmware was built with this broadcast number.",
-        settings(_robot_of, index=attrgetter("id"), core=lambda f: RobotCore(f.id)),
+        settings(robot_of, index=attrgetter("id"), core=lambda f: RobotCore(f.id)),
         fields={"robot": Name, "id": Annotated[int, Field(ge=0, le=31)]},
     ),
     *WHEELED_FAULTS,

@@ -254,12 +254,14 @@ def gains_of_day(setup: Setup, robots: Sequence[Geared]) -> Rehearsal:
     return Rehearsal(world=world)
 
 
-def _robot_of(fault: Any, device: Any) -> EmulatedRobot:
+def robot_of(fault: Any, device: Any) -> EmulatedRobot:
+    """Return the robot that a fault names."""
     return device.robot(fault.robot)
 
 
-def _trouble_of(fault: Any, device: Any) -> RobotTrouble:
-    return _robot_of(fault, device).trouble
+def trouble_of(fault: Any, device: Any) -> RobotTrouble:
+    """Return what is wrong with the robot that a fault names."""
+    return robot_of(fault, device).trouble
 
 
 # parts of a `RobotRadio`
@@ -288,7 +290,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "wheel_stuck",
         "One or both wheels no longer turn.",
-        settings(_trouble_of, stuck=lambda f: STUCK[f.wheel]),
+        settings(trouble_of, stuck=lambda f: STUCK[f.wheel]),
         fields={"robot": Name, "wheel": Wheel},
     ),
     UNPLUG,
@@ -302,7 +304,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "deaf",
         "A robot does not receive this fraction of the transmissions.",
-        settings(_trouble_of, deaf=attrgetter("share")),
+        settings(trouble_of, deaf=attrgetter("share")),
         fields={"robot": Name, "share": Share},
     ),
     fault_kind(
@@ -353,7 +355,7 @@ WHEELED_FAULTS = (
     fault_kind(
         "weak_wheel",
         "A wheel turns at this share of its speed.",
-        settings(_trouble_of, weak=_weak),
+        settings(trouble_of, weak=_weak),
         fields={"robot": Name, "wheel": Wheel, "share": Share},
     ),
     fault_kind(
@@ -366,14 +368,14 @@ WHEELED_FAULTS = (
     fault_kind(
         "off",
         "A robot is switched off.",
-        switching(lambda f, d: _robot_of(f, d).switch, False),
+        switching(lambda f, d: robot_of(f, d).switch, False),
         fields={"robot": Name},
     ),
     fault_kind(
         "low_battery",
         "A robot's battery has this voltage [mV].",
         settings(
-            lambda f, d: _robot_of(f, d).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
+            lambda f, d: robot_of(f, d).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
         ),
         fields={"robot": Name, "millivolts": Annotated[int, Field(ge=0, le=9000)]},
     ),

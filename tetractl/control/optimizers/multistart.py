@@ -116,7 +116,7 @@ class _PolishingSearch:
 
     polish: "Polish"
     rollout: "Rollout"
-    rounds: "Rounds"
+    workspace: "Rounds"
     tolerance: float
     slack: float
     patience: int
@@ -134,7 +134,7 @@ class _PolishingSearch:
         return cls(
             polish=polish,
             rollout=rollout.lay_out(problem, section.particles),
-            rounds=multistart.workspace(
+            workspace=multistart.workspace(
                 thread=get_ident(),
                 count=min(section.polished, section.particles),
                 particles=section.particles,
@@ -164,12 +164,12 @@ class _PolishingSearch:
             self.patience,
             budget,
             look,
-            self.rounds,
+            self.workspace,
         )
 
 
 class _PolishedProgress(Progress):
-    """The progress of a search that polishes; `rounds` are the arrays of its kernel.
+    """The progress of a search that polishes; `workspace` are the arrays of its kernel.
 
     A kernel searches until it ends or, with a deadline, until the next look at the clock; then it
     is called again and goes on.
@@ -186,12 +186,13 @@ class _PolishedProgress(Progress):
         super().__init__(length, limits)
         self.section = section
         self.searching = _PolishingSearch.of(section, problem, length)
-        self.rounds = self.searching.rounds
+        self.workspace = self.searching.workspace
         self.warm = np.empty(0) if warm is None else warm
-        self.rounds.begin(np.empty((0, length)) if warm is None else warm[None])
+        self.workspace.begin(np.empty((0, length)) if warm is None else warm[None])
 
     def run(self, key: int, rounds: int) -> None:
-        """Polish the starts with which `rounds` begin, and those of so many scattered rounds."""
+        """Polish the starts with which the workspace begins, and those of so many rounds that are
+        scattered."""
         if not self.limits.timed:
             how = self._call(key, rounds, look=0)
             self.ended = ENDED[how]
@@ -199,8 +200,8 @@ class _PolishedProgress(Progress):
             self._cut_short(key, rounds)
         else:
             self._run_to_deadline(key, rounds)
-        self.best = self.rounds.best.copy()
-        self.cost = float(self.rounds.costs[0])
+        self.best = self.workspace.best.copy()
+        self.cost = float(self.workspace.costs[0])
 
     def _run_to_deadline(self, key: int, rounds: int) -> None:
         """Search, and look at the clock every few iterations, until the search or time ends."""
@@ -211,7 +212,7 @@ class _PolishedProgress(Progress):
             if how != multistart.UNDER_WAY:
                 self.ended = ENDED[how]
                 return
-            begun_evaluations = int(self.rounds.counts[multistart.POLISH_EVALUATIONS])
+            begun_evaluations = int(self.workspace.counts[multistart.POLISH_EVALUATIONS])
             # the evaluations with which the search would end now, so that a rerun of the search can
             # end at the same look; a polish under way is evaluated once more
             if self.limits.expired(
@@ -244,10 +245,10 @@ class _PolishedProgress(Progress):
         limit = self.limits.evaluations
         budget = UNLIMITED if limit is None else limit
         how = self.searching.go_on(key, self.warm, rounds, budget, look)
-        if not math.isfinite(self.rounds.costs[1]):
-            require_finite(self.rounds.costs[1:])
-        entries = self.rounds.counts[multistart.HISTORY_ENTRIES]
-        self.history += self.rounds.history[:entries].tolist()
-        self.rounds.counts[multistart.HISTORY_ENTRIES] = 0
-        self.evaluations = int(self.rounds.counts[multistart.EVALUATIONS])
+        if not math.isfinite(self.workspace.costs[1]):
+            require_finite(self.workspace.costs[1:])
+        entries = self.workspace.counts[multistart.HISTORY_ENTRIES]
+        self.history += self.workspace.history[:entries].tolist()
+        self.workspace.counts[multistart.HISTORY_ENTRIES] = 0
+        self.evaluations = int(self.workspace.counts[multistart.EVALUATIONS])
         return how

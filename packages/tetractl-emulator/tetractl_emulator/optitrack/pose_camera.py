@@ -145,20 +145,20 @@ class PoseCamera(ABC):
         """Expose one frame, and schedule its sending after the latency."""
         now = self.timeline.now_ns
         exposed = now
-        exposure = self._shutter.count
+        exposure_number = self._shutter.count
         trouble = self.trouble.frames
-        number = exposure - trouble.counter
-        self._stage.exposed(exposure, number if self.numbered else 0)
+        frame_number = exposure_number - trouble.counter
+        self._stage.exposed(exposure_number, frame_number if self.numbered else 0)
         delay = self._delay_s()
         self.view.creep()
         if trouble.outdated:
             trouble.outdated -= 1
             exposed = max(0, now - round(trouble.outdated_s * SECOND))
-        frame = self._shot(number, exposed, self._expose())
+        frame = self._shot(frame_number, exposed, self._expose())
         leaves = now + round(delay * SECOND)
         times = 2 if self.trouble.sending.doubled else 1
         for _ in range(times):
-            self.timeline.at(leaves, partial(self._leave, exposure, Exposure(frame, now)))
+            self.timeline.at(leaves, partial(self._leave, exposure_number, Exposure(frame, now)))
         self._plan()
 
     def _delay_s(self) -> float:
@@ -174,12 +174,12 @@ class PoseCamera(ABC):
             delay_s += jitter.uniform(0, trouble.jitter_s)
         return delay_s
 
-    def _leave(self, number: int, exposure: Exposure) -> None:
+    def _leave(self, exposure_number: int, exposure: Exposure) -> None:
         """Send an exposure unless the server's trouble forbids it, and remember whom it showed."""
         sent = self._outlet.send(exposure)
         if sent is not None:
             self._show(sent)
-        self._stage.sent(number)
+        self._stage.sent(exposure_number)
 
     def _show(self, exposure: Exposure) -> None:
         """Remember when each robot was last shown as tracked."""

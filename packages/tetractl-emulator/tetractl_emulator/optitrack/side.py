@@ -242,9 +242,8 @@ class EmulatedOptitrack(PoseCamera):
     def _shot(
         self, number: int, exposed_ns: int, bodies: tuple[natnet.RigidBody, ...]
     ) -> natnet.NatNetFrame:
-        params = (
-            2 * self.settings.models_changed | 4 * self.trouble.frames.edit_mode
-        )  # as it reads them
+        # as natnet reads them
+        params = 2 * self.settings.models_changed | 4 * self.trouble.frames.edit_mode
         return natnet.NatNetFrame(number, bodies, params, self.clock.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:

@@ -3,7 +3,7 @@
 from tetractl_emulator.optitrack.pose_camera import Exposure, Outlet
 from tetractl_emulator.optitrack.scripted import SendingTrouble
 
-SECOND = 1_000_000_000
+from tetractl.core.clock import SECOND
 
 
 def test_a_picture_that_froze_while_the_server_was_silent_is_shown_when_it_speaks():

@@ -51,10 +51,11 @@ def stated_model(experiment: Experiment) -> StatedModel:
 def other_delay(estimate: Estimate, stated: StatedModel) -> str:
     """Return in words that commands act later or earlier than a spec states, by more than standard
     deviations explain; "" if they do not or it is not known."""
-    now_s = estimate.dead_time
-    if now_s is None or estimate.dead_time_std is None:
+    dead_time = _dead_time(estimate)
+    if dead_time is None:
         return ""
-    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE_STDS * estimate.dead_time_std):
+    now_s = dead_time.value
+    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE_STDS * dead_time.std):
         return ""
     text = (
         f"commands act {now_s:.3f} s after they are sent, not {stated.dead_time_s:.3f} s: "
@@ -115,11 +116,13 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     explain."""
     dead_time = _dead_time(estimate)
     dead_time_before = _dead_time(before)
-    if dead_time and dead_time_before and dead_time.differs(dead_time_before):
-        yield (
-            f"commands act {dead_time.value:.3f} s after they are sent, "
-            f"not {dead_time_before.value:.3f} s"
-        )
+    if (
+        dead_time is not None
+        and dead_time_before is not None
+        and dead_time.differs(dead_time_before)
+    ):
+        before_s = dead_time_before.value
+        yield f"commands act {dead_time.value:.3f} s after they are sent, not {before_s:.3f} s"
     for i, name in enumerate(setup.names):
         a = _turning_rate(estimate, i)
         a_before = _turning_rate(before, i)

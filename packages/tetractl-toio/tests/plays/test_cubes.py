@@ -105,6 +105,15 @@ def test_a_fault_stops_the_cubes(folder, tmp_path, row, why):
     assert trial.result is not None and why in trial.result.reason, trial.result
 
 
+def rehearse(folder, out, monkeypatch, fault):
+    """Rehearse one day with a fault, which breaks nothing; return the day's record."""
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [fault], ""))
+    words = ("lab", "rehearse", "cubes.yaml", "--days", "1", "--out", out)
+    done = tetractl(folder, *words).ok()
+    assert done.stdout.endswith("1 day, 0 violations\n")
+    return json.loads((out / "record-000000.json").read_text())["record"]
+
+
 def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
     folder, tmp_path, monkeypatch
 ):
@@ -112,11 +121,7 @@ def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
     rehearsal's table had the reason."""
     silent = {"kind": "frames lost", "strength": 0.95, "fault": "no_frames"}
     silent |= {"since": "start", "at": 0.0}
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent], ""))
-    words = ("lab", "rehearse", "cubes.yaml", "--days", "1", "--out", tmp_path / "days")
-    done = tetractl(folder, *words).ok()
-    assert done.stdout.endswith("1 day, 0 violations\n")
-    record = json.loads((tmp_path / "days" / "record-000000.json").read_text())["record"]
+    record = rehearse(folder, tmp_path / "days", monkeypatch, silent)
     assert record["reason"] == "no message came from green, blue, red"
 
 
@@ -125,10 +130,7 @@ def test_frozen_readings_of_cubes_that_stand_show_them(folder, tmp_path, monkeyp
     the same readings while they stood."""
     frozen = {"kind": "frames frozen", "strength": 0.5, "fault": "freeze"}
     frozen |= {"since": "stop", "at": 0.3, "for": 1.046}
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [frozen], ""))
-    words = ("lab", "rehearse", "cubes.yaml", "--days", "1", "--out", tmp_path / "days")
-    done = tetractl(folder, *words).ok()
-    assert done.stdout.endswith("1 day, 0 violations\n")
+    assert rehearse(folder, tmp_path / "days", monkeypatch, frozen)["violations"] == []
 
 
 def test_cubes_that_report_at_one_instant_have_times_of_their_own_all_the_same(folder):

@@ -30,10 +30,10 @@ from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.whole_pictures import PictureLog
 
-BACKGROUND = 15  # number of pictures from which the background is computed
+BACKGROUND = 15  # about the number of pictures that show the background; half suffice
 WIDER = 1.5  # deviations found in films over those of the filter, which fits no cell's noise
 MEAN_S = 2.0  # time from which a cell's speed is the mean since it was first seen [s]
-ADDED = 1024  # most pictures queued; one per second is kept whole
+ADDED = 1024  # most messages queued, of which the oldest are dropped
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,8 @@ class LearningPictures:
             self._first_ns = exposed_ns
         passed_s = (exposed_ns - self._first_ns) / SECOND
         pictures = self._pictures
-        if passed_s >= len(pictures) * self._learning_s / BACKGROUND:
+        is_due = passed_s >= len(pictures) * self._learning_s / BACKGROUND
+        if is_due:
             fits = not pictures or picture.shape == pictures[0].shape
             pictures = [*pictures, picture] if fits else [picture]
         is_enough = passed_s >= self._learning_s and len(pictures) >= BACKGROUND // 2
@@ -145,6 +146,9 @@ class CellCamera(PictureCamera[SeenDish]):
     become the robots. A lost cell is tracked again if it reappears within 3 s; if it reappears
     later, it is a stranger. `steered` tells the camera the common direction; without it, cells that
     have met are distinguished only by their paths.
+
+    A thread of the base class searches the pictures: `_see` and what it calls. The trial's thread
+    calls the rest; it changes which cells are the robots by `settle` and `replace`.
     """
 
     def __init__(
@@ -226,7 +230,7 @@ class CellCamera(PictureCamera[SeenDish]):
         robots.divided.discard(robot)
 
     def additions(self) -> list[FrameAddition]:
-        """Return the pictures of each frame since the last call, oldest first."""
+        """Return the messages of each frame since the last call, oldest first."""
         return self._news.take_additions()
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
@@ -254,26 +258,22 @@ class CellCamera(PictureCamera[SeenDish]):
         return Health((*problems, *wrong), (*warnings, *doubtful), facts, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
+        """Return what a picture shows, None while the background is learned."""
         if self.section.mirrored:
             picture = np.asarray(cv2.flip(picture, 1), np.uint8)
         finder = self._tracker.finder
         if finder.background is None:
-            pictures = self._learning.take(picture, exposed_ns)
-            if pictures:
-                finder.learn(pictures)
+            self._learn(picture, exposed_ns)
             return None
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
-        columns, rows = finder.light.shift_px
-        um_px = self.section.um_px
-        self._moved_um = self._moved_um[0] + columns * um_px, self._moved_um[1] - rows * um_px
+        self._follow_knock(finder.light.shift_px)
         self._view = self._view.followed_by(cells, exposed_ns / SECOND)
-        identities = self._bound(cells)
-        mothers = {born.divided for born in self._tracker.born}
-        self._robots.divided |= {i for i, number in enumerate(identities) if number in mothers}
+        identities = self._bind(cells)
+        self._note_divisions(identities)
         by_identity = {cell.identity: cell for cell in cells}
         robots = [by_identity.get(identity) for identity in identities]
-        sure = np.array([np.nan if cell is None else cell.probability for cell in robots])
-        self._news.add(picture, exposed_ns, finder.background, sure)
+        probability = np.array([np.nan if cell is None else cell.probability for cell in robots])
+        self._news.add(picture, exposed_ns, finder.background, probability)
         return SeenDish(
             poses=tuple(None if cell is None else self._pose_of(cell) for cell in robots),
             strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),
@@ -283,8 +283,29 @@ class CellCamera(PictureCamera[SeenDish]):
             sure=min((cell.probability for cell in robots if cell is not None), default=0.0),
         )
 
-    def _bound(self, cells: Sequence[SeenCell]) -> list[int]:
-        """Return the numbers of the robots' cells; -1 before all of them were seen at once."""
+    def _learn(self, picture: Grey, exposed_ns: int) -> None:
+        """Learn the background, once there are enough pictures."""
+        pictures = self._learning.take(picture, exposed_ns)
+        if pictures:
+            self._tracker.finder.learn(pictures)
+
+    def _follow_knock(self, shift_px: tuple[float, float]) -> None:
+        """Add the shift since the picture before, in columns and in rows, which run down; the
+        tracker compared its cells with walls at the place before.
+        """
+        columns, rows = shift_px
+        um_px = self.section.um_px
+        self._moved_um = self._moved_um[0] + columns * um_px, self._moved_um[1] - rows * um_px
+
+    def _note_divisions(self, identities: Sequence[int]) -> None:
+        """Note the robots from whose blobs another cell has separated in this picture."""
+        mothers = {born.divided for born in self._tracker.born}
+        self._robots.divided |= {i for i, number in enumerate(identities) if number in mothers}
+
+    def _bind(self, cells: Sequence[SeenCell]) -> list[int]:
+        """Return the numbers of the robots' cells, which the first picture with enough cells binds;
+        -1 before.
+        """
         if self._robots.numbers is not None:
             return self._robots.numbers
         count = len(self._setup.names)
@@ -323,8 +344,8 @@ class CellCamera(PictureCamera[SeenDish]):
 def _sharpness(
     picture: Grey, cells: Sequence[SeenCell], um_px: float, light: Light
 ) -> float | None:
-    """Return the median, over cells, of the steepest slope of grey levels divided by the contrast
-    [1/px]; None without cells.
+    """Return the median, over the first eight cells, of the steepest slope of grey levels divided
+    by the contrast [1/px]; None without contrast or a cell of some size.
     """
     if not light.contrast:
         return None

@@ -33,12 +33,12 @@ BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
 CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
 EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
 GHOST = 2.0  # least ratio of grey levels' deviations where a body is only in the background
-RAMP = 0.2, 0.6  # differences with the weights 0 and 1, relative to the body's greatest mean
+RAMP = 0.2, 0.6  # differences between which a weight rises, relative to the body's greatest mean
 BODIES = 4  # bodies in a region
 NEXT = 0.5  # least peak of each, relative to the first's
 KNOCK = 1.1, 0.0003  # factor and fraction by which a knock makes more of the picture change
 LOST = 5  # pictures lost until learning begins again
-EVERY = 3  # it learns from one of so many pictures
+EVERY = 3  # it learns from the pictures of one of so many stripes
 AGAIN = 9  # and begins again from so many
 
 
@@ -61,6 +61,12 @@ class Blob:
     body: Grey
     corner: tuple[int, int]
     at_edge: bool
+
+    @property
+    def part(self) -> tuple[slice, slice]:
+        """Rows and columns of the rectangle of `body` in the picture."""
+        tall, wide = self.body.shape
+        return Box(*self.corner, wide, tall).part
 
     @property
     def pixels(self) -> Floats:
@@ -100,6 +106,14 @@ class Background:
         """Move it with the picture's content: columns to the right, rows down."""
         self.fine = np.asarray(moved(self.fine, shift_px), np.float32)
         self.grey = _grey(cv2.convertScaleAbs(self.fine))
+
+    def follow_knock(self, smooth: Grey, gain: float) -> tuple[float, float]:
+        """Move it as far as a picture has shifted, whose light is `gain` times its own; return the
+        shift."""
+        shift = shift_of(cv2.convertScaleAbs(self.grey, alpha=gain), smooth)
+        if shift != (0.0, 0.0):
+            self.move(shift)
+        return shift
 
     def correct(
         self, part: tuple[slice, slice], wrong: Bools, levels: NDArray[np.floating]
@@ -226,10 +240,8 @@ class BlobFinder:
         usual = self._usual
         shift = (0.0, 0.0)
         if usual is None or light.changed > KNOCK[0] * usual.changed + KNOCK[1]:
-            expected = cv2.convertScaleAbs(background.grey, alpha=light.gain)
-            shift = shift_of(expected, newest.smooth)
+            shift = background.follow_knock(newest.smooth, light.gain)
             if shift != (0.0, 0.0):
-                background.move(shift)
                 light = self._compare(background, newest)
             changed = light.changed
         else:
@@ -237,9 +249,10 @@ class BlobFinder:
         first_noise = light.noise if usual is None else usual.noise
         self._usual = UsualPicture(changed, first_noise)
         noisy = light.noise > NOISY * max(first_noise, 1.0)
-        lost = light.lost or noisy or light.changed > CHANGED or bool(self._lost.sample)
+        is_relearning = len(self._lost.sample) > 0  # once begun, until there is a new background
+        lost = light.lost or noisy or light.changed > CHANGED or is_relearning
         candidates = [] if lost else self._blobs(newest)
-        blobs = [blob for blob in candidates if not self._mended(blob, light.gain, background)]
+        blobs = self._without_ghosts(candidates, light.gain, background)
         contrast = float(np.median([blob.strength for blob in blobs])) if blobs else None
         self.light = replace(
             light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if usual is None else shift
@@ -295,24 +308,25 @@ class BlobFinder:
         """Return the contours of all that differs from the background in the newest picture."""
         return cv2.findContours(self._newest.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
 
-    def _mended(self, blob: Blob, gain: float, background: Background) -> bool:
-        """Return whether a blob is not in the picture but only in the background, which is then
-        corrected.
+    def _without_ghosts(
+        self, candidates: Sequence[Blob], gain: float, background: Background
+    ) -> list[Blob]:
+        """Return the blobs that are in the picture, and correct the background where one is only
+        there. One after the other, since blobs may share a rectangle.
         """
-        tall, wide = blob.body.shape
-        part = Box(*blob.corner, wide, tall).part
-        now = self._newest.smooth[part]
-        sd_now = cv2.meanStdDev(now)[1].item()
-        sd_before = cv2.meanStdDev(background.grey[part])[1].item()
-        if gain * sd_before < GHOST * max(sd_now, 1.0):
-            return False
-        wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
-        background.correct(part, wrong, now / gain)
-        return True
+        blobs: list[Blob] = []
+        for blob in candidates:
+            now = self._newest.smooth[blob.part]
+            if _is_ghost(now, background.grey[blob.part], gain):
+                wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
+                background.correct(blob.part, wrong, now / gain)
+            else:
+                blobs.append(blob)
+        return blobs
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
         """Update the next stripe of the background by the last picture, except in the rectangles
-        `keep`, each given by left, top, right and bottom [px].
+        `keep`, each given by left, top, right and bottom [px]. Learn it again if pictures are lost.
         """
         assert self._background is not None, "learn() comes first"
         newest = self._newest
@@ -325,16 +339,28 @@ class BlobFinder:
         still = mask & mask_before
         calm = 1 - mask
         mask_before[:] = mask
-        for first_column, upper, last_column, lower in keep:
+        for left, upper, right, lower in keep:
             rows = slice(max(0, upper - top), max(0, lower - top))
             for updated in (still, calm):
-                updated[rows, max(0, first_column) : max(0, last_column)] = 0
+                updated[rows, max(0, left) : max(0, right)] = 0
         scaled = newest.smooth[rows_of_stripe].astype(np.float32) / max(self.light.gain, 0.05)
         self._background.update(rows_of_stripe, scaled, calm, still)
+        self._relearn_if_lost()
+
+    def _relearn_if_lost(self) -> None:
+        """Sample the newest picture if too many in turn are lost; learn once there are enough."""
+        newest = self._newest
         if self._lost.in_turn > LOST and newest.stripe % EVERY == 0:
             self._lost.sample.append(newest.smooth.copy())
             if len(self._lost.sample) == AGAIN:
                 self.learn(self._lost.sample)
+
+
+def _is_ghost(now: Grey, background: Grey, gain: float) -> bool:
+    """Return whether a part of a picture is even, and the same part of the background is not."""
+    sd_now = cv2.meanStdDev(now)[1].item()
+    sd_before = cv2.meanStdDev(background)[1].item()
+    return gain * sd_before >= GHOST * max(sd_now, 1.0)
 
 
 class Box(NamedTuple):
@@ -422,9 +448,9 @@ def _blob(
 ) -> Blob:
     """Return the ellipse with the weighted moments of a body in a box of the picture.
 
-    The weights rise from 0 to 1 with the difference, so that neither a pixel at the body's edge nor
-    what is inside moves the moments much. An ellipse has the second moments length^2 / 16 and
-    width^2 / 16 along its axes; each pixel adds 1 / 12.
+    The weights rise from 0 with the difference, up to a greatest one, so that neither a pixel at
+    the body's edge nor what is inside moves the moments much. An ellipse has the second moments
+    length^2 / 16 and width^2 / 16 along its axes; each pixel adds 1 / 12.
     """
     moments = cv2.moments(weights)
     if moments["m00"] == 0:

@@ -71,10 +71,10 @@ _SET: WeakKeyDictionary[Any, list[_Set]] = WeakKeyDictionary()
 """What faults that go on have set of an object, in the order in which they began."""
 
 
-def adding(running: list[Any], one: object) -> Undo:
-    """Add one to what runs; return the function that removes it again."""
-    running.append(one)
-    return lambda: running.remove(one)
+def adding(running: list[Any], entry: object) -> Undo:
+    """Add an entry to a list of what runs; return the function that removes it again."""
+    running.append(entry)
+    return lambda: running.remove(entry)
 
 
 def setting(target: object, **values: object) -> Undo:

@@ -35,7 +35,7 @@ from tetractl_emulator.faults import (
     together,
 )
 from tetractl_emulator.optitrack.tracked_body import (
-    Change,
+    BodyChange,
     PictureChange,
     TrackedBody,
     View,
@@ -211,7 +211,7 @@ def _body_fault(
 def _pose_fault(
     name: str,
     about: str,
-    change_of: Callable[[Any], Change],
+    change_of: Callable[[Any], BodyChange],
     fields: Mapping[str, Any] = NO_FIELDS,
 ) -> type[Fault]:
     """Return a kind of fault that changes each reported pose of one robot's rigid body, by the
@@ -243,8 +243,8 @@ def _swap_bodies(fault: Any, device: Any) -> Undo:
 
 
 def _twin_ids(fault: Any, device: Any) -> Undo:
-    other = device.tracked_body(fault.other)
-    return setting(_body(fault, device).asset, number=other.asset.number)
+    twin = device.tracked_body(fault.other)
+    return setting(_body(fault, device).asset, number=twin.asset.number)
 
 
 def _set_clock(fault: Any, device: Any) -> Undo:
@@ -262,8 +262,8 @@ def _change_picture(fault: Any, device: Any) -> Undo:
     change = PictureChange(_displacement(fault), fault.scale, fault.turn)
     if fault.creeps:
         return adding(view.creeping, change)
-    view.change(change)
-    return lambda: view.change_back(change)
+    view.apply(change)
+    return lambda: view.take_back(change)
 
 
 # parts of a `Trouble`
@@ -381,7 +381,7 @@ FAULTS = (
         DISPLACEMENT,
         sets={
             "step": _displacement,
-            "own": lambda fault: fault.axes == "robot",
+            "along_robot": lambda fault: fault.axes == "robot",
             "turn": attrgetter("turn"),
             "strayed": 0j,
             "turned": 0.0,

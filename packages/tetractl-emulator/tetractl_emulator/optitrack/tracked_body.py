@@ -16,7 +16,7 @@ from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl_emulator.sides import Body
 
-Change = Callable[[RigidBody], RigidBody]
+BodyChange = Callable[[RigidBody], RigidBody]
 """Changes a body as it is reported."""
 
 
@@ -53,15 +53,15 @@ class View:
     def creep(self) -> None:
         """Let the picture change as it does from one exposure to the next."""
         for change in self.creeping:
-            self.change(change)
+            self.apply(change)
 
-    def change(self, change: PictureChange) -> None:
+    def apply(self, change: PictureChange) -> None:
         """Change the picture."""
         self.shift += change.shift
         self.grown *= change.factor
         self.turned += change.angle
 
-    def change_back(self, change: PictureChange) -> None:
+    def take_back(self, change: PictureChange) -> None:
         """Take a change back; others that came since remain."""
         self.shift -= change.shift
         self.grown /= change.factor
@@ -125,7 +125,7 @@ class Displacement:
     a new pose.
 
     - `shift` [mm] is constant; `strayed` [mm] grows by `step` [mm], along the axes of the robot if
-      `own`, else along those of the spec.
+      `along_robot`, else along those of the spec.
     - `turned` [rad] grows by `turn` [rad].
     - `height` [mm] is that above the floor.
     """
@@ -133,7 +133,7 @@ class Displacement:
     shift: complex = 0j
     strayed: complex = 0j
     step: complex = 0j
-    own: bool = False
+    along_robot: bool = False
     turned: float = 0.0
     turn: float = 0.0
     height: float = 60.0
@@ -141,7 +141,7 @@ class Displacement:
     def grow(self, robot_axes: complex) -> None:
         """Let the body stray as it does from one exposure to the next; `robot_axes` is the
         direction of the robot's heading."""
-        self.strayed += self.step * (robot_axes if self.own else 1.0)
+        self.strayed += self.step * (robot_axes if self.along_robot else 1.0)
         self.turned += self.turn
 
 
@@ -167,7 +167,7 @@ class TrackedBody:
     tracking: BodyTracking = field(default_factory=BodyTracking)
     displacement: Displacement = field(default_factory=Displacement)
     plate: Plate = field(default_factory=Plate)
-    changes: list[Change] = field(default_factory=list)
+    changes: list[BodyChange] = field(default_factory=list)
     last_seen: RigidBody | None = None  # as seen last, before `changes`
 
     def expose(self, view: View) -> RigidBody:
@@ -227,7 +227,7 @@ def is_somewhere(body: RigidBody) -> bool:
     return math.isfinite(sum(body.position)) and abs(norm_squared - 1.0) < 0.01
 
 
-def rolled(angle: float) -> Change:
+def rolled(angle: float) -> BodyChange:
     """Return a function that turns a body about its own x axis by `angle` [rad]."""
     sin = math.sin(angle / 2)
     cos = math.cos(angle / 2)

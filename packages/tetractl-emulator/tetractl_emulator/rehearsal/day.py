@@ -73,7 +73,7 @@ class DayPlan:
 @dataclass(frozen=True, slots=True)
 class Day:
     """What became of a day: the true `events`, the exit code, -9 if it was killed, what the run
-    printed, its log, and what it `left` behind. `seconds` is its processor time.
+    printed, its log, and what it has `left_behind`. `seconds` is its processor time.
     """
 
     plan: DayPlan
@@ -81,7 +81,7 @@ class Day:
     exit: int
     said: str
     log: Path | None
-    left: str
+    left_behind: str
     seconds: float
 
     @property

@@ -437,8 +437,8 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
     if day.exit == HUNG:
         yield _exit("hangs")
         return
-    if day.left:
-        yield _exit(f"left behind: {day.left}")
+    if day.left_behind:
+        yield _exit(f"left behind: {day.left_behind}")
     expected = -9 if truth.killed and day.exit < 0 else 1
     if isinstance(log, TrialLog) and log.result is not None:
         outcome = log.result.outcome

@@ -11,7 +11,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.optitrack.scripted import SendingTrouble, Trouble
-from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, is_somewhere
+from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, has_a_pose
 from tetractl_emulator.sides import Stage
 
 JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
@@ -184,7 +184,7 @@ class PoseCamera(ABC):
     def _show(self, exposure: Exposure) -> None:
         """Remember when each robot was last shown as tracked."""
         bodies = exposure.frame.bodies
-        shown_ids = {body.id for body in bodies if body.tracking_valid and is_somewhere(body)}
+        shown_ids = {body.id for body in bodies if body.tracking_valid and has_a_pose(body)}
         for i, body in enumerate(self.tracked):
             if body.asset.number in shown_ids:
                 self.shown_ns[i] = max(self.shown_ns[i], exposure.at_ns)

@@ -39,9 +39,9 @@ from tetractl_emulator.optitrack.tracked_body import (
     PictureChange,
     TrackedBody,
     View,
-    halved,
-    nowhere,
     rolled,
+    with_half_a_quaternion,
+    without_position,
 )
 
 CLOCK_HZ = 10_000_000
@@ -384,7 +384,7 @@ FAULTS = (
             "along_robot": lambda fault: fault.axes == "robot",
             "turn": attrgetter("turn"),
             "strayed": 0j,
-            "turned": 0.0,
+            "strayed_turn": 0.0,
         },
         fields={"by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
     ),
@@ -409,9 +409,11 @@ FAULTS = (
         lambda fault: rolled(fault.angle),
         fields={"angle": Finite},
     ),
-    _pose_fault("nan", "A body's position is not a number.", lambda fault: nowhere),
+    _pose_fault("nan", "A body's position is not a number.", lambda fault: without_position),
     _pose_fault(
-        "bad_quaternion", "A body's quaternion does not have norm 1.", lambda fault: halved
+        "bad_quaternion",
+        "A body's quaternion does not have norm 1.",
+        lambda fault: with_half_a_quaternion,
     ),
     # of several bodies
     fault_kind(

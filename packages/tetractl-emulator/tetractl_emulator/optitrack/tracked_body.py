@@ -1,9 +1,12 @@
-"""Robots as rigid bodies in the server's axes, with the faults of each body.
+"""Robots as rigid bodies in the camera server's axes, with the faults of each body.
 
-A `TrackedBody` takes the pose of its robot, displaces it by what faults and errors ask for, and
-reports it as a `RigidBody` [m, quaternion] in the axes of a `View`. A complex number is a vector on
-the floor, x + iy [mm], in the spec's axes unless said otherwise. Faults set fields of the parts;
-they find what another has set by the part itself, which is therefore compared by identity.
+At each exposure a `TrackedBody` takes the pose of its robot, displaces it by what faults and errors
+ask for, and reports it as a `RigidBody` [m, quaternion] in the axes of a `View`. A complex number
+is a vector on the floor, x + iy [mm], in the axes of the experiment's spec unless said otherwise.
+
+Faults set fields of a body's parts, and restore them when they end. What each has set is kept by
+object in a weak dictionary (`tetractl_emulator.faults`). So the classes that faults change are
+hashed by identity (`eq=False`) and can be referred to weakly (`weakref_slot=True`).
 """
 
 import cmath
@@ -17,13 +20,14 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl_emulator.sides import Body
 
 BodyChange = Callable[[RigidBody], RigidBody]
-"""Changes a body as it is reported."""
+"""Changes a body as it is reported, not where it is."""
 
 
 @dataclass(frozen=True, slots=True)
 class PictureChange:
     """A change of the picture: it is displaced by `shift` [mm], grown by a factor and turned by an
-    angle [rad]. None acts on the shift of another, so changes may be taken back in any order.
+    angle [rad]. The picture is displaced after it has been turned and grown, so that changes may be
+    taken back in any order.
     """
 
     shift: complex = 0j
@@ -33,13 +37,13 @@ class PictureChange:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class View:
-    """The cameras' axes in the spec's coordinates, as in the camera's section: vertical axis `up`,
-    `origin` [mm] and `rotation` [rad].
+    """The cameras' axes in the spec's coordinates, as the spec's section of the camera has them:
+    vertical axis `up`, `origin` [mm] and `rotation` [rad].
 
-    Faults set the other fields: the picture is turned about the origin by `turned` [rad], `grown`
-    by a factor and displaced by `shift` [mm]. The camera calls `creep` at each exposure: the
-    picture changes by all of `creeping`, and stays where that has brought it, as a camera does
-    whose tripod has slipped.
+    Faults change the picture: it is turned about the origin by `turned` [rad], `grown` by a factor
+    and then displaced by `shift` [mm]. The camera calls `creep` at each exposure: the picture
+    changes by all of `creeping`, and stays where that has brought it, as a camera does whose tripod
+    has slipped.
     """
 
     up: UpAxis = UpAxis.Y
@@ -99,19 +103,19 @@ class Asset:
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """The standard deviations of a pose, and what its errors, and the frames that miss the body,
-    are drawn from: a generator of its own for each body.
+    """The standard deviations of a pose, and the body's own random numbers: its errors are drawn
+    from `random`, and so are the frames that miss it.
     """
 
-    position_mm: float = 0.0
-    heading_rad: float = 0.0
-    random: Random = field(default_factory=lambda: Random(0))
+    position_mm: float
+    heading_rad: float
+    random: Random
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class BodyTracking:
-    """Whether the system tracks a body, and in which share of the frames it misses it all the
-    same (`missing`); while it `repeats`, its pose stays the one seen last.
+    """Whether the system tracks a body, and the share of frames that miss a body that it tracks
+    (`missing`). While a body `repeats`, its pose stays as it is.
     """
 
     tracked: bool = True
@@ -121,34 +125,33 @@ class BodyTracking:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Displacement:
-    """Where a body is seen away from its robot, and how that grows at each exposure that gives it
-    a new pose.
+    """Where a body is seen away from its robot.
 
-    - `shift` [mm] is constant; `strayed` [mm] grows by `step` [mm], along the axes of the robot if
-      `along_robot`, else along those of the spec.
-    - `turned` [rad] grows by `turn` [rad].
-    - `height` [mm] is that above the floor.
+    Constant are `shift` [mm], `turned` [rad] and `height` [mm], that of the markers above the
+    floor. A body that strays goes on by `step` [mm], along the axes of the robot if `along_robot`,
+    and by `turn` [rad] at each exposure that gives it a new pose: by now `strayed` [mm] and
+    `strayed_turn` [rad].
     """
 
     shift: complex = 0j
-    strayed: complex = 0j
+    turned: float = 0.0
+    height: float = 60.0
     step: complex = 0j
     along_robot: bool = False
-    turned: float = 0.0
     turn: float = 0.0
-    height: float = 60.0
+    strayed: complex = 0j
+    strayed_turn: float = 0.0
 
-    def grow(self, robot_axes: complex) -> None:
-        """Let the body stray as it does from one exposure to the next; `robot_axes` is the
-        direction of the robot's heading."""
-        self.strayed += self.step * (robot_axes if self.along_robot else 1.0)
-        self.turned += self.turn
+    def stray(self, robot_direction: complex) -> None:
+        """Go on straying; `robot_direction` is the unit vector of the robot's heading."""
+        self.strayed += self.step * (robot_direction if self.along_robot else 1.0)
+        self.strayed_turn += self.turn
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Plate:
-    """How a marker plate has slipped on its robot: by `slip` [mm] along the robot's axes, and
-    turned by `turned` [rad].
+    """How the plate with the markers has slipped on its robot: by `slip` [mm] along the robot's
+    axes, with which it turns, and by an angle `turned` [rad].
     """
 
     slip: complex = 0j
@@ -157,71 +160,72 @@ class Plate:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class TrackedBody:
-    """One robot's rigid body. Faults set fields of its parts, and add to the `changes`, each of
-    which changes its pose.
+    """One robot's rigid body, as its parts say. Each of the `changes` alters its pose as it is
+    reported.
     """
 
     robot: Body
     asset: Asset
-    noise: PoseNoise = field(default_factory=PoseNoise)
+    noise: PoseNoise
     tracking: BodyTracking = field(default_factory=BodyTracking)
     displacement: Displacement = field(default_factory=Displacement)
     plate: Plate = field(default_factory=Plate)
     changes: list[BodyChange] = field(default_factory=list)
-    last_seen: RigidBody | None = None  # as seen last, before `changes`
+    last: RigidBody | None = None  # of the last exposure that gave it a new pose, unchanged
 
     def expose(self, view: View) -> RigidBody:
-        """Take an exposure: displace the body further and see it again, unless it is untracked or
-        repeats; return it as the cameras report it.
+        """Take an exposure; return the body as the cameras report it.
 
-        An untracked body has the pose at which it was seen last, without the changes; before it was
-        ever seen, its present one.
+        A body that they see has a new pose unless it repeats. One that they miss is reported as not
+        tracked, with its last pose and without the changes, which are of tracked poses. The first
+        exposure always gives it a pose.
         """
-        tracked = self._tracked_now()
-        if self.last_seen is None or (tracked and not self.tracking.repeats):
-            robot_axes = cmath.rect(1.0, self.robot.heading)
-            self.displacement.grow(robot_axes)
-            self.last_seen = self._seen(view, robot_axes)
-        body = self.last_seen
-        if not tracked:
+        is_seen = self._draw_seen()
+        if self.last is None or (is_seen and not self.tracking.repeats):
+            self.last = self._new_pose(view)
+        body = self.last
+        if not is_seen:
             return replace(body, tracking_valid=False)
         for change in self.changes:
             body = change(body)
         return body
 
-    def _tracked_now(self) -> bool:
-        """Draw whether this frame has the body; nothing is drawn for a body that none misses, so
-        that its errors are the same as without this fault."""
+    def _draw_seen(self) -> bool:
+        """Draw whether this frame has the body. Nothing is drawn for a body that no frame misses,
+        so that its errors are the same as without this fault."""
         if not self.tracking.tracked:
             return False
         missing = self.tracking.missing
-        return not missing or self.noise.random.random() >= missing
+        return missing == 0 or self.noise.random.random() >= missing
 
-    def _seen(self, view: View, robot_axes: complex) -> RigidBody:
-        """Return the body at its robot's pose, displaced and with noise; `robot_axes` is the
-        direction of the robot's heading."""
+    def _new_pose(self, view: View) -> RigidBody:
+        """Let the body stray; return it at its robot's pose, displaced and with noise."""
         robot = self.robot
-        off_mm = self.displacement.shift + self.displacement.strayed + self.plate.slip * robot_axes
-        turned_rad = self.displacement.turned + self.plate.turned - self.asset.offset
+        displaced = self.displacement
+        robot_direction = cmath.rect(1.0, robot.heading)
+        displaced.stray(robot_direction)
+        off_mm = displaced.shift + displaced.strayed + self.plate.slip * robot_direction
+        displaced_rad = displaced.turned + displaced.strayed_turn
+        turned_rad = displaced_rad + self.plate.turned - self.asset.offset
         draw = self.noise.random.gauss
         x = robot.x + off_mm.real + draw(0, self.noise.position_mm)
         y = robot.y + off_mm.imag + draw(0, self.noise.position_mm)
         heading = robot.heading + turned_rad + draw(0, self.noise.heading_rad)
-        return view.body(self.asset.number, x, y, heading, self.displacement.height)
+        return view.body(self.asset.number, x, y, heading, displaced.height)
 
 
-def nowhere(body: RigidBody) -> RigidBody:
-    """Return the body at a position that is not a number."""
+def without_position(body: RigidBody) -> RigidBody:
+    """Return the body with a position that is not a number."""
     return replace(body, position=(math.nan, math.nan, math.nan))
 
 
-def halved(body: RigidBody) -> RigidBody:
+def with_half_a_quaternion(body: RigidBody) -> RigidBody:
     """Return the body with a quaternion of norm 0.5."""
     x, y, z, w = body.quaternion
     return replace(body, quaternion=(x / 2, y / 2, z / 2, w / 2))
 
 
-def is_somewhere(body: RigidBody) -> bool:
+def has_a_pose(body: RigidBody) -> bool:
     """Return whether a body has a position, and a quaternion of norm 1."""
     norm_squared = sum(value * value for value in body.quaternion)
     return math.isfinite(sum(body.position)) and abs(norm_squared - 1.0) < 0.01

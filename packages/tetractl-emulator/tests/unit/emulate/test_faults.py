@@ -5,6 +5,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from random import Random
 from types import SimpleNamespace
 from typing import Any, get_args
 
@@ -17,7 +18,7 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.faults import Injector, Visible, fault_kind, setting
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.optitrack.scripted import FAULTS
-from tetractl_emulator.optitrack.tracked_body import Asset, TrackedBody, View
+from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
 from tetractl_emulator.process import PROCESS_FAULTS
 
 from tetractl.core.clock import SECOND
@@ -272,7 +273,7 @@ def test_a_picture_creeps_by_all_changes_and_stays_where_they_brought_it(tmp_pat
 def body_at_origin():
     """What the cameras track of a robot at the origin that looks along x."""
     robot = SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0)
-    return TrackedBody(robot, Asset(1, "green"))
+    return TrackedBody(robot, Asset(1, "green"), PoseNoise(0.0, 0.0, Random(0)))
 
 
 def begin_on(body, name, **fields):

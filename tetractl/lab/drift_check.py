@@ -20,9 +20,7 @@ squares by the best such motion (a generalised likelihood ratio over the time of
 cumulative sum is the case of known parameters). The grid begins with the trial, so a motion that
 was there from the start is found as far as no error of a wheel explains it. A lost packet matters
 the more the commands differ: so much more uncertain is the block, and by a fifth of it those up to
-a quarter second later. If several are lost in a row, a robot turns on as it was commanded before: a
-turn beyond what is expected, but between the turns commanded in the last quarter second, says
-nothing and is left out. Lengths are mm.
+a quarter second later. Lengths are mm.
 """
 
 from collections.abc import Sequence
@@ -32,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import UNSTATED, Bools, Floats, Pose, Sight
+from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
 from tetractl.lab.command_history import CommandHistory
 from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS, motion
 from tetractl.model.motion.rolling import rolled
@@ -55,8 +53,6 @@ LAGS = LOST / 5
 """What wheels of a lag of 80 ms leave of it 0.13 s later: from 0.18 s before on."""
 CLIP = 1.7
 """Standard deviations beyond which a residual counts no more."""
-
-AROUND = 2  # the axis of turns, after those along and across the heading
 
 # columns of the regressors, in the order of the module's equations
 RESIDUAL = 0  # motion that nominal wheels do not explain
@@ -323,7 +319,7 @@ class DriftCheck:
         for (then_ns, then), (now_ns, now) in pairwise(frames):
             way = motion(then, now) * (self._mm, self._mm, 1.0)
             block = MotionBlock(i, then, way, now_ns, now_ns - then_ns)
-            x, walk = self._regressors([block], way[None], self._commanded([block]))
+            x, walk = self._regressors([block], way[None])
             total = total + x[0]
             variance = variance + walk[0]
         regressors = total[:, KNOWN]
@@ -345,11 +341,10 @@ class DriftCheck:
         robots = [block.robot for block in blocks]
         return delayed_means[np.arange(len(blocks)), :, :, robots]
 
-    def _regressors(
-        self, blocks: Sequence[MotionBlock], motions: Floats, commanded: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return residuals and regressors (K, 3, COLUMNS) of blocks with the `motions` (K, 3) that
-        were `commanded` (K, 5, 2), and the variances (K, 3) of those motions."""
+    def _regressors(self, blocks: Sequence[MotionBlock], motions: Floats) -> tuple[Floats, Floats]:
+        """Return residuals and regressors (K, 3, COLUMNS) of blocks with the `motions` (K, 3), and
+        the variances (K, 3) of those motions."""
+        commanded = self._commanded(blocks)
         sent = commanded[:, : len(TAPS_NS)]
         dt_s = np.array([block.dt_ns / SECOND for block in blocks])
         v, w = sent[:, 0].T * dt_s
@@ -357,23 +352,24 @@ class DriftCheck:
         later = (sent[:, 1:] - sent[:, :1]) * dt_s[:, None, None]
         along = 0
         across = 1
+        around = 2
         x = np.zeros((len(blocks), 3, COLUMNS))
         x[:, :, RESIDUAL] = motions
         x[:, along, RESIDUAL] -= v
-        x[:, AROUND, RESIDUAL] -= w
+        x[:, around, RESIDUAL] -= w
         x[:, along, SPEED] = v
         x[:, along, DIFFERENCE] = w * r
         x[:, along, ASIDE] = w
         x[:, along, TAPS_ALONG] = later[:, :, 0]
         x[:, across, HEADING] = v
         x[:, across, FORWARD] = w
-        x[:, AROUND, SPEED] = w
-        x[:, AROUND, RADIUS] = w
-        x[:, AROUND, DIFFERENCE] = v / r if r else 0.0
-        x[:, AROUND, TAPS_AROUND] = later[:, :, 1]
+        x[:, around, SPEED] = w
+        x[:, around, RADIUS] = w
+        x[:, around, DIFFERENCE] = v / r if r else 0.0
+        x[:, around, TAPS_AROUND] = later[:, :, 1]
         x[:, :, OWN] = np.eye(3) * dt_s[:, None, None]
         x[:, :2, PICTURE] = self._picture_moves([block.before for block in blocks], dt_s)
-        x[:, AROUND, PICTURE.start + 2] = dt_s
+        x[:, around, PICTURE.start + 2] = dt_s
         unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt_s[:, None]
         before = np.abs(commanded[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]]
         before = before * dt_s[:, None]
@@ -400,8 +396,7 @@ class DriftCheck:
             return
         robots = [block.robot for block in blocks]
         motions = np.array([block.motion for block in blocks]) + self._carried[robots]
-        commanded = self._commanded(blocks)
-        x, walk = self._regressors(blocks, motions, commanded)
+        x, walk = self._regressors(blocks, motions)
         spread = np.sqrt(2 * self._noise**2 + walk)
         x /= spread[:, :, None]
         regressors = x[:, :, KNOWN]
@@ -410,9 +405,6 @@ class DriftCheck:
         residual = x[:, :, RESIDUAL].copy()
         x[:, :, RESIDUAL] = np.clip(residual, expected - bound, expected + bound)
         self._carried[robots, :2] = ((residual - x[:, :, RESIDUAL]) * spread)[:, :2]
-        is_beyond = np.abs(residual - expected) > bound
-        turned_on = _turns_as_before(blocks, motions, commanded, CLIP * spread[:, AROUND])
-        x[is_beyond[:, AROUND] & turned_on, AROUND] = 0.0
         self._sums[robots] += x.swapaxes(1, 2) @ x
 
     def _fault(self) -> DriftFault:
@@ -514,14 +506,3 @@ class DriftCheck:
                 left_error, right_error, _ = errors[i]
                 return DriftFault(WRONG.format(name, left_error, right_error))
         return NO_FAULT
-
-
-def _turns_as_before(
-    blocks: Sequence[MotionBlock], motions: Floats, commanded: Floats, slack: Floats
-) -> Bools:
-    """Return of which blocks (K,) the turn lies, within a slack (K,) [rad], between the turns that
-    were commanded with the delays of BEFORE_NS (K, 5, 2): several packets in a row were lost."""
-    dt_s = np.array([block.dt_ns / SECOND for block in blocks])
-    turns = commanded[:, :, 1] * dt_s[:, None]
-    turned = motions[:, AROUND]
-    return (turned > turns.min(axis=1) - slack) & (turned < turns.max(axis=1) + slack)

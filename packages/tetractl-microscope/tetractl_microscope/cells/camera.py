@@ -23,6 +23,7 @@ from tetractl_microscope.cells.field_signals import FieldSignals
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
+from tetractl_microscope.cells.robot_cells import RobotCells
 from tetractl_microscope.cells.section import CellsSection, Lengths
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.choice.candidate import RobotCandidate
@@ -34,6 +35,7 @@ BACKGROUND = 15  # about the number of pictures that show the background; half s
 WIDER = 1.5  # deviations found in films over those of the filter, which fits no cell's noise
 MEAN_S = 2.0  # time from which a cell's speed is the mean since it was first seen [s]
 ADDED = 1024  # most messages queued, of which the oldest are dropped
+NO_CELL = -1  # number of a robot's cell before all robots were seen in one picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,7 @@ class CellSpeed:
 @dataclass(frozen=True, slots=True)
 class CellsInView:
     """The cells of the picture exposed at `now_s` [s], and when each track was `first` in view.
+    Knocks have moved what the picture shows by `moved_um` [um], along its rows and up.
 
     The searching thread replaces it as a whole, since another thread reads it.
     """
@@ -62,14 +65,19 @@ class CellsInView:
     cells: Sequence[SeenCell] = ()
     now_s: float = 0.0
     first: Mapping[int, FirstSight] = field(default_factory=dict)
+    moved_um: tuple[float, float] = (0.0, 0.0)
 
-    def followed_by(self, cells: Sequence[SeenCell], now_s: float) -> "CellsInView":
-        """Return the view of the next picture."""
+    def followed_by(
+        self, cells: Sequence[SeenCell], now_s: float, shift_um: tuple[float, float]
+    ) -> "CellsInView":
+        """Return the view of the next picture, in which a knock has moved everything by
+        `shift_um` [um]."""
         first = {
             cell.track: self.first.get(cell.track, FirstSight(now_s, float(cell.mean[WAY])))
             for cell in cells
         }
-        return CellsInView(cells, now_s, first)
+        moved_um = (self.moved_um[0] + shift_um[0], self.moved_um[1] + shift_um[1])
+        return CellsInView(cells, now_s, first, moved_um)
 
     def speed(self, cell: SeenCell) -> CellSpeed:
         """Return the mean speed of a cell in view since it was first seen; the filter's present one
@@ -108,15 +116,6 @@ class LearningPictures:
         return pictures if is_enough else []
 
 
-@dataclass(slots=True)
-class RobotCells:
-    """The cells that are the robots: their `numbers` (N,), None before all were seen in one
-    picture, and the robots from whose blob another cell has `divided`."""
-
-    numbers: list[int] | None = None
-    divided: set[int] = field(default_factory=set)
-
-
 class PictureNews:
     """What there is to say of each picture besides its frame: messages for the log, and how sure
     the robots' cells are `identified`, for a watch."""
@@ -148,7 +147,8 @@ class CellCamera(PictureCamera[SeenDish]):
     have met are distinguished only by their paths.
 
     A thread of the base class searches the pictures: `_see` and what it calls. The trial's thread
-    calls the rest; it changes which cells are the robots by `settle` and `replace`.
+    changes which cells are the robots, by `settle` and `replace`: `robot_cells` has the rule by
+    which neither disturbs the other. A frame in which others were the robots is dropped.
     """
 
     def __init__(
@@ -161,17 +161,17 @@ class CellCamera(PictureCamera[SeenDish]):
     ) -> None:
         super().__init__(section, clock, wake, join)
         self.section = section
-        self._setup = setup
-        self._moved_um = 0.0, 0.0  # by how much knocks have moved what the pictures show
-        self._tracker = CellTracker(
+        self._arena = setup.arena  # and its length unit: the same in each setup of a dish
+        self._metres = setup.metres
+        self._view = CellsInView()
+        self._tracker = CellTracker(  # asks for walls at once
             section.um_px,
             field_known=True,
             near_wall=self._near_wall,
             organism=named(section.organism),
         )
         self._learning = LearningPictures(section.learning)
-        self._view = CellsInView()
-        self._robots = RobotCells()
+        self._robots = RobotCells(setup)
         self._news = PictureNews()
         self._sent = FieldSignals()
 
@@ -188,18 +188,19 @@ class CellCamera(PictureCamera[SeenDish]):
         """
         view = self._view
         sure = [cell for cell in view.cells if cell.has_blob and cell.probability >= SURE]
-        return [self._candidate(cell, view.speed(cell)) for cell in sure]
+        return [self._candidate(cell, view) for cell in sure]
 
-    def _candidate(self, cell: SeenCell, speed: CellSpeed) -> RobotCandidate:
-        """Return a cell of this mean speed as a candidate."""
-        per_um = 1e-6 / self._setup.metres
+    def _candidate(self, cell: SeenCell, view: CellsInView) -> RobotCandidate:
+        """Return a cell in view as a candidate."""
+        speed = view.speed(cell)
+        per_um = 1e-6 / self._metres
         a = float(cell.mean[A])
         a_sd = math.hypot(WIDER * float(cell.sd[A]), A_ERROR * a)
         x, y = np.array([[cell.x], [cell.y]])
-        is_free = not self._near_wall(x, y).item()
+        is_free = not self._near_wall_in(view, x, y).item()
         return RobotCandidate(
             cell.identity,
-            self._pose_of(cell),
+            self._pose_of(cell, view),
             a,
             a_sd,
             speed.um_s * per_um,
@@ -209,25 +210,29 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Track the cells with these numbers as the robots of a setup from now on."""
-        self._setup = setup
-        self._robots = RobotCells(list(numbers))
+        robots = RobotCells(setup)
+        robots.bind(numbers)
+        self._robots = robots
 
     @property
     def robots(self) -> Sequence[int]:
         """The numbers of the robots' cells; empty before all were seen in one picture."""
-        return tuple(self._robots.numbers or ())
+        return self._robots.numbers
 
     @property
     def divided(self) -> Collection[int]:
         """The robots from whose blob another cell separated."""
-        return tuple(self._robots.divided)  # a copy: another thread adds to it
+        return self._robots.divided
 
     def replace(self, robot: int, number: int) -> None:
         """From now on, track the cell with this number as the robot with the index `robot`."""
         robots = self._robots
-        assert robots.numbers is not None, "only a robot that was seen can be replaced"
-        robots.numbers[robot] = number
-        robots.divided.discard(robot)
+        assert robots.cells, "only a robot that was seen can be replaced"
+        self._robots = robots.with_replaced(robot, number)
+
+    def _is_current(self, seen: SeenDish) -> bool:
+        """Return whether the robots were those of now when a picture was searched."""
+        return seen.robots is self._robots
 
     def additions(self) -> list[FrameAddition]:
         """Return the messages of each frame since the last call, oldest first."""
@@ -244,7 +249,7 @@ class CellCamera(PictureCamera[SeenDish]):
         looks = self._look()
         problems, warnings = self._stream_lines(looks)
         width_px = named(self.section.organism).body_um[1] / self.section.um_px
-        wrong, doubtful = dish_lines(self._setup.names, looks, width_px)
+        wrong, doubtful = dish_lines(self._robots.setup.names, looks, width_px)
         facts = {
             "source": self.section.source_name,
             "scale": f"{self.section.um_px:g} um/px",
@@ -266,21 +271,27 @@ class CellCamera(PictureCamera[SeenDish]):
             self._learn(picture, exposed_ns)
             return None
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
-        self._follow_knock(finder.light.shift_px)
-        self._view = self._view.followed_by(cells, exposed_ns / SECOND)
-        identities = self._bind(cells)
-        self._note_divisions(identities)
-        by_identity = {cell.identity: cell for cell in cells}
-        robots = [by_identity.get(identity) for identity in identities]
-        probability = np.array([np.nan if cell is None else cell.probability for cell in robots])
+        view = self._view.followed_by(
+            cells, exposed_ns / SECOND, self._shift_um(finder.light.shift_px)
+        )
+        self._view = view
+        robots = self._robots  # taken once: the trial's thread may replace it at any time
+        if not robots.cells:
+            robots.bind(self._nearest_to_starts(view, robots.setup))
+        robots.note_divisions({born.divided for born in self._tracker.born})
+        numbers = robots.numbers or (NO_CELL,) * len(robots.setup.names)
+        by_number = {cell.identity: cell for cell in cells}
+        tracked = [by_number.get(number) for number in numbers]
+        probability = np.array([np.nan if cell is None else cell.probability for cell in tracked])
         self._news.add(picture, exposed_ns, finder.background, probability)
         return SeenDish(
-            poses=tuple(None if cell is None else self._pose_of(cell) for cell in robots),
-            strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),
+            robots=robots,
+            poses=tuple(None if cell is None else self._pose_of(cell, view) for cell in tracked),
+            strangers=tuple(self._pose_of(c, view) for c in cells if c.identity not in numbers),
             light=finder.light,
             level=float(np.median(picture[::8, ::8])),
             sharpness=_sharpness(picture, cells, self.section.um_px, finder.light),
-            sure=min((cell.probability for cell in robots if cell is not None), default=0.0),
+            sure=min((cell.probability for cell in tracked if cell is not None), default=0.0),
         )
 
     def _learn(self, picture: Grey, exposed_ns: int) -> None:
@@ -289,52 +300,43 @@ class CellCamera(PictureCamera[SeenDish]):
         if pictures:
             self._tracker.finder.learn(pictures)
 
-    def _follow_knock(self, shift_px: tuple[float, float]) -> None:
-        """Add the shift since the picture before, in columns and in rows, which run down; the
-        tracker compared its cells with walls at the place before.
-        """
+    def _shift_um(self, shift_px: tuple[float, float]) -> tuple[float, float]:
+        """Return a shift, given in columns and in rows, which run down, along rows and up [um]."""
         columns, rows = shift_px
-        um_px = self.section.um_px
-        self._moved_um = self._moved_um[0] + columns * um_px, self._moved_um[1] - rows * um_px
+        return columns * self.section.um_px, -rows * self.section.um_px
 
-    def _note_divisions(self, identities: Sequence[int]) -> None:
-        """Note the robots from whose blobs another cell has separated in this picture."""
-        mothers = {born.divided for born in self._tracker.born}
-        self._robots.divided |= {i for i, number in enumerate(identities) if number in mothers}
-
-    def _bind(self, cells: Sequence[SeenCell]) -> list[int]:
-        """Return the numbers of the robots' cells, which the first picture with enough cells binds;
-        -1 before.
-        """
-        if self._robots.numbers is not None:
-            return self._robots.numbers
-        count = len(self._setup.names)
-        if len(cells) < count:
-            return [-1] * count
-        starts = self._setup.starts.array()[:, :2]
-        places = np.array([self._placed(c.x, c.y) for c in cells])
+    def _nearest_to_starts(self, view: CellsInView, setup: Setup) -> Sequence[int]:
+        """Return the numbers of the cells nearest to the robots' starts, none if there are fewer
+        cells than robots."""
+        if len(view.cells) < len(setup.names):
+            return ()
+        starts = setup.starts.array()[:, :2]
+        places = np.array([self._placed(view, cell.x, cell.y) for cell in view.cells])
         gaps = np.linalg.norm(starts[:, None] - places[None], axis=-1)
-        chosen = linear_sum_assignment(gaps)[1]
-        numbers = [cells[int(j)].identity for j in chosen]
-        self._robots.numbers = numbers
-        return numbers
+        nearest = linear_sum_assignment(gaps)[1]
+        return [view.cells[int(j)].identity for j in nearest]
 
-    def _pose_of(self, cell: SeenCell) -> Pose:
-        """Return the pose of a cell in the spec's coordinates."""
-        x, y = self._placed(cell.x, cell.y)
+    def _pose_of(self, cell: SeenCell, view: CellsInView) -> Pose:
+        """Return the pose of a cell in view in the spec's coordinates."""
+        x, y = self._placed(view, cell.x, cell.y)
         return Pose(x, y, cell.heading + self.section.rotation)
 
-    def _placed(self, x: Lengths, y: Lengths) -> tuple[Lengths, Lengths]:
-        """Return positions in the spec's coordinates, which are the dish's: a knock moves neither
-        targets nor walls.
+    def _placed(self, view: CellsInView, x: Lengths, y: Lengths) -> tuple[Lengths, Lengths]:
+        """Return positions in the picture [um] in the spec's coordinates, which are the dish's: a
+        knock moves neither targets nor walls.
         """
-        off_x, off_y = self._moved_um
-        return self.section.placed(x - off_x, y - off_y, self._setup.metres)
+        off_x, off_y = view.moved_um
+        return self.section.placed(x - off_x, y - off_y, self._metres)
 
     def _near_wall(self, x: Floats, y: Floats) -> Bools:
-        """Return whether a wall may turn cells at positions (R,) in the picture [um]."""
-        inside = self._setup.arena.inside(*self._placed(x, y))
-        return inside < WALL_UM * 1e-6 / self._setup.metres
+        """Return whether a wall may turn cells at positions (R,) in the picture [um]; the tracker
+        asks before it is known whether a knock has moved the newest picture."""
+        return self._near_wall_in(self._view, x, y)
+
+    def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:
+        """Return whether a wall may turn cells at positions (R,) in the picture of a view [um]."""
+        inside = self._arena.inside(*self._placed(view, x, y))
+        return inside < WALL_UM * 1e-6 / self._metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] in the picture's axes, by the directions sent."""

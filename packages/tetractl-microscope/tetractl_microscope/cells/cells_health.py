@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from tetractl.core.poses import Pose
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import SURE
+from tetractl_microscope.cells.robot_cells import RobotCells
 from tetractl_microscope.pictures.looks import Look
 
 DARK = 12.0  # median grey level at which a picture is too dark
@@ -18,13 +19,15 @@ SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is g
 
 @dataclass(frozen=True, slots=True)
 class SeenDish:
-    """The results of one picture: the robots' poses, other cells, light and sharpness.
+    """The results of one picture: the robots at that time, their poses, other cells, light and
+    sharpness.
 
     `sure` is the least probability of the identity of a robot in view, 0 if none is in view.
     `level` is the median of the picture's grey levels. `sharpness` is the median, over cells, of
     the steepest slope at the rim divided by the contrast [1/px]; None without cells.
     """
 
+    robots: RobotCells
     poses: tuple[Pose | None, ...]
     strangers: tuple[Pose, ...]
     light: Light

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 import cv2
@@ -42,6 +43,14 @@ class SearchedPicture(Protocol):
 S = TypeVar("S", bound=SearchedPicture)
 
 
+@dataclass(frozen=True, slots=True)
+class FreshFrame(Generic[S]):
+    """A frame that was not returned yet, and what was seen in its picture."""
+
+    frame: CameraFrame
+    seen: S
+
+
 class PictureCamera(ABC, Generic[S]):
     """Base class of cameras that track robots in pictures; subclasses implement `_see` and `check`.
 
@@ -62,7 +71,7 @@ class PictureCamera(ABC, Generic[S]):
         self._join = join
         self._clock = clock
         self._wake = wake
-        self._fresh: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
+        self._fresh: deque[FreshFrame[S]] = deque(maxlen=WAITING_MAX)
         self._looks: deque[Look[S]] = deque(maxlen=LOOKS)
         self._feed: Feed | None = None
         self._size: tuple[int, ...] | None = None
@@ -95,7 +104,12 @@ class PictureCamera(ABC, Generic[S]):
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first."""
-        return drained(self._fresh)
+        return [fresh.frame for fresh in drained(self._fresh) if self._is_current(fresh.seen)]
+
+    def _is_current(self, seen: S) -> bool:
+        """Return whether what was seen in a picture is of the present robots, as it is unless a
+        subclass can go on with others."""
+        return True
 
     def __enter__(self) -> Self:
         """Open the source and wait for a first frame; AbortError if none comes."""
@@ -212,7 +226,7 @@ class PictureCamera(ABC, Generic[S]):
         if looked is None:
             return
         frame = CameraFrame(number, exposed, picture.received_ns, looked.poses, looked.strangers)
-        self._fresh.append(frame)
+        self._fresh.append(FreshFrame(frame, looked))
         self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, looked))
         with self._changed:
             self._changed.notify_all()

@@ -106,7 +106,7 @@ def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
     ]
     assert len(off) > 20
     assert np.abs(np.median(off, axis=0)).max() < 6
-    assert cells._moved_um == pytest.approx((right * 2.3, -down * 2.3), abs=3)
+    assert cells._view.moved_um == pytest.approx((right * 2.3, -down * 2.3), abs=3)
 
 
 def test_a_picture_that_comes_again_is_no_frame(tmp_path):
@@ -195,6 +195,7 @@ def looks(**changes):
     from tetractl.core.poses import Pose
 
     values = {
+        "robots": None,  # which cells they are does not matter to what is said
         "poses": (Pose(0, 0, 0), Pose(1, 1, 0)),
         "strangers": (),
         "light": LIGHT,

@@ -94,7 +94,8 @@ class CellsInView:
 
 
 class LearningPictures:
-    """The pictures of the first `learning_s` [s], from which the background is computed."""
+    """The pictures of the first `learning_s` [s], from which the background is computed; all have
+    one shape, as the base class refuses others."""
 
     def __init__(self, learning_s: float) -> None:
         self._learning_s = learning_s
@@ -109,8 +110,7 @@ class LearningPictures:
         pictures = self._pictures
         is_due = passed_s >= len(pictures) * self._learning_s / BACKGROUND
         if is_due:
-            fits = not pictures or picture.shape == pictures[0].shape
-            pictures = [*pictures, picture] if fits else [picture]
+            pictures = [*pictures, picture]
         is_enough = passed_s >= self._learning_s and len(pictures) >= BACKGROUND // 2
         self._pictures = [] if is_enough else pictures
         return pictures if is_enough else []

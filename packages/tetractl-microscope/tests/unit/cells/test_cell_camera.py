@@ -26,6 +26,8 @@ from tetractl.lab.inner_loop import InnerLoop
 
 pytestmark = pytest.mark.slow
 
+LOADED_S = 1e6  # no load makes a film take so long; nothing waits for it to pass [s]
+
 SPEC = """
 name: dish
 units: {{length: um}}
@@ -34,7 +36,7 @@ robots:
   - {{name: first, start: [{0}, {1}], target: [600, 600], a: 4, speed: 300}}
   - {{name: second, start: [{2}, {3}], target: [500, 600], a: 3, speed: 300}}
 lab:
-  camera: {{type: cells, source: {{type: file, path: '{4}'}}, um_px: 2.3, learning: 0.5{5}}}
+  camera: {{type: cells, source: {{type: file, path: '{4}'}}, um_px: 2.3, learning: 0.5, connect: {6}{5}}}
   actuator:
     type: field
     port: nowhere
@@ -53,7 +55,7 @@ def dish(folder, change=lambda picture: picture):
 
 
 def camera(path, starts, extra="", clock=None):
-    text = SPEC.format(*np.round(starts, 1).ravel(), path, extra)
+    text = SPEC.format(*np.round(starts, 1).ravel(), path, extra, LOADED_S)
     experiment = parse_spec(text, "dish").experiment
     camera = experiment.lab.camera.build(experiment.setup, clock or VirtualClock(), lambda: None)
     return experiment, camera
@@ -64,7 +66,7 @@ def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path
     starts = synthetic.body[25, [1, 0], :2]  # the other way round
     _, cells = camera(path, starts)
     with cells:
-        assert cells._wait(lambda: bool(cells._ended), 120.0)
+        assert cells._wait(lambda: bool(cells._ended), LOADED_S)
         frames = cells.frames()
         health = cells.check()
     checked = 0
@@ -92,7 +94,7 @@ def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
     synthetic, path = dish(tmp_path, knocked)
     _, cells = camera(path, synthetic.body[25, :, :2])
     with cells:
-        assert cells._wait(lambda: bool(cells._ended), 120.0)
+        assert cells._wait(lambda: bool(cells._ended), LOADED_S)
         frames = cells.frames()
     off = [
         (

@@ -2,27 +2,35 @@
 neither fill the computer's memory nor hang the command:
 `python -m tetractl_microscope.film.decode FILM`.
 
+The time is that of the processor, so that no film is refused because the computer is busy; what
+would wait without end, a pipe, is not opened. One thread decodes, so that the memory a film needs
+does not depend on how many processors the computer has.
+
 Writes what the film states and an error, one of which is None, and then its pictures: grey levels
 (height, width), or None for one that is damaged, or not as large as most; each with the time from
 the first [s] that its container's clock states, or None; all by `pickle`.
 """
 
-import faulthandler
 import math
 import os
 import pickle
+import signal
 import sys
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from statistics import mode
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import cv2
 
 from tetractl.core.errors import AbortError, TetractlError, UsageError, printable
 from tetractl_microscope.film import film_source as films
 
 MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B]
-PATIENCE_S = 20.0  # longest time to read the tags, or to decode a picture [s]
+# longest time of the processor to read the tags, or to decode a picture [s]; chosen: a picture of
+# 4096 x 4096 px takes 0.1 to 0.5 s
+PATIENCE_S = 20.0
 HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index take, CZI and ND2
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
 NO_SIZE = (0, 0)  # of a picture that cannot be read
@@ -37,7 +45,7 @@ MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
 
 def main(path: Path, out: BinaryIO) -> None:
     """Write the film at a path."""
-    faulthandler.dump_traceback_later(PATIENCE_S, exit=True)
+    _limit_time()
     try:
         source = _opened(path)
         shots = source.pictures()
@@ -59,7 +67,6 @@ def main(path: Path, out: BinaryIO) -> None:
     stated = {name: getattr(source, name) for name in source.__slots__ if name not in FUNCTIONS}
     pickle.dump((stated | {"has_clock": first.seconds is not None}, None), out)
     for shot in chain([first], shots):
-        faulthandler.cancel_dump_traceback_later()  # the command may read slowly
         shape = NO_SIZE if shot.pixels is None else shot.pixels.shape[:2]
         size = shape if size == NO_SIZE else size
         if shot.pixels is None or shape != size or math.prod(shape) > films.PIXELS_MAX:
@@ -70,7 +77,7 @@ def main(path: Path, out: BinaryIO) -> None:
         if shot.seconds is not None and first.seconds is not None:
             passed = shot.seconds - first.seconds
         pickle.dump((grey, passed), out)
-        faulthandler.dump_traceback_later(PATIENCE_S, exit=True)
+        _limit_time()
 
 
 def _opened(path: Path) -> films.FilmSource:
@@ -105,6 +112,25 @@ def _opened(path: Path) -> films.FilmSource:
         raise UsageError(f"{path}: cannot be read as a film: {said}") from error
 
 
+def _limit_time() -> None:
+    """Let this process be ended once it has used the processor for PATIENCE_S from now on; Windows
+    has no such limit.
+    """
+    if sys.platform != "win32":
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_PROF, PATIENCE_S)
+
+
+def _refuse_pipe(event: str, arguments: tuple[Any, ...]) -> None:
+    """Raise OSError if a pipe is about to be opened, which would wait for one who writes to it: the
+    tags of a film may name one. An audit hook of Python.
+    """
+    if event == "open" and isinstance(arguments[0], str | bytes):
+        path = Path(os.fsdecode(arguments[0]))
+        if path.is_fifo():
+            raise OSError(f"{path} is a pipe")
+
+
 def _limit_memory() -> None:
     """Limit the memory of this process, on Linux."""
     with suppress(ImportError, OSError, ValueError):
@@ -118,5 +144,7 @@ def _limit_memory() -> None:
 if __name__ == "__main__":
     with os.fdopen(os.dup(1), "wb") as stream:
         os.dup2(2, 1)  # what a library prints is not part of the film
+        sys.addaudithook(_refuse_pipe)
+        cv2.setNumThreads(1)  # each thread takes memory
         _limit_memory()
         main(Path(sys.argv[1]), stream)

@@ -190,7 +190,7 @@ def _decoded(path: Path) -> Iterator[Any]:
             yield pickle.load(stream)
     except (EOFError, pickle.UnpicklingError):  # the process has ended
         if process.wait():
-            said = f"{path}: cannot be decoded in 20 s and 320 MB"
+            said = f"{path}: cannot be decoded in 20 s of the processor and 320 MB"
             raise UsageError(said, "is the film damaged?") from None
     finally:
         process.kill()

@@ -36,7 +36,8 @@ robots:
   - {{name: first, start: [{0}, {1}], target: [600, 600], a: 4, speed: 300}}
   - {{name: second, start: [{2}, {3}], target: [500, 600], a: 3, speed: 300}}
 lab:
-  camera: {{type: cells, source: {{type: file, path: '{4}'}}, um_px: 2.3, learning: 0.5, connect: {6}{5}}}
+  camera:
+    {{type: cells, source: {{type: file, path: '{4}'}}, um_px: 2.3, learning: 0.5, connect: {6}{5}}}
   actuator:
     type: field
     port: nowhere

@@ -2,8 +2,10 @@
 
 import io
 import pickle
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -22,8 +24,14 @@ from support.film_containers import (
     stack,
 )
 from support.hostile_films import BOMBS, outcome
-from support.needs_opencv import cv2
-from tetractl_microscope.film.film_source import FilmSource, grey_levels, grey_scale, nd2_film
+from support.needs_opencv import cv2, video
+from tetractl_microscope.film.film_source import (
+    FilmSource,
+    grey_levels,
+    grey_scale,
+    nd2_film,
+    video_film,
+)
 from tetractl_microscope.film.pictures import open_film
 
 from tetractl.core.errors import TetractlError, UsageError
@@ -32,7 +40,7 @@ pytestmark = pytest.mark.slow
 
 PROJECT = Path(__file__).parents[3] / "pyproject.toml"
 COUNT = 6
-SLOW = {"many large pictures", "fifo named by tags", "deflate bomb"}
+SLOW = {"many large pictures", "deflate bomb"}
 
 
 def made(count=COUNT, side=64):
@@ -217,3 +225,69 @@ def test_the_decoder_has_no_more_memory_than_it_says(tmp_path):
     assert stated["count"] == 1
     assert error is None
     assert picture == (None, None)
+
+
+HELD = """
+import sys
+from pathlib import Path
+from tetractl_microscope.film import decode
+from tetractl_microscope.film.film_source import FilmSource
+read = FilmSource._picture
+def held(source, index):
+    sys.stderr.write("reading\\n")
+    sys.stderr.flush()
+    {0}
+    return read(source, index)
+FilmSource._picture = held
+decode.PATIENCE_S = {1}
+decode.main(Path(sys.argv[1]), sys.stdout.buffer)
+"""
+"""A decoder with little patience that does something before it reads a picture."""
+LITTLE_S = 0.5  # ten times what the decoder needs of the processor for a small film
+
+
+def held_decoder(path, what):
+    words = [sys.executable, "-P", "-c", HELD.format(what, LITTLE_S), str(path)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=pipe)
+
+
+@pytest.mark.long
+def test_a_film_is_read_however_long_the_decoder_waits_for_the_processor(tmp_path):
+    """The test uses the processor for twice the limit, while the decoder cannot go on."""
+    path = video(tmp_path / "film.avi", made(2))
+    with held_decoder(path, "sys.stdin.readline()") as decoder:
+        assert decoder.stderr.readline() == b"reading\n"
+        used_s = time.process_time()
+        while time.process_time() - used_s < 2 * LITTLE_S:
+            pass
+        output, _ = decoder.communicate(b"\n" * 3)
+    assert decoder.returncode == 0
+    with io.BytesIO(output) as written:
+        _, error = pickle.load(written)
+        pictures = [pickle.load(written)[0] for _ in range(2)]
+    assert error is None
+    assert [picture.shape for picture in pictures] == [(64, 80)] * 2
+
+
+@pytest.mark.long
+def test_a_picture_that_takes_the_processor_without_end_ends_the_decoder(tmp_path):
+    path = video(tmp_path / "film.avi", made(2))
+    with held_decoder(path, "while True: pass") as decoder:
+        decoder.communicate()
+    assert decoder.returncode == -signal.SIGPROF
+
+
+def test_one_thread_decodes_a_film_on_a_computer_of_any_size(tmp_path, monkeypatch):
+    """Each thread has pictures of its own: 16 need more memory than a decoder has."""
+    opened = []
+    capture_class = cv2.VideoCapture
+
+    def noted(*words):
+        opened.append(capture_class(*words))
+        return opened[-1]
+
+    monkeypatch.setattr(cv2, "VideoCapture", noted)
+    source = video_film(video(tmp_path / "film.mp4", made(2), codec="mp4v"))
+    assert len([picture for picture in source.pictures() if picture is not None]) == 2
+    assert [capture.get(cv2.CAP_PROP_N_THREADS) for capture in opened] == [1]

@@ -200,7 +200,7 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
     base = Base(study.base if isinstance(study.base, dict) else folder / study.base)
     if isinstance(base.source, Path) and not base.source.exists():
         text = f"there is no such file: {printable(str(base.source))}{near_files(base.source)}"
-        raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
+        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
     _refuse_study_as_base(base, document)
     arms = _arms(study, base, document)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
@@ -213,7 +213,7 @@ def _refuse_study_as_base(base: Base, document: Document) -> None:
     """Raise InvalidSpecError, at the study's base, if that is a study."""
     if isinstance(base.source, Path) and _has_keys_of_study(base.document):
         text = "is a study, not a spec, as a base must be"
-        raise InvalidSpecError([document.place(("base",)).problem(("base",), text, base.named)])
+        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
 
 
 def _arms(study: Study, base: Base, document: Document) -> list[Arm]:
@@ -294,7 +294,7 @@ def _combinations(study: Study, document: Document) -> Iterable[Combination]:
     count = len(points) * len(controllers)
     if count > MAX_ARMS:
         text = f"gives {count} arms; a study has at most {MAX_ARMS}"
-        raise InvalidSpecError([document.place(("sweep",)).problem(("sweep",), text)])
+        raise InvalidSpecError([document.problem_at(("sweep",), text)])
     for controller, fields in controllers.items():
         of_controller = [
             PlacedSetting.of(path, value, ("controllers", controller, path))
@@ -325,8 +325,7 @@ def _arm(base: Base, study: Study, combination: Combination, document: Document)
         path, _, _ = setting.text.partition("=")
         if path.split(".")[0] == "trials":
             text = "cannot be swept; give count and seed in the study's 'trials:'"
-            place = document.place(setting.loc)
-            raise InvalidSpecError([place.problem(setting.loc, text)])
+            raise InvalidSpecError([document.problem_at(setting.loc, text)])
     sets = tuple(setting.text for setting in settings)
     trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
     try:
@@ -349,15 +348,14 @@ def _arm(base: Base, study: Study, combination: Combination, document: Document)
 
 def _check_runs(spec: LoadedSpec, base: Base, document: Document) -> None:
     """Raise InvalidSpecError, at the study's base, if a study cannot run a spec."""
-    loc: Loc = ("base",)
     if not spec.experiment.plant.simulated:
         text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
-        raise InvalidSpecError([document.place(loc).problem(loc, text, base.named)])
+        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
     try:
         check(spec.experiment)
     except SpecError as error:
-        place = document.place(loc)
-        raise InvalidSpecError([place.problem(loc, error.message, base.named)]) from None
+        problem = document.problem_at(("base",), error.message, base.named)
+        raise InvalidSpecError([problem]) from None
 
 
 def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Document) -> SpecProblem:
@@ -371,7 +369,7 @@ def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Docume
     text = problem.message
     if problem.field not in ("", path):
         text = f"{problem.field}: {text}"
-    located = document.place(loc).problem(loc, text, problem.value)
+    located = document.problem_at(loc, text, problem.value)
     return replace(located, field=dotted(loc))
 
 
@@ -380,13 +378,13 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
     units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
     if len(units) > 1:
         text = f"has arms in {' and '.join(units)}, but a table has one length unit"
-        yield document.place(("sweep",)).problem(("sweep",), text)
+        yield document.problem_at(("sweep",), text)
     arm_of: dict[tuple[str, str], Arm] = {}
     for arm in arms:
         twin = arm_of.setdefault((arm.controller, arm.hash), arm)
         if twin is not arm:
             text = f"gives the arm {arm.name} twice, once as {twin.name}; keep one"
-            yield document.place(("sweep",)).problem(("sweep",), text)
+            yield document.problem_at(("sweep",), text)
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:

@@ -67,6 +67,10 @@ class Document:
             loc = loc[:-1]
         return self.values.get(loc) or Place(self.origin)
 
+    def problem_at(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
+        """Return a problem at the location of a value."""
+        return self.place(loc).problem(loc, message, value)
+
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     """Read a spec file, or one that a spec names; InvalidSpecError if it is missing, is larger than

@@ -37,6 +37,16 @@ RAMP = 0.2, 0.6  # differences between which a weight rises, relative to the bod
 BODIES = 4  # bodies in a region
 NEXT = 0.5  # least peak of each, relative to the first's
 KNOCK = 1.1, 0.0003  # factor and fraction by which a knock makes more of the picture change
+USUAL_SHARE = 0.05  # weight of a picture in the mean changed fraction: 20 pictures; chosen
+# light relative to the background's, beyond which a picture is compared as it is: it is nearly
+# black, or the background is; chosen, and far beyond what a lamp is turned by
+GAIN_LEAST = 0.05
+GAIN_MOST = 20.0
+# standard deviations in a median absolute deviation, if noise is normal: 1 / 0.6745, rounded
+NORMAL_MAD = 1.48
+USUAL_SPAN = (
+    2.0  # least span above their median of averaged differences without cells [grey levels]
+)
 LOST = 5  # pictures lost until learning begins again
 EVERY = 3  # it learns from the pictures of one of so many stripes
 AGAIN = 9  # and begins again from so many
@@ -131,6 +141,26 @@ class Background:
         self.grey[rows] = cv2.convertScaleAbs(fine)
 
 
+class SearchLimits(NamedTuple):
+    """A body's averaged differences are above `low` and, somewhere, above `high` [grey levels], and
+    it covers from `least_px2` to `most_px2` pixels.
+    """
+
+    low: float
+    high: float
+    least_px2: float
+    most_px2: float
+
+    @property
+    def level(self) -> float:
+        """The mean of averaged differences where there is no body."""
+        return self.low - (self.high - self.low) * LOW / (HIGH - LOW)
+
+
+NO_BODY = SearchLimits(low=math.inf, high=math.inf, least_px2=0.0, most_px2=0.0)
+"""The limits before a picture was compared with the background, which nothing exceeds."""
+
+
 class SearchArrays:
     """The newest picture, and what differs in it from the background; of pictures of one shape.
 
@@ -139,9 +169,8 @@ class SearchArrays:
     the background was updated by it last, `stripe` the stripe that is next.
     """
 
-    limits: "SearchLimits"
-
     def __init__(self, picture: Grey) -> None:
+        self.limits = NO_BODY
         self.smooth: Grey = np.zeros_like(picture)
         self.difference: Grey = np.zeros_like(picture)
         self.mean = np.empty(picture.shape, np.float32)
@@ -245,7 +274,7 @@ class BlobFinder:
                 light = self._compare(background, newest)
             changed = light.changed
         else:
-            changed = usual.changed + 0.05 * (light.changed - usual.changed)
+            changed = usual.changed + USUAL_SHARE * (light.changed - usual.changed)
         first_noise = light.noise if usual is None else usual.noise
         self._usual = UsualPicture(changed, first_noise)
         noisy = light.noise > NOISY * max(first_noise, 1.0)
@@ -267,17 +296,17 @@ class BlobFinder:
         levels = _sparse(newest.smooth)
         background_levels = np.maximum(_sparse(background.grey), 1)
         gain = float(np.median(levels / background_levels))
-        gain = gain if 0.05 < gain < 20 else 1.0
+        gain = gain if GAIN_LEAST < gain < GAIN_MOST else 1.0
         cv2.convertScaleAbs(background.grey, newest.difference, gain)
         cv2.absdiff(newest.smooth, newest.difference, newest.difference)
         # medians, and averages of what is near them: cells and debris do not count
         off = np.abs(levels - gain * background_levels)
-        noise = min(1.48 * float(np.median(off)), NOISE_MAX)
+        noise = min(NORMAL_MAD * float(np.median(off)), NOISE_MAX)
         size = _square(self.least_px2).shape
         border = cv2.BORDER_CONSTANT
         cv2.boxFilter(newest.difference, cv2.CV_32F, size, newest.mean, borderType=border)
         sample = _sparse(newest.mean)
-        highest_usual = np.median(sample) + max(2.0, noise)
+        highest_usual = np.median(sample) + max(USUAL_SPAN, noise)
         is_usual = sample <= highest_usual
         usual = sample[is_usual].astype(float)
         level = min(float(usual.mean()), NOISE_MAX)
@@ -343,7 +372,7 @@ class BlobFinder:
             rows = slice(max(0, upper - top), max(0, lower - top))
             for updated in (still, calm):
                 updated[rows, max(0, left) : max(0, right)] = 0
-        scaled = newest.smooth[rows_of_stripe].astype(np.float32) / max(self.light.gain, 0.05)
+        scaled = newest.smooth[rows_of_stripe].astype(np.float32) / self.light.gain
         self._background.update(rows_of_stripe, scaled, calm, still)
         self._relearn_if_lost()
 
@@ -386,22 +415,6 @@ class Box(NamedTuple):
         right = self.left + self.wide
         bottom = self.top + self.tall
         return self.left == 0 or self.top == 0 or right == width or bottom == height
-
-
-class SearchLimits(NamedTuple):
-    """A body's averaged differences are above `low` and, somewhere, above `high` [grey levels], and
-    it covers from `least_px2` to `most_px2` pixels.
-    """
-
-    low: float
-    high: float
-    least_px2: float
-    most_px2: float
-
-    @property
-    def level(self) -> float:
-        """The mean of averaged differences where there is no body."""
-        return self.low - (self.high - self.low) * LOW / (HIGH - LOW)
 
 
 class _Region(NamedTuple):

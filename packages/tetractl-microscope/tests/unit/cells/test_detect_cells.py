@@ -5,7 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from tetractl_microscope.cells.detect_cells import BlobFinder
+from tetractl_microscope.cells.detect_cells import BlobFinder, SearchArrays
 
 pytestmark = pytest.mark.slow
 
@@ -211,3 +211,10 @@ def test_pictures_of_any_size_are_searched(size):
     picture = cv2.GaussianBlur(random.integers(0, 255, size).astype(np.uint8), (0, 0), 2)
     assert all(math.isfinite(blob.x + blob.axis) for blob in blob_finder.find(picture))
     blob_finder.follow([(0, 0, 5, 5)])
+
+
+def test_nothing_exceeds_the_limits_before_a_picture_was_searched():
+    brightest = 255.0
+    search_arrays = SearchArrays(np.zeros((SIDE, SIDE), np.uint8))
+    assert search_arrays.limits.low > brightest
+    assert search_arrays.limits.high > brightest

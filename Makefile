@@ -98,7 +98,7 @@ docs: $(STAMP)
 	@$(BIN)/python -m sphinx -W --keep-going -q -c docs/site . build/docs
 	@echo "Open build/docs/docs/site/index.html in a browser"
 
-# Days of the emulated lab with random faults, of a new seed: docs/rehearsals.md of the emulator.
+# Days of the emulated lab with random faults, of a new seed: docs/rehearsals.md of tetractl-emulator.
 DAYS ?= 200
 SPEC ?= experiments/three_m3pi_lab.yaml
 SEED := $(shell date +%s)

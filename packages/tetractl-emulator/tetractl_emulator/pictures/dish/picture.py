@@ -75,7 +75,7 @@ class PictureLook:
 
     @classmethod
     def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
-        """Return a random look, in the ranges of the microscope's docs/cells-explained.md."""
+        """Return a random look, in the ranges of docs/cells-explained.md of tetractl-microscope."""
         scale = float(random.uniform(2.0, 5.0)) if um_px is None else um_px
         bright = bool(random.random() < 0.5)
         span = side_px * scale

@@ -170,16 +170,16 @@ class SceneHistory:
 
 class ShownBodies:
     """Which bodies the pictures show, by the times of exposure [ns] on the camera's clock, and
-    `newest_ns`, when each body was exposed in the newest picture that has shown it to our side.
+    `newest_ns`, when each of `count` bodies was exposed in the newest picture that has shown it to
+    our side, 0 if none has.
+
+    Each picture that comes ends the memory of those before: where it is not known what has come,
+    there must be no such object.
     """
 
-    def __init__(self) -> None:
-        self.newest_ns: list[int] = []  # empty where it is not known what has come
-        self._visible: dict[int, Sequence[bool]] = {}
-
-    def begin(self, count: int) -> None:
-        """Begin with `count` bodies that no picture has shown."""
+    def __init__(self, count: int) -> None:
         self.newest_ns = [0] * count
+        self._visible: dict[int, Sequence[bool]] = {}  # by exposure
 
     def expose(self, exposed_ns: int, visible: Sequence[bool]) -> None:
         """Remember which bodies are visible in the picture of an exposure."""
@@ -226,7 +226,7 @@ class StreamedCamera(ABC):
             drips=settings.drips,
         )
         self._history = SceneHistory()
-        self._shown = ShownBodies()
+        self._shown: ShownBodies | None = None  # over HTTP, where it is not known what has come
         self._watched = False
         self._opened = False
         self._exposures = 0
@@ -246,7 +246,7 @@ class StreamedCamera(ABC):
         """When each body was exposed in the newest picture that has shown it to our side [ns];
         empty over HTTP, where that is not known.
         """
-        return self._shown.newest_ns
+        return () if self._shown is None else self._shown.newest_ns
 
     @abstractmethod
     def _scene(self) -> Floats:
@@ -268,8 +268,8 @@ class StreamedCamera(ABC):
         self._remember()
         self.camera: Any = self._make_camera(clock=clock)
         if not wires.http:
-            self._shown.begin(len(self._visible_now()))
-            self.camera.on_shown = self._show
+            self._shown = ShownBodies(len(self._visible_now()))
+            self.camera.on_shown = partial(self._shown.come, start_ns=self._start_ns)
         self.camera.__enter__()
         self._opened = True
         self._expose()
@@ -292,13 +292,10 @@ class StreamedCamera(ABC):
         return
 
     def _taken(self, exposed_ns: int) -> Grey:
-        """Return the picture of an exposure; remember what it shows."""
-        self._shown.expose(exposed_ns, self._visible_now())
+        """Return the picture of an exposure; in memory, remember what it shows."""
+        if self._shown is not None:
+            self._shown.expose(exposed_ns, self._visible_now())
         return self._draw(exposed_ns)
-
-    def _show(self, exposed_ns: int) -> None:
-        """Note which bodies a picture has shown to our side."""
-        self._shown.come(exposed_ns, self._start_ns)
 
     def _scene_at(self, t_ns: int) -> Floats:
         """Return the scene at a time [ns] on the camera's clock."""

@@ -1,9 +1,11 @@
 """What each fault does to its device and takes back; what a run makes of it is in `tests/plays`."""
 
+import gc
 import itertools
 import json
 import math
-from dataclasses import dataclass
+import weakref
+from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
@@ -182,6 +184,37 @@ def test_pictures_are_late_lost_or_doubled_and_what_is_shown_is_known(tmp_path):
         assert age_shown_at(1.9) == pytest.approx(latency_s + 0.2, abs=0.04)
         assert age_shown_at(2.9) == pytest.approx(0.9 + latency_s + 0.2, abs=0.04)
     assert max(received_s) < 2.01
+
+
+class Kept(list):
+    """Which bodies a picture shows; can be referred to weakly."""
+
+
+def test_what_pictures_over_http_show_is_not_kept(tmp_path):
+    """What has come is not known there, and what each picture showed was kept without end."""
+    pytest.importorskip("cv2")
+    from tetractl_emulator.pictures.apriltag.side import AprilTagSettings, EmulatedAprilTag
+
+    kept = []
+
+    class Watched(EmulatedAprilTag):
+        def _visible_now(self):
+            visible = Kept(super()._visible_now())
+            kept.append(weakref.ref(visible))
+            return visible
+
+        def _draw(self, exposed_ns):
+            return exposed_ns
+
+    with virtual_lab(tmp_path, spec=APRILTAG_SPEC) as lab:
+        stage = lab.emulation.camera._stage
+        over_http = replace(stage, wires=replace(stage.wires, http=True))
+        camera = Watched(over_http, AprilTagSettings(), [])
+        for picture in range(3):
+            assert camera._taken(picture) == picture
+        gc.collect()
+    assert list(camera.shown_ns) == []
+    assert [reference() for reference in kept if reference() is not None] == []
 
 
 TICKS_PER_S = 1e7

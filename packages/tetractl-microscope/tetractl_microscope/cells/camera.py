@@ -31,10 +31,18 @@ from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.whole_pictures import PictureLog
 
-BACKGROUND = 15  # about the number of pictures that show the background; half suffice
+LEARNED = 15  # pictures from which the background is computed, spread over the time for it
+LEARNED_LEAST = 7  # of them that suffice if pictures come slowly
 WIDER = 1.5  # deviations found in films over those of the filter, which fits no cell's noise
 MEAN_S = 2.0  # time from which a cell's speed is the mean since it was first seen [s]
 ADDED = 1024  # most messages queued, of which the oldest are dropped
+LEVEL_STEP = 8  # step between the pixels whose median is a picture's grey level
+# sharpness: number of cells examined; reach about a cell's middle, in its lengths; side above which
+# what is cut out of the picture is large enough [px]; quantile of slopes that is the steepest
+SHARP_CELLS = 8
+SHARP_REACH = 0.7
+SHARP_SIDE = 6
+STEEPEST = 0.98
 NO_CELL = -1  # number of a robot's cell before all robots were seen in one picture
 
 
@@ -108,10 +116,10 @@ class LearningPictures:
             self._first_ns = exposed_ns
         passed_s = (exposed_ns - self._first_ns) / SECOND
         pictures = self._pictures
-        is_due = passed_s >= len(pictures) * self._learning_s / BACKGROUND
+        is_due = passed_s >= len(pictures) * self._learning_s / LEARNED
         if is_due:
             pictures = [*pictures, picture]
-        is_enough = passed_s >= self._learning_s and len(pictures) >= BACKGROUND // 2
+        is_enough = passed_s >= self._learning_s and len(pictures) >= LEARNED_LEAST
         self._pictures = [] if is_enough else pictures
         return pictures if is_enough else []
 
@@ -275,10 +283,7 @@ class CellCamera(PictureCamera[SeenDish]):
             cells, exposed_ns / SECOND, self._shift_um(finder.light.shift_px)
         )
         self._view = view
-        robots = self._robots  # taken once: the trial's thread may replace it at any time
-        if not robots.cells:
-            robots.bind(self._nearest_to_starts(view, robots.setup))
-        robots.note_divisions({born.divided for born in self._tracker.born})
+        robots = self._take_robots(view)
         numbers = robots.numbers or (NO_CELL,) * len(robots.setup.names)
         by_number = {cell.identity: cell for cell in cells}
         tracked = [by_number.get(number) for number in numbers]
@@ -289,7 +294,7 @@ class CellCamera(PictureCamera[SeenDish]):
             poses=tuple(None if cell is None else self._pose_of(cell, view) for cell in tracked),
             strangers=tuple(self._pose_of(c, view) for c in cells if c.identity not in numbers),
             light=finder.light,
-            level=float(np.median(picture[::8, ::8])),
+            level=float(np.median(picture[::LEVEL_STEP, ::LEVEL_STEP])),
             sharpness=_sharpness(picture, cells, self.section.um_px, finder.light),
             sure=min((cell.probability for cell in tracked if cell is not None), default=0.0),
         )
@@ -299,6 +304,18 @@ class CellCamera(PictureCamera[SeenDish]):
         pictures = self._learning.take(picture, exposed_ns)
         if pictures:
             self._tracker.finder.learn(pictures)
+
+    def _take_robots(self, view: CellsInView) -> RobotCells:
+        """Return the present robots, after noting which cells they are at first, and which of them
+        have divided in this picture.
+
+        Called once a picture, since the trial's thread may put others in their place at any time.
+        """
+        robots = self._robots
+        if not robots.cells:
+            robots.bind(self._nearest_to_starts(view, robots.setup))
+        robots.note_divisions({born.divided for born in self._tracker.born})
+        return robots
 
     def _shift_um(self, shift_px: tuple[float, float]) -> tuple[float, float]:
         """Return a shift, given in columns and in rows, which run down, along rows and up [um]."""
@@ -346,19 +363,19 @@ class CellCamera(PictureCamera[SeenDish]):
 def _sharpness(
     picture: Grey, cells: Sequence[SeenCell], um_px: float, light: Light
 ) -> float | None:
-    """Return the median, over the first eight cells, of the steepest slope of grey levels divided
-    by the contrast [1/px]; None without contrast or a cell of some size.
+    """Return the median, over the first cells, of the steepest slope of grey levels divided by the
+    contrast [1/px]; None without contrast or a cell of some size.
     """
     if not light.contrast:
         return None
     steepest = []
-    for cell in cells[:8]:
+    for cell in cells[:SHARP_CELLS]:
         column = round(cell.x / um_px)
         row = round(picture.shape[0] - cell.y / um_px)
-        reach = round(0.7 * cell.long_um / um_px)
+        reach = round(SHARP_REACH * cell.long_um / um_px)
         part = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
-        if min(part.shape) > 6:
+        if min(part.shape) > SHARP_SIDE:
             smooth = part[:, :-2].astype(float) + part[:, 1:-1] + part[:, 2:]
-            slopes = np.abs(smooth[2:, 2:] - smooth[2:, :-2]) / 6
-            steepest.append(float(np.quantile(slopes, 0.98)) / light.contrast)
+            slopes = np.abs(smooth[2:, 2:] - smooth[2:, :-2]) / 6  # sums of 3, 2 px apart
+            steepest.append(float(np.quantile(slopes, STEEPEST)) / light.contrast)
     return float(np.median(steepest)) if steepest else None

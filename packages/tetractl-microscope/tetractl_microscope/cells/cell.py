@@ -38,8 +38,8 @@ class SeenCell:
     """One cell in one picture.
 
     x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] the direction
-    of the helix's axis, which turns by equation (3) of the paper. `mean` (12,) is the filter's
-    state, with the standard deviations `sd` (12,). `probability` is the probability that this is
+    of the helix's axis, which turns by equation (3) of the paper. `mean` (16,) is the filter's
+    state, with the standard deviations `sd` (16,). `probability` is the probability that this is
     the cell with the number `identity`. `has_blob`: the picture shows it; `merged`: its blob shows
     other cells, too.
     `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob

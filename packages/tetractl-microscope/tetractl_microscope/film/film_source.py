@@ -200,7 +200,7 @@ def video_film(path: Path) -> FilmSource:
     """Open a film that OpenCV reads, which converts it to 8 bits."""
     # by one thread: each has pictures of its own in memory
     capture = cv2.VideoCapture(str(path), cv2.CAP_ANY, [cv2.CAP_PROP_N_THREADS, 1])
-    if not capture.isOpened():  # by a reader that cannot be told how many threads it may have
+    if not capture.isOpened():  # by a reader whose number of threads cannot be set
         capture = cv2.VideoCapture(str(path))
     with path.open("rb") as file:
         is_one_picture = file.read(len(JPEG)) == JPEG

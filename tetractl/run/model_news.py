@@ -19,8 +19,8 @@ NOISE_UNSTATED = (
     "headings are not as predicted, and the camera's noise is not stated: "
     "controller.prior.position_noise, heading_noise"
 )
-"""What headings that do not fit say of cells whose camera's noise is unknown: in three shipped
-specs a held for 40 of 43 such robots, and for all with the noise (docs/decisions/filter.md)."""
+"""What headings that do not fit say of cells whose camera's noise is unknown: in three specs that
+did not state it a held for 40 of 43 such robots, and for all with it (docs/decisions/filter.md)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,6 +46,7 @@ class StateEstimator:
         self.filter = FilterBank(prior, drive_first)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent: int | None = None
+        self._reported: Command | None = None  # the last command that the filter was given
         self._newest_ns = 0
         self._held = np.full(len(problem.a), np.nan)
         self.dead_time_s = prior.dead_time  # the identified one, or the spec's if none is [s]
@@ -54,6 +55,11 @@ class StateEstimator:
     def left(self) -> Bools:
         """True for each robot that is not lost, (N,)."""
         return self.losses.left
+
+    @property
+    def is_radio_sparse(self) -> bool:
+        """Whether few of the directions sent reach the robots."""
+        return self.filter.reception.is_sparse
 
     @property
     def known(self) -> Estimate | None:
@@ -100,12 +106,29 @@ class StateEstimator:
         return problem.only(self.left)
 
     def sent(self, command: Command) -> None:
-        """Add a direction with the time at which it was sent."""
+        """Add a direction with the time at which it was sent.
+
+        If the radio lets few directions through, robots hardly hear one again that is sent again
+        within a signal period. So the filter is given each signal once.
+        """
         if not isinstance(command.action, FieldOff):
             self._last_sent = None if command.direction is None else command.sent_ns
         if self.estimate is None:
             command = replace(command, sent_ns=self._newest_ns)
+        if self.is_radio_sparse and self._is_sent_again(command):
+            return
         self.filter.add_command(command)
+        self._reported = command
+
+    def _is_sent_again(self, command: Command) -> bool:
+        """Return whether a command repeats the direction reported last within a signal period."""
+        reported = self._reported
+        if reported is None or command.direction is None:
+            return False
+        half_step_ns = self.period // 2
+        since_s = (command.sent_ns + half_step_ns - reported.sent_ns) / SECOND
+        is_same = command.direction == reported.direction
+        return is_same and since_s < self.problem.period
 
     def sends(self, observation: Observation) -> int:
         """Return the time to which the dead time of a direction decided on a frame is added [ns].

@@ -30,7 +30,8 @@ where the robots will be when its next command acts:
     that are unlikely end, and the grid is refined around those that are likely (`kernels.bank`).
  4. If the model has not fitted robots on wheels, the bank is *opened again*: it begins with the
     first dead times, as theirs may have changed so that its filter is gone, and with motors that
-    may saturate, if it is the heading that does not fit.
+    may saturate, if it is the heading that does not fit. With all dead times it also begins if
+    robots on wheels seem to miss most directions, as these may only act later (`reception`).
 
 If the prior is certain, there is nothing to identify. Then each frame's poses are taken as they
 are, and only the prediction over the dead time remains.
@@ -47,6 +48,7 @@ to be heard.
                                   placed at the camera's pose
     a frame is missing            robots are predicted on to the next one
     a command is missed           a hypothesis that follows the command before becomes the likeliest
+    most are missed by all        step 4; then, if they are missed still, `reception.is_sparse`
     a robot sticks                the stuck hypothesis becomes the likeliest
     the camera freezes            its frames are not used
     the model does not fit        standard deviations grow, and step 4
@@ -80,6 +82,7 @@ from tetractl.control.kernels.filter_state import (
     largest_square_sum,
 )
 from tetractl.control.prior import Prior
+from tetractl.control.reception import Reception
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import INNOVATIONS, Estimate
@@ -183,6 +186,8 @@ class FilterBank:
         """What is assumed of the robots. From the first opening of the bank on, motors may saturate
         in it; in which filters they do is a matter of their states."""
         self.commands = CommandRecord()
+        self.reception = Reception()
+        """Whether few of the directions sent are received."""
         self.last_frame: Observation | None = None
         """The last frame used: the filters are at its time. None before the first."""
         self.reopened_ns: int | None = None
@@ -206,7 +211,9 @@ class FilterBank:
         if not self.prior.certain:
             self._share_scores()
             self._select_filters()
-        if misfits.any() and self._may_reopen(newest):
+        if self._radio_seems_sparse():
+            self._reopen(newest, heading_fits=True)
+        elif misfits.any() and self._may_reopen(newest):
             self._reopen(newest, heading_fits=not misfits[:, HEADING_MISFIT].any())
 
     def forecast(self, sent_ns: int) -> Forecast:
@@ -423,6 +430,15 @@ class FilterBank:
         opened_ns = TRIAL_STARTS_NS if self.reopened_ns is None else self.reopened_ns
         is_due = newest.sampled_ns >= opened_ns + REOPEN_S * SECOND
         return bool(self.body.later_tried) and is_due
+
+    def _radio_seems_sparse(self) -> bool:
+        """Test whether few directions reach robots on wheels; return whether it seems so by this
+        frame for the first time."""
+        if self.prior.certain or not self.body.later_tried or self.reception.is_sparse:
+            return False
+        shown_before = self.reception.times_shown
+        self.reception.add(self.bank, self._likeliest_filters(), self.commands.all)
+        return shown_before == 0 and self.reception.times_shown == 1
 
     def _reopen(self, frame: Observation, heading_fits: bool) -> None:
         """Open the bank again at a frame: begin with the first dead times, and with motors that may

@@ -43,6 +43,8 @@ What happens next, if
     a search takes too long       searches end at the spec's `deadline`; the first one is always
                                   done, and its plan is a candidate
     a step is late                the next one begins with the poses that robots have by then
+    few directions get through    a signal is sent again until it ends, and nothing is searched
+                                  meanwhile (`tetractl.control.reception`)
     a pose jumps                  the filter predicts on without it (`tetractl.control.filter`)
     a robot dies                  ControlError, if the spec ends a trial then; else it is lost
     a robot is lost               the leg begins again for the others, at rest or driving as they
@@ -556,7 +558,9 @@ class Mpc:
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
         """Search plans about as long as the one under way, until one is good enough; if none is,
-        also detours."""
+        also detours. Within a signal that is kept, nothing is searched."""
+        if self._is_kept(step, warm):
+            return self._sent_again(step, warm)
         searcher = self._searcher(step)
         alike = self._search_alike(step, searcher, warm)
         if self._is_good_enough(step, searcher.found[-1], alike[-1]):
@@ -564,6 +568,20 @@ class Mpc:
         candidates = alike + self._search_detours(step, searcher, warm, alike)
         candidates.sort(key=lambda candidate: candidate.value)
         return Searched(step.problem, searcher.found, candidates)
+
+    def _is_kept(self, step: ControlStep, warm: Floats) -> bool:
+        """Return whether the present signal is kept to its end, as the radio lets few directions
+        through: robots follow the one that they receive for about a signal period, and not for the
+        rest of it. A plan that is longer than the time left is to be searched."""
+        is_within_signal = self._held_periods() > 0
+        fits = len(warm) <= step.signals_max
+        return self.estimator.is_radio_sparse and is_within_signal and fits
+
+    def _sent_again(self, step: ControlStep, warm: Floats) -> Searched:
+        """Return what is left of the plan under way, (L,), as if a search had found it."""
+        foreseen = compiled_foresee(step.problem, warm)
+        searches = [given_search(step.problem, warm, foreseen)]
+        return Searched(step.problem, searches, [self._candidate(step, searches, 0)])
 
     def _search_alike(self, step: ControlStep, searcher: Searcher, warm: Floats) -> list[Candidate]:
         """Search plans that begin with the signals left (`_starts`), up to one that is good enough.

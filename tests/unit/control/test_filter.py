@@ -60,6 +60,19 @@ class Late(Disturbance):
         return replace(command, late_ns=self.late_ns)
 
 
+class Sparse(Disturbance):
+    """Stands for a radio that lets one direction in `of` through."""
+
+    def __init__(self, of):
+        self.of = of
+        self.number = 0
+
+    def sent(self, command):
+        heard = self.number % self.of == 0
+        self.number += 1
+        return command if heard else replace(command, reached=np.zeros_like(command.reached))
+
+
 class Turns(Disturbance):
     """Stands for uneven wheels and weak motors: robots turn by `more` (N,) of it farther to the
     left, and not faster than `most` [rad/s]."""
@@ -124,9 +137,11 @@ def drive(
     seed=3,
     disturbance=None,
     stop_s=math.inf,
+    directions=None,
 ):
-    """Drive simulated robots in smoothly varying directions until they are stopped at `stop_s`,
-    with `rate` directions a second, and a `disturbance` in addition to those of the spec.
+    """Drive simulated robots in some directions, by default smoothly varying ones, until they are
+    stopped at `stop_s`, with `rate` directions a second, and a `disturbance` in addition to those
+    of the spec.
 
     `altered` changes each frame that the estimator is given; `watch` is called at each step with
     its number, the estimator, and the plant at the moment when a direction sent then acts.
@@ -134,7 +149,8 @@ def drive(
     experiment = load_spec(spec, settings).experiment
     plant = open_plant(experiment, seed, disturbance)
     estimator = estimator_of(experiment, rate)
-    directions = smooth_directions(seconds, rate)
+    if directions is None:
+        directions = smooth_directions(seconds, rate)
     last_ns = -1
     command = None
     for k, direction in enumerate(directions):
@@ -302,6 +318,50 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
 
     drive(settings, 40, 2, watch=compare)
     assert np.mean(right) > 0.9
+
+
+JUMPING = np.random.default_rng(2).uniform(-2, 2, 300).tolist()
+"""Directions of 15 s [rad], each of its own."""
+RADIO = ("plant.dead_time=0.11", "plant.a_error=0.2", "plant.lost_commands=0.08", *NOISY)
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.02, 0.04])
+def test_a_radio_that_lets_one_direction_in_four_through_is_noticed(later_s):
+    """Whenever commands act within a control period. The directions jump, as those of plans: of
+    smooth ones, one in four is nearly the same as all of them 0.08 s later."""
+    settings = (*RADIO, f"plant.dead_time={0.11 + later_s}")
+    driven = drive(settings, rate=20, disturbance=Sparse(of=4), directions=JUMPING)
+    assert driven.estimator.is_radio_sparse
+
+
+def test_a_radio_that_works_never_seems_sparse():
+    driven = drive(RADIO, rate=20, directions=JUMPING)
+    assert driven.filters.reception.times_shown == 0
+
+
+def test_a_radio_that_each_robot_hears_badly_by_itself_is_not_taken_for_it():
+    driven = drive((*RADIO, "plant.lost_commands=0.3"), rate=20, directions=JUMPING)
+    assert not driven.estimator.is_radio_sparse
+
+
+def test_commands_that_act_later_are_not_taken_for_it():
+    late = Late([0.1] * 3, since_s=6.0)
+    driven = drive(RADIO, rate=20, disturbance=late, directions=JUMPING)
+    assert not driven.estimator.is_radio_sparse
+
+
+def test_a_signal_that_is_sent_again_is_reported_once_where_few_get_through():
+    driven = drive(NOISY, 1, 20)
+    estimator = driven.estimator
+    signal_s = estimator.problem.period
+    estimator.filter.reception.times_shown = 2
+    before = estimator.filter.commands.number
+    for since_s in (0.0, 0.05, 0.1, 0.15, signal_s):
+        estimator.sent(Command(Steer(0.7), round((2 + since_s) * SECOND), (True,) * 3))
+    assert estimator.filter.commands.number == before + 2
+    estimator.filter.reception.times_shown = 0
+    estimator.sent(Command(Steer(0.7), round(2.25 * SECOND), (True,) * 3))
+    assert estimator.filter.commands.number == before + 3
 
 
 def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():

@@ -61,6 +61,13 @@ def spec(collision=POINTS, sections=None, **controller):
     return experiment(controller=all_fields, **(sections or {}))
 
 
+PERIODS = 4
+"""Number of control periods for which a signal is held in tests of that."""
+KEPT = [(True, 1, False), (True, 3, False), (True, 4, True), (False, 1, True)]
+"""Whether few directions get through, for how many steps robots have driven, and whether the next
+step searches a plan: its signal is new after 4 steps."""
+
+
 class Slow(Scripted):
     """An optimiser that finds BAD plans only, and takes `search_s` of the clock's time for each."""
 
@@ -150,6 +157,26 @@ def test_a_plan_within_the_accepted_error_is_followed():
     controller, search = driving({4: 30.0, 5: 15.0, 6: 30.0})
     assert decide(controller).search.length == 5
     assert max(length for length, _ in lengths(search)) == 6
+
+
+@pytest.mark.parametrize(("is_sparse", "steps", "searched"), KEPT)
+def test_a_signal_is_kept_to_its_end_where_few_directions_get_through(is_sparse, steps, searched):
+    controller, search = driving({}, steps=steps, signal_periods=PERIODS)
+    controller.estimator.filter.reception.times_shown = 2 if is_sparse else 0
+    under_way = controller.progress.last.signals
+    plan = decide(controller)
+    assert bool(search.asked) == searched
+    if not searched:
+        assert np.array_equal(plan.signals, under_way)
+        assert plan.state == State.DRIVING
+
+
+def test_a_plan_under_way_that_is_longer_than_the_time_left_is_not_kept():
+    """A late step comes near the limit of time."""
+    controller, search = driving({}, signals_left=5, signal_periods=PERIODS, time_limit=0.8)
+    controller.estimator.filter.reception.times_shown = 2
+    decide(controller, now=3 * PERIOD_NS)
+    assert search.asked
 
 
 def test_longer_plans_are_searched_afresh_where_they_can_be_worth_more():

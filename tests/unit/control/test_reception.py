@@ -1,0 +1,136 @@
+"""Whether a radio lets through only few of the directions that are sent."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tetractl.control.kernels.filter_state import ASSUMED, STATES, STATES_OF_WHEELS, Bank
+from tetractl.control.reception import Reception, is_news, ln_robot_ratio
+
+LN_CLEAR = 8.0
+"""ln of how much likelier a robot's frames are if what they show is true."""
+ROBOTS = 3
+DIRECTIONS = np.array([0.0, 0.5, 1.0, 1.5])
+"""Four directions [rad] that have been sent."""
+TESTED = 2
+"""Index of the one that is tested."""
+
+
+def ln_product(heard):
+    """ln P if frames show clearly which of the robots heard a direction, `heard` (N,)."""
+    likelihood_ratio = np.exp(np.where(heard, LN_CLEAR, -LN_CLEAR))
+    return float(np.log((1 - ASSUMED.lost) * likelihood_ratio + ASSUMED.lost).sum())
+
+
+def after(heard):
+    """The test after some directions, `heard` (directions, robots)."""
+    reception = Reception()
+    for heard_by_robots in heard:
+        reception.add_direction(ln_product(heard_by_robots))
+    return reception
+
+
+def by_all(heard):
+    """The same for all robots: (directions, robots) of (directions,)."""
+    return np.repeat(np.array(heard)[:, None], ROBOTS, axis=1)
+
+
+ONE_OF_FOUR = [True, False, False, False]
+
+
+@pytest.mark.parametrize(("directions", "times_shown"), [(8, 0), (12, 1), (16, 1), (24, 2)])
+def test_a_radio_is_sparse_that_twice_lets_one_direction_of_four_through(directions, times_shown):
+    reception = after(by_all(ONE_OF_FOUR * (directions // 4)))
+    assert reception.times_shown == times_shown
+    assert reception.is_sparse == (times_shown == 2)
+
+
+def test_it_is_known_from_then_on():
+    assert after(by_all(ONE_OF_FOUR * 6 + 100 * [True])).is_sparse
+
+
+def test_a_radio_that_loses_one_direction_in_ten_works():
+    lost = np.random.default_rng(5).random(5000) < 0.1
+    assert after(by_all(~lost)).times_shown == 0
+
+
+def test_robots_that_miss_directions_each_by_itself_have_a_radio_that_works():
+    lost = np.random.default_rng(5).random((5000, ROBOTS)) < 0.3
+    assert after(~lost).times_shown == 0
+
+
+def test_a_silence_is_no_radio_that_lets_few_through():
+    one_second = 20 * [False]
+    until_the_next = 20 * [True]
+    assert after(by_all(5 * (one_second + until_the_next))).times_shown == 0
+
+
+def test_commands_that_all_act_later_are_none_either():
+    assert after(by_all(1000 * [False])).times_shown == 0
+
+
+def test_directions_that_tell_little_count_for_nothing():
+    reception = Reception()
+    for _ in range(1000):
+        reception.add_direction(-0.6)
+    assert reception.ln_ratio == 0
+
+
+@pytest.mark.parametrize(
+    ("directions", "news"),
+    [
+        ([0.0, 0.5, 1.0], True),
+        ([0.5, 0.5, 1.0], False),
+        ([0.0, 0.5, 0.5], False),
+        ([math.nan, 0.5, 1.0], False),
+        ([0.0, math.nan, 1.0], False),
+        ([0.0, 0.5, math.nan], False),
+    ],
+)
+def test_a_direction_is_tested_if_robots_drive_otherwise_before_and_after_it(directions, news):
+    assert is_news(np.array(directions), 1) == news
+
+
+def bank_that_follows(directions, weights):
+    """One filter of one robot that has followed all DIRECTIONS, with hypotheses of given directions
+    and probabilities; the last hypothesis is that the robot is stuck."""
+    std = np.ones((1, STATES_OF_WHEELS))
+    bank = Bank.start(np.zeros(1), np.zeros((1, 1, STATES)), std, np.zeros(1, np.int64))
+    bank.direction[0, 0] = directions
+    bank.ln_weight[0, 0] = np.log(weights)
+    bank.next_command[:] = len(DIRECTIONS)
+    return bank
+
+
+def robot_ratio(directions, weights):
+    """Its ratio for the direction that is tested."""
+    bank = bank_that_follows(directions, weights)
+    return math.exp(ln_robot_ratio(bank, 0, 0, DIRECTIONS, TESTED))
+
+
+@pytest.mark.parametrize("likelihood_ratio", [1e-3, 1.0, 1e3])
+def test_the_ratio_of_a_robot_is_that_of_its_frames(likelihood_ratio):
+    """The newest hypothesis, of the direction after the one tested, says nothing of it."""
+    lost = ASSUMED.lost
+    weights = [0.5, (1 - lost) * likelihood_ratio, lost, 1e-9]
+    follows = [DIRECTIONS[3], DIRECTIONS[2], DIRECTIONS[0], DIRECTIONS[0]]
+    assert robot_ratio(follows, weights) == pytest.approx((1 - lost) * likelihood_ratio + lost)
+
+
+def test_a_robot_of_which_one_hypothesis_is_kept_says_nothing():
+    follows = [DIRECTIONS[3], DIRECTIONS[2], DIRECTIONS[3], DIRECTIONS[0]]
+    assert robot_ratio(follows, [0.5, 0.5, 1e-9, 1e-9]) == 1
+
+
+def test_a_stuck_robot_says_nothing():
+    follows = [DIRECTIONS[3], DIRECTIONS[2], DIRECTIONS[1], DIRECTIONS[1]]
+    assert robot_ratio(follows, [0.1, 1e-9, 0.1, 0.8]) == 1
+
+
+def test_a_direction_that_the_next_one_turns_back_from_says_nothing():
+    """Regression: frames in which robots followed the next one spoke for the one before, and of a
+    radio that works most jumping directions seemed to be missed."""
+    directions = np.array([0.0, 0.5, 1.0, 0.1])
+    bank = bank_that_follows(directions[[3, 2, 0, 0]], [0.5, 0.01, 0.49, 1e-9])
+    assert ln_robot_ratio(bank, 0, 0, directions, TESTED) == 0

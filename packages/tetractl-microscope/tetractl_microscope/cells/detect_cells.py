@@ -44,9 +44,8 @@ GAIN_LEAST = 0.05
 GAIN_MOST = 20.0
 # standard deviations in a median absolute deviation, if noise is normal: 1 / 0.6745, rounded
 NORMAL_MAD = 1.48
-USUAL_SPAN = (
-    2.0  # least span above their median of averaged differences without cells [grey levels]
-)
+# least span above their median of averaged differences without cells [grey levels]
+USUAL_SPAN = 2.0
 LOST = 5  # pictures lost until learning begins again
 EVERY = 3  # it learns from the pictures of one of so many stripes
 AGAIN = 9  # and begins again from so many

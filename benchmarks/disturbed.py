@@ -29,6 +29,7 @@ from tetractl.control.filter import FilterBank, Forecast
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.prior import nothing
+from tetractl.control.reception import Reception
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo, Verdict
@@ -147,6 +148,7 @@ class Heard:
         self.banks = [
             FilterBank(nothing(problem_of_robot, dead_time_s)) for problem_of_robot in problems
         ]
+        self.reception = Reception()  # as of a radio that works: what is missed is known
 
     def add_command(self, command: Command) -> None:
         for bank, heard in zip(self.banks, command.delivered, strict=True):

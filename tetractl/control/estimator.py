@@ -46,7 +46,6 @@ class StateEstimator:
         self.filter = FilterBank(prior, drive_first)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent: int | None = None
-        self._reported: Command | None = None  # the last command that the filter was given
         self._newest_ns = 0
         self._held = np.full(len(problem.a), np.nan)
         self.dead_time_s = prior.dead_time  # the identified one, or the spec's if none is [s]
@@ -118,17 +117,17 @@ class StateEstimator:
         if self.is_radio_sparse and self._is_sent_again(command):
             return
         self.filter.add_command(command)
-        self._reported = command
 
     def _is_sent_again(self, command: Command) -> bool:
-        """Return whether a command repeats the direction reported last within a signal period."""
-        reported = self._reported
-        if reported is None or command.direction is None:
+        """Return whether a command repeats the last one given to the filter, within a signal
+        period."""
+        given = self.filter.commands.all
+        if command.direction is None or not len(given.sent_s):
             return False
         half_step_ns = self.period // 2
-        since_s = (command.sent_ns + half_step_ns - reported.sent_ns) / SECOND
-        is_same = command.direction == reported.direction
-        return is_same and since_s < self.problem.period
+        since_s = (command.sent_ns + half_step_ns) / SECOND - given.sent_s[-1]
+        is_same = command.direction == given.directions[-1]
+        return bool(is_same and since_s < self.problem.period)
 
     def sends(self, observation: Observation) -> int:
         """Return the time to which the dead time of a direction decided on a frame is added [ns].

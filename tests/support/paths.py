@@ -12,3 +12,14 @@ SPECS = sorted((ROOT / "experiments").glob("*.yaml"))
 """The specs that we ship, those of the microscope too if it is installed."""
 if find_spec("tetractl_microscope"):
     SPECS += sorted(EXAMPLES.glob("*.yaml"))
+SOURCE_FOLDERS = (
+    "benchmarks",
+    "docs",
+    "examples",
+    "experiments",
+    "packages",
+    "tests",
+    "tetractl",
+    "tools",
+)
+"""Folders of the repository that have files written by hand."""

@@ -9,18 +9,8 @@ import re
 from pathlib import Path
 
 import pytest
-from support.paths import ROOT
+from support.paths import ROOT, SOURCE_FOLDERS
 
-FOLDERS = (
-    "benchmarks",
-    "docs",
-    "examples",
-    "experiments",
-    "packages",
-    "tests",
-    "tetractl",
-    "tools",
-)
 ENDS = frozenset({".c", ".h", ".html", ".js", ".json", ".proto", ".py", ".toml", ".yaml"})
 NAMED = re.compile(
     r"(?<![\w./-])((?:[\w.-]+/)*docs/[\w./-]+\.md)\b(?:[\s#*/]+of[\s#*/]+(tetractl-\w+))?"
@@ -30,7 +20,7 @@ NAMED = re.compile(
 
 def sources():
     """The files in which pages may be named."""
-    of_folders = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*"))]
+    of_folders = [path for folder in SOURCE_FOLDERS for path in sorted((ROOT / folder).rglob("*"))]
     files = [path for path in of_folders if path.suffix in ENDS and path.is_file()]
     files.remove(Path(__file__))  # which names pages that are missing, below
     return [ROOT / "Makefile", *files]

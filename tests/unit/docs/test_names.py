@@ -5,7 +5,7 @@ import re
 import tomllib
 from collections import defaultdict
 
-from support.paths import ROOT
+from support.paths import ROOT, SOURCE_FOLDERS
 
 from tetractl.experiment.load import load_spec
 
@@ -16,16 +16,6 @@ NAMED_AFTER = ("cli", "control/kernels", "view/figures", "plant/disturbances")
 kernel's of what it compiles, a figure's and a disturbance's the one that a user writes."""
 PARTS = {"actuator", "calibrate", "camera", "check", "core", "registries", "section", "side"}
 """Modules that each device has."""
-FOLDERS = (
-    "tetractl",
-    "packages",
-    "tools",
-    "docs",
-    "tests",
-    "benchmarks",
-    "experiments",
-    "examples",
-)
 
 
 def modules(package):
@@ -125,7 +115,7 @@ def test_every_file_that_the_page_for_contributors_names_exists():
     text = (ROOT / "CONTRIBUTING.md").read_text()
     named = re.findall(r"`([\w./-]+(?:\.\w+|/))`", text)
     existing = set()
-    for folder in FOLDERS:
+    for folder in SOURCE_FOLDERS:
         existing.add(f"/{folder}")
         existing.update(f"/{from_root(path)}" for path in (ROOT / folder).rglob("*"))
 

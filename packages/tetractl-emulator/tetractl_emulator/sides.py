@@ -121,7 +121,8 @@ class EmulatedCamera(EmulatedSide, Protocol):
         ...
 
     def hide(self, hidden: bool) -> None:
-        """If `hidden`, track no body, as while robots are carried; otherwise track all again."""
+        """If `hidden`, track no body, as while robots are carried; otherwise track all again, but
+        not those that a fault hides."""
         ...
 
 

@@ -126,9 +126,10 @@ class PoseCamera(ABC):
         self._plan()
 
     def hide(self, hidden: bool) -> None:
-        """If `hidden`, track no body; otherwise track all bodies again."""
+        """If `hidden`, track no body; otherwise track all bodies again, but for those that a fault
+        hides."""
         for body in self.tracked:
-            body.tracking.tracked = not hidden
+            body.tracking.carried = hidden
 
     def tracked_body(self, name: str) -> TrackedBody:
         """Return the rigid body of the robot with this name."""

@@ -5,7 +5,7 @@ ask for, and reports it as a `RigidBody` [m, quaternion] in the axes of a `View`
 is a vector on the floor, x + iy [mm], in the axes of the experiment's spec unless said otherwise.
 
 Faults set fields of a body's parts, and restore them when they end. What each has set is kept by
-object in a weak dictionary (`tetractl_emulator.faults`). So the classes that faults change are
+object in a weak dictionary (`tetractl_emulator.faults`). So the classes whose fields faults set are
 hashed by identity (`eq=False`) and can be referred to weakly (`weakref_slot=True`).
 """
 
@@ -35,7 +35,7 @@ class PictureChange:
     angle: float = 0.0
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
+@dataclass(slots=True)
 class View:
     """The cameras' axes in the spec's coordinates, as the spec's section of the camera has them:
     vertical axis `up`, `origin` [mm] and `rotation` [rad].
@@ -71,7 +71,9 @@ class View:
         self.grown /= change.factor
         self.turned -= change.angle
 
-    def body(self, number: int, x: float, y: float, heading: float, height: float) -> RigidBody:
+    def rigid_body_at(
+        self, number: int, x: float, y: float, heading: float, height: float
+    ) -> RigidBody:
         """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
         from_origin = complex(x, y) - complex(*self.origin)
         in_picture = from_origin * cmath.rect(self.grown, self.turned) + self.shift
@@ -79,14 +81,14 @@ class View:
         # with y up, the system's z is the -y that it would have with z up
         floor_m = in_picture * cmath.rect(1e-3, -self.rotation)
         height_m = height / 1000
-        half = cmath.rect(1.0, (heading + self.turned - self.rotation) / 2)
+        half_turn = cmath.rect(1.0, (heading + self.turned - self.rotation) / 2)
         if self.up is UpAxis.Z:
             position = (floor_m.real, floor_m.imag, height_m)
-            quaternion = (0.0, 0.0, half.imag, half.real)
+            quaternion = (0.0, 0.0, half_turn.imag, half_turn.real)
         else:
             position = (floor_m.real, height_m, -floor_m.imag)
-            quaternion = (0.0, half.imag, 0.0, half.real)
-        return RigidBody(number, position, quaternion, True)
+            quaternion = (0.0, half_turn.imag, 0.0, half_turn.real)
+        return RigidBody(number, position, quaternion, tracking_valid=True)
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -103,8 +105,9 @@ class Asset:
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """The standard deviations of a pose, and the body's own random numbers: its errors are drawn
-    from `random`, and so are the frames that miss it.
+    """The standard deviations of a pose. Its errors are drawn from `random`, and so are the frames
+    that miss the body. The bodies of a camera share it: what is drawn for one changes the errors of
+    all.
     """
 
     position_mm: float
@@ -115,32 +118,35 @@ class PoseNoise:
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class BodyTracking:
     """Whether the system tracks a body, and the share of frames that miss a body that it tracks
-    (`missing`). While a body `repeats`, its pose stays as it is.
+    (`missing`). One whose robot is `carried` is not tracked either. While a body `repeats`, its
+    pose stays as it is.
     """
 
     tracked: bool = True
+    carried: bool = False
     missing: float = 0.0
     repeats: bool = False
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Displacement:
-    """Where a body is seen away from its robot.
-
-    Constant are `shift` [mm], `turned` [rad] and `height` [mm], that of the markers above the
-    floor. A body that strays goes on by `step` [mm], along the axes of the robot if `along_robot`,
-    and by `turn` [rad] at each exposure that gives it a new pose: by now `strayed` [mm] and
-    `strayed_turn` [rad].
-    """
+    """Where a body is seen away from its robot."""
 
     shift: complex = 0j
+    """By how far it is off [mm]."""
     turned: float = 0.0
+    """By how much it is turned [rad]."""
     height: float = 60.0
+    """Of its markers above the floor [mm]."""
     step: complex = 0j
+    """How far it strays with each new pose [mm], along the robot's axes if `along_robot`."""
     along_robot: bool = False
     turn: float = 0.0
+    """How far it turns away with each new pose [rad]."""
     strayed: complex = 0j
+    """How far it has strayed until now [mm]."""
     strayed_turn: float = 0.0
+    """How far it has turned away until now [rad]."""
 
     def stray(self, robot_direction: complex) -> None:
         """Go on straying; `robot_direction` is the unit vector of the robot's heading."""
@@ -158,10 +164,10 @@ class Plate:
     turned: float = 0.0
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
+@dataclass(slots=True)
 class TrackedBody:
     """One robot's rigid body, as its parts say. Each of the `changes` alters its pose as it is
-    reported.
+    reported. `last_pose` is that of the last exposure that gave it a new one, unchanged.
     """
 
     robot: Body
@@ -171,7 +177,7 @@ class TrackedBody:
     displacement: Displacement = field(default_factory=Displacement)
     plate: Plate = field(default_factory=Plate)
     changes: list[BodyChange] = field(default_factory=list)
-    last: RigidBody | None = None  # of the last exposure that gave it a new pose, unchanged
+    last_pose: RigidBody | None = None
 
     def expose(self, view: View) -> RigidBody:
         """Take an exposure; return the body as the cameras report it.
@@ -181,9 +187,10 @@ class TrackedBody:
         exposure always gives it a pose.
         """
         is_seen = self._draw_seen()
-        if self.last is None or (is_seen and not self.tracking.repeats):
-            self.last = self._new_pose(view)
-        body = self.last
+        if self.last_pose is None or (is_seen and not self.tracking.repeats):
+            self._stray()
+            self.last_pose = self._new_pose(view)
+        body = replace(self.last_pose, id=self.asset.number)
         if not is_seen:
             return replace(body, tracking_valid=False)
         for change in self.changes:
@@ -191,27 +198,29 @@ class TrackedBody:
         return body
 
     def _draw_seen(self) -> bool:
-        """Draw whether this frame has the body. Nothing is drawn for a body that no frame misses,
-        so that its errors are the same as without this fault."""
-        if not self.tracking.tracked:
+        """Draw whether this frame has the body. Where no frame misses a body nothing is drawn."""
+        if self.tracking.carried or not self.tracking.tracked:
             return False
         missing = self.tracking.missing
         return missing == 0 or self.noise.random.random() >= missing
 
+    def _stray(self) -> None:
+        """Let the body stray from its robot."""
+        self.displacement.stray(cmath.rect(1.0, self.robot.heading))
+
     def _new_pose(self, view: View) -> RigidBody:
-        """Let the body stray; return it at its robot's pose, displaced and with noise."""
+        """Return the body at its robot's pose, displaced and with noise."""
         robot = self.robot
-        displaced = self.displacement
-        robot_direction = cmath.rect(1.0, robot.heading)
-        displaced.stray(robot_direction)
-        off_mm = displaced.shift + displaced.strayed + self.plate.slip * robot_direction
-        displaced_rad = displaced.turned + displaced.strayed_turn
-        turned_rad = displaced_rad + self.plate.turned - self.asset.offset
+        seen_at = self.displacement
+        slipped = self.plate.slip * cmath.rect(1.0, robot.heading)
+        away_mm = seen_at.shift + seen_at.strayed + slipped
+        turned_away = seen_at.turned + seen_at.strayed_turn
+        body_heading = robot.heading + (turned_away + self.plate.turned - self.asset.offset)
         draw = self.noise.random.gauss
-        x = robot.x + off_mm.real + draw(0, self.noise.position_mm)
-        y = robot.y + off_mm.imag + draw(0, self.noise.position_mm)
-        heading = robot.heading + turned_rad + draw(0, self.noise.heading_rad)
-        return view.body(self.asset.number, x, y, heading, displaced.height)
+        x = robot.x + away_mm.real + draw(0, self.noise.position_mm)
+        y = robot.y + away_mm.imag + draw(0, self.noise.position_mm)
+        heading = body_heading + draw(0, self.noise.heading_rad)
+        return view.rigid_body_at(self.asset.number, x, y, heading, seen_at.height)
 
 
 def without_position(body: RigidBody) -> RigidBody:
@@ -238,7 +247,7 @@ def rolled(angle: float) -> BodyChange:
 
     def roll(body: RigidBody) -> RigidBody:
         x, y, z, w = body.quaternion  # times (sin, 0, 0, cos) from the right: its own x axis
-        turned = x * cos + w * sin, y * cos + z * sin, z * cos - y * sin, w * cos - x * sin
-        return replace(body, quaternion=turned)
+        product = x * cos + w * sin, y * cos + z * sin, z * cos - y * sin, w * cos - x * sin
+        return replace(body, quaternion=product)
 
     return roll

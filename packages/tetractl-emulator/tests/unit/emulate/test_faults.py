@@ -329,6 +329,54 @@ def test_a_jump_of_a_body_that_moves_away_does_not_hold_it_up():
     assert body.expose(View()).position[0] == pytest.approx(0.002)
 
 
+def test_a_body_that_repeats_its_pose_has_the_number_of_its_twin_at_once():
+    """Regression: it was reported with the number that it had had in its last new pose."""
+    body = body_at_origin()
+    twin = SimpleNamespace(asset=Asset(2, "blue"))
+    bodies = {"green": body, "blue": twin}
+    body.expose(View())
+    body.tracking.repeats = True
+    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
+    twin_id = kinds["twin_id"](fault="twin_id", robot="green", other="blue")
+    end = twin_id.begin(SimpleNamespace(tracked_body=bodies.get))
+    assert body.expose(View()).id == 2
+    end()
+    assert body.expose(View()).id == 1
+
+
+@pytest.mark.parametrize("carried_first", [False, True])
+def test_a_body_that_a_fault_hides_remains_hidden_when_robots_are_put_down(tmp_path, carried_first):
+    """Regression: putting robots down ended such a fault; and if it began and ended while they were
+    carried, the body was not tracked any more."""
+    faulty = faulty_lab(tmp_path, "{fault: untracked, robot: green}")
+    camera = faulty.lab.camera
+    green = camera.tracked_body("green")
+    camera.hide(carried_first)
+    end_fault = faulty.begin()
+    camera.hide(True)
+    assert not green.expose(View()).tracking_valid
+    camera.hide(False)
+    assert not green.expose(View()).tracking_valid
+    end_fault()
+    assert green.expose(View()).tracking_valid
+    assert camera.tracked_body("blue").expose(View()).tracking_valid
+
+
+def test_a_tag_that_a_fault_covers_remains_covered_when_robots_are_put_down(tmp_path):
+    pytest.importorskip("cv2")
+    faulty = faulty_lab(tmp_path, "{fault: untracked, robot: green}", APRILTAG_SPEC)
+    renderer = faulty.lab.camera.renderer
+    green, *others = renderer.robots
+    end_fault = faulty.begin()
+    faulty.lab.camera.hide(True)
+    assert not any(renderer.shows(robot) for robot in renderer.robots)
+    faulty.lab.camera.hide(False)
+    assert not renderer.shows(green)
+    assert all(renderer.shows(robot) for robot in others)
+    end_fault()
+    assert renderer.shows(green)
+
+
 def test_a_robot_with_another_number_obeys_that_one(tmp_path):
     faulty = faulty_lab(tmp_path, "{fault: wrong_id, robot: green, id: 1}")
     faulty.begin()
@@ -346,7 +394,7 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
         turn_until(lab, lambda: robot.x > 510)
         robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
-        turn_until(lab, lambda: not lab.camera.tracked[0].tracking.tracked)
+        turn_until(lab, lambda: lab.camera.tracked[0].tracking.carried)
         assert not robot.powered
         turn_until(lab, lambda: "placed" in reports)
         assert robot.x == 500

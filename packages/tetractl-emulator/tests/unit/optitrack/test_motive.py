@@ -116,6 +116,6 @@ def test_garbage_is_counted_and_survived(client):
 
 @pytest.mark.parametrize("up", UpAxis)
 def test_a_body_that_is_emulated_is_placed_where_it_is(up):
-    body = View(up, (100.0, -50.0), 0.7).body(1, 500.0, 300.0, 1.1, 60.0)
+    body = View(up, (100.0, -50.0), 0.7).rigid_body_at(1, 500.0, 300.0, 1.1, 60.0)
     pose = Placement(100.0, -50.0, 0.7, 1000.0).pose(body, up)
     assert (pose.x, pose.y, pose.heading, pose.height) == pytest.approx((500, 300, 1.1, 60))

@@ -132,7 +132,7 @@ Shades = NDArray[np.float32]
 class Renderer:
     """Draws the robots' tags and the floor tags as seen through the optics; the same seed gives the
     same pictures. `metres` is the spec's length unit [m]. Tags whose numbers are in `hidden` are
-    not drawn; the tags in `strays` are also drawn on the floor.
+    not drawn, nor robots that are `carried`; the tags in `strays` are also drawn on the floor.
     """
 
     robots: Sequence[RobotTag]
@@ -141,6 +141,7 @@ class Renderer:
     optics: Optics
     seed: int = 0
     hidden: set[int] = field(default_factory=set)
+    carried: bool = False
     strays: list[FloorTag] = field(default_factory=list)
     _empty: tuple[frozenset[int], Shades] | None = None
     _pictures: int = 0
@@ -155,7 +156,7 @@ class Renderer:
         moments = half * (2 * np.arange(SUB_EXPOSURES) + 1 - SUB_EXPOSURES) / SUB_EXPOSURES
         poses = [poses_at(exposed_ns + round(moment)) for moment in moments]
         for i, robot in enumerate(self.robots):
-            if robot.tag in self.hidden:
+            if not self.shows(robot):
                 continue
             corners = [self.card(robot, moment_poses, i) for moment_poses in poses]
             still = np.ptp(corners, axis=0).max() < 0.05
@@ -163,6 +164,10 @@ class Renderer:
         for stray in self.strays:
             self._lay(canvas, stray)
         return self._finished(canvas)
+
+    def shows(self, robot: RobotTag) -> bool:
+        """Return whether a robot's tag is drawn."""
+        return not self.carried and robot.tag not in self.hidden
 
     def card(self, robot: RobotTag, poses: Poses, i: int) -> Floats:
         """Return the pixels (4, 2), before distortion, of the corners of robot i's card.
@@ -311,17 +316,16 @@ class EmulatedAprilTag(StreamedCamera):
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
 
     def hide(self, hidden: bool) -> None:
-        """If `hidden`, leave all robots' tags out of the pictures; otherwise draw them again."""
-        self.renderer.hidden.clear()
-        if hidden:
-            self.renderer.hidden.update(robot.tag for robot in self.renderer.robots)
+        """If `hidden`, leave all robots' tags out of the pictures; otherwise draw them again, but
+        for those that a fault covers."""
+        self.renderer.carried = hidden
 
     def tag(self, name: str) -> int:
         """Return the number of a robot's tag."""
         return entry(self._section.robots, name).tag
 
     def _visible_now(self) -> Sequence[bool]:
-        return [robot.tag not in self.renderer.hidden for robot in self.renderer.robots]
+        return [self.renderer.shows(robot) for robot in self.renderer.robots]
 
     def _scene(self) -> Floats:
         mm = self._stage.mm

@@ -176,7 +176,8 @@ class EmulatedMicroscope(StreamedCamera):
             self.seed,
         )
         self._bodies = cells
-        self.hidden = set[str]()  # names of cells
+        self.hidden = set[str]()  # names of cells that faults cover
+        self._carried = False
         self._mirrored = settings.mirrored
 
     @classmethod
@@ -185,14 +186,15 @@ class EmulatedMicroscope(StreamedCamera):
         return Rehearsal([*microscope_rows()], microscope_world)
 
     def hide(self, hidden: bool) -> None:
-        """If `hidden`, leave all cells out of the pictures; otherwise draw them again."""
-        self.hidden = {body.name for body in self._bodies} if hidden else set()
+        """If `hidden`, leave all cells out of the pictures; otherwise draw them again, but for
+        those that a fault covers."""
+        self._carried = hidden
 
     def _joined(self) -> None:
         self._dish.drop()
 
     def _visible_now(self) -> Sequence[bool]:
-        return [body.name not in self.hidden for body in self._bodies]
+        return [not self._carried and body.name not in self.hidden for body in self._bodies]
 
     def _scene(self) -> Floats:
         scene = bodies(self._dish.cells)

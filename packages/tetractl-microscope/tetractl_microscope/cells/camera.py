@@ -17,8 +17,7 @@ from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import LabLimits
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
-from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines
-from tetractl_microscope.cells.detect_cells import Light
+from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines, sharpness
 from tetractl_microscope.cells.field_signals import FieldSignals
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.identity_watch import SURE
@@ -31,24 +30,18 @@ from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.whole_pictures import PictureLog
 
-LEARNED = 15  # pictures from which the background is computed, spread over the time for it
-LEARNED_LEAST = 7  # of them that suffice if pictures come slowly
-WIDER = 1.5  # deviations found in films over those of the filter, which fits no cell's noise
-MEAN_S = 2.0  # time from which a cell's speed is the mean since it was first seen [s]
-ADDED = 1024  # most messages queued, of which the oldest are dropped
+LEARNED = 15  # parts of the time to learn: the background is computed from a picture of each
+LEARNED_LEAST = 7  # pictures that suffice if they come slowly
+WIDER = 1.5  # deviations found in films, over the filter's: it fits no cell's noise
+MEAN_S = 2.0  # time in view from which a cell's speed is the mean over it [s]
+QUEUED_MOST = 1024  # messages kept until they are taken; the oldest are dropped beyond
 LEVEL_STEP = 8  # step between the pixels whose median is a picture's grey level
-# sharpness: number of cells examined; reach about a cell's middle, in its lengths; side above which
-# what is cut out of the picture is large enough [px]; quantile of slopes that is the steepest
-SHARP_CELLS = 8
-SHARP_REACH = 0.7
-SHARP_SIDE = 6
-STEEPEST = 0.98
 NO_CELL = -1  # number of a robot's cell before all robots were seen in one picture
 
 
 @dataclass(frozen=True, slots=True)
 class FirstSight:
-    """When [s], and where on its way [um], a track was first in view."""
+    """When [s], and where on its way [um], a track came into view."""
 
     seconds: float
     way_um: float
@@ -64,8 +57,9 @@ class CellSpeed:
 
 @dataclass(frozen=True, slots=True)
 class CellsInView:
-    """The cells of the picture exposed at `now_s` [s], and when each track was `first` in view.
-    Knocks have moved what the picture shows by `moved_um` [um], along its rows and up.
+    """The cells of the picture exposed at `now_s` [s], and since when each track has been in view
+    without a gap (`first`). Knocks have moved what the picture shows by `moved_um` [um], along its
+    rows and up.
 
     The searching thread replaces it as a whole, since another thread reads it.
     """
@@ -88,8 +82,8 @@ class CellsInView:
         return CellsInView(cells, now_s, first, moved_um)
 
     def speed(self, cell: SeenCell) -> CellSpeed:
-        """Return the mean speed of a cell in view since it was first seen; the filter's present one
-        if that was just now."""
+        """Return the mean speed of a cell since it came into view; in its first MEAN_S there the
+        filter's present one."""
         first = self.first[cell.track]
         seconds = self.now_s - first.seconds
         if seconds > MEAN_S:
@@ -129,9 +123,9 @@ class PictureNews:
     the robots' cells are `identified`, for a watch."""
 
     def __init__(self) -> None:
-        self.identified = deque[Identities](maxlen=ADDED)
+        self.identified = deque[Identities](maxlen=QUEUED_MOST)
         self._whole = PictureLog()
-        self._added = deque[FrameAddition](maxlen=ADDED)
+        self._added = deque[FrameAddition](maxlen=QUEUED_MOST)
 
     def add(
         self, picture: Grey, exposed_ns: int, background: Grey | None, probability: Floats
@@ -172,7 +166,8 @@ class CellCamera(PictureCamera[SeenDish]):
         self._arena = setup.arena  # and its length unit: the same in each setup of a dish
         self._metres = setup.metres
         self._view = CellsInView()
-        self._tracker = CellTracker(  # asks for walls at once
+        # built after what `_near_wall` needs: its filter calls that while it is built
+        self._tracker = CellTracker(
             section.um_px,
             field_known=True,
             near_wall=self._near_wall,
@@ -191,7 +186,7 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def candidates(self) -> list[RobotCandidate]:
         """Return the cells in the newest picture whose identity is sure, with the filter's
-        estimates of a and of the mean speed since each was first seen. Cells near the arena's edge
+        estimates of a and of the mean speed since each came into view. Cells near the arena's edge
         are not free.
         """
         view = self._view
@@ -204,16 +199,15 @@ class CellCamera(PictureCamera[SeenDish]):
         per_um = 1e-6 / self._metres
         a = float(cell.mean[A])
         a_sd = math.hypot(WIDER * float(cell.sd[A]), A_ERROR * a)
-        x, y = np.array([[cell.x], [cell.y]])
-        is_free = not self._near_wall_in(view, x, y).item()
+        is_near_wall = self._near_wall_in(view, np.array([cell.x]), np.array([cell.y]))[0]
         return RobotCandidate(
-            cell.identity,
-            self._pose_of(cell, view),
-            a,
-            a_sd,
-            speed.um_s * per_um,
-            speed.sd_um_s * per_um,
-            is_free,
+            number=cell.identity,
+            pose=self._pose_of(cell, view),
+            a=a,
+            a_sd=a_sd,
+            speed=speed.um_s * per_um,
+            speed_sd=speed.sd_um_s * per_um,
+            free=not is_near_wall,
         )
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
@@ -263,30 +257,31 @@ class CellCamera(PictureCamera[SeenDish]):
             "scale": f"{self.section.um_px:g} um/px",
             "organism": self.section.organism,
             **self._stream_facts(looks),
-            **({"cells": str(cell_count(looks))} if looks else {}),
-            "opencv": cv2.__version__,
-            "damaged": str(self.damaged),
-            "skipped": str(self._skipped),
         }
+        if looks:
+            facts["cells"] = str(cell_count(looks))
+        facts["opencv"] = cv2.__version__
+        facts["damaged"] = str(self.damaged)
+        facts["skipped"] = str(self._skipped)
         return Health((*problems, *wrong), (*warnings, *doubtful), facts, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
-        """Return what a picture shows, None while the background is learned."""
+        """Learn from a picture, or follow the cells in it; return what it shows, None while the
+        background is learned."""
         if self.section.mirrored:
             picture = np.asarray(cv2.flip(picture, 1), np.uint8)
         finder = self._tracker.finder
         if finder.background is None:
             self._learn(picture, exposed_ns)
             return None
-        cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
-        view = self._view.followed_by(
-            cells, exposed_ns / SECOND, self._shift_um(finder.light.shift_px)
-        )
+        now_s = exposed_ns / SECOND
+        cells = self._tracker.see(picture, now_s, self._field)
+        view = self._view.followed_by(cells, now_s, self._shift_um(finder.light.shift_px))
         self._view = view
         robots = self._take_robots(view)
         numbers = robots.numbers or (NO_CELL,) * len(robots.setup.names)
-        by_number = {cell.identity: cell for cell in cells}
-        tracked = [by_number.get(number) for number in numbers]
+        cell_of_number = {cell.identity: cell for cell in cells}
+        tracked = [cell_of_number.get(number) for number in numbers]
         probability = np.array([np.nan if cell is None else cell.probability for cell in tracked])
         self._news.add(picture, exposed_ns, finder.background, probability)
         return SeenDish(
@@ -295,7 +290,7 @@ class CellCamera(PictureCamera[SeenDish]):
             strangers=tuple(self._pose_of(c, view) for c in cells if c.identity not in numbers),
             light=finder.light,
             level=float(np.median(picture[::LEVEL_STEP, ::LEVEL_STEP])),
-            sharpness=_sharpness(picture, cells, self.section.um_px, finder.light),
+            sharpness=sharpness(picture, cells, self.section.um_px, finder.light.contrast),
             sure=min((cell.probability for cell in tracked if cell is not None), default=0.0),
         )
 
@@ -318,7 +313,8 @@ class CellCamera(PictureCamera[SeenDish]):
         return robots
 
     def _shift_um(self, shift_px: tuple[float, float]) -> tuple[float, float]:
-        """Return a shift, given in columns and in rows, which run down, along rows and up [um]."""
+        """Convert a shift by columns and rows, which run down [px], to one along rows and up
+        [um]."""
         columns, rows = shift_px
         return columns * self.section.um_px, -rows * self.section.um_px
 
@@ -352,30 +348,9 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:
         """Return whether a wall may turn cells at positions (R,) in the picture of a view [um]."""
-        inside = self._arena.inside(*self._placed(view, x, y))
-        return inside < WALL_UM * 1e-6 / self._metres
+        to_edge = self._arena.inside(*self._placed(view, x, y))
+        return to_edge < WALL_UM * 1e-6 / self._metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] in the picture's axes, by the directions sent."""
         return self._sent.pieces(start, end, self.section.rotation)
-
-
-def _sharpness(
-    picture: Grey, cells: Sequence[SeenCell], um_px: float, light: Light
-) -> float | None:
-    """Return the median, over the first cells, of the steepest slope of grey levels divided by the
-    contrast [1/px]; None without contrast or a cell of some size.
-    """
-    if not light.contrast:
-        return None
-    steepest = []
-    for cell in cells[:SHARP_CELLS]:
-        column = round(cell.x / um_px)
-        row = round(picture.shape[0] - cell.y / um_px)
-        reach = round(SHARP_REACH * cell.long_um / um_px)
-        part = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
-        if min(part.shape) > SHARP_SIDE:
-            smooth = part[:, :-2].astype(float) + part[:, 1:-1] + part[:, 2:]
-            slopes = np.abs(smooth[2:, 2:] - smooth[2:, :-2]) / 6  # sums of 3, 2 px apart
-            steepest.append(float(np.quantile(slopes, STEEPEST)) / light.contrast)
-    return float(np.median(steepest)) if steepest else None

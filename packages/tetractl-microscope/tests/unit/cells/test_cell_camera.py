@@ -9,10 +9,7 @@ import pytest
 from support.dish_films import film
 from support.needs_opencv import video
 from tetractl_microscope.cell_checks import cell_checks
-from tetractl_microscope.cells.cells_health import SeenDish, dish_lines
-from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.pictures.feed import Picture
-from tetractl_microscope.pictures.looks import Look
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Stop, Transmission
@@ -200,46 +197,3 @@ def test_the_inner_loop_passes_on_what_it_sends():
     loop.step()
     loop.stop()
     assert camera.heard == [1.0, *[None] * 10]
-
-
-LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)
-
-
-def looks(**changes):
-    from tetractl.core.poses import Pose
-
-    values = {
-        "robots": None,  # which cells they are does not matter to what is said
-        "poses": (Pose(0, 0, 0), Pose(1, 1, 0)),
-        "strangers": (),
-        "light": LIGHT,
-        "level": 120.0,
-        "sharpness": 0.3,
-        "sure": 1.0,
-    } | changes
-    return [Look(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
-
-
-@pytest.mark.parametrize(
-    ("changes", "width_px", "says"),
-    [
-        ({}, 11.0, ""),
-        ({"level": 3.0}, 11.0, "black"),
-        ({"level": 252.0}, 11.0, "saturated"),
-        ({"light": Light(1, 2, None, 0.4, True)}, 11.0, "was the stage or the lamp moved"),
-        ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, 2"),
-        (
-            {"light": Light(1, 3.0, 9.0, 0.01, False, limit=7.0)},
-            11.0,
-            "those below 7 are missed",
-        ),
-        ({"light": Light(1, 3.0, None, 0.0, False, limit=7.0)}, 11.0, "no object differs"),
-        ({"sharpness": 0.05}, 11.0, "focus"),
-        ({"sure": 0.6}, 11.0, "it is uncertain which is which"),
-        ({}, 5.2, "a cell is 5 px wide; 8 px"),
-    ],
-)
-def test_health_says_what_is_wrong_in_words(changes, width_px, says):
-    problems, warnings = dish_lines(("first", "second"), looks(**changes), width_px)
-    lines = [*problems, *warnings]
-    assert (lines == []) if not says else any(says in line for line in lines)

@@ -390,14 +390,14 @@ class Mpc:
         rest_periods = section.signal_periods - held_periods
         first_period_s = rest_periods * section.period
         motion = replace(motion, targets=self.course.targets, first_period=first_period_s)
-        left_s = self.time.left_s + held_periods * section.period
+        periods_left = self.time.periods_left + held_periods
         problem = self._with_margins(motion, self.estimator.known)
         return ControlStep(
             problem=problem,
             silence=self._silence(problem),
             warm=self._signals_left(held_periods),
             horizon_max=section.horizon_max,
-            signals_left=left_s / motion.period,
+            signals_left=periods_left / section.signal_periods,
             value=Worth(
                 accept=section.accept_error,
                 spent_s=self.time.passed_s - self.progress.leg.began_s,

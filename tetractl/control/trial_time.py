@@ -1,5 +1,7 @@
 """The time of a trial, which controllers compare with its limit."""
 
+import math
+
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.poses import Observation
@@ -10,15 +12,15 @@ class TrialTime:
 
     A step begins a control period `period_s` after the last command, or later, after a turn or a
     rest; its frame is somewhat older, or much older if frames are lost. A time is taken for the
-    next full period if it is less than half a period short of it.
+    next full period if it is at most half a period short of it. After a rest of 3.5 periods it is
+    exactly half a period short: so times are compared in whole nanoseconds, which nothing rounds.
     """
 
     def __init__(self, limit_s: float, period_s: float) -> None:
-        self.limit_s = limit_s
-        self._period_s = period_s
+        self._limit_ns = math.inf if math.isinf(limit_s) else round(limit_s * SECOND)
         self._period_ns = round(period_s * SECOND)
         self._began_ns: int | None = None
-        self.passed_s = 0.0
+        self._passed_ns = 0
 
     def seen(self, observation: Observation, last_command: Command | None) -> None:
         """Take the time of a control step from its frame and the command before it; the first
@@ -28,14 +30,21 @@ class TrialTime:
             self._began_ns = last_command.sent_ns if self._began_ns is None else self._began_ns
             now_ns = max(now_ns, last_command.sent_ns + self._period_ns)
         if self._began_ns is not None:
-            self.passed_s = (now_ns - self._began_ns) / SECOND
+            self._passed_ns = now_ns - self._began_ns
 
     @property
-    def left_s(self) -> float:
-        """The time left [s], rounded up by at most half a control period."""
-        return self.limit_s - self.passed_s + self._period_s / 2
+    def passed_s(self) -> float:
+        """The time since the first command [s]."""
+        return self._passed_ns / SECOND
+
+    @property
+    def periods_left(self) -> float:
+        """The time left in control periods, and half a period more: its integer part is the number
+        of steps until the limit."""
+        left_ns = self._limit_ns - self._passed_ns + self._period_ns // 2
+        return left_ns / self._period_ns
 
     @property
     def over(self) -> bool:
         """Whether less than half a control period is left."""
-        return self.left_s < self._period_s
+        return self.periods_left < 1.0

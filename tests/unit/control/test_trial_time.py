@@ -28,7 +28,7 @@ def test_a_trial_of_two_seconds_has_ten_periods_after_its_first_command(latency_
     while not time.over:
         steps += 1
         time.seen(seen(5.0 + 0.2 * steps - latency_s), sent(4.8 + 0.2 * steps))
-        assert int(time.left_s / 0.2) == 10 - steps
+        assert int(time.periods_left) == 10 - steps
     assert steps == 10
 
 
@@ -38,3 +38,20 @@ def test_a_rest_takes_its_time():
     time.seen(seen(0.2), sent(0.0))
     time.seen(seen(1.1), sent(0.4))
     assert time.passed_s == pytest.approx(1.1)
+
+
+def test_after_a_rest_of_three_and_a_half_periods_each_step_takes_one_of_those_left():
+    """Regression: the time left was then a whole number of periods, which rounding made one less in
+    some steps; so a plan that fitted lost its next signal.
+
+    The rest begins with the first command and ends at 0.7 s. Of 20 s, 96.5 periods are left then.
+    """
+    time = TrialTime(20.0, 0.2)
+    time.seen(seen(0.0), None)
+    periods_left = []
+    for step in range(97):
+        end_of_rest_s = 0.7
+        last_sent_s = end_of_rest_s - 0.2 + 0.2 * step if step else 0.0
+        time.seen(seen(end_of_rest_s + 0.2 * step), sent(last_sent_s))
+        periods_left.append(int(time.periods_left))
+    assert periods_left == list(range(97, 0, -1))

@@ -42,6 +42,8 @@ What happens next, if
                                   turns, and then give up: the trial ends in the step after
     a search takes too long       searches end at the spec's `deadline`; the first one is always
                                   done, and its plan is a candidate
+    no time is left for a new     plans are searched first, and a stop is compared with the best:
+    plan                          the plan under way may have to be polished to come near
     a step is late                the next one begins with the poses that robots have by then
     few directions get through    a signal is sent again until it ends, and nothing is searched
                                   meanwhile (`tetractl.control.reception`)
@@ -452,6 +454,8 @@ class Mpc:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._thread(step, warm)
+        if not step.allows(least_length(step.problem), wait_s=0.0):
+            return self._near_the_limit(step, warm)
         bound_of_going_on = self._bound_of_going_on(step, warm)
         bound_of_rest = self._bound_of_rest(step)
         stop = self._stop(step, warm, min(bound_of_going_on, bound_of_rest))
@@ -463,16 +467,29 @@ class Mpc:
             return plan
         return self._rest(searched)
 
+    def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
+        """Decide while a plan is under way and no time is left for a new one, or for a rest.
+
+        The plan is polished before it is compared with a stop. As it is, it may lead far from the
+        targets after a disturbance in its last signals, where the polished one comes near them.
+        """
+        searched = self._search_under_way(step, warm)
+        stop = self._stop(step, warm, searched.candidates[0].value)
+        if stop is not None:
+            return stop
+        plan = self._go_on(searched, bound_of_rest=np.inf)
+        if plan is not None:
+            return plan
+        return self._rest(searched)
+
     def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
         """Return a lower bound of the value of going on: that of the plan under way as it is, or of
-        the shortest new plan if it led exactly to the targets. There must be time for a new plan.
-        """
-        bound = np.inf
+        the shortest new plan if it led exactly to the targets."""
+        shortest_new = len(warm) + 2  # one signal more is still the plan under way
+        bound = step.value.plan(0.0, shortest_new, new=True)
         if len(warm) > 0:
-            bound = self._value(step, warm, compiled_foresee(step.problem, warm))
-        if step.allows(least_length(step.problem), wait_s=0.0):
-            shortest_new = len(warm) + 2  # one signal more is still the plan under way
-            bound = min(bound, step.value.plan(0.0, shortest_new, new=True))
+            as_it_is = self._value(step, warm, compiled_foresee(step.problem, warm))
+            bound = min(bound, as_it_is)
         return bound
 
     def _bound_of_rest(self, step: ControlStep) -> float:

@@ -40,6 +40,8 @@ BAD = 500.0
 """Cost of a plan that is not worth its time: far above ACCEPT [mm]."""
 BODY = 47.0
 """Radius of an m3pi [mm]."""
+SHORTEST = SIGNALS_PER_ROBOT * len(STARTS)
+"""Length of the shortest plan for three robots next to their targets."""
 HEARD = (True, True, True)
 STRAIGHT_ON = Command(Steer(0.0), 0, HEARD)
 """The first direction, in which all robots head already; the trial's time counts from it."""
@@ -234,6 +236,19 @@ def test_the_limit_of_time_ends_a_trial():
     assert decide(controller, now=2 * PERIOD_NS) is Outcome.TIME_LIMIT
 
 
+@pytest.mark.parametrize(("cost", "then"), [(1.0, State.DRIVING), (BAD, Outcome.NO_BETTER_PLAN)])
+def test_near_the_limit_a_stop_is_compared_with_the_polished_plan(cost, then):
+    """Regression: with no time left for a new plan, robots stopped if that was better than the
+    plan under way as it was, though polished it would have led them to their targets.
+
+    The signals left lead the robots, ACCEPT + 30 short of their targets, far past them.
+    """
+    controller, _ = driving({5: cost}, time_limit=2)
+    assert controller.section.time_limit < SHORTEST * PERIOD_S
+    decision = decide(controller, short_by(ACCEPT + 30))
+    assert (decision if isinstance(decision, Outcome) else decision.state) is then
+
+
 ARRIVES_S = 0.1
 MOMENTS_NS = 5_000_000
 """Time between two of the 40 moments of a period at which a stop may come."""
@@ -284,8 +299,6 @@ def test_robots_that_can_stand_rest_where_the_stop_is_best():
 
 
 STOPPED_NS = PERIOD_NS + PERIOD_NS // 2
-SHORTEST = SIGNALS_PER_ROBOT * len(STARTS)
-"""Length of the shortest plan for three robots next to their targets."""
 NEW_PLAN_VALUE = Worth(ACCEPT, spent_s=1.0, period_s=PERIOD_S).plan(0.0, SHORTEST, new=True)
 """Value of this plan 1 s after the beginning if it leads exactly to the targets [mm]."""
 

@@ -73,9 +73,9 @@ and between two steps, control steps that are late (note_step), a loss that othe
 (lose_robot) and, by `abort`, what only others can know: a robot that moves in a pause, a device or
 an inner loop that fails.
 
-The inner loop makes the calls of a run, one at a time. `note_step`, `abort`, `lose_robot` and
-`replace_robot` may come from the controller's thread meanwhile. Lengths are in the spec's length
-unit, times ns on the run's clock.
+The inner loop makes the calls of a run, one at a time. `note_step` and `abort` may come from the
+controller's thread meanwhile, `lose_robot` and `replace_robot` between two steps of the loop.
+Lengths are in the spec's length unit, times ns on the run's clock.
 """
 
 from collections.abc import Iterable, Sequence

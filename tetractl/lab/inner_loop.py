@@ -16,10 +16,12 @@ What happens if something goes wrong:
     raise, or return nonsense     others in the steps that follow; the loop goes on
     the actuator fails            the guard aborts; nothing more can be sent
     emergency                     the guard aborts for good; stops are sent, also after an abort
-    the loop's thread hangs       `hold` aborts after HOLD_S; `stop` sends past it after STOP_S
+    the loop's thread hangs       `hold` and `between_steps` abort after HOLD_S; `stop` sends past
+                                  it after STOP_S
 
-Threads: the loop's own makes the steps; the controller's calls `hold`, `stop`, `sent`, `warnings`
-and `restart`. A lock lets one of them act at a time. Times are ns on the run's clock.
+Threads: the loop's own makes the steps; the controller's calls `hold`, `between_steps`, `stop`,
+`sent`, `warnings` and `restart`. A lock lets one of them act at a time. Times are ns on the run's
+clock.
 """
 
 import threading
@@ -46,7 +48,8 @@ from tetractl.lab.guard_records import GuardState, Ruling
 IDLE_S = 0.01
 """Longest time between two steps without a frame [s]."""
 HOLD_S = 0.25
-"""Time for which `hold` waits for the thread to end its step [s]; chosen, not measured."""
+"""Time for which `hold` and `between_steps` wait for the thread to end its step [s]; chosen, not
+measured."""
 STOP_S = 1.0
 """Time for which `stop` waits for it [s]: longer, as a stop that is sent past a step which only
 takes long may come between its bytes."""
@@ -125,19 +128,27 @@ class InnerLoop:
         The transmission is a stop if the guard presently lets no robot move. AbortError with the
         guard's reason if no robot may move any more.
         """
-        with self._locked(HOLD_S) as locked:
-            if not locked:
-                self.guard.abort("the inner loop did not answer")
-                raise AbortError(self.guard.reason)
-            self.guard.start_run(self._clock.now())
-            self.guard.note_direction(self._clock.now(), isinstance(action, Steer))
+        with self.between_steps() as guard:
+            guard.start_run(self._clock.now())
+            guard.note_direction(self._clock.now(), isinstance(action, Steer))
             self._held = HeldAction(action)
             sent = self._step_safely()
             if sent is None:
-                self.guard.abort("the guard lets no robot be steered")
-            if sent is None or self.guard.state is GuardState.ABORT:
-                raise AbortError(self.guard.reason)
+                guard.abort("the guard lets no robot be steered")
+            if sent is None or guard.state is GuardState.ABORT:
+                raise AbortError(guard.reason)
             return sent
+
+    @contextmanager
+    def between_steps(self) -> Iterator[Guard]:
+        """Let the loop make no step during the `with` block, which may change its guard's robots: a
+        step goes on with what it has read of them. AbortError if the loop is within a step for too
+        long."""
+        with self._locked(HOLD_S) as is_locked:
+            if not is_locked:
+                self.guard.abort("the inner loop did not answer")
+                raise AbortError(self.guard.reason)
+            yield self.guard
 
     def restart(self, guard: Guard) -> None:
         """Continue with the guard of newly found robots; forget the frames so far."""

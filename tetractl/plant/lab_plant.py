@@ -251,18 +251,21 @@ class LabPlant:
         """Report the robots that count as lost to the guard; if the spec requires that, another
         body replaces a robot that has been lost for long enough.
         """
-        guard = self.rig.guard
+        losses = tuple(watch.lost())
+        if losses:
+            with self.rig.loop.between_steps() as guard:
+                for lost in losses:
+                    guard.lose_robot(lost.robot, lost.text)
         loss = self.setup.loss
-        for lost in watch.lost():
-            guard.lose_robot(lost.robot, lost.text)
         if loss is None or not loss.replaced:
             return
-        for i, seen_ns in guard.lost.items():
+        for i, seen_ns in self.rig.guard.lost.items():
             if now - seen_ns < loss.after_s * SECOND:
                 continue
             what = watch.replace(i)
             if what:
-                guard.replace_robot(i)
+                with self.rig.loop.between_steps() as guard:
+                    guard.replace_robot(i)
                 self._news.warn(now, f"{self.setup.names[i]} {what}")
 
     def _final(self) -> Poses:

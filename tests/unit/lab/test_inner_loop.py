@@ -12,6 +12,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
+from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab import inner_loop
 from tetractl.lab.guard_records import GuardState
@@ -47,6 +48,27 @@ def test_steering_past_a_loop_that_hangs_aborts(hung):
     with pytest.raises(AbortError, match="the inner loop did not answer"):
         hung.plant.send(Steer(0.1))
     assert hung.plant.rig.guard.state is GuardState.ABORT
+
+
+class LosesBlue:
+    """Stands for a camera's watch to which blue is lost."""
+
+    def see(self, sampled_ns):
+        yield from ()
+
+    def lost(self):
+        yield Lose(1, "blue is another robot")
+
+    def replace(self, robot):
+        return ""
+
+
+def test_the_controller_loses_no_robot_while_the_loop_is_within_a_step(hung):
+    """Regression: its thread changed the guard at any time, also while a step was deciding by it;
+    a warning given meanwhile could be lost."""
+    hung.camera.watch = lambda setup, limits: LosesBlue()
+    with pytest.raises(AbortError, match="the inner loop did not answer"):
+        hung.plant.observe()
 
 
 def test_a_stop_is_sent_past_a_loop_that_hangs(hung):

@@ -186,7 +186,7 @@ class FilterBank:
         """What is assumed of the robots. From the first opening of the bank on, motors may saturate
         in it; in which filters they do is a matter of their states."""
         self.commands = CommandRecord()
-        self.reception = Reception()
+        self.reception = Reception(len(prior.a))
         """Whether few of the directions sent are received."""
         self.last_frame: Observation | None = None
         """The last frame used: the filters are at its time. None before the first."""
@@ -207,11 +207,12 @@ class FilterBank:
         before these frames.
         """
         misfits = self._misfits()
+        shown_before = self.reception.times_shown
         self._follow_frames(self._frames_used(newest, earlier))
         if not self.prior.certain:
             self._share_scores()
             self._select_filters()
-        if self._radio_seems_sparse():
+        if shown_before == 0 and self.reception.times_shown == 1:
             self._reopen(newest, heading_fits=True)
         elif misfits.any() and self._may_reopen(newest):
             self._reopen(newest, heading_fits=not misfits[:, HEADING_MISFIT].any())
@@ -383,7 +384,19 @@ class FilterBank:
         self._note_noise(measured)
         # The coarsest grid's step, for all: it is by how much a dead time may be wrong.
         step_s = float(self.step_s.max())
-        follow(self.bank, self.model, self.commands.all, measured, self._noisy, step_s)
+        commands = self.commands.all
+        likeliest = self._likeliest_filters()
+        tests_radio = self._may_test_radio()
+        for frame in range(1, len(frames)):
+            pair = measured.part(frame - 1, frame + 1)
+            follow(self.bank, self.model, commands, pair, self._noisy, step_s)
+            if tests_radio:
+                self.reception.add_frame(self.bank, likeliest, commands)
+
+    def _may_test_radio(self) -> bool:
+        """Return whether it is tested if few directions reach the robots: not for cells, nor once
+        it is known."""
+        return bool(self.body.later_tried) and not self.reception.is_sparse
 
     def _note_noise(self, measured: PoseFrames) -> None:
         """Note whether measurements are noisy: poses differ though nothing was sent yet. Then equal
@@ -430,15 +443,6 @@ class FilterBank:
         opened_ns = TRIAL_STARTS_NS if self.reopened_ns is None else self.reopened_ns
         is_due = newest.sampled_ns >= opened_ns + REOPEN_S * SECOND
         return bool(self.body.later_tried) and is_due
-
-    def _radio_seems_sparse(self) -> bool:
-        """Test whether few directions reach robots on wheels; return whether it seems so by this
-        frame for the first time."""
-        if self.prior.certain or not self.body.later_tried or self.reception.is_sparse:
-            return False
-        shown_before = self.reception.times_shown
-        self.reception.add(self.bank, self._likeliest_filters(), self.commands.all)
-        return shown_before == 0 and self.reception.times_shown == 1
 
     def _reopen(self, frame: Observation, heading_fits: bool) -> None:
         """Open the bank again at a frame: begin with the first dead times, and with motors that may

@@ -16,7 +16,9 @@ far are exp(r) times as likely with the latter, where each direction adds to r
 
     ln((OFTEN + (1 - OFTEN) P) / (SELDOM + (1 - SELDOM) P)),
 
-and r is kept at 0 or above, as a radio may change at any time (Page's test, 1954).
+and r is kept at 0 or above, as a radio may change at any time (Page's test, 1954). Of a direction,
+the frames count that were taken before the next one acted: later ones, in which robots turn by the
+next one, would speak for or against both.
 
 Directions that act later than the filters know seem to be missed, too. Two things tell them from
 those of a sparse radio. They are missed one after another, so of directions missed in a row only
@@ -29,7 +31,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.filter_state import ASSUMED, Bank, SentCommands
-from tetractl.core.poses import Floats, Integers, wrap
+from tetractl.core.poses import Floats, Integers
 
 SELDOM = 0.05
 """Probability that a radio that works lets a direction not through; as `ASSUMED.lost`, that a robot
@@ -49,12 +51,16 @@ MISSED_IN_A_ROW = 3
 class Reception:
     """The test in one trial."""
 
-    def __init__(self) -> None:
+    def __init__(self, robots: int) -> None:
         self.ln_ratio = 0.0
         """r of the module."""
         self.times_shown = 0
         """How often r has been above LN_SURE; it began at 0 again each time."""
         self._missed_in_a_row = 0
+        self._robots = robots
+        self._ln_robot_ratios: dict[int, Floats] = {}
+        """Of the commands that are the last to have acted on some robot, by their index, what the
+        frames of each robot have said so far: ln((1 - q) Lambda + q), (N,)."""
         self._next = 1
         """Index of the next command to be tested. The first has none before it."""
 
@@ -63,25 +69,26 @@ class Reception:
         """Whether few directions are let through, by filters that had all dead times."""
         return self.times_shown > 1
 
-    def add(self, bank: Bank, filters: Integers, commands: SentCommands) -> None:
-        """Test the directions of which the newest frame says more; `filters` (N,) are the robots'
-        likeliest ones.
+    def add_frame(self, bank: Bank, filters: Integers, commands: SentCommands) -> None:
+        """Take what a frame says of the commands that acted last, after the filters have followed
+        the robots to it; `filters` (N,) are the robots' likeliest ones.
 
-        A command that acted last is not tested yet: its hypothesis has begun from the likeliest
-        one, and few frames have come since. What robots followed before it is known better.
+        A command is tested once the next one has acted on all robots.
         """
         rows = filters.tolist()
-        robots = range(len(rows))
-        last_acted = int(min(bank.next_command[rows[robot], robot] for robot in robots)) - 1
-        for command in range(self._next, last_acted):
-            if is_news(commands.directions, command):
-                ln_product = 0.0
-                for robot in robots:
-                    ln_product += ln_robot_ratio(
-                        bank, rows[robot], robot, commands.directions, command
-                    )
-                self.add_direction(ln_product)
-        self._next = max(self._next, last_acted)
+        acted_last = [int(bank.next_command[row, robot]) - 1 for robot, row in enumerate(rows)]
+        for robot, row in enumerate(rows):
+            command = acted_last[robot]
+            if command < self._next:
+                continue
+            ln_ratios = self._ln_robot_ratios.setdefault(command, np.zeros(self._robots))
+            ln_ratios[robot] = ln_robot_ratio(bank, row, robot, commands.directions[command])
+        first_untested = max(self._next, min(acted_last))
+        for command in range(self._next, first_untested):
+            ln_ratios = self._ln_robot_ratios.pop(command, None)
+            if ln_ratios is not None and is_news(commands.directions, command):
+                self.add_direction(float(ln_ratios.sum()))
+        self._next = first_untested
 
     def add_direction(self, ln_product: float) -> None:
         """Add a direction with ln P to the test."""
@@ -102,36 +109,29 @@ class Reception:
 
 
 def is_news(directions: Floats, command: int) -> bool:
-    """Return whether a command's direction differs from that before and from that after it, and no
-    robots are to stand: else frames do not show whether they heard it."""
-    before, tested, after = directions[command - 1 : command + 2]
-    all_drive = not np.isnan([before, tested, after]).any()
-    return bool(all_drive and before != tested and tested != after)
+    """Return whether a command's direction differs from that before, and robots are not to stand in
+    either: else frames do not show whether they heard it."""
+    before, tested = directions[command - 1 : command + 1]
+    both_drive = not np.isnan([before, tested]).any()
+    return bool(both_drive and before != tested)
 
 
-def ln_robot_ratio(bank: Bank, row: int, robot: int, directions: Floats, command: int) -> float:
-    """Return ln((1 - q) Lambda + q) of a robot and a command, by a filter of it, a row of the bank.
+def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
+    """Return ln((1 - q) Lambda + q) of a robot and the direction of the command that acted last, by
+    a filter of the robot, a row of the bank.
 
     As the command branched hypotheses with the probability q that it was missed, the odds of those
-    that heard it, over those that did not, are Lambda (1 - q) / q. It is 0 if only one of both is
-    kept, or if the robot is stuck: then nothing is known. Nor if the direction after it is nearer
-    to what a robot follows that missed it: frames since that acted would speak for this one.
+    that heard it, over those that did not, are Lambda (1 - q) / q. The result is 0 if only one of
+    both is kept, or if the robot is stuck: then nothing is known.
     """
     ln_weight = bank.ln_weight[row, robot]
-    follows = bank.direction[row, robot]
     stuck = len(ln_weight) - 1
     if ln_weight.argmax() == stuck:
         return 0.0
-    later = directions[command + 1 : bank.next_command[row, robot]]
     drives = np.arange(len(ln_weight)) < stuck
-    heard = drives & (follows == directions[command])
-    missed = drives & ~heard & ~np.isin(follows, later)
-    ln_heard = ln_weight[heard].max(initial=-np.inf)
-    ln_missed = ln_weight[missed].max(initial=-np.inf)
+    follows_it = bank.direction[row, robot] == direction
+    ln_heard = ln_weight[drives & follows_it].max(initial=-np.inf)
+    ln_missed = ln_weight[drives & ~follows_it].max(initial=-np.inf)
     if np.isinf(ln_heard) or np.isinf(ln_missed):
-        return 0.0
-    other = follows[missed][ln_weight[missed].argmax()]
-    gaps = np.abs(wrap(directions[command + 1] - np.array([directions[command], other])))
-    if not gaps[0] < gaps[1]:
         return 0.0
     return math.log(ASSUMED.lost) + float(np.logaddexp(0.0, ln_heard - ln_missed))

@@ -185,6 +185,10 @@ class PoseFrames(NamedTuple):
     valid: Bools
     """(F, N) which poses may be used."""
 
+    def part(self, begin: int, end: int) -> Self:
+        """Return the frames from `begin` on, before `end`."""
+        return self._make(column[begin:end] for column in self)
+
 
 class FilterModel(NamedTuple):
     """What is assumed of N robots; `noise` and `walk` are standard deviations."""

@@ -42,8 +42,9 @@ What happens next, if
                                   turns, and then give up: the trial ends in the step after
     a search takes too long       searches end at the spec's `deadline`; the first one is always
                                   done, and its plan is a candidate
-    no time is left for a new     plans are searched first, and a stop is compared with the best:
-    plan                          the plan under way may have to be polished to come near
+    no time is left for a new     robots that can stand: plans are searched first, and a stop is
+    plan                          compared with the best, as the plan under way may have to be
+                                  polished to come near
     a step is late                the next one begins with the poses that robots have by then
     few directions get through    a signal is sent again until it ends, and nothing is searched
                                   meanwhile (`tetractl.control.reception`)
@@ -454,7 +455,7 @@ class Mpc:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._thread(step, warm)
-        if not step.allows(least_length(step.problem), wait_s=0.0):
+        if self._rests_at_the_end and not step.allows(least_length(step.problem), wait_s=0.0):
             return self._near_the_limit(step, warm)
         bound_of_going_on = self._bound_of_going_on(step, warm)
         bound_of_rest = self._bound_of_rest(step)
@@ -468,13 +469,15 @@ class Mpc:
         return self._rest(searched)
 
     def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
-        """Decide while a plan is under way and no time is left for a new one, or for a rest.
+        """Decide while a plan is under way and no time is left for a new one, or for a plan after a
+        rest; for robots that rest at the end, as the log of an outcome has no searches.
 
         The plan is polished before it is compared with a stop. As it is, it may lead far from the
         targets after a disturbance in its last signals, where the polished one comes near them.
         """
         searched = self._search_under_way(step, warm)
-        stop = self._stop(step, warm, searched.candidates[0].value)
+        bound = searched.candidates[0].value
+        stop = self._stop(step, warm, bound, searched.searches)
         if stop is not None:
             return stop
         plan = self._go_on(searched, bound_of_rest=np.inf)
@@ -484,12 +487,14 @@ class Mpc:
 
     def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
         """Return a lower bound of the value of going on: that of the plan under way as it is, or of
-        the shortest new plan if it led exactly to the targets."""
-        shortest_new = len(warm) + 2  # one signal more is still the plan under way
-        bound = step.value.plan(0.0, shortest_new, new=True)
+        the shortest new plan if it led exactly to the targets. There must be time for a new plan.
+        """
+        bound = np.inf
         if len(warm) > 0:
-            as_it_is = self._value(step, warm, compiled_foresee(step.problem, warm))
-            bound = min(bound, as_it_is)
+            bound = self._value(step, warm, compiled_foresee(step.problem, warm))
+        if step.allows(least_length(step.problem), wait_s=0.0):
+            shortest_new = len(warm) + 2  # one signal more is still the plan under way
+            bound = min(bound, step.value.plan(0.0, shortest_new, new=True))
         return bound
 
     def _bound_of_rest(self, step: ControlStep) -> float:
@@ -510,11 +515,19 @@ class Mpc:
             return np.inf
         return step.value.rest(length, wait_s)
 
-    def _stop(self, step: ControlStep, warm: Floats, bound: float) -> Decision | None:
+    @property
+    def _rests_at_the_end(self) -> bool:
+        """Whether robots that stop now are to rest, before the next step ends the leg."""
+        return self._holds or (self.stands and self._in_last_leg)
+
+    def _stop(
+        self, step: ControlStep, warm: Floats, bound: float, searches: Sequence[Search] = ()
+    ) -> Decision | None:
         """Stop at the best moment of the coming control period, if the error that is left then is
         at most the lower `bound` of anything else: robots would drive past their targets, on a
         detour that costs more than it can win. As nothing found can be better, nothing is searched:
-        a search takes up to a control period, in which that moment would pass.
+        a search takes up to a control period, in which that moment would pass. (Near the limit
+        there are `searches`, of which the best plan has the value `bound`.)
 
         Robots that can stand rest at first on the last leg. They are measured there, and the next
         step ends the leg (`_finish`) or finds a plan from where they really are. Others, and those
@@ -527,8 +540,8 @@ class Mpc:
         stop = self._best_stop(step.problem, within_s)
         if stop.error > bound:
             return None
-        if self._holds or (self.stands and self._in_last_leg):
-            rest = self._standing(step.problem, State.RESTING)
+        if self._rests_at_the_end:
+            rest = self._standing(step.problem, State.RESTING, searches)
             return replace(rest, delay_ns=stop.delay_ns)
         outcome = Outcome.NO_BETTER_PLAN if len(warm) > 0 else Outcome.SEQUENCE_COMPLETED
         if stop.delay_ns > 0:

@@ -236,17 +236,19 @@ def test_the_limit_of_time_ends_a_trial():
     assert decide(controller, now=2 * PERIOD_NS) is Outcome.TIME_LIMIT
 
 
-@pytest.mark.parametrize(("cost", "then"), [(1.0, State.DRIVING), (BAD, Outcome.NO_BETTER_PLAN)])
-def test_near_the_limit_a_stop_is_compared_with_the_polished_plan(cost, then):
+@pytest.mark.parametrize(("cost", "state"), [(1.0, State.DRIVING), (BAD, State.RESTING)])
+def test_near_the_limit_a_stop_is_compared_with_the_polished_plan(cost, state):
     """Regression: with no time left for a new plan, robots stopped if that was better than the
     plan under way as it was, though polished it would have led them to their targets.
 
     The signals left lead the robots, ACCEPT + 30 short of their targets, far past them.
     """
-    controller, _ = driving({5: cost}, time_limit=2)
+    controller, search = driving({5: cost}, time_limit=2, collision=RESTS)
     assert controller.section.time_limit < SHORTEST * PERIOD_S
-    decision = decide(controller, short_by(ACCEPT + 30))
-    assert (decision if isinstance(decision, Outcome) else decision.state) is then
+    plan = decide(controller, short_by(ACCEPT + 30))
+    assert plan.state is state
+    searched = [len(found.signals) for found in plan.searches if found.stopped != StopReason.FIXED]
+    assert searched == [length for length, _ in lengths(search)]  # the log has all of them
 
 
 ARRIVES_S = 0.1

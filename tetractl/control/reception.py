@@ -1,4 +1,4 @@
-"""Whether a radio lets through only few of the directions that are sent.
+"""Tests whether the radio is sparse: whether most of the directions sent reach no robot.
 
 A direction that all robots miss leaves them on the one before. One lost now and then does no harm,
 as the next one comes a control period later. But if most are lost, robots follow for several
@@ -10,15 +10,14 @@ probability that a robot misses one by itself. Then the frames of all robots are
 
     P = prod_i ((1 - q) Lambda_i + q)
 
-times as likely if the radio let the direction through as if it did not. Let the probability that it
-does not be SELDOM for a radio that works, and OFTEN for one that lets few through. The frames so
-far are exp(r) times as likely with the latter, where each direction adds to r
+times as likely if the radio let the direction through as if it did not. A radio that works loses a
+direction with the probability SELDOM, a sparse one with OFTEN. Each direction adds to r the ln of
+how much likelier its frames are with a sparse radio,
 
     ln((OFTEN + (1 - OFTEN) P) / (SELDOM + (1 - SELDOM) P)),
 
-and r is kept at 0 or above, as a radio may change at any time (Page's test, 1954). Of a direction,
-the frames count that were taken before the next one acted: later ones, in which robots turn by the
-next one, would speak for or against both.
+and r does not fall below 0, as a radio may turn sparse at any time (Page's test, 1954). Only frames
+before the next direction acted count: in later ones robots turn by the next one.
 
 Directions that act later than the filters know seem to be missed, too. Two things tell them from
 those of a sparse radio. They are missed one after another, so of directions missed in a row only
@@ -30,17 +29,17 @@ import math
 
 import numpy as np
 
-from tetractl.control.kernels.filter_state import ASSUMED, Bank, SentCommands
+from tetractl.control.kernels.filter_state import ASSUMED, FOLLOWS, Bank, SentCommands
 from tetractl.core.poses import Floats, Integers
 
 SELDOM = 0.05
-"""Probability that a radio that works lets a direction not through; as `ASSUMED.lost`, that a robot
-misses one."""
+"""Probability that a radio that works loses a direction for all robots; chosen as q above, which is
+`ASSUMED.lost`."""
 OFTEN = 0.75
-"""The same of a radio that lets few through: one in four."""
+"""The same of a sparse radio: it lets one in four through."""
 LN_SURE = 20.0
-"""r above which few are let through for certain. One missed direction adds 2.7 at most, and one
-that is heard takes 1.3. Chosen."""
+"""r above which the radio is shown to be sparse. A direction that is missed adds 2.7 at most, one
+that is heard takes off 1.3 at most. Chosen."""
 LN_SAYS = math.log(2)
 """Least absolute value of ln P with which a direction counts: else the frames hardly say whether it
 was heard. Chosen."""
@@ -55,31 +54,31 @@ class Reception:
         self.ln_ratio = 0.0
         """r of the module."""
         self.times_shown = 0
-        """How often r has been above LN_SURE; it began at 0 again each time."""
+        """How often r has exceeded LN_SURE; r began at 0 again each time."""
         self._missed_in_a_row = 0
         self._robots = robots
         self._ln_robot_ratios: dict[int, Floats] = {}
-        """Of the commands that are the last to have acted on some robot, by their index, what the
-        frames of each robot have said so far: ln((1 - q) Lambda + q), (N,)."""
+        """Of each command not yet tested, by its index: ln((1 - q) Lambda + q) of the robots (N,)
+        at the last frame before the next command acted on them; 0 without such a frame."""
         self._next = 1
         """Index of the next command to be tested. The first has none before it."""
 
     @property
     def is_sparse(self) -> bool:
-        """Whether few directions are let through, by filters that had all dead times."""
+        """Whether the radio is sparse: shown again after the filters began with all dead times."""
         return self.times_shown > 1
 
     def add_frame(self, bank: Bank, filters: Integers, commands: SentCommands) -> None:
-        """Take what a frame says of the commands that acted last, after the filters have followed
-        the robots to it; `filters` (N,) are the robots' likeliest ones.
+        """Note what a frame says of the command that acted last on each robot. The bank has
+        followed the robots to this frame; `filters` (N,) are the rows of their likeliest filters.
 
-        A command is tested once the next one has acted on all robots.
+        Once the next command has acted on all robots, a command is tested, if it is news and frames
+        were taken before.
         """
         rows = filters.tolist()
         acted_last = [int(bank.next_command[row, robot]) - 1 for robot, row in enumerate(rows)]
-        for robot, row in enumerate(rows):
-            command = acted_last[robot]
-            if command < self._next:
+        for robot, (row, command) in enumerate(zip(rows, acted_last, strict=True)):
+            if command < self._next:  # tested already, by a filter with a shorter dead time
                 continue
             ln_ratios = self._ln_robot_ratios.setdefault(command, np.zeros(self._robots))
             ln_ratios[robot] = ln_robot_ratio(bank, row, robot, commands.directions[command])
@@ -109,20 +108,22 @@ class Reception:
 
 
 def is_news(directions: Floats, command: int) -> bool:
-    """Return whether a command's direction differs from that before, and robots are not to stand in
-    either: else frames do not show whether they heard it."""
-    before, tested = directions[command - 1 : command + 1]
-    both_drive = not np.isnan([before, tested]).any()
-    return bool(both_drive and before != tested)
+    """Return whether frames show if robots heard a command: they are to drive by it and by the one
+    before, and its direction is not one that they may still follow."""
+    before = directions[max(0, command - FOLLOWS) : command]
+    tested = directions[command]
+    both_drive = not np.isnan([before[-1], tested]).any()
+    return bool(both_drive and tested not in before)
 
 
 def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
-    """Return ln((1 - q) Lambda + q) of a robot and the direction of the command that acted last, by
-    a filter of the robot, a row of the bank.
+    """Return ln((1 - q) Lambda + q) of a robot, by the filter in a `row` of the bank; `direction`
+    is that of the command that acted last.
 
-    As the command branched hypotheses with the probability q that it was missed, the odds of those
-    that heard it, over those that did not, are Lambda (1 - q) / q. The result is 0 if only one of
-    both is kept, or if the robot is stuck: then nothing is known.
+    When it acted, it was heard and missed with the odds (1 - q) / q. Frames have multiplied them by
+    Lambda since. The odds now are those of the likeliest hypothesis that follows the direction,
+    over the likeliest that follows another one. Nothing is known, and the result is 0, if one of
+    the two is not kept, or the robot is most probably stuck.
     """
     ln_weight = bank.ln_weight[row, robot]
     stuck = len(ln_weight) - 1

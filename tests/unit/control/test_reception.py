@@ -96,6 +96,15 @@ def test_a_direction_is_tested_if_robots_drive_otherwise_before_it(directions, n
     assert is_news(np.array(directions), 1) == news
 
 
+@pytest.mark.parametrize(
+    ("directions", "news"), [([0.1, 0.5, 0.1], False), ([0.2, 0.5, 0.1], True)]
+)
+def test_a_direction_that_robots_may_still_follow_is_not_tested(directions, news):
+    """Regression: the hypothesis that follows the first of A, B, A takes up the third, and those
+    that miss it keep their odds, so that frames which say nothing counted as missed."""
+    assert is_news(np.array(directions), 2) == news
+
+
 def bank_that_follows(directions, weights, acted=TESTED):
     """One filter of one robot, on which the commands up to `acted` have acted, with hypotheses of
     given directions and probabilities; the last hypothesis is that the robot is stuck."""

@@ -40,7 +40,7 @@ from tetractl_emulator.optitrack.tracked_body import (
     TrackedBody,
     View,
     rolled,
-    with_half_a_quaternion,
+    with_halved_quaternion,
     without_position,
 )
 
@@ -382,7 +382,7 @@ FAULTS = (
         sets={
             "step": _displacement,
             "along_robot": lambda fault: fault.axes == "robot",
-            "turn": attrgetter("turn"),
+            "turn_step": attrgetter("turn"),
             "strayed": 0j,
             "strayed_turn": 0.0,
         },
@@ -413,7 +413,7 @@ FAULTS = (
     _pose_fault(
         "bad_quaternion",
         "A body's quaternion does not have norm 1.",
-        lambda fault: with_half_a_quaternion,
+        lambda fault: with_halved_quaternion,
     ),
     # of several bodies
     fault_kind(

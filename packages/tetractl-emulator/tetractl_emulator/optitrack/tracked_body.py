@@ -1,12 +1,14 @@
 """Robots as rigid bodies in the camera server's axes, with the faults of each body.
 
-At each exposure a `TrackedBody` takes the pose of its robot, displaces it by what faults and errors
-ask for, and reports it as a `RigidBody` [m, quaternion] in the axes of a `View`. A complex number
-is a vector on the floor, x + iy [mm], in the axes of the experiment's spec unless said otherwise.
+At an exposure a `TrackedBody` takes the pose of its robot, displaces it by what faults and errors
+ask for, and reports it as a `RigidBody` [m, quaternion] in the axes of a `View`. Complex fields are
+vectors on the floor, x + iy [mm], in the axes of the experiment's spec unless said otherwise;
+`cmath.rect(1, angle)` turns one by an angle.
 
-Faults set fields of a body's parts, and restore them when they end. What each has set is kept by
-object in a weak dictionary (`tetractl_emulator.faults`). So the classes whose fields faults set are
-hashed by identity (`eq=False`) and can be referred to weakly (`weakref_slot=True`).
+Faults set fields of a body's parts, and restore them when they end. `tetractl_emulator.faults`
+keeps the values from before in a dictionary with weak keys, the parts. So the parts that it sets
+are hashed by identity (`eq=False`) and can be referred to weakly (`weakref_slot=True`). A `View`
+and the `changes` of a body need neither: faults add to them, and take that back.
 """
 
 import cmath
@@ -16,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from random import Random
 
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.pose import NORM_TOLERANCE, UpAxis
 from tetractl_emulator.sides import Body
 
 BodyChange = Callable[[RigidBody], RigidBody]
@@ -25,9 +27,9 @@ BodyChange = Callable[[RigidBody], RigidBody]
 
 @dataclass(frozen=True, slots=True)
 class PictureChange:
-    """A change of the picture: it is displaced by `shift` [mm], grown by a factor and turned by an
-    angle [rad]. The picture is displaced after it has been turned and grown, so that changes may be
-    taken back in any order.
+    """A change of the picture: it is turned about the cameras' origin by `angle` [rad], grown by
+    `factor`, then displaced by `shift` [mm]. As the shift comes last, and is neither turned nor
+    grown, changes may be taken back in any order.
     """
 
     shift: complex = 0j
@@ -118,8 +120,8 @@ class PoseNoise:
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class BodyTracking:
     """Whether the system tracks a body, and the share of frames that miss a body that it tracks
-    (`missing`). One whose robot is `carried` is not tracked either. While a body `repeats`, its
-    pose stays as it is.
+    (`missing`). A body is not tracked while its robot is `carried`. While it `repeats`, exposures
+    after its first give it no new pose.
     """
 
     tracked: bool = True
@@ -130,18 +132,20 @@ class BodyTracking:
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Displacement:
-    """Where a body is seen away from its robot."""
+    """Where a body is seen relative to its robot: off by a constant shift and turn, and by what it
+    has strayed, which grows with each new pose."""
 
     shift: complex = 0j
     """By how far it is off [mm]."""
     turned: float = 0.0
-    """By how much it is turned [rad]."""
+    """By how much it is turned [rad]; no fault sets it, tests do."""
     height: float = 60.0
-    """Of its markers above the floor [mm]."""
+    """Height of its markers above the floor [mm]."""
     step: complex = 0j
-    """How far it strays with each new pose [mm], along the robot's axes if `along_robot`."""
+    """How far it strays with each new pose [mm]."""
     along_robot: bool = False
-    turn: float = 0.0
+    """Whether `step` is along and left of the robot's heading, instead of in the spec's axes."""
+    turn_step: float = 0.0
     """How far it turns away with each new pose [rad]."""
     strayed: complex = 0j
     """How far it has strayed until now [mm]."""
@@ -151,7 +155,7 @@ class Displacement:
     def stray(self, robot_direction: complex) -> None:
         """Go on straying; `robot_direction` is the unit vector of the robot's heading."""
         self.strayed += self.step * (robot_direction if self.along_robot else 1.0)
-        self.strayed_turn += self.turn
+        self.strayed_turn += self.turn_step
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -166,8 +170,8 @@ class Plate:
 
 @dataclass(slots=True)
 class TrackedBody:
-    """One robot's rigid body, as its parts say. Each of the `changes` alters its pose as it is
-    reported. `last_pose` is that of the last exposure that gave it a new one, unchanged.
+    """The rigid body on one robot, and what faults have done to it. `last_pose` is its newest pose,
+    before the `changes`: these are applied in order each time that it is reported as tracked.
     """
 
     robot: Body
@@ -183,12 +187,12 @@ class TrackedBody:
         """Take an exposure; return the body as the cameras report it.
 
         A body that they see has a new pose unless it repeats. One that they miss is reported as not
-        tracked, with its last pose and without the changes, which are of tracked poses. The first
-        exposure always gives it a pose.
+        tracked, with its last pose and without the changes, as a receiver should not use that pose.
+        The first exposure always gives it a pose.
         """
-        is_seen = self._draw_seen()
+        is_seen = self._is_seen_now()
         if self.last_pose is None or (is_seen and not self.tracking.repeats):
-            self._stray()
+            self.displacement.stray(cmath.rect(1.0, self.robot.heading))
             self.last_pose = self._new_pose(view)
         body = replace(self.last_pose, id=self.asset.number)
         if not is_seen:
@@ -197,16 +201,13 @@ class TrackedBody:
             body = change(body)
         return body
 
-    def _draw_seen(self) -> bool:
-        """Draw whether this frame has the body. Where no frame misses a body nothing is drawn."""
+    def _is_seen_now(self) -> bool:
+        """Return whether this frame shows the body; drawn at random if it is tracked and some
+        frames miss it."""
         if self.tracking.carried or not self.tracking.tracked:
             return False
         missing = self.tracking.missing
         return missing == 0 or self.noise.random.random() >= missing
-
-    def _stray(self) -> None:
-        """Let the body stray from its robot."""
-        self.displacement.stray(cmath.rect(1.0, self.robot.heading))
 
     def _new_pose(self, view: View) -> RigidBody:
         """Return the body at its robot's pose, displaced and with noise."""
@@ -228,16 +229,17 @@ def without_position(body: RigidBody) -> RigidBody:
     return replace(body, position=(math.nan, math.nan, math.nan))
 
 
-def with_half_a_quaternion(body: RigidBody) -> RigidBody:
+def with_halved_quaternion(body: RigidBody) -> RigidBody:
     """Return the body with a quaternion of norm 0.5."""
     x, y, z, w = body.quaternion
     return replace(body, quaternion=(x / 2, y / 2, z / 2, w / 2))
 
 
 def has_a_pose(body: RigidBody) -> bool:
-    """Return whether a body has a position, and a quaternion of norm 1."""
-    norm_squared = sum(value * value for value in body.quaternion)
-    return math.isfinite(sum(body.position)) and abs(norm_squared - 1.0) < 0.01
+    """Return whether a client can take a pose from a body: its position is finite, and its
+    quaternion's norm is 1."""
+    is_finite = all(math.isfinite(value) for value in body.position)
+    return is_finite and abs(math.hypot(*body.quaternion) - 1.0) <= NORM_TOLERANCE
 
 
 def rolled(angle: float) -> BodyChange:

@@ -386,17 +386,19 @@ class FilterBank:
         step_s = float(self.step_s.max())
         commands = self.commands.all
         likeliest = self._likeliest_filters()
-        tests_radio = self._may_test_radio()
+        tests_radio = self.tests_radio
         for frame in range(1, len(frames)):
             pair = measured.part(frame - 1, frame + 1)
             follow(self.bank, self.model, commands, pair, self._noisy, step_s)
             if tests_radio:
                 self.reception.add_frame(self.bank, likeliest, commands)
 
-    def _may_test_radio(self) -> bool:
-        """Return whether it is tested if few directions reach the robots: not for cells, nor once
-        it is known."""
-        return bool(self.body.later_tried) and not self.reception.is_sparse
+    @property
+    def tests_radio(self) -> bool:
+        """Whether it is tested if few directions reach the robots: not for cells, nor where nothing
+        is to be learnt, nor once it is known."""
+        is_of_wheels = bool(self.body.later_tried)
+        return is_of_wheels and not self.prior.certain and not self.reception.is_sparse
 
     def _note_noise(self, measured: PoseFrames) -> None:
         """Note whether measurements are noisy: poses differ though nothing was sent yet. Then equal

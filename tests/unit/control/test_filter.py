@@ -335,6 +335,13 @@ def test_a_radio_that_lets_one_direction_in_four_through_is_noticed_within_four_
     assert driven.estimator.is_radio_sparse
 
 
+@pytest.mark.parametrize("is_learnt", [True, False])
+def test_the_radio_is_tested_where_something_is_to_be_learnt(is_learnt):
+    experiment = load_spec(EXPERIMENT, [f"controller.estimate={str(is_learnt).lower()}"]).experiment
+    bank = FilterBank(experiment.controller.known(experiment.setup))
+    assert bank.tests_radio == is_learnt
+
+
 def test_a_radio_that_works_never_seems_sparse():
     driven = drive(RADIO, rate=20, directions=JUMPING)
     assert driven.filters.reception.times_shown == 0

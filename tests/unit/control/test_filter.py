@@ -335,6 +335,14 @@ def test_a_radio_that_lets_one_direction_in_four_through_is_noticed_within_four_
     assert driven.estimator.is_radio_sparse
 
 
+@pytest.mark.parametrize("dead_time_s", [0.105, 0.11])
+def test_a_radio_that_works_seems_so_whenever_commands_act_between_frames(dead_time_s):
+    """Regression: frames after the next direction had acted spoke against the one before."""
+    settings = (f"plant.dead_time={dead_time_s}", "plant.a_error=0.2", "plant.lost_commands=0")
+    driven = drive(settings, rate=20, seed=5, directions=JUMPING)
+    assert driven.filters.reception.times_shown == 0
+
+
 @pytest.mark.parametrize("is_learnt", [True, False])
 def test_the_radio_is_tested_where_something_is_to_be_learnt(is_learnt):
     experiment = load_spec(EXPERIMENT, [f"controller.estimate={str(is_learnt).lower()}"]).experiment

@@ -148,8 +148,7 @@ class Heard:
         self.banks = [
             FilterBank(nothing(problem_of_robot, dead_time_s)) for problem_of_robot in problems
         ]
-        # as of a radio that works: what is missed is known
-        self.reception = Reception(len(problem.a))
+        self.reception = Reception()  # as of a radio that works: what is missed is known
 
     def add_command(self, command: Command) -> None:
         for bank, heard in zip(self.banks, command.delivered, strict=True):

@@ -121,12 +121,12 @@ class StateEstimator:
     def _is_sent_again(self, command: Command) -> bool:
         """Return whether a command repeats the last one given to the filter, within a signal
         period."""
-        given = self.filter.commands.all
-        if command.direction is None or not len(given.sent_s):
+        sent = self.filter.commands.all
+        if command.direction is None or not len(sent.sent_s):
             return False
         half_step_ns = self.period // 2
-        since_s = (command.sent_ns + half_step_ns) / SECOND - given.sent_s[-1]
-        is_same = command.direction == given.directions[-1]
+        since_s = (command.sent_ns + half_step_ns) / SECOND - sent.sent_s[-1]
+        is_same = command.direction == sent.directions[-1]
         return bool(is_same and since_s < self.problem.period)
 
     def sends(self, observation: Observation) -> int:

@@ -186,7 +186,7 @@ class FilterBank:
         """What is assumed of the robots. From the first opening of the bank on, motors may saturate
         in it; in which filters they do is a matter of their states."""
         self.commands = CommandRecord()
-        self.reception = Reception(len(prior.a))
+        self.reception = Reception()
         """Whether few of the directions sent are received."""
         self.last_frame: Observation | None = None
         """The last frame used: the filters are at its time. None before the first."""
@@ -385,13 +385,14 @@ class FilterBank:
         # The coarsest grid's step, for all: it is by how much a dead time may be wrong.
         step_s = float(self.step_s.max())
         commands = self.commands.all
+        if not self.tests_radio:
+            follow(self.bank, self.model, commands, measured, self._noisy, step_s)
+            return
         likeliest = self._likeliest_filters()
-        tests_radio = self.tests_radio
         for frame in range(1, len(frames)):
             pair = measured.part(frame - 1, frame + 1)
             follow(self.bank, self.model, commands, pair, self._noisy, step_s)
-            if tests_radio:
-                self.reception.add_frame(self.bank, likeliest, commands)
+            self.reception.add_frame(self.bank, likeliest, commands)
 
     @property
     def tests_radio(self) -> bool:

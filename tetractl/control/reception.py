@@ -50,13 +50,12 @@ MISSED_IN_A_ROW = 3
 class Reception:
     """The test in one trial."""
 
-    def __init__(self, robots: int) -> None:
+    def __init__(self) -> None:
         self.ln_ratio = 0.0
         """r of the module."""
         self.times_shown = 0
         """How often r has exceeded LN_SURE; r began at 0 again each time."""
         self._missed_in_a_row = 0
-        self._robots = robots
         self._ln_robot_ratios: dict[int, Floats] = {}
         """Of each command not yet tested, by its index: ln((1 - q) Lambda + q) of the robots (N,)
         at the last frame before the next command acted on them; 0 without such a frame."""
@@ -80,7 +79,7 @@ class Reception:
         for robot, (row, command) in enumerate(zip(rows, acted_last, strict=True)):
             if command < self._next:  # tested already, by a filter with a shorter dead time
                 continue
-            ln_ratios = self._ln_robot_ratios.setdefault(command, np.zeros(self._robots))
+            ln_ratios = self._ln_robot_ratios.setdefault(command, np.zeros(len(rows)))
             ln_ratios[robot] = ln_robot_ratio(bank, row, robot, commands.directions[command])
         first_untested = max(self._next, min(acted_last))
         for command in range(self._next, first_untested):

@@ -31,7 +31,7 @@ def ln_product(heard):
 
 def after(heard):
     """The test after some directions, `heard` (directions, robots)."""
-    reception = Reception(ROBOTS)
+    reception = Reception()
     for heard_by_robots in heard:
         reception.add_direction(ln_product(heard_by_robots))
     return reception
@@ -77,7 +77,7 @@ def test_commands_that_all_act_later_are_none_either():
 
 
 def test_directions_that_tell_little_count_for_nothing():
-    reception = Reception(ROBOTS)
+    reception = Reception()
     for _ in range(1000):
         reception.add_direction(-0.6)
     assert reception.ln_ratio == 0
@@ -155,7 +155,7 @@ def test_directions_that_the_next_one_turns_back_from_are_tested():
     directions, each turns back from the one before, and one in four is heard."""
     directions = np.tile([0.0, 1.0, 0.1, 0.9], 20)
     commands = SentCommands(0.05 * np.arange(80), directions)
-    reception = Reception(1)
+    reception = Reception()
     for command in range(1, 80):
         bank = bank_after(command, command % 4 == 0, directions)
         reception.add_frame(bank, np.zeros(1, np.int64), commands)
@@ -165,7 +165,7 @@ def test_directions_that_the_next_one_turns_back_from_are_tested():
 def test_frames_after_the_next_direction_acts_say_nothing():
     """A direction that was missed, by the frames before the next one acts, stays so when later
     ones say that it was heard."""
-    reception = Reception(1)
+    reception = Reception()
     commands = SentCommands(0.05 * np.arange(len(DIRECTIONS)), DIRECTIONS)
     filters = np.zeros(1, np.int64)
     reception.add_frame(bank_after(TESTED, False, DIRECTIONS), filters, commands)

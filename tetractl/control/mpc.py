@@ -462,11 +462,7 @@ class Mpc:
         stop = self._stop(step, warm, min(bound_of_going_on, bound_of_rest))
         if stop is not None:
             return stop
-        searched = self._search_under_way(step, warm)
-        plan = self._go_on(searched, bound_of_rest)
-        if plan is not None:
-            return plan
-        return self._rest(searched)
+        return self._go_on_or_rest(self._search_under_way(step, warm), bound_of_rest)
 
     def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
         """Decide while a plan is under way and no time is left for a new one, or for a plan after a
@@ -480,10 +476,7 @@ class Mpc:
         stop = self._stop(step, warm, bound, searched.searches)
         if stop is not None:
             return stop
-        plan = self._go_on(searched, bound_of_rest=np.inf)
-        if plan is not None:
-            return plan
-        return self._rest(searched)
+        return self._go_on_or_rest(searched, bound_of_rest=np.inf)
 
     def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
         """Return a lower bound of the value of going on: that of the plan under way as it is, or of
@@ -565,9 +558,10 @@ class Mpc:
             return best_stop(problem, held, 0.0)
         return stop
 
-    def _go_on(self, searched: Searched, bound_of_rest: float) -> Plan | None:
-        """Follow the plan of least value that does not collide soon, unless a rest can have a lower
-        value.
+    def _go_on_or_rest(self, searched: Searched, bound_of_rest: float) -> Plan:
+        """Follow the plan of least value that does not collide soon. If there is none, or a rest
+        can have a lower value, stop, and search a new plan while the robots stand: there is more
+        time for it, and no error of a dead time.
 
         Robots that cannot stand follow the first: there is nothing safer that they could do.
         """
@@ -575,15 +569,10 @@ class Mpc:
             if not self.stands:
                 return self._planned(searched, candidate)
             if candidate.value > bound_of_rest:
-                return None
+                break
             plan = self._planned(searched, candidate)
             if not self._collides_soon(searched.problem, plan.signals):
                 return plan
-        return None
-
-    def _rest(self, searched: Searched) -> Plan:
-        """Stop, and search a new plan while the robots stand: there is more time for it, and no
-        error of a dead time."""
         return self._standing(searched.problem, State.RESTING, searched.searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:

@@ -62,9 +62,9 @@ def sharpness(
         reach = round(SHARP_REACH * cell.long_um / um_px)
         part = picture[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
         if min(part.shape) > SHARP_SIDE_PX:
-            along_rows = cv2.Sobel(part, cv2.CV_32F, 1, 0) / SOBEL
-            along_columns = cv2.Sobel(part, cv2.CV_32F, 0, 1) / SOBEL
-            slopes = np.hypot(along_rows, along_columns)
+            along_rows = cv2.Sobel(part, cv2.CV_32F, 1, 0)
+            along_columns = cv2.Sobel(part, cv2.CV_32F, 0, 1)
+            slopes = np.hypot(along_rows, along_columns) / SOBEL
             steepest.append(float(np.quantile(slopes, STEEPEST)) / contrast)
     return statistics.median(steepest) if steepest else None
 

@@ -329,19 +329,16 @@ def test_a_jump_of_a_body_that_moves_away_does_not_hold_it_up():
     assert body.expose(View()).position[0] == pytest.approx(0.002)
 
 
-def test_a_body_that_repeats_its_pose_has_the_number_of_its_twin_at_once():
+def test_a_body_that_repeats_its_pose_has_the_number_of_its_twin_at_once(tmp_path):
     """Regression: it was reported with the number that it had had in its last new pose."""
-    body = body_at_origin()
-    twin = SimpleNamespace(asset=Asset(2, "blue"))
-    bodies = {"green": body, "blue": twin}
-    body.expose(View())
-    body.tracking.repeats = True
-    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
-    twin_id = kinds["twin_id"](fault="twin_id", robot="green", other="blue")
-    end = twin_id.begin(SimpleNamespace(tracked_body=bodies.get))
-    assert body.expose(View()).id == 2
+    faulty = faulty_lab(tmp_path, "{fault: twin_id, robot: green, other: blue}")
+    green = faulty.lab.camera.tracked_body("green")
+    number = green.expose(View()).id
+    green.tracking.repeats = True
+    end = faulty.begin()
+    assert green.expose(View()).id == faulty.lab.camera.tracked_body("blue").asset.number != number
     end()
-    assert body.expose(View()).id == 1
+    assert green.expose(View()).id == number
 
 
 @pytest.mark.parametrize("carried_first", [False, True])

@@ -241,6 +241,11 @@ def _pushed_mm(truth: Truth) -> float:
     return sum(math.hypot(*fault.fields["by"]) for fault in truth.faults_of("pushed"))
 
 
+def _pushed_rad(truth: Truth) -> float:
+    """Return by how much people turned robots, which no frame shows at once."""
+    return sum(abs(fault.fields.get("turn", 0.0)) for fault in truth.faults_of("pushed"))
+
+
 def _rolls_s(truth: Truth) -> Floats:
     """Return how long a robot may go on beyond the time that is looked ahead (T, N) [s]: since it
     was last shown, the way of a stop to it, and its lag.
@@ -275,6 +280,7 @@ def poses_are_true(truth: Truth) -> Iterator[Violation]:
     )
     off_mm, off_rad = _least_off(truth)
     off_mm -= _pushed_mm(truth)
+    off_rad -= _pushed_rad(truth)
     for off, most, unit in ((off_mm, POSE_MM, "mm"), (off_rad, POSE_RAD, "rad")):
         wrong = accepted & (off > most)
         if wrong.any():

@@ -258,6 +258,16 @@ def test_poses_that_are_accepted_are_true(off, wrong):
     assert names_of(3, truth) == ({"untrue"} if wrong else set())
 
 
+@pytest.mark.parametrize(("turn", "wrong"), [(-1.2, False), (0.05, True)])
+def test_a_pose_may_be_of_just_before_a_robot_is_turned(turn, wrong):
+    """Regression: a cube was carried off its mat 3 ms before an exposure, and turned by 1.2 rad."""
+    x, y, heading = STARTS[0]
+    carried = {"kind": "put elsewhere", "fault": "pushed", "robot": "green", "at": 1.0}
+    fault = carried | {"by": [-62.0, -409.0], "turn": turn}
+    truth = with_log([[x, y, heading + 1.15], *STARTS[1:]], fault=fault)
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
 def test_a_robot_may_turn_while_no_new_pose_of_it_is_accepted():
     """Regression: a robot that spun while our program was suspended broke the sentence."""
     truth = with_log(STARTS)

@@ -144,7 +144,7 @@ class EmulatedPlantSection(RigSection):
         else:
             clock.steps.append(rig.loop.step_if_due)
         if record is not None:
-            clock.steps.append(lambda: emulation.ruled(rig.guard.state, rig.guard.reason))
+            clock.watchers.append(lambda: emulation.ruled(rig.guard.state, rig.guard.reason))
             rig.devices.after_close(lambda: outlive(emulation))
         return rig
 
@@ -180,4 +180,6 @@ class BusyPlant(LabPlant):
         due = self._observed_ns is not None and self._plans % self.clock.plan_every == 0
         if due and self.clock.plan_s:
             self.clock.sleep_until(self.clock.now() + round(self.clock.plan_s * SECOND))
-        return super().send(action)
+        command = super().send(action)
+        self.clock.note_action()
+        return command

@@ -28,7 +28,7 @@ from tetractl_emulator.wires import Wires
 
 class LabClock(VirtualClock):
     """Virtual time in steps of `step_ns`: in each step the `timeline` runs first, then each
-    function of `steps`.
+    function of `steps`, then each of `watchers`, which also look after each action.
     """
 
     def __init__(self, step_ns: int = MILLISECOND) -> None:
@@ -36,6 +36,7 @@ class LabClock(VirtualClock):
         self._step_ns = step_ns
         self.timeline: Timeline | None = None
         self.steps: list[Callable[[], None]] = []
+        self.watchers: list[Callable[[], None]] = []
         self.ahead_ns = 0  # of true time, which is the timeline's
         self.stopped = False  # the process stands still
         self.plan_s = 0.0  # time that a slow plan takes [s]
@@ -60,8 +61,19 @@ class LabClock(VirtualClock):
         self._now = true_ns
         if self.timeline is not None:
             self.timeline.run_to(self._now)
-        for step in () if self.stopped else tuple(self.steps):
+        if self.stopped:
+            return
+        for step in tuple(self.steps):
             step()
+        self._watch()
+
+    def note_action(self) -> None:
+        """Let the watchers see what an action has changed, which may end within the same step."""
+        self._watch()
+
+    def _watch(self) -> None:
+        for watcher in self.watchers:
+            watcher()
 
 
 class LiveClock(LabClock):
@@ -79,6 +91,9 @@ class LiveClock(LabClock):
     def sleep_until(self, when: int) -> None:
         """Wait until `when` [ns]."""
         self._host.sleep_until(when)
+
+    def note_action(self) -> None:
+        """Do nothing: the watchers look from the thread that makes the steps."""
 
     def start(self) -> Callable[[], None]:
         """Begin to make steps; return what ends it."""

@@ -1,9 +1,11 @@
 """`--plant emulated`: the emulated lab in virtual time, as a user runs it."""
 
+import contextlib
 import json
 import re
 from unittest import mock
 
+import numpy as np
 import pytest
 from support.cli import tetractl
 from support.lab_processes import SMALL as FEW_STEPS
@@ -11,7 +13,10 @@ from support.lab_processes import SPEC, flags
 from support.paths import EXAMPLES, ROOT
 from tetractl_emulator import firmware
 
-from tetractl.core.commands import Health
+from tetractl.core.commands import Health, Steer, Stop
+from tetractl.core.protocols import LabSupervision
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 
 pytestmark = pytest.mark.slow
@@ -154,3 +159,23 @@ def test_late_steps_between_punctual_ones_do_not_end_a_trial(tmp_path):
     waits_ns = [step.command.sent_ns - step.observation.received_ns for step in log.steps]
     late = [wait_ns for wait_ns in waits_ns if wait_ns > 50_000_000]
     assert len(late) > 5  # as would end it in a row
+
+
+@needs_compiler
+def test_a_drive_that_a_stop_follows_within_the_same_step_of_the_clock_is_recorded(tmp_path):
+    """Regression: a full disk stopped robots as they set off again, and a rehearsal saw them driven
+    after the end of the run, which it took the rest before for.
+    """
+    spec = on_plant(load_spec(SPEC), "emulated").experiment
+    section = spec.plant.model_copy(update={"record": str(tmp_path)})
+    of_trial = np.random.SeedSequence(1, spawn_key=(0,))
+    plant = section.build(spec.setup, section.clock(), of_trial, LabSupervision())
+    with contextlib.closing(plant):
+        plant.open()
+        plant.observe()
+        plant.send(Steer(0.0))
+        plant.send(Stop())
+    lines = (tmp_path / "truth-000.jsonl").read_text().splitlines()
+    events = [json.loads(line) for line in lines]
+    states = [event["state"] for event in events if event["event"] == "guard"]
+    assert states == ["preflight", "run", "ready"]

@@ -152,7 +152,8 @@ class Scale(Model):
 
 _Listed = Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)]
 _PLANT = KindSection(PLANTS, default="sim")
-_CONTROLLER = KindSection(CONTROLLERS, default="mpc")
+DEFAULT_CONTROLLER = "mpc"
+_CONTROLLER = KindSection(CONTROLLERS, default=DEFAULT_CONTROLLER)
 
 
 class Experiment(Model):

@@ -82,12 +82,12 @@ def _refuse(document: Document, loc: Loc, message: str) -> None:
     document.problems.append(place.problem(loc, message, place.text))
 
 
-def merge(document: Document, identified: Identified, origin: str) -> None:
+def merge(document: Document, identified: Identified, origin: str, estimates: bool) -> None:
     """Replace a spec's values by the identified values; add problems to the document.
 
     Each robot's turning rate a and speed, and the controller's dead time, are replaced; an alpha by
     a over the strength at which a was identified. The dead time counts from sending a command if
-    the controller identifies while driving (`estimate`), otherwise from the exposure of the frame.
+    the controller `estimates` while it drives, otherwise from the exposure of the frame.
     """
     place = Place(origin)
     unit = _length_unit(document)
@@ -107,7 +107,7 @@ def merge(document: Document, identified: Identified, origin: str) -> None:
     controller = document.data.setdefault("controller", {})
     if isinstance(controller, dict):
         dead_time_s = identified.dead_time.value
-        if controller.get("estimate") is not True:
+        if not estimates:
             dead_time_s += identified.frame_age
         put(document, ("controller", "dead_time"), dead_time_s, place)
 

@@ -27,11 +27,19 @@ from pydantic import TypeAdapter, ValidationError
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
+from tetractl.core.registries import CONTROLLERS
 from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.base import with_tuples
 from tetractl.experiment.consistency import Entries, errors_of
 from tetractl.experiment.controller import ControllerSection, with_logged_keys, without_retired
-from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot, Trials
+from tetractl.experiment.experiment import (
+    DEFAULT_CONTROLLER,
+    Arena,
+    Experiment,
+    Obstacle,
+    Robot,
+    Trials,
+)
 from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.policy_weights import put_layers, read_weights
@@ -89,7 +97,9 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
         folder = document.path.parent
         identified_file = _identified_file(settled)
         if identified_file is not None:
-            settled, attached = _with_identified(document, folder / identified_file, settings)
+            path = folder / identified_file
+            estimates = _estimates(settled)
+            settled, attached = _with_identified(document, path, settings, estimates)
         attached = _with_weights(settled, folder, attached)
     experiment = validated_experiment(settled, written=False)
     return LoadedSpec(experiment, document.text, name, document.path, attached)
@@ -256,15 +266,29 @@ def _refuse_named_files(document: Document) -> None:
             document.problems.append(place.problem(loc, message, place.text))
 
 
+def _estimates(document: Document) -> bool:
+    """Return whether a document's controller identifies robots while it drives: by its field
+    `estimate` or, where that is not given, by the default of its kind."""
+    controller = document.data.get("controller", {})
+    if not isinstance(controller, dict):
+        return False
+    kind = controller.get("type", DEFAULT_CONTROLLER)
+    if not isinstance(kind, str) or kind not in CONTROLLERS:
+        return False
+    field_of_kind = CONTROLLERS.load(kind).model_fields.get("estimate")
+    by_default = field_of_kind is not None and field_of_kind.default
+    return controller.get("estimate", by_default) is True
+
+
 def _with_identified(
-    document: Document, path: Path, settings: Sequence[SpecSetting]
+    document: Document, path: Path, settings: Sequence[SpecSetting], estimates: bool
 ) -> tuple[Document, Attached]:
     """Return the spec's data with the values of the file of identified values, then the settings;
-    and the file for the log.
+    and the file for the log. `estimates` is as in `merge`.
     """
     identified, text = read_identified(path)
     merged = copied(document)
-    merge(merged, identified, str(path))
+    merge(merged, identified, str(path), estimates)
     settled = with_settings(merged, settings)
     del settled.data["identified"]  # its values are now in the spec
     return settled, attach((), path, text)

@@ -310,22 +310,27 @@ def test_problems_of_the_file_and_of_settings_come_together():
 
 
 @pytest.mark.parametrize(
-    ("estimate", "dead_time_s"), [("false", 0.1 + 0.03), ("true", 0.1)], ids=["given", "estimated"]
+    ("controller", "settings", "dead_time_s"),
+    [
+        ("estimate: false", (), 0.1 + 0.03),
+        ("estimate: true", (), 0.1),
+        ("{}", (), 0.1),
+        ("{}", ("controller.estimate=false",), 0.1 + 0.03),
+        ("type: pso-mpc", (), 0.1 + 0.03),
+    ],
+    ids=["given", "estimated", "by default", "by a setting", "published"],
 )
 def test_an_identified_dead_time_counts_from_the_frame_where_none_is_estimated(
-    estimate, dead_time_s
+    controller, settings, dead_time_s, tmp_path
 ):
-    document = parse_document(f"{GOOD}  estimate: {estimate}\n", "s.yaml")
-    identified = Identified(
-        identified="",
-        origin="lab",
-        unit="mm",
-        dead_time=IdentifiedValue(value=0.1),
-        frame_age=0.03,
-        robots={},
-    )
-    merge(document, identified, "found.yaml")
-    assert document.data["controller"]["dead_time"] == pytest.approx(dead_time_s)
+    """Regression: only an `estimate: true` written in the spec counted, not the default."""
+    arena, _, _ = GOOD.partition("controller:")
+    spec = tmp_path / "s.yaml"
+    spec.write_text(f"{arena}controller: {{{controller.strip('{}')}}}\nidentified: found.yaml\n")
+    found = "identified: now\norigin: lab\nunit: mm\ndead_time: {value: 0.1}\nframe_age: 0.03\n"
+    (tmp_path / "found.yaml").write_text(f"{found}robots: {{}}\n")
+    loaded = load_spec(spec, settings)
+    assert loaded.experiment.controller.dead_time == pytest.approx(dead_time_s)
 
 
 def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):
@@ -495,6 +500,6 @@ def test_an_identified_value_goes_to_its_robot_also_behind_an_entry_that_is_none
     identified = Identified(
         identified="", origin="lab", unit="mm", dead_time=dead_time, robots=robots
     )
-    merge(document, identified, "found.yaml")
+    merge(document, identified, "found.yaml", estimates=True)
     assert document.data["robots"][1] == {"name": "red", "a": 4.0, "speed": 4.0}
     assert document.all_problems == []  # the a that could not be read is replaced

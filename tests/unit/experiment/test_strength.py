@@ -85,13 +85,13 @@ def identified(strength):
 
 def test_an_identified_rate_replaces_alpha_by_that_at_the_strength_of_its_logs():
     document = parse_document(SPEC, "x.yaml")
-    merge(document, identified(8.0), "found.yaml")
+    merge(document, identified(8.0), "found.yaml", estimates=True)
     rates = [robot["a"] for robot in document.data["robots"]]
     assert rates == [{"per_mT": 4.0 / 8.0}, 4.0]
 
 
 def test_an_identified_rate_of_unknown_strength_cannot_replace_alpha():
     document = parse_document(SPEC, "x.yaml")
-    merge(document, identified(None), "found.yaml")
+    merge(document, identified(None), "found.yaml", estimates=True)
     (problem,) = document.problems
     assert "its logs state no strength" in str(problem)

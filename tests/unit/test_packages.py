@@ -121,6 +121,8 @@ def test_the_core_imports_whole_without_the_packages_and_opencv():
         ("tetractl-microscope", ["init", "--example", "two_cells"]),
         ("tetractl-microscope", ["init", "x", "--lab", "--camera", "apriltag"]),
         ("tetractl-emulator", ["init", "--example", "faults/apriltag/drips"]),
+        ("tetractl-toio", ["init", "x", "--lab", "--robots", "toio"]),
+        ("tetractl-motioncapture", ["init", "x", "--lab", "--camera", "motioncapture"]),
     ],
 )
 def test_what_a_missing_package_brings_is_answered_by_the_command_that_installs_it(package, words):

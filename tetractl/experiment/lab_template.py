@@ -62,11 +62,11 @@ def _part(what: str, kind: str) -> str:
 
 def _no_part(what: str, kind: str, parts: list[str]) -> UsageError:
     """Return the error for a kind of robots or cameras that has no part."""
-    needs = not_installed(f"tetractl.{what}", kind)
+    option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
+    needs = not_installed(types.group, kind)
     if needs is not None:
         problem, hint = needs
         return UsageError(f"{kind} {problem}", hint)
-    option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
     why = f"unknown{did_you_mean(kind, parts)}"
     if kind in types:
         why = f"its package brings no template {what}/{kind}.yaml; write the section yourself"

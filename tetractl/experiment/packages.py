@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 MICROSCOPE = "tetractl-microscope"
 EMULATOR = "tetractl-emulator"
+TOIO = "tetractl-toio"
+MOTION_CAPTURE = "tetractl-motioncapture"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
     ("tetractl.lab_commands", "emulate"): EMULATOR,
@@ -15,7 +17,10 @@ BRINGS = {
     ("tetractl.commands", "track"): MICROSCOPE,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,
+    ("tetractl.cameras", "toio"): TOIO,
+    ("tetractl.cameras", "motioncapture"): MOTION_CAPTURE,
     ("tetractl.actuators", "field"): MICROSCOPE,
+    ("tetractl.actuators", "toio"): TOIO,
     ("tetractl.trial_robots", "choose"): MICROSCOPE,
     ("tetractl.examples", "tetrahymena_dish"): MICROSCOPE,
     ("tetractl.examples", "tetrahymena_lab"): MICROSCOPE,

@@ -11,7 +11,7 @@ import signal
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,6 +19,7 @@ import serial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 
 WRITE_TIMEOUT_S = 0.02  # longest wait until a port takes what is written [s]
 ENDING_SIGNALS = (
@@ -190,6 +191,45 @@ def require_port(name: str, device: str) -> None:
 def missing_port(name: str, device: str) -> AbortError:
     """Return the error for a name that no port has; its hint asks about `device`."""
     return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
+
+
+def stop_all_at(
+    ports: Sequence[SerialPort], stop: Callable[[], object], clock: Clock, alone: bool
+) -> str:
+    """Open the ports of robots, send stops, and close them; return a summary.
+
+    `stop` sends a stop to each port, also if another one fails. A robot whose port cannot be
+    opened keeps none of the others from their stops; then AbortError says which are not reached. If
+    not `alone`, another process may have the ports open; else PortHeldError, if one has.
+    """
+    try:
+        unreached = _open_reachable(ports, alone)
+        for _ in range(STOPS):
+            with suppress(AbortError):  # of a port that has failed, which is said below
+                stop()
+            clock.sleep_until(clock.now() + STOP_GAP_NS)
+    finally:
+        for port in ports:
+            port.close()
+    unreached += [port.failure for port in ports if port.failure is not None]
+    if len(unreached) == len(ports):
+        raise AbortError(unreached[0], SWITCH_OFF)
+    if unreached:
+        raise AbortError(f"sent {STOPS} stops, but not to all: {'; '.join(unreached)}", SWITCH_OFF)
+    return f"sent {STOPS} stops"
+
+
+def _open_reachable(ports: Iterable[SerialPort], alone: bool) -> list[str]:
+    """Open ports; return why those are closed that cannot be opened."""
+    unreached = list[str]()
+    for port in ports:
+        try:
+            port.open(alone)
+        except PortHeldError:
+            raise
+        except AbortError as error:
+            unreached.append(error.message)
+    return unreached
 
 
 def holder(port: str) -> int | None:

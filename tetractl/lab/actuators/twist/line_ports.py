@@ -17,7 +17,7 @@ from tetractl.lab.actuators.twist.lines import (
 )
 from tetractl.lab.actuators.wheel_commands import Poll, Reply, polled
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import Heard, Ports
+from tetractl.lab.serial_port import Heard, Ports, SerialPort
 from tetractl.lab.udp_port import open_port
 
 PORT_LOST_HINT = "the robots stop by their watchdog; connect them and start again"
@@ -51,6 +51,11 @@ class TwistLink:
             port: make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
             for port in dict.fromkeys(port_of)
         }
+
+    @property
+    def ports(self) -> list[SerialPort]:
+        """The ports, each once."""
+        return list(self._ports.values())
 
     @property
     def failure(self) -> str | None:

@@ -1,6 +1,7 @@
 """The section of the spec for robots that take lines of text: `actuator: {type: twist, ...}`."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
@@ -8,13 +9,7 @@ from pydantic import Field
 from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
-from tetractl.experiment.lab_section import (
-    STOP_GAP_NS,
-    STOPS,
-    ActuatorSection,
-    RobotPart,
-    mismatches,
-)
+from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.actuators.wheeled_section import Found, too_fast
 
@@ -137,13 +132,8 @@ class TwistSection(ActuatorSection):
         """Latch the emergency stop of every robot that the ports reach by ten lines within 200 ms;
         return a summary."""
         from tetractl.lab.actuators.twist.line_ports import TwistLink
+        from tetractl.lab.serial_port import stop_all_at
 
         link = TwistLink(*self.wiring(setup.names), clock)
-        try:
-            link.open(alone)
-            for _ in range(STOPS):
-                link.stop(emergency=True)
-                clock.sleep_until(clock.now() + STOP_GAP_NS)
-        finally:
-            link.close()
-        return f"sent {STOPS} stops; switch the robots off and on to drive them again"
+        sent = stop_all_at(link.ports, partial(link.stop, emergency=True), clock, alone)
+        return f"{sent}; switch the robots off and on to drive them again"

@@ -161,7 +161,7 @@ class PsoMpc(SearchFields):
 
     type: Literal["pso-mpc"] = "pso-mpc"
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
-    """Largest number of control steps k_max."""
+    """The last control step k_max; a trial has one more, k = 0 to k_max."""
 
     controller: ClassVar[str] = "tetractl.control.algorithm2:Algorithm2"
 

@@ -29,6 +29,9 @@ from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.shape_section import ShapeSection
+from tetractl.lab.actuators.twist import line_ports
+from tetractl.lab.actuators.twist.section import TwistSection
+from tetractl.lab.serial_port import SerialPort
 from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.testing import (
     check_actuator,
@@ -363,6 +366,23 @@ def test_nothing_is_sent_to_the_port_of_a_network():
     findings = list(check_actuator(NetworkSection(), SETUP))
     assert wrong(findings) == []
     assert findings[-1].what.startswith("send: not called")
+
+
+def test_robots_with_ports_of_their_own_are_not_steered_there(monkeypatch):
+    """Regression: the lines to such a robot went to its own port, and it drove."""
+    opened = set()
+
+    class NotedPort(SerialPort):
+        def open(self, alone=True):
+            opened.add(self._name)
+            super().open(alone)
+
+    monkeypatch.setattr(line_ports, "open_port", NotedPort)
+    robots = [{"name": name, "radius_mm": 40.0, "port": f"/dev/{name}"} for name in SETUP.names]
+    section = TwistSection.model_validate({"type": "twist", "port": "/dev/none", "robots": robots})
+    assert wrong(check_actuator(section, SETUP)) == []
+    assert len(opened) == 1
+    assert opened.isdisjoint({"/dev/none", *(robot["port"] for robot in robots)})
 
 
 def test_closing_before_opening_is_a_finding():

@@ -15,6 +15,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from threading import Thread
+from typing import Any
 
 import numpy as np
 
@@ -259,7 +260,8 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
         yield Finding("send: not called, as the section has no field `port` for a serial port")
         return
     with ExitStack() as stack:
-        to_nowhere = section.model_copy(update={"port": _pseudo_terminal(stack)})
+        everywhere = _at_port(section.model_dump(), _pseudo_terminal(stack))
+        to_nowhere = type(section).model_validate(everywhere)
         try:
             actuator = stack.enter_context(to_nowhere.build(setup, nobody.clock))
         except AbortError as error:
@@ -268,6 +270,20 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
             )
             return
         yield from _SteeringChecks(actuator, section, setup, nobody).check_sent()
+
+
+def _at_port(data: Any, port: str) -> Any:
+    """Return a section's data with this port in place of each, also of those of single robots."""
+    match data:
+        case dict():
+            return {
+                key: port if key == "port" and type(value) is str else _at_port(value, port)
+                for key, value in data.items()
+            }
+        case list() | tuple():
+            return [_at_port(entry, port) for entry in data]
+        case _:
+            return data
 
 
 def _pseudo_terminal(stack: ExitStack) -> str:

@@ -1,7 +1,8 @@
 """`tetractl lab`: checks, calibrates, surveys, stops or emulates a lab."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from json import dumps
@@ -20,6 +21,7 @@ from tetractl.run.interrupt import interrupted_once
 from tetractl.view.terminal.keys import SAYS, StopKey
 
 if TYPE_CHECKING:
+    from tetractl.core.protocols import LabSupervision
     from tetractl.core.setup import Setup
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
@@ -146,7 +148,7 @@ def calibrate(
     experiment = _experiment_on(spec, sets, plant)
     names = _chosen_robots(robot, experiment.setup)
     if experiment.plant.real_time:
-        _require_consent(names, yes)
+        ui.require_consent(yes, f"{', '.join(names)} will move up to 0.3 m each.")
     return save_calibration(out, _calibrated(experiment, names, limit))
 
 
@@ -156,13 +158,6 @@ def _chosen_robots(wanted: list[str] | None, setup: "Setup") -> list[str]:
         if name not in setup.names:
             raise UsageError(f"--robot {name}: the spec has no such robot")
     return wanted or list(setup.names)
-
-
-def _require_consent(names: Sequence[str], yes: bool) -> None:
-    """Ask at the terminal whether robots may move, unless `yes`; raises if they may not."""
-    ui.require_confirmation(yes)
-    if not yes:
-        typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Continue?", abort=True)
 
 
 def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "Measured":
@@ -180,12 +175,19 @@ def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "
         seed = SeedSequence(experiment.trials.seed)
         return limited.rig(setup, limited.clock(), seed, supervision)
 
+    with watched_by_operator(supervision):
+        calibrate_robots = lab.actuator.calibrate
+        return calibrate_robots(lab, rig_within, experiment.setup, names, limit, ui.tell)
+
+
+@contextmanager
+def watched_by_operator(supervision: "LabSupervision") -> Iterator[None]:
+    """Let the terminal's space bar or Esc be the emergency stop, and a signal end what is done."""
     stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
             ui.tell(SAYS)
-        calibrate_robots = lab.actuator.calibrate
-        return calibrate_robots(lab, rig_within, experiment.setup, names, limit, ui.tell)
+        yield
 
 
 def save_calibration(out: Path, measured: "Measured") -> int:

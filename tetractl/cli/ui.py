@@ -9,12 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.table.table import Table
 from tetractl.core.table.table_files import json_text
 from tetractl.core.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
+    from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.load import LoadedSpec
     from tetractl.experiment.yaml.settings import SpecSetting
@@ -104,13 +107,21 @@ def rig_section(experiment: "Experiment") -> "RigSection":
     return lab
 
 
-def rig_of(experiment: "Experiment") -> "Rig":
+def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None) -> "Rig":
     """Return the rig of an experiment's lab, real or emulated, for a command without a trial."""
     from numpy.random import SeedSequence
 
     lab = rig_section(experiment)
     seed = SeedSequence(experiment.trials.seed)
-    return lab.rig(experiment.setup, lab.clock(), seed, chosen=experiment.open)
+    return lab.rig(experiment.setup, lab.clock(), seed, supervision, chosen=experiment.open)
+
+
+def require_consent(yes: bool, what: str) -> None:
+    """Ask at the terminal whether robots may move, unless `yes`, and say `what` will happen; raises
+    if they may not, or if there is no terminal."""
+    require_confirmation(yes)
+    if not yes:
+        typer.confirm(f"{what} Continue?", abort=True)
 
 
 def require_confirmation(yes: bool) -> None:

@@ -1,21 +1,31 @@
 """`tetractl lab survey`: finds the cells in a dish and proposes which cells to steer."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
-from tetractl.cli.lab import save_calibration
+from tetractl.cli.lab import save_calibration, watched_by_operator
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 from tetractl.core.table.table_files import json_text
-from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
     from tetractl_microscope.choice.candidate import RobotCandidate
+
+
+FILES = (
+    ("identified",),
+    ("lab", "calibration"),
+    ("plant", "calibration"),
+    ("plant", "faults"),
+    ("controller", "weights"),
+)
+"""The fields of a spec that name a file relative to its folder."""
 
 
 def survey(
@@ -88,11 +98,10 @@ def survey(
         )
     ui.refuse_existing(out)
     if experiment.plant.real_time:
-        ui.require_confirmation(yes)
-    with interrupted_once(robots=True), ui.rig_of(experiment) as rig:
-        seed = experiment.trials.seed
-        supervision = LabSupervision()
-        cells, turned = watch_turning(rig, choice, seed, supervision)
+        ui.require_consent(yes, f"The field will turn the cells for {choice.seconds:g} s.")
+    supervision = LabSupervision()
+    with watched_by_operator(supervision), ui.rig_of(experiment, supervision) as rig:
+        cells, turned = watch_turning(rig, choice, experiment.trials.seed, supervision)
     wrong, turning = handedness_lines(turned)
     ui.tell(*(f"warning: {problem}" for problem in wrong))
     pairs = list(alike(cells))
@@ -149,9 +158,21 @@ def survey(
         data = with_settings(parse_document(loaded.text, str(spec)), sets or []).data
         wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in choices[0].cells]
         data["robots"]["wanted"] = wanted
+        _keep_files(data, spec.parent, out.parent)
         save_whole(out, dump(data).encode())
         ui.tell(f"wrote {out}: a trial of this spec finds these cells again")
     return Exit.DONE
+
+
+def _keep_files(data: dict[str, Any], folder: Path, new_folder: Path) -> None:
+    """Let a spec's data name the same files from another folder."""
+    for *sections, field in FILES:
+        section = data
+        for name in sections:
+            section = section.get(name) or {}
+        file = section.get(field)
+        if type(file) is str:
+            section[field] = os.path.relpath(folder / file, new_folder)
 
 
 def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:

@@ -200,7 +200,7 @@ def _day_of(
     lab = experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     drawn = rehearsal_of(lab, setup, experiment.open)
-    sets = (*sets, *_known(experiment, deadline=60))  # of wall time, which is not the lab's
+    sets = (*sets, *_known(experiment, deadline=60))  # no search is cut short
 
     def assessed(plan: "DayPlan") -> "tuple[DayRow, float]":
         with tempfile.TemporaryDirectory() as scratch:

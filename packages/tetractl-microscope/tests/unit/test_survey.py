@@ -6,7 +6,7 @@ from tetractl_microscope.survey import _keep_files
 
 
 def test_a_spec_in_another_folder_names_the_same_files(tmp_path):
-    """Regression: the calibration was searched beside the new spec."""
+    """Regression: the calibration was searched next to the new spec."""
     data = {
         "identified": "../cells.yaml",
         "lab": {"calibration": "scale.yaml"},

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from functools import partial
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field
 
@@ -13,9 +13,6 @@ from tetractl.experiment.base import Positive
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.actuators.wheeled_section import Found
-
-if TYPE_CHECKING:
-    from tetractl.lab.actuators.own_robots import OwnRobots
 
 
 class OwnRobot(RobotPart):
@@ -81,7 +78,7 @@ class OwnSection(ActuatorSection):
         """Stop every robot by ten messages within 200 ms; return a summary."""
         from tetractl.lab.serial_port import stop_all_at
 
-        robots: OwnRobots = resolve_name(self.device)(self, setup, clock)
+        robots = resolve_name(self.device)(self, setup, clock)
         return stop_all_at(robots.links.ports, partial(robots.stop, emergency=True), clock, alone)
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:

@@ -1,6 +1,6 @@
 """The functions of `import tetractl`, for notebooks and scripts. Slow libraries (numba, matplotlib,
-pandas) are imported by the functions that need them. Only `tetractl run` drives a lab, because the
-user of that command can stop the robots.
+pandas) are imported by the functions that need them. None drives a lab: only commands do, because
+their user can stop the robots.
 """
 
 import logging

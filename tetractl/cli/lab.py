@@ -80,11 +80,13 @@ def stop(
     ] = None,
     baud: Annotated[int, option("N", "With --port: baud rate.")] = 57600,
 ) -> int:
-    """Stop every robot permanently, through the spec's actuator or the port of an m3pi radio.
+    """Stop every robot, through the spec's actuator or the port of an m3pi radio.
 
-    m3pi robots stay stopped until they are switched off. No camera is needed. A run that uses the
-    port is ended: stops are sent on the same port, the run gets two requests to end, then it is
-    killed. Exits with 1 if another program keeps the port.
+    m3pi and twist robots stay stopped, and a coil driver makes no field, until they are switched
+    off. Other robots, such as toio cubes, can be driven again at once; cells swim on.
+
+    No camera is needed. A run that uses the port is ended: stops are sent on the same port, the run
+    gets two requests to end, then it is killed. Exits with 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """

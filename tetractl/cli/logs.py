@@ -191,11 +191,13 @@ def recover(
 def verify(logs: Logs, as_json: AsJson = False) -> int:
     """Compute every control decision of a log again and compare it with the logged decision.
 
-    A simulation is run again as well, and the two logs are compared record by record.
+    Every number must be the same to the last bit. If one is not, and processor or versions
+    (tetractl, Python, NumPy, numba) differ from those that wrote the log, only the costs of the
+    logged plans are evaluated again; the output names the check that was made. If processor and
+    versions agree, a simulation is run again as well, and the two logs are compared record by
+    record.
 
-    On the machine that wrote a log, every number must be the same to the last bit. On another
-    machine, only the costs of the logged plans are evaluated again; the output names the check that
-    was made. If anything differs, exits with 1 and names the first step and field that differ.
+    If anything differs, exits with 1 and names the first step and field that differ.
 
     A log with the same messages that another program wrote again is ok, and said to be so.
 

@@ -119,7 +119,7 @@ def open_(
     logs: Logs,
     out: Page = Path("report.html"),
 ) -> int:
-    """Write the page of `tetractl report` over the same file, and open it in the browser.
+    """Write the page of `tetractl report`, report.html by default, and open it in the browser.
 
     Example: tetractl open trial-000.mcap
     """

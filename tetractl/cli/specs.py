@@ -92,8 +92,8 @@ def init(
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
     With --example it writes a shipped spec, study or fault script, and the files it names, to
-    experiments/, as the examples of other commands expect. With an unknown NAME it lists the
-    examples of tetractl and of the packages that are installed.
+    experiments/, as the examples of other commands expect. For an unknown example it lists those of
+    tetractl and of the packages that are installed, of folders such as studies/ only the folder.
 
     Example: tetractl init first
 

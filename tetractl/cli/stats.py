@@ -28,7 +28,8 @@ def stats(
         ),
     ],
     form: Annotated[
-        Format, option("table|json|csv|markdown|latex|html", "Output format.", "--format")
+        Format,
+        option("FORMAT", "Output: table, json, csv, markdown, latex or html.", "--format"),
     ] = "table",
     as_json: LikeFormatJson = False,
     against: Annotated[

@@ -59,7 +59,10 @@ def study(
             "Run nothing: print the arms and how many of their trials would be run.", "--dry-run"
         ),
     ] = False,
-    quiet: Annotated[bool, switch("Print only failures.", "--quiet", "-q")] = False,
+    quiet: Annotated[
+        bool,
+        switch("Show no progress; print failures, the table and the files.", "--quiet", "-q"),
+    ] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
 

@@ -103,8 +103,8 @@ class SearchFields(PlainSection):
     """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
     of (24)-(25) over a period; `exact` is the closed form of (1)-(3) under a held direction."""
     horizon_max: int = Field(default=51, ge=1, le=2000)
-    """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
-    horizon h = length - 1."""
+    """Longest sequence tried, in signals; by `pso-mpc` at step 0, as its later ones are never
+    longer. A sequence of `length` signals is the paper's horizon h = length - 1."""
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in the paper's equation (7) [length unit]."""
     optimizer: Annotated[OptimizerSection, _PSO] = Field(default_factory=_PSO.make)
@@ -188,7 +188,8 @@ class RecommendedMpc(SearchFields):
         default_factory=lambda fields: max(1, round(SIGNAL_S / fields.get("period", SIGNAL_S)))
     )
     """Number of control periods for which a plan holds each signal. The plan's time grid is so many
-    times coarser than the control's, and a signal can still be changed at each control step."""
+    times coarser than the control's, and a signal can still be changed at each control step. The
+    default is as many as last about 0.2 s."""
     deadline: Positive = Field(default_factory=lambda fields: 0.8 * fields.get("period", SIGNAL_S))
     """Time after which the searches of a control step end and the best sequence so far is used [s];
     for standing robots it is 1 s. The default is 80 % of the control period. In virtual time the

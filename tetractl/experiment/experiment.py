@@ -173,8 +173,8 @@ class Experiment(Model):
     finds its robots.
     """
     strength: Positive | None = None
-    """Strength B of the field, which coils are sent: in V/cm if robots have `a: {per_V_cm: ...}`,
-    otherwise in mT. Turning rates a in rad/s are those at this strength.
+    """Strength B of the field: in V/cm if robots have `a: {per_V_cm: ...}`, otherwise in mT, as
+    coils need it. Turning rates a in rad/s are those at this strength.
     """
     chosen: Annotated[TrialRobots | None, OrTrialRobots()] = None
     """In a resolved spec, the mapping given as `robots`; `robots` then holds placeholders until a
@@ -193,8 +193,10 @@ class Experiment(Model):
     """What happens if a robot is not tracked for `lab.limits.untracked_abort`, if a robot on wheels
     is seen and does not move while another drives for 5 s, or if a cell is about to leave the
     arena, has divided, or cannot be identified: the trial ends (`stop`), goes on without the robot
-    (`drop`), or with the most similar free cell in its place (`replace`). The error of a dropped
-    robot is the distance from its last pose to the target.
+    (`drop`), or with the most similar free cell in its place (`replace`, which needs
+    `robots: {choose: N}` and no obstacles). The error of a dropped robot is the distance from its
+    last pose to the target. In simulations, untracked robots are lost after 0.3 s, but `stop` ends
+    a trial only for a robot on wheels that does not move.
     """
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Obstacles, which no robot may enter."""

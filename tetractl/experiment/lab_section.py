@@ -162,11 +162,12 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts after this time without a new frame [s]."""
     untracked_abort: Positive = 0.3
-    """A robot that was not tracked for this time [s] is lost, and the run aborts unless `on_lost`
-    says otherwise."""
+    """A robot that was not tracked for this time [s], or is seen too rarely, is lost, and the run
+    aborts unless `on_lost` says otherwise."""
     identity: Positive = 3.0
-    """The run aborts if cells have met and the camera cannot distinguish them for this time [s];
-    only with cameras that report identities.
+    """A robot is lost if its cell has met another and the camera cannot distinguish them for this
+    time [s], and the run aborts unless `on_lost` says otherwise; only with cameras that report
+    identities.
     """
     jump_mm: NonNegative = 30.0
     """A pose is rejected if it is further from an accepted pose of the last second than the robot
@@ -196,8 +197,8 @@ class LabLimits(Model):
     start_heading: Positive = 0.3
     """Largest difference of a robot's heading from its start heading [rad]."""
     placing: NonNegative = 0.0
-    """Longest time to wait for robots to be put on their starts [s]; for a run that a person starts
-    in a terminal there is no limit."""
+    """Longest time to wait for robots to be put on their starts [s], at least 1 s; for a run that a
+    person starts in a terminal, without `--yes`, there is no limit."""
 
     @model_validator(mode="after")
     def _heights_in_order(self) -> Self:
@@ -217,8 +218,8 @@ class LabSection(PlantSection):
     limits: LabLimits = LabLimits()
     """Limits that stop robots or end a run, and waiting times of a run."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
-    """A file written by `tetractl lab calibrate`, relative to the spec; its values replace values
-    in `camera` and `actuator`."""
+    """A file written by `tetractl lab calibrate` or `tetractl lab survey --micrometer`, relative to
+    the spec; its values replace values in `camera` and `actuator`."""
     lag: NonNegative | None = None
     """Time constant with which the wheels of the lab's robots follow a command [s], real or
     emulated; by default `wheels.lag`, which simulations have too."""

@@ -114,7 +114,8 @@ class SimSection(PlantSection):
     [s], as in `controller.dead_time`; a command sent after this time acts at once. Delays of
     `drive` and `disturbances` are added."""
     lost_commands: Fraction = 0.0
-    """Probability that a robot does not receive a command and keeps following the previous one."""
+    """Probability that a robot does not receive a command and keeps following the previous one,
+    until a watchdog (`wheels.watchdog`) stops it."""
     a_error: Fraction = 0.0
     """The true turning rate a is the spec's times 1 + e, with e uniform in [-a_error, a_error],
     drawn once per trial and robot."""

@@ -52,10 +52,10 @@ def emulate(
     seed: Annotated[int, option("N", "Seed of the emulation's random numbers.")] = 1,
     json: Annotated[bool, switch("Print events as JSON lines.", "--json")] = False,
 ) -> int:
-    """Emulate an experiment's lab: its camera, its actuator on a pseudo-terminal, and its robots.
+    """Emulate an experiment's lab: its camera, its actuator, and its robots.
 
-    NO HARDWARE is involved. The emulation runs in real time until Ctrl-C, and prints `ready` when
-    programs can connect.
+    NO HARDWARE is involved: a serial port of the actuator is a pseudo-terminal. The emulation runs
+    in real time until Ctrl-C, and prints `ready` when programs can connect.
 
     Example: tetractl lab emulate experiments/three_m3pi_lab.yaml --port-link /tmp/radio
     """

@@ -23,7 +23,7 @@ from tetractl.plant.lab_plant import LabPlant, RigSection
 
 
 class EmulatedPlantSection(RigSection):
-    """A lab that is emulated in virtual time; no device is used."""
+    """A lab that is emulated in virtual time; no device is used unless `real` names one."""
 
     type: Literal["emulated"] = "emulated"
     faults: str | dict[str, Any] | None = None

@@ -26,9 +26,7 @@ Placed = tuple[float, float, int, float, str]
 def markers(
     spec: Spec,
     sets: Sets = None,
-    out: Annotated[Path, out_option("FILE", "PDF file to write. [markers.pdf]")] = Path(
-        "markers.pdf"
-    ),
+    out: Annotated[Path, out_option("FILE", "PDF file to write.")] = Path("markers.pdf"),
     paper: Annotated[str, option("NAME", "Paper: a4, a3 or letter.")] = "a4",
 ) -> int:
     """Write the tags of a spec's robots and floor to a PDF that prints them at their true size.

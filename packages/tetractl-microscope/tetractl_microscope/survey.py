@@ -32,7 +32,12 @@ def survey(
     spec: Spec,
     sets: Sets = None,
     out: Annotated[
-        Path | None, out_option("FILE", "YAML file to write a spec for trials to.")
+        Path | None,
+        out_option(
+            "FILE",
+            "YAML file to write a spec for trials to; with --micrometer the calibration, by "
+            "default to calibration.yaml.",
+        ),
     ] = None,
     plans: Annotated[
         int,
@@ -54,15 +59,16 @@ def survey(
 ) -> int:
     """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
 
-    The field rotates for the time `robots.seconds` of the spec. It says on which side cells follow:
-    they follow on the other if the picture is mirrored. Every cell with a magnet is listed
-    with 95 % intervals; choices of cells that are distinguishable are ranked by the error that
-    `tetractl analyze` predicts, with the noise of the spec's simulation. -o writes a spec with
-    which a trial finds the best cells again, by their turning rates a and speeds.
+    The field rotates for the time `robots.seconds` of the spec. The command prints whether cells
+    turn towards the field or towards its mirror image; then the picture is mirrored, or a coil pair
+    reversed. Every cell in view is listed with 95 % intervals; choices of cells that follow the
+    field and are distinguishable are ranked by the error that `tetractl analyze` predicts, with the
+    noise of the spec's simulation. -o writes a spec with which a trial finds the best cells again,
+    by their turning rates a and speeds.
 
     With --micrometer no device is opened: scale and rotation follow from two marks of a stage
-    micrometer, or one speck before and after the stage was moved. Enter the file that is written in
-    the spec as `lab.calibration`.
+    micrometer, or one speck before and after the stage was moved. Enter the file's name in the spec
+    as `lab.calibration`.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """

@@ -61,7 +61,8 @@ class Radio(Disturbance):
 
 
 class SilentRadioSection(SpellsSection):
-    """Intervals in which robots receive no command and keep following the last one."""
+    """Intervals in which robots receive no command and keep following the last one, until a
+    watchdog (`wheels.watchdog`) stops them."""
 
     type: Literal["silent-radio"]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
-from tetractl.core.errors import AbortError, Exit
+from tetractl.core.errors import AbortError, Exit, UsageError
 from tetractl.core.files import save_whole
 from tetractl.run.interrupt import interrupted_once
 
@@ -68,6 +68,11 @@ def rehearse(
     from tetractl_emulator.rehearsal.summary import FIELDS, broken, reasons, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
+    if loaded.experiment.plant.real_time:
+        raise UsageError(
+            "a rehearsal emulates the whole lab, and a device of this one is real",
+            "leave out the lab's `real`",
+        )
     loaded.experiment.plant.require_devices()
     lab = lab_of(loaded.experiment, loaded.name)
     kinds = rehearsal_of(lab, loaded.experiment.setup, loaded.experiment.open).kinds

@@ -6,6 +6,7 @@ import pytest
 from support.cli import tetractl
 from support.lab_processes import APRILTAG, SMALL, SPEC, flags
 from support.paths import EXAMPLES
+from support.virtual_lab import virtual_lab
 from tetractl_emulator.rehearsal import day, shrink
 from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
@@ -72,6 +73,18 @@ def test_what_no_fault_causes_and_days_of_another_seed_are_refused(tmp_path):
     (tmp_path / "days" / "record-000000.json").write_text('{"of": "another spec", "record": {}}')
     again = rehearse(tmp_path, "--days", "1")
     assert again.returncode == 2
+
+
+def test_a_lab_with_a_real_device_is_not_rehearsed(tmp_path):
+    """Regression: the trial before the days drove the real robots, without a question."""
+    half = flags(("lab.type=emulated", "lab.real=actuator"))
+    with virtual_lab(tmp_path, spec=SPEC, ahead_s=0.5) as lab:
+        words = ("--days", "1", *flags(lab.settings), *half)
+        done = rehearse(tmp_path, *words)
+        events = lab.events("run")
+    assert events == []
+    assert done.returncode == 2
+    assert "a device of this one is real" in done.stderr
 
 
 def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):

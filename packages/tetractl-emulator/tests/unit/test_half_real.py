@@ -1,0 +1,26 @@
+"""A real actuator and an emulated one, whose radio may fail as its script wants."""
+
+import threading
+
+from support.labs import FakeActuator, fake_lab
+from support.trials import experiment
+from tetractl_emulator.half_real import TwinActuator
+
+from tetractl.experiment.lab_section import STOPS
+from tetractl.lab.inner_loop import InnerLoop
+
+
+def test_an_emulated_radio_that_fails_keeps_no_stop_from_the_real_robots():
+    """Regression: the loop took its error for one of the real radio, and left out the nine stops
+    that were still to be sent."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.clock.steps.remove(lab.plant.rig.loop.step)  # the loop below is the only one
+    emulated = FakeActuator(lab.world, failure="the port of the emulated radio is gone")
+    both = TwinActuator(lab.actuator, emulated)
+    guard = lab.plant.rig.guard
+    loop = InnerLoop(lab.camera, both, guard, lab.clock, threading.Event(), threading.Event())
+    first = loop.stop()
+    stops = lab.actuator.sent
+    assert len(stops) == STOPS
+    assert first is stops[0]

@@ -165,6 +165,8 @@ EMULATED_PLANT = "emulated"
 """The type of the plant that emulates a lab in virtual time."""
 EMULATED_DEVICES = "emulated"
 """The key of `PlantInfo.facts` whose value names the emulated devices."""
+REAL_DEVICE = "real"
+"""The key of `PlantInfo.facts` that names the real device of plant `emulated`, if there is one."""
 EMULATED_NAME = "EMULATED by tetractl"
 """Text in the name that an emulated device reports to its client."""
 
@@ -184,8 +186,11 @@ class PlantInfo:
 
     @property
     def virtual(self) -> bool:
-        """Whether trials run in virtual time: those of a simulation, or of plant `emulated`."""
-        return self.simulated or self.kind == EMULATED_PLANT
+        """Whether trials run in virtual time: those of a simulation, or of plant `emulated` without
+        a real device."""
+        if self.kind == EMULATED_PLANT:
+            return REAL_DEVICE not in self.facts
+        return self.simulated
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import EMULATED_DEVICES, Action, Command, PlantInfo
+from tetractl.core.commands import EMULATED_DEVICES, REAL_DEVICE, Action, Command, PlantInfo
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.lab.rig import Rig
@@ -50,7 +50,7 @@ class EmulatedPlantSection(RigSection):
         """Return what is real and what is emulated, by names; nothing if all is emulated."""
         if self.real is None:
             return {}
-        return {"real": self.real, EMULATED_DEVICES: ", ".join(self.emulated_devices)}
+        return {REAL_DEVICE: self.real, EMULATED_DEVICES: ", ".join(self.emulated_devices)}
 
     @property
     def emulated_devices(self) -> tuple[str, ...]:

@@ -10,11 +10,12 @@ from support.terminal import console as terminal
 from support.trials import run_three_robots, three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note, Sample
+from tetractl.core.commands import Note, PlantInfo, Sample
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
+from tetractl.view.terminal.keys import SAYS
 from tetractl.view.terminal.live_screen import LabWatch, LiveView
 from tetractl.view.terminal.progress import BatchProgress, ScriptProgress, StudyProgress, duration
 
@@ -117,6 +118,22 @@ def test_the_live_view_gives_the_terminal_back_whatever_happens():
     text = written(console)
     assert text.rindex("\x1b[?1049l") > text.rindex("\x1b[?1049h")
     assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
+
+
+@pytest.mark.parametrize(
+    ("facts", "hint", "other_hint"),
+    [({"real": "actuator"}, SAYS, "Ctrl-C stops"), ({}, "Ctrl-C stops", SAYS)],
+)
+def test_the_live_view_names_the_emergency_key_where_a_device_is_real(facts, hint, other_hint):
+    """Regression: with one real device in an emulated lab it only named Ctrl-C, which lets the
+    robots finish the step, as for a lab that is emulated as a whole."""
+    console = terminal()
+    info = PlantInfo("emulated", False, 100.0, facts)
+    with LabWatch(console, Console(quiet=True), "mm", live=True) as watch:
+        watch.on_start(replace(three_robots().start, plant=info))
+    picture = pictures(console)[-1]
+    assert hint in picture
+    assert other_hint not in picture
 
 
 def test_the_lab_prints_messages_but_no_calls_of_an_exception():

@@ -91,7 +91,7 @@ def _tell_errors(log: Path, again: Path, unit: str) -> None:
 def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec":
     """Return the spec of a log with values replaced, changed to the given plant.
 
-    No calibration file is read: the spec in a log of the lab has the calibration's values.
+    No calibration file is read of a log of the lab: its spec has the calibration's values.
     """
     from tetractl.experiment.lab_section import LabSection
     from tetractl.experiment.load import LoadedSpec, parse_written

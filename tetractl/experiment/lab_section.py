@@ -224,8 +224,9 @@ class LabSection(PlantSection):
     """Time constant with which the wheels of the lab's robots follow a command [s], real or
     emulated; by default `wheels.lag`, which simulations have too."""
 
-    def with_files(self, folder: Path) -> Self:
-        """Return the section with the contents of files that it names relative to `folder`."""
+    def with_files(self, folder: Path | None) -> Self:
+        """Return the section with the contents of files that it names relative to `folder`, None if
+        the spec comes from no file."""
         return self
 
     @property

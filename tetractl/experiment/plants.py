@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from pydantic import Field, ValidationError
@@ -18,7 +17,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, attach
 from tetractl.experiment.packages import not_installed
 from tetractl.experiment.plant import PlantSection
-from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.document import Document, file_of_spec, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 from tetractl.experiment.yaml.settings import holder_of, make_way, put
 
@@ -40,6 +39,7 @@ def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
     """Return the spec with the plant that will be run: of a given kind, or the spec's own.
 
     Values of the lab's calibration file replace the spec's; the file's text is attached to the log.
+    SpecError if the file is relative to a spec that comes from no file.
     An unused `lab` section is kept for other runs.
     """
     experiment = loaded.experiment
@@ -49,14 +49,14 @@ def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
         lab = experiment.lab if experiment.plant.simulated else experiment.plant
         updated = {"plant": _with_defaults(kind), "lab": lab}
         return replace(loaded, experiment=_with(experiment, **updated))
-    folder = loaded.path.parent if loaded.path else Path()
+    folder = loaded.path.parent if loaded.path else None
     lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
     loaded = replace(loaded, experiment=_with(experiment, plant=lab, lab=None))
     for error in section_errors(loaded.experiment):
         raise SpecError(f"{loaded.name}: {dotted(error.where)} {error.text}")
     if lab.calibration is None:
         return loaded
-    path = folder / lab.calibration
+    path = file_of_spec(folder, "lab.calibration", lab.calibration)
     text = read_text(path)
     experiment = calibrated(loaded.experiment, text, str(path))
     attached = attach(loaded.attached, path, text)

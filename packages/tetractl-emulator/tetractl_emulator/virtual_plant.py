@@ -63,14 +63,14 @@ class EmulatedPlantSection(RigSection):
 
         return LiveClock() if self.real else LabClock()
 
-    def with_files(self, folder: Path) -> Self:
+    def with_files(self, folder: Path | None) -> Self:
         """Return the section with the script in place of its file's name."""
-        from tetractl.experiment.yaml.document import read_document
+        from tetractl.experiment.yaml.document import file_of_spec, read_document
         from tetractl_emulator.script import load_script
 
         if not isinstance(self.faults, str):
             return self
-        path = folder / self.faults
+        path = file_of_spec(folder, "lab.faults", self.faults)
         load_script(path, self.camera.type, self.actuator.type)
         return self.model_copy(update={"faults": read_document(path).data})
 

@@ -55,6 +55,19 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     assert run.attached == (("m.yaml", MEASURED),)
 
 
+def test_a_spec_without_a_folder_names_its_calibration_by_the_whole_path(tmp_path, monkeypatch):
+    """Regression: `rerun LOG --plant lab` drove robots by a file with that name in the present
+    folder, of other robots perhaps: a log does not know the folder of its spec."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "m.yaml"
+    file.write_text(MEASURED)
+    relative = parse_spec(SPEC.read_text(), "spec.yaml", ["lab.calibration=m.yaml"])
+    with pytest.raises(SpecError, match=r"^lab.calibration: m.yaml: is in the folder of a spec"):
+        on_plant(relative, "lab")
+    whole = parse_spec(SPEC.read_text(), "spec.yaml", [f"lab.calibration={file}"])
+    assert on_plant(whole, "lab").attached == (("m.yaml", MEASURED),)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [

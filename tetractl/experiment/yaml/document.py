@@ -7,7 +7,7 @@ from typing import Any
 
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from tetractl.core.errors import printable
+from tetractl.core.errors import SpecError, printable
 from tetractl.experiment.yaml.core_yaml import CORE, STR, compose, scalar, short_tag, within_limits
 from tetractl.experiment.yaml.problems import (
     SHOWN_LENGTH,
@@ -70,6 +70,17 @@ class Document:
     def problem_at(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
         """Return a problem at the location of a value."""
         return self.place(loc).problem(loc, message, value)
+
+
+def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
+    """Return the path of the file that a key of a spec names, relative to the spec's `folder`;
+    SpecError for a relative name without a folder, as in the log of a trial."""
+    if folder is None and not Path(name).is_absolute():
+        raise SpecError(
+            f"{key}: {printable(name)}: is in the folder of a spec that was not read from a file",
+            f"name it by its whole path: --set {key}=/PATH; or leave it out: --set {key}=null",
+        )
+    return (folder or Path()) / name
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:

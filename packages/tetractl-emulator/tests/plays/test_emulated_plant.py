@@ -161,6 +161,28 @@ def test_late_steps_between_punctual_ones_do_not_end_a_trial(tmp_path):
     assert len(late) > 5  # as would end it in a row
 
 
+def test_a_log_is_not_run_again_with_files_of_the_present_folder(tmp_path):
+    """Regression: the calibration and the script of faults that were read belonged to others."""
+    (tmp_path / "spec").mkdir()
+    spec = tmp_path / "spec" / "spec.yaml"
+    text = SPEC.read_text()
+    spec.write_text(text.replace("\nlab:\n", "\nlab:\n  calibration: calibration.yaml\n"))
+    tetractl(tmp_path, "run", spec, "--trials", "1", "-q", "--out", "one", *SMALL).ok()
+    swapped = "measured: 2026-01-01\nactuator: {robots: [{name: green, swap: true}]}\n"
+    (tmp_path / "calibration.yaml").write_text(swapped)
+    (tmp_path / "faults.yaml").write_text("about: of another lab\nfaults: []\n")
+    words = ("rerun", "one/trial-000.mcap", "--plant", "emulated", "--dry-run")
+    done = tetractl(tmp_path, *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "error: lab.calibration: calibration.yaml: is in the folder" in done.stderr
+    without = flags(("lab.calibration=null",))
+    tetractl(tmp_path, *words, *without).ok()
+    script = flags(("lab.type=emulated", "lab.faults=faults.yaml"))
+    done = tetractl(tmp_path, *words, *without, *script)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "error: lab.faults: faults.yaml: is in the folder" in done.stderr
+
+
 @needs_compiler
 def test_a_drive_that_a_stop_follows_within_the_same_step_of_the_clock_is_recorded(tmp_path):
     """Regression: a full disk stopped robots as they set off again, and a rehearsal saw them driven

@@ -130,6 +130,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     document = _calibration(text, origin)
     validated(Calibration, document)
     merged = Document(document.origin, experiment.model_dump(mode="json"))
+    merged.data["plant"] |= _values_not_dumped(experiment.plant)
     for measured in _measured_values(document):
         place = document.place(measured.loc)
         loc = make_way(merged, ("plant", *measured.path), place)
@@ -140,6 +141,12 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
         where = dotted(error.where)
         raise SpecError(f"{origin}: with this calibration, {where} {error.text}")
     return updated
+
+
+def _values_not_dumped(plant: PlantSection) -> dict[str, Any]:
+    """Return the values that a plant's dump leaves out, since no log is to have them."""
+    fields = type(plant).model_fields
+    return {name: getattr(plant, name) for name, field in fields.items() if field.exclude}
 
 
 def _calibration(text: str, origin: str) -> Document:

@@ -12,7 +12,6 @@ import ipaddress
 import os
 import socket
 import stat
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,8 @@ from tetractl.lab.serial_port import Heard, PortHeldError, SerialPort
 SCHEME = "udp://"  # beginning of an address of such a port
 PACKET_MAX = 1500  # most bytes of a datagram that are read: an Ethernet frame
 PORT_DIGITS = 5  # most digits of a port's number
+LOCKS = Path("/tmp")
+"""The folder of locks, one for all users and terminals, whatever their TMPDIR."""
 REFUSALS_MAX = 3
 """Tries to send a datagram: each may report the refusal of one sent before."""
 
@@ -51,7 +52,7 @@ def heard_at(name: str) -> int | None:
 def lock_file(name: str) -> Path:
     """Return the file that a program locks while it uses the port of this name."""
     tag = hashlib.sha256(name.encode()).hexdigest()[:16]
-    return Path(tempfile.gettempdir()) / f"tetractl-udp-{tag}.lock"
+    return LOCKS / f"tetractl-udp-{tag}.lock"
 
 
 def _open_lock(path: Path) -> int:
@@ -63,9 +64,11 @@ def _open_lock(path: Path) -> int:
     """
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
-        file = os.open(path, flags | os.O_CREAT, 0o644)
-    except PermissionError:  # Linux forbids to create, in a shared folder, what is another user's
+        file = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o644)
+    except FileExistsError:
         file = os.open(path, flags)
+    else:
+        os.fchmod(file, 0o644)  # other users can read it, whatever this user's umask
     if not stat.S_ISREG(os.fstat(file).st_mode):
         os.close(file)
         raise OSError(errno.EINVAL, "is not a regular file")
@@ -81,12 +84,16 @@ class UdpPort(SerialPort):
         super().__init__(name, baud, device, clock, heard, hint)
         self._socket: socket.socket | None = None
         self._to: Any = None  # host and port
-        self._lock = lock_file(name)
-        self._locked: int | None = None
+        self._locked: list[int] = []
+        """Descriptors of the files that are locked."""
 
     def open(self, alone: bool = True) -> None:
         """Open a socket and start to read; PortHeldError if `alone` and another program uses the
-        devices at this address."""
+        devices at this address.
+
+        The name is locked before it is resolved, so that a run that uses it is seen while no name
+        can be resolved; then the address, which another program may have by another name.
+        """
         listening_port = heard_at(self._name)
         if listening_port is not None:
             self._listen(listening_port)
@@ -95,25 +102,32 @@ class UdpPort(SerialPort):
         if address is None:
             raise AbortError(f"{self._name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
         if alone:
-            self._hold()
+            self._hold(self._name)
         try:
             self._to = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
         except OSError as error:
             why = f"{self._name}: {error.strerror}"
             raise AbortError(why, "is the address right, and is this computer online?") from None
+        host, port = self._to
+        resolved_name = f"{SCHEME}{host}:{port}"
+        if alone and resolved_name != self._name:
+            self._hold(resolved_name)
         self._listen(0)
 
-    def _hold(self) -> None:
-        """Lock the devices' address; PortHeldError if another program has."""
+    def _hold(self, name: str) -> None:
+        """Lock a name of the devices; PortHeldError if another program has."""
+        lock = lock_file(name)
         try:
-            self._locked = _open_lock(self._lock)
-            take_lock(self._locked)
+            file = _open_lock(lock)
+            self._locked.append(file)
+            take_lock(file)
         except BlockingIOError:
-            raise PortHeldError(str(self._lock), self._name) from None
+            raise PortHeldError(str(lock), self._name) from None
         except OSError as error:
             why = "is a link" if error.errno == errno.ELOOP else error.strerror
             raise AbortError(
-                f"{self._lock}, the lock of {self._name}: {why}", "remove it: it is not tetractl's"
+                f"{lock}, the lock of {self._name}: {why}",
+                f"remove it if it is there, and let this user write to {LOCKS}",
             ) from None
 
     def _listen(self, port: int) -> None:
@@ -165,9 +179,8 @@ class UdpPort(SerialPort):
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-        if self._locked is not None:
-            os.close(self._locked)
-            self._locked = None
+        while self._locked:
+            os.close(self._locked.pop())
 
     def _read(self) -> None:
         assert self._socket is not None

@@ -2,6 +2,7 @@
 
 import os
 import socket
+import tempfile
 from queue import Queue
 
 import pytest
@@ -59,6 +60,82 @@ def test_a_second_program_is_refused_and_the_first_is_found(robot):
     finally:
         first.close()
         second.close()
+        lock_file(name).unlink()
+
+
+def test_a_second_program_with_another_temporary_folder_is_refused(robot, monkeypatch, tmp_path):
+    """Regression: `lab stop` in a terminal with another TMPDIR than the run's did not see the run,
+    said that stops were sent, and the run drove on."""
+    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
+    first = port_to(name)
+    first.open()
+    try:
+        monkeypatch.setenv("TMPDIR", str(tmp_path))
+        monkeypatch.setattr(tempfile, "tempdir", None)  # so that TMPDIR is read again
+        second = port_to(name)
+        with pytest.raises(PortHeldError):
+            second.open()
+        second.close()
+    finally:
+        first.close()
+        lock_file(name).unlink()
+
+
+@pytest.mark.parametrize("hosts", [("localhost", "127.0.0.1"), ("127.0.0.1", "localhost")])
+def test_a_second_program_that_spells_the_address_in_another_way_is_refused(robot, hosts):
+    """Regression: a run at `udp://robot.local:5000` was not seen at the robot's number, and drove
+    on."""
+    first_name, second_name = (f"udp://{host}:{robot.getsockname()[1]}" for host in hosts)
+    first = port_to(first_name)
+    second = port_to(second_name)
+    first.open()
+    try:
+        with pytest.raises(PortHeldError) as held:
+            second.open()
+        assert holder(held.value.port) == os.getpid()
+        second.close()
+        first.close()
+        second.open()  # a closed port holds neither spelling
+    finally:
+        first.close()
+        second.close()
+        lock_file(first_name).unlink()
+        lock_file(second_name).unlink()
+
+
+def test_a_run_is_seen_while_its_name_cannot_be_resolved(robot, monkeypatch):
+    """`lab stop` ends the run that has a port, even if the network that knows its name is gone."""
+    name = f"udp://localhost:{robot.getsockname()[1]}"
+    first = port_to(name)
+    second = port_to(name)
+    first.open()
+    try:
+
+        def unknown(*_):
+            raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+
+        monkeypatch.setattr(socket, "getaddrinfo", unknown)
+        with pytest.raises(PortHeldError):
+            second.open()
+    finally:
+        first.close()
+        second.close()
+        lock_file(name).unlink()
+        lock_file(name.replace("localhost", "127.0.0.1")).unlink()
+
+
+def test_other_users_can_read_a_lock(robot):
+    """Regression: with the umask 077, another user's `lab stop` could not open the lock, and sent
+    the robot no stop."""
+    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
+    port = port_to(name)
+    umask = os.umask(0o077)
+    try:
+        port.open()
+        assert lock_file(name).stat().st_mode & 0o777 == 0o644
+    finally:
+        os.umask(umask)
+        port.close()
         lock_file(name).unlink()
 
 

@@ -63,6 +63,8 @@ class SerialPort:
         self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
     ) -> None:
         self.failure: str | None = None
+        self.refusal: str | None = None
+        """Why nothing hears what the system accepts to send; None if that is not known."""
         self._name = name
         self._baud = baud
         self._device = device
@@ -199,8 +201,9 @@ def stop_all_at(
     """Open the ports of robots, send stops, and close them; return a summary.
 
     `stop` sends a stop to each port, also if another one fails. A robot whose port cannot be
-    opened keeps none of the others from their stops; then AbortError says which are not reached. If
-    not `alone`, another process may have the ports open; else PortHeldError, if one has.
+    opened, or where no device listens, keeps none of the others from their stops; then AbortError
+    says which are not reached. If not `alone`, another process may have the ports open; else
+    PortHeldError, if one has.
     """
     try:
         unreached = _open_reachable(ports, alone)
@@ -211,7 +214,10 @@ def stop_all_at(
     finally:
         for port in ports:
             port.close()
-    unreached += [port.failure for port in ports if port.failure is not None]
+    for port in ports:
+        reason = port.failure or port.refusal
+        if reason is not None:
+            unreached.append(reason)
     if len(unreached) == len(ports):
         raise AbortError(unreached[0], SWITCH_OFF)
     if unreached:

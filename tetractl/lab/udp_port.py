@@ -1,9 +1,9 @@
 """A port to devices that take UDP datagrams, used as a serial port: `udp://host:port`.
 
-A datagram to a broadcast address reaches all devices of a network. Nothing tells whether a datagram
-arrives. Only the address written to is heard; at a broadcast address anybody is, since each device
-replies from its own. `udp://:port` hears what anybody sends to this port of this computer, and
-sends nothing.
+A datagram to a broadcast address reaches all devices of a network. Nothing tells that a datagram
+arrives; the computer there may refuse it, if no device listens. Only the address written to is
+heard; at a broadcast address anybody is, since each device replies from its own. `udp://:port`
+hears what anybody sends to this port of this computer, and sends nothing.
 """
 
 import errno
@@ -76,7 +76,11 @@ def _open_lock(path: Path) -> int:
 
 
 class UdpPort(SerialPort):
-    """The devices at `udp://host:port`; see SerialPort, whose `baud` has no meaning here."""
+    """The devices at `udp://host:port`; see SerialPort, whose `baud` has no meaning here.
+
+    A refusal is of a datagram sent before, so it fails no port: the device may be starting. It is
+    kept until data comes, as a computer refuses only some of many datagrams.
+    """
 
     def __init__(
         self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
@@ -84,6 +88,7 @@ class UdpPort(SerialPort):
         super().__init__(name, baud, device, clock, heard, hint)
         self._socket: socket.socket | None = None
         self._to: Any = None  # host and port
+        self._no_listener = f"no device listens at {name}"
         self._locked: list[int] = []
         """Descriptors of the files that are locked."""
 
@@ -164,11 +169,15 @@ class UdpPort(SerialPort):
 
     def _send(self, sender: socket.socket, data: bytes) -> None:
         """Send a datagram; again, if the system reports that an earlier one found no listener, as
-        while a robot starts."""
+        while a robot starts. AbortError if it only reports that."""
         for _ in range(REFUSALS_MAX):
-            with suppress(ConnectionRefusedError):
+            try:
                 sender.sendto(data, self._to)
+            except ConnectionRefusedError:
+                self.refusal = self._no_listener
+            else:
                 return
+        raise AbortError(self._no_listener, self._hint)
 
     def set_baud(self, baud: int) -> None:
         """Do nothing: a network has no baud rate."""
@@ -183,10 +192,20 @@ class UdpPort(SerialPort):
             os.close(self._locked.pop())
 
     def _read(self) -> None:
-        assert self._socket is not None
         while not self._closing.is_set():
             with suppress(TimeoutError, ConnectionError):
-                self._heard(self._socket.recv(PACKET_MAX), self._clock.now())
+                self._heard(self._received(), self._clock.now())
+
+    def _received(self) -> bytes:
+        """Wait for a datagram; TimeoutError if none comes, ConnectionError if one was refused."""
+        assert self._socket is not None
+        try:
+            data = self._socket.recv(PACKET_MAX)
+        except ConnectionRefusedError:
+            self.refusal = self._no_listener
+            raise
+        self.refusal = None
+        return data
 
 
 def open_port(

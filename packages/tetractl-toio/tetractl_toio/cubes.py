@@ -10,7 +10,7 @@ from functools import partial
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import Heard, Ports, SerialPort
-from tetractl.lab.udp_port import PACKET_MAX, SCHEME, UdpPort
+from tetractl.lab.udp_port import SCHEME, UdpPort
 from tetractl_toio.messages import TOGETHER_S, Characteristic, Unpacker, pack, refused
 
 UDP_HINT = "does `tetractl lab emulate` run in another terminal, with the same spec?"
@@ -140,11 +140,11 @@ class EmulatedCubePort(UdpPort):
         assert self._socket is not None
         while not self._closing.is_set():
             with suppress(TimeoutError, ConnectionError):
-                data = self._socket.recv(PACKET_MAX)
+                data = self._received()
                 at_ns = self._clock.now()
                 self._closing.wait(TOGETHER_S)
                 while select.select([self._socket], [], [], 0)[0]:
-                    data += self._socket.recv(PACKET_MAX)
+                    data += self._received()
                 self._heard(data, at_ns)
 
 

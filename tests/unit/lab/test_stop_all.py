@@ -41,6 +41,7 @@ class Ports:
 class Port:
     def __init__(self, ports, name):
         self.failure = None
+        self.refusal = None
         self._ports = ports
         self._name = name
 

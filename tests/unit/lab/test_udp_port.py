@@ -7,10 +7,11 @@ from queue import Queue
 
 import pytest
 
-from tetractl.core.clock import MonotonicClock
+from tetractl.core.clock import MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.lab.serial_port import PortHeldError, SerialPort, holder
-from tetractl.lab.udp_port import UdpPort, address_of, lock_file, open_port
+from tetractl.experiment.lab_section import STOPS
+from tetractl.lab.serial_port import PortHeldError, SerialPort, holder, stop_all_at
+from tetractl.lab.udp_port import REFUSALS_MAX, UdpPort, address_of, lock_file, open_port
 
 PATIENCE_S = 60
 
@@ -210,6 +211,93 @@ def test_a_device_that_is_not_there_yet_does_not_end_the_port(robot):
             assert again.recv(100) == b"now"
     finally:
         port.close()
+
+
+def stopped(*ports):
+    """Return what `lab stop` says of robots at these ports."""
+
+    def stop():
+        for port in ports:
+            port.write(b"stop")
+
+    return stop_all_at(ports, stop, VirtualClock(), alone=True)
+
+
+def test_stops_where_no_device_listens_are_not_told_as_sent(robot):
+    """Regression: with a wrong port in the spec, `lab stop` said `sent 10 stops`, though the system
+    had reported that they were refused."""
+    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
+    robot.close()
+    try:
+        with pytest.raises(AbortError, match=f"^no device listens at {name}"):
+            stopped(port_to(name))
+    finally:
+        lock_file(name).unlink()
+
+
+def test_robots_that_listen_get_their_stops_though_another_does_not(robot):
+    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
+        closed.bind(("127.0.0.1", 0))
+        silent_name = f"udp://127.0.0.1:{closed.getsockname()[1]}"
+    what = f"^sent {STOPS} stops, but not to all: no device listens at {silent_name}"
+    try:
+        with pytest.raises(AbortError, match=what):
+            stopped(port_to(silent_name), port_to(name))
+        assert [robot.recv(100) for _ in range(STOPS)] == [b"stop"] * STOPS
+        assert stopped(port_to(name)) == f"sent {STOPS} stops"
+    finally:
+        lock_file(name).unlink()
+        lock_file(silent_name).unlink()
+
+
+def test_a_device_that_answers_listens(robot):
+    """What was refused while it started says nothing any more."""
+    address = robot.getsockname()
+    robot.close()
+    heard = Queue()
+    name = f"udp://127.0.0.1:{address[1]}"
+    port = port_to(name, lambda data, now: heard.put(data))
+    port.open()
+    try:
+        port.write(b"?")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as started:
+            started.settimeout(PATIENCE_S)
+            started.bind(address)
+            port.write(b"now")
+            _, sender = started.recvfrom(100)
+            started.sendto(b"reply", sender)
+            assert heard.get(timeout=PATIENCE_S) == b"reply"
+            assert port.refusal is None
+    finally:
+        port.close()
+        lock_file(name).unlink()
+
+
+def test_a_datagram_that_is_not_sent_has_no_time_of_sending(robot, monkeypatch):
+    """Regression: `write` returned a time though each try had only reported a refusal. The port can
+    be used further, so that all stops are tried."""
+
+    class RefusedSocket(socket.socket):
+        tries = 0
+
+        def sendto(self, *_):
+            RefusedSocket.tries += 1
+            raise ConnectionRefusedError
+
+    monkeypatch.setattr(socket, "socket", RefusedSocket)
+    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
+    port = port_to(name)
+    port.open()
+    try:
+        for _ in range(2):
+            with pytest.raises(AbortError, match="no device listens"):
+                port.write(b"stop")
+        assert RefusedSocket.tries == 2 * REFUSALS_MAX
+        assert port.failure is None
+    finally:
+        port.close()
+        lock_file(name).unlink()
 
 
 def test_all_devices_are_heard_at_a_broadcast_address():

@@ -149,6 +149,7 @@ def calibrate(
     ui.refuse_existing(out)
     experiment = _experiment_on(spec, sets, plant)
     names = _chosen_robots(robot, experiment.setup)
+    ui.rig_section(experiment).require_calibratable()
     if experiment.plant.real_time:
         ui.require_consent(yes, f"{', '.join(names)} will move up to 0.3 m each.")
     return save_calibration(out, _calibrated(experiment, names, limit))

@@ -158,7 +158,11 @@ class _Bench:
     """
 
     def __init__(self, section: WheeledSection, rig: Rig, offset: float, limit: int) -> None:
-        assert isinstance(rig.actuator, WheeledActuator), "its section says that it has wheels"
+        if not isinstance(rig.actuator, WheeledActuator):
+            raise AbortError(
+                f"the actuator {type(rig.actuator).__name__} cannot be calibrated: it is not one "
+                "of robots on two wheels"
+            )
         self.rig = rig
         self.actuator = rig.actuator
         (self.name,) = rig.setup.names

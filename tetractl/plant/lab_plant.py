@@ -60,6 +60,10 @@ class RigSection(LabSection):
         """
         return build_rig(self, setup, clock, supervision.emergency if supervision else None)
 
+    def require_calibratable(self) -> None:
+        """Raise UsageError if the camera does not show the robots that the actuator drives, so that
+        no calibration can measure them."""
+
     def plant(self, rig: Rig, supervision: LabSupervision) -> "LabPlant":
         """Return the plant of a rig."""
         return LabPlant(rig, supervision, self.type)

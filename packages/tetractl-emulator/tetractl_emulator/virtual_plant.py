@@ -16,6 +16,7 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_DEVICES, REAL_DEVICE, Action, Command, PlantInfo
+from tetractl.core.errors import UsageError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.lab.rig import Rig
@@ -81,6 +82,15 @@ class EmulatedPlantSection(RigSection):
         Sides.of(self.camera.type, self.actuator.type)
         if self.real == "actuator":
             self.actuator.require_port()
+
+    def require_calibratable(self) -> None:
+        """Raise UsageError if the actuator is real: the camera shows emulated robots."""
+        if self.real == "actuator":
+            raise UsageError(
+                "plant.real=actuator: the camera shows emulated robots, so the real ones cannot be "
+                "calibrated",
+                "calibrate with --plant lab",
+            )
 
     def rig(
         self,

@@ -1,12 +1,15 @@
 """A lab of which camera, actuator, both or neither are real, in virtual time: the real ones are an
 emulated lab's, on wires in memory. `emulated/test_half_real.py` has it on real wires."""
 
+from unittest import mock
+
 import pytest
 from support.cli import tetractl
 from support.half_real import check_mix, words_of
 from support.lab_processes import SMALL
 from support.lab_processes import SPEC as THREE
 from support.virtual_lab import virtual_lab
+from tetractl_emulator.virtual_plant import EmulatedPlantSection
 
 pytestmark = pytest.mark.slow
 
@@ -18,3 +21,17 @@ def test_each_mix_of_real_and_emulated_devices_runs_and_verifies(tmp_path, real)
         events = lab.events()
     check_mix(tmp_path, real, events)
     tetractl(tmp_path, "verify", "logs").ok()
+
+
+@pytest.mark.parametrize("answer", [(), ("--yes",)])
+def test_a_real_actuator_is_not_calibrated_by_an_emulated_camera(tmp_path, answer):
+    """Regression: it was asked whether the robots may move, and what followed was a traceback;
+    under `python -O` the real robots were driven at the spec's speed, whatever --limit said."""
+    words = ("lab", "calibrate", THREE, "--plant", "emulated", "--set", "plant.real=actuator")
+    with mock.patch.object(EmulatedPlantSection, "rig") as rig:
+        done = tetractl(tmp_path, *words, *answer)
+    assert done.returncode == 2
+    assert "error: plant.real=actuator: the camera shows emulated robots" in done.stderr
+    assert "hint: calibrate with --plant lab" in done.stderr
+    rig.assert_not_called()
+    assert not list(tmp_path.iterdir())

@@ -15,7 +15,8 @@ What happens if something goes wrong:
     camera, guard or actuator     the guard aborts, and the first stop is sent in the same step, the
     raise, or return nonsense     others in the steps that follow; the loop goes on
     the actuator fails            the guard aborts; nothing more can be sent
-    emergency                     the guard aborts for good; stops are sent, also after an abort
+    emergency                     the guard aborts for good; stops are sent, also after an abort, in
+                                  a step that fails, or past a thread that hangs
     the loop's thread hangs       `hold` and `between_steps` abort after HOLD_S; `stop` sends past
                                   it after STOP_S
 
@@ -183,8 +184,10 @@ class InnerLoop:
         `stop` was called, None if none could be sent."""
         first = self._stops.first
         for _ in range(STOPS):
+            # read here, as the step that hangs does not read the operator's key
+            emergency = self.guard.emergency or self._emergency.is_set()
             with suppress(Exception, SystemExit):
-                sent = self._actuator.stop(emergency=self.guard.emergency)
+                sent = self._actuator.stop(emergency=emergency)
                 first = first or sent
             self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
         return first
@@ -246,6 +249,7 @@ class InnerLoop:
             now = self._clock.now()
             self.guard.abort(reason)
             self._begin_stops_of_abort(now)
+            self._obey_operator(now)  # here too, as every step may fail before it
             if self._stops.to_send:  # here, as the next step may fail before its stop
                 with suppress(Exception, SystemExit):
                     self._repeat_stop(now)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.labs import fake_lab
+from support.labs import STEP_NS, fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
@@ -94,6 +94,14 @@ def test_an_emergency_stop_past_a_loop_that_hangs_is_one_to_the_devices(hung, mo
     monkeypatch.setattr(hung.actuator, "stop", note_stop)
     hung.plant.rig.loop.stop()
     assert emergencies == [True] * 10
+
+
+def test_the_emergency_key_is_obeyed_past_a_loop_that_hangs(hung):
+    """Regression: only steps of the loop read the key, so the stops that were sent past one were
+    no emergency stops, and no device latched them."""
+    hung.supervision.emergency.set()
+    hung.plant.rig.loop.stop()
+    assert hung.actuator.emergencies == 10
 
 
 def test_a_stop_past_a_loop_that_hangs_never_raises(hung, monkeypatch):
@@ -253,3 +261,25 @@ def test_an_emergency_stop_is_sent_after_an_abort_too():
     lab.clock.sleep_until(lab.clock.now() + SECOND)
     assert lab.actuator.emergencies == 10
     assert lab.plant.rig.guard.reason == "another fault"
+
+
+def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step():
+    """Regression: a step read the key after the camera's frames, so it was never obeyed while
+    the camera raised: nothing was sent, and no device latched a stop."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+
+    def frames():
+        raise AbortError("the camera is gone")
+
+    lab.camera.frames = frames
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert lab.actuator.emergencies == 0
+    pressed_ns = lab.clock.now()
+    lab.supervision.emergency.set()
+    lab.clock.sleep_until(pressed_ns + SECOND)
+    stops = [sent for sent in lab.actuator.sent if sent.sent_ns > pressed_ns]
+    assert lab.actuator.emergencies == len(stops) == 10
+    assert stops[0].sent_ns - pressed_ns == STEP_NS  # in the next step
+    assert lab.plant.rig.guard.reason == "the camera is gone"

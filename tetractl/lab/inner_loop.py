@@ -14,7 +14,8 @@ What happens if something goes wrong:
     a frame is late or missing    the guard decides (`tetractl.lab.guard`)
     camera, guard or actuator     the guard aborts, and the first stop is sent in the same step, the
     raise, or return nonsense     others in the steps that follow; the loop goes on
-    the actuator fails            the guard aborts; nothing more can be sent
+    the actuator fails            the guard aborts; the stops are sent all the same, as robots at
+                                  other ports may hear them
     emergency                     the guard aborts for good; stops are sent, also after an abort, in
                                   a step that fails, or past a thread that hangs
     the loop's thread hangs       `hold` and `between_steps` abort after HOLD_S; `stop` sends past
@@ -330,8 +331,7 @@ class InnerLoop:
             self._note(sent)
             if self._stops.first is None:
                 self._stops.first = sent
-        except AbortError as error:  # a failed actuator cannot send the remaining stops either
-            self._stops.to_send = 0
+        except AbortError as error:  # robots at other ports may hear it, and need the rest, too
             self.guard.abort(error.message)
 
     def _send_held(self, held: HeldAction, ruling: Ruling, now: int) -> Transmission | None:

@@ -283,3 +283,46 @@ def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step():
     assert lab.actuator.emergencies == len(stops) == 10
     assert stops[0].sent_ns - pressed_ns == STEP_NS  # in the next step
     assert lab.plant.rig.guard.reason == "the camera is gone"
+
+
+def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops():
+    """Regression: the first stop that a port did not take ended the series, though the actuator had
+    written it to the ports of the other robots: they got one stop of each ten."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    emergencies = []
+
+    def stop_the_others(emergency=False):
+        emergencies.append(emergency)
+        raise AbortError("green's port is gone")
+
+    lab.actuator.stop = stop_the_others
+    lab.plant.rig.guard.abort("another fault")
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert emergencies == [False] * 10
+    assert lab.plant.rig.loop.stop() is None
+    assert emergencies == [False] * 20
+    lab.supervision.emergency.set()
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert emergencies == [False] * 20 + [True] * 10
+
+
+def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops():
+    """Regression: the others got two stops. An abort at the first stop begins ten more."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    lab.plant.send(Steer(0.5))
+    sent_ns = []
+
+    def stop_the_others(emergency=False):
+        sent_ns.append(lab.clock.now())
+        raise AbortError("green's port is gone")
+
+    lab.actuator.stop = stop_the_others
+    assert lab.plant.rig.loop.stop() is None
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    assert len(sent_ns) == 11
+    assert min(np.diff(sent_ns)) > 0
+    assert sent_ns[-1] - sent_ns[0] < SECOND // 4
+    assert lab.plant.rig.guard.reason == "green's port is gone"

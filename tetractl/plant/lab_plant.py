@@ -300,9 +300,10 @@ class LabPlant:
         self._stopped_ns = self.clock.now()
         first = self.rig.loop.stop()
         self._observed_ns = None
-        delivered = (self.rig.actuator.failure is None,) * len(self.setup.names)
+        robots = len(self.setup.names)
         if first is None:
-            return Command(Stop(), self._stopped_ns, delivered)
+            return Command(Stop(), self._stopped_ns, delivered=(False,) * robots)
+        delivered = (self.rig.actuator.failure is None,) * robots
         self._news.leave_out(first)
         return Command(Stop(), first.sent_ns, delivered, first.left, first.right)
 

@@ -223,6 +223,20 @@ def test_a_stop_that_cannot_be_sent_has_the_time_of_the_attempt():
     assert (stop.sent_ns, stop.delivered, stop.left) == (now, (False,) * 3, None)
 
 
+def test_a_stop_that_an_actuator_never_sends_counts_as_not_delivered():
+    """Regression: an actuator whose own code raises has no failure, and the log said that a stop
+    had reached every robot although none was sent."""
+    lab = driving()
+
+    def fail(emergency=False):
+        raise ValueError("a defect of the actuator")
+
+    lab.actuator.stop = fail
+    now = lab.clock.now()
+    stop = lab.plant.stop()
+    assert (stop.sent_ns, stop.delivered) == (now, (False,) * 3)
+
+
 def test_cells_are_not_waited_for_after_a_stop():
     lab = stopped(**CELLS)
     before = lab.clock.now()

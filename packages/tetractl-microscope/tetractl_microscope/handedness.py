@@ -67,8 +67,10 @@ def watch_turning(
             if cell.free and (not path or now_s > path[-1][0]):
                 path.append((now_s, cell.pose.x, cell.pose.y))
 
-    cells = turn_field(rig, choice, seed, supervision, on_look)
-    rig.loop.stop()
+    try:
+        cells = turn_field(rig, choice, seed, supervision, on_look)
+    finally:
+        rig.loop.stop()  # also if it raises: devices close slowly, the camera first
     direction = manoeuvre(choice.turn, seed)
 
     def field(times: Floats) -> NDArray[np.complex128]:

@@ -52,8 +52,8 @@ def _in_a_dish(
     """Open the lab, and rotate the field to see how cells respond; it goes on rotating until the
     first direction is sent."""
     rig = lab.rig(experiment.setup, clock, seed, supervision, chosen=True)
+    rig.__enter__()
     try:
-        rig.__enter__()
         turned = int(seed.generate_state(1)[0])
         cells = turn_field(rig, choice_of(experiment), turned, supervision)
         chosen = chosen_from(experiment, cells)
@@ -61,6 +61,7 @@ def _in_a_dish(
         settle(rig, settled_experiment.setup, chosen)
         return PreparedTrial(settled_experiment, lab.plant(rig, supervision))
     except BaseException:
+        rig.loop.stop()  # first, as the field turns until then, and a camera may close slowly
         rig.close()
         raise
 

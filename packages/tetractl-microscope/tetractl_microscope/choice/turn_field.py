@@ -43,9 +43,10 @@ def turn_field(
 ) -> list[RobotCandidate]:
     """Turn the field of an entered rig for the time in `choice`; return the cells in view.
 
-    The field continues to turn afterwards. `on_look` is called about every 50 ms. AbortError if no
-    pictures arrive, if they are searched too slowly to follow the cells, if the actuator fails, or
-    at an emergency stop; KeyboardInterrupt if the operator cancels.
+    The field continues to turn afterwards, also after an error, until the caller stops it.
+    `on_look` is called about every 50 ms. AbortError if no pictures arrive, if they are searched
+    too slowly to follow the cells, if the actuator fails, or at an emergency stop;
+    KeyboardInterrupt if the operator cancels.
     """
     tracker = tracker_of(rig)
     rig.loop.idle = manoeuvre(choice.turn, seed)

@@ -12,7 +12,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Positive
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found
+from tetractl.lab.actuators.wheeled_section import Found, too_fast
 
 
 class OwnRobot(RobotPart):
@@ -50,10 +50,11 @@ class OwnSection(ActuatorSection):
     """One entry for each robot of the spec."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with robots, addresses, wheels and rate."""
+        """Yield place and text of each problem with robots, addresses, wheels, speeds and rate."""
         from tetractl.lab.udp_port import SCHEME, address_of
 
         yield from mismatches(self.robots, setup.names, self.unique)
+        yield from too_fast(setup, self.speed_max_mm_s)
         for i, robot in enumerate(self.robots):
             if robot.address.startswith(SCHEME) and address_of(robot.address) is None:
                 yield ("robots", i, "address"), f"must be {SCHEME}HOST:PORT"

@@ -86,7 +86,8 @@ def stop(
     off. Other robots, such as toio cubes, can be driven again at once; cells swim on.
 
     No camera is needed. A run that uses the port is ended: stops are sent on the same port, the run
-    gets two requests to end, then it is killed. Exits with 1 if another program keeps the port.
+    gets two requests to end, then it is killed. Exits with 1 if a robot cannot be reached, or if
+    another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """

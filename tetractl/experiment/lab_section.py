@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 from pydantic import Field, model_validator
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import UNSTATED, Sight
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
@@ -122,12 +122,18 @@ class ActuatorSection(DeviceSection):
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
         """Stop every robot that the actuator reaches, with a latched stop if it has one. Only its
         port is needed; if `alone` is False, a run uses the port at the same time. Returns a text
-        about the stops sent; AbortError if nothing can be sent.
+        about the stops sent; AbortError if one could not be sent to all robots.
         """
+        failure: AbortError | None = None
         with self.build(setup, clock) as actuator:
             for _ in range(STOPS):
-                actuator.stop(emergency=True)
+                try:
+                    actuator.stop(emergency=True)
+                except AbortError as error:  # of one robot: the others need the stops to come
+                    failure = failure or error
                 clock.sleep_until(clock.now() + STOP_GAP_NS)
+        if failure is not None:
+            raise failure
         return f"sent {STOPS} stops"
 
     def calibrate(

@@ -217,24 +217,25 @@ def stop_all_at(
     for port in ports:
         reason = port.failure or port.refusal
         if reason is not None:
-            unreached.append(reason)
-    if len(unreached) == len(ports):
-        raise AbortError(unreached[0], SWITCH_OFF)
-    if unreached:
-        raise AbortError(f"sent {STOPS} stops, but not to all: {'; '.join(unreached)}", SWITCH_OFF)
+            unreached.setdefault(port, reason)
+    reasons = list(unreached.values())
+    if len(reasons) == len(ports):
+        raise AbortError(reasons[0], SWITCH_OFF)
+    if reasons:
+        raise AbortError(f"sent {STOPS} stops, but not to all: {'; '.join(reasons)}", SWITCH_OFF)
     return f"sent {STOPS} stops"
 
 
-def _open_reachable(ports: Iterable[SerialPort], alone: bool) -> list[str]:
-    """Open ports; return why those are closed that cannot be opened."""
-    unreached = list[str]()
+def _open_reachable(ports: Iterable[SerialPort], alone: bool) -> dict[SerialPort, str]:
+    """Open ports; return those that cannot be opened, and why."""
+    unreached = dict[SerialPort, str]()
     for port in ports:
         try:
             port.open(alone)
         except PortHeldError:
             raise
         except AbortError as error:
-            unreached.append(error.message)
+            unreached[port] = error.message
     return unreached
 
 

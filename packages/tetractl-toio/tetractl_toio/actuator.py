@@ -1,5 +1,7 @@
 """Cubes as an `Actuator`: motor commands that end by themselves."""
 
+from functools import partial
+
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
@@ -8,12 +10,20 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
+from tetractl.lab.actuators.own_robots import OwnLinks
 from tetractl.lab.actuators.twist.actuator import drivetrains
 from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator
-from tetractl.lab.serial_port import Ports
+from tetractl.lab.serial_port import Ports, stop_all_at
 from tetractl.model.wheels import CountArray
-from tetractl_toio.cubes import CubesLink
-from tetractl_toio.messages import SPEED_MAX, SPEED_MIN, WHEEL_MM_S, Characteristic, encode_motor
+from tetractl_toio.cubes import HINT, SPEED, CubesLink, make_port
+from tetractl_toio.messages import (
+    SPEED_MAX,
+    SPEED_MIN,
+    WHEEL_MM_S,
+    Characteristic,
+    encode_motor,
+    pack,
+)
 from tetractl_toio.section import ToioSection
 
 WATCHDOG_MS = 250
@@ -108,3 +118,15 @@ class ToioActuator(WheeledActuator):
             return RobotStatus(True, problems=empty, charge=charge)
         low = (f"{name}'s battery is at {charge} %",) if charge < self.section.battery_warn else ()
         return RobotStatus(True, warnings=low, charge=charge)
+
+
+def stop_all(section: ToioSection, clock: Clock, alone: bool = True) -> str:
+    """Connect to each cube that can be reached, send it ten stops within 200 ms, and disconnect;
+    return a summary. AbortError and PortHeldError as of `stop_all_at`."""
+    links = OwnLinks(
+        make_port(robot.cube, SPEED, robot.name, clock, lambda *_: None, HINT)
+        for robot in section.robots
+    )
+    stop = pack(Characteristic.MOTOR, encode_motor(0, 0, WATCHDOG_MS))
+    stops = [stop] * len(links.ports)
+    return stop_all_at(links.ports, partial(links.send, stops), clock, alone)

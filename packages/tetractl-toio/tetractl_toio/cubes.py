@@ -14,7 +14,10 @@ from tetractl.lab.udp_port import SCHEME, UdpPort
 from tetractl_toio.messages import TOGETHER_S, Characteristic, Unpacker, pack, refused
 
 UDP_HINT = "does `tetractl lab emulate` run in another terminal, with the same spec?"
-HINT = "the cubes stop by themselves; are they on and charged, and does no other program use them?"
+HINT = (
+    "a cube that another program has connected is driven on by it, others stop by themselves; are "
+    "the cubes on and charged?"
+)
 SPEED = 1_000_000  # bits a second of Bluetooth Low Energy
 Listener = Callable[[int, bytes, int], None]
 """Takes characteristic, data and time of arrival [ns] of a notification, in a port's thread."""

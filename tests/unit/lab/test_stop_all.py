@@ -7,6 +7,7 @@ import pytest
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.experiment.lab_section import ActuatorSection
 from tetractl.lab.actuators import own_robots
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.twist import line_ports
@@ -135,3 +136,35 @@ def test_a_run_that_has_a_port_is_ended_first_and_stops_are_sent_beside_it(stopp
         stopped(ports)
     assert stopped(ports, alone=False).startswith("sent 10 stops")
     assert len(ports.taken["b"]) == 10
+
+
+class StrangeActuator:
+    """An actuator of a plug-in that sends to two robots; the first is lost after one stop."""
+
+    stops_of_second = 0
+
+    def __init__(self, *_):
+        type(self).stops_of_second = 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_): ...
+
+    def stop(self, emergency):
+        type(self).stops_of_second += 1
+        if self.stops_of_second > 1:
+            raise AbortError("the first robot is gone")
+
+
+class StrangeSection(ActuatorSection):
+    device = f"{__name__}:{StrangeActuator.__name__}"
+    type: str = "strange"
+
+
+def test_a_plug_ins_actuator_that_fails_once_is_asked_for_the_other_stops_too():
+    """Regression: of an actuator without a `stop_all` of its own, the first error ended the stops
+    to all robots."""
+    with pytest.raises(AbortError, match="the first robot is gone"):
+        StrangeSection(type="strange").stop_all(SETUP, VirtualClock())
+    assert StrangeActuator.stops_of_second == 10

@@ -269,51 +269,52 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     has the port open cannot be ended: it is unknown, another user's, or not tetractl.
     """
     began = time.monotonic()
-    failure = ""
+    failure = ""  # why the newest stops could not be sent to all
     said = False
     pid = holder(port)
     due = list(ENDING_SIGNALS)
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
     say(f"{port}: {name} has this port open")
-    ours = any(Path(word).name == "tetractl" for word in words[:3])
+    unendable = ""  # why this program does not end the process
+    if pid is None:
+        unendable = "is unknown"
+    elif not any(Path(word).name == "tetractl" for word in words[:3]):
+        unendable = "is not a tetractl process that can be ended"
     while True:
-        if pid and ours and due and time.monotonic() - began >= due[0][0]:
+        if pid and not unendable and due and time.monotonic() - began >= due[0][0]:
             _, number, did = due.pop(0)
             with suppress(ProcessLookupError):
                 try:
                     os.kill(pid, number)
                     os.kill(pid, signal.SIGCONT)  # a suspended process would not receive signals
                 except PermissionError:
-                    raise _left(name, "belongs to another user", stops, say) from None
-            say(f"{did}, after {time.monotonic() - began:.1f} s")
+                    unendable = "belongs to another user"
+            if not unendable:
+                say(f"{did}, after {time.monotonic() - began:.1f} s")
         try:
             sent = stops()
         except AbortError as error:
             failure = error.message
             time.sleep(0.05)
         else:
+            failure = ""
             if not said:
                 say(f"{sent}, while that process has the port open")
             said = True
-        if pid is None or not ours:
-            raise _left(
-                name, "is not a tetractl process that can be ended" if pid else "is unknown"
-            )
+        if unendable:
+            raise _left(name, unendable, failure)
         if holder(port) != pid:
             say(f"the process released the port after {time.monotonic() - began:.1f} s")
             return
         if time.monotonic() - began > 6.0:
-            raise _left(name, f"does not end even after SIGKILL; {failure}")
+            raise _left(name, "does not end even after SIGKILL", failure)
 
 
-def _left(
-    name: str,
-    why: str,
-    stops: Callable[[], str] = lambda: "",
-    say: Callable[[str], None] = lambda line: None,
-) -> AbortError:
-    """Send stops once more; return the error for a program that keeps the port open."""
-    with suppress(AbortError):
-        say(stops())
-    return AbortError(f"{name} still has the port: it {why}", f"end it yourself; {SWITCH_OFF}")
+def _left(name: str, why: str, failure: str) -> AbortError:
+    """Return the error for a program that keeps the port open; `failure` is why not all stops could
+    be sent, empty if they could."""
+    text = f"{name} still has the port: it {why}"
+    if failure:
+        text += f"; the stops failed: {failure}"
+    return AbortError(text, f"end it yourself; {SWITCH_OFF}")

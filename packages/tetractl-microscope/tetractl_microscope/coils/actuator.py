@@ -13,16 +13,18 @@ from typing import Self
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
 from tetractl.model.motion.exact import rates
 from tetractl_microscope.coils.driver import (
     HINT,
+    REPLY_S,
     UNKNOWN_TEMPERATURE,
     VERSION,
     Driver,
@@ -242,6 +244,27 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
         "the current driver does not report its supply voltage": section.supply_min_v > volts == 0,
     }
     return Health(_holding(problems), _holding(warnings), facts)
+
+
+def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool = True) -> str:
+    """Send the current driver ten emergency stops within 200 ms; return a summary, as
+    `FieldSection.stop_all`."""
+    actuator = FieldActuator(section, setup, clock)
+    driver = actuator.driver
+    try:
+        driver.open(alone)
+        for _ in range(STOPS):
+            actuator.stop(emergency=True)
+            clock.sleep_until(clock.now() + STOP_GAP_NS)
+        if alone and not wait_for(clock, lambda: driver.is_emergency_stopped, REPLY_S):
+            raise AbortError(
+                f"sent {STOPS} stops, but no current driver replies on {section.port} at "
+                f"{section.baud} baud that it is stopped",
+                "switch the driver's supply off",
+            )
+    finally:
+        driver.close()
+    return f"sent {STOPS} stops"
 
 
 def _holding(lines: dict[str, bool]) -> tuple[str, ...]:

@@ -90,6 +90,8 @@ def decode_reply(frame: bytes) -> FieldReply:
 
 
 SILENCE_NS = SECOND // 2
+REPLY_S = 0.1
+"""Longest wait for a reply [s]: a driver needs 4 ms at 115200 baud, 50 ms at 9600."""
 HINT = "the driver switches the field off by its watchdog; cells swim on"
 
 
@@ -129,9 +131,15 @@ class Driver:
             return "the current driver is emergency-stopped"
         return None
 
-    def open(self) -> None:
-        """Open the port; AbortError if that is not possible."""
-        self._port.open()
+    @property
+    def is_emergency_stopped(self) -> bool:
+        """Whether the newest reply says that the driver makes no field until it is switched off."""
+        newest = self.newest
+        return newest is not None and DriverStatus.EMERGENCY_STOPPED in newest.status
+
+    def open(self, alone: bool = True) -> None:
+        """Open the port, exclusively if `alone`; AbortError if that is not possible."""
+        self._port.open(alone)
 
     def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
         """Send a command that polls; return the time of sending [ns]. AbortError if sending
@@ -158,7 +166,7 @@ class Driver:
             wait_for(
                 self._clock,
                 lambda w=wanted: self._port.failure is not None or self._answered(w),
-                0.1,  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
+                REPLY_S,
             )
             if self._answered(wanted):
                 return self.newest

@@ -20,6 +20,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.lab.cobs import Flag
+from tetractl.lab.serial_port import PortHeldError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A = np.array([5.0, 3.5])
@@ -288,6 +289,53 @@ def test_a_driver_that_falls_silent_is_noticed():
         before = stops(stage)
         actuator.stop()  # it may hear all the same
         assert stage.clock.wait(lambda: stops(stage) == before + 3)
+
+
+@pytest.fixture
+def stop_coils(monkeypatch):
+    """Return what `lab stop` does at the port of an emulated driver: what it says, or its error."""
+
+    def stop(stage, alone=True):
+        monkeypatch.setattr("tetractl_microscope.coils.driver.SerialPort", stage.wires.ports)
+        return section(port="coils").stop_all(SETUP, stage.clock, alone)
+
+    return stop
+
+
+@needs_compiler
+def test_lab_stop_latches_the_driver(stop_coils):
+    stage = Bench()
+    assert stop_coils(stage) == "sent 10 stops"
+    with stage.opened(SETUP) as actuator:
+        (problem,) = actuator.check().problems
+    assert "emergency-stopped" in problem
+
+
+@needs_compiler
+@pytest.mark.parametrize(("baud", "mute"), [(115_200, True), (9600, False)])
+def test_lab_stop_says_that_no_driver_replies_that_it_is_stopped(stop_coils, baud, mute):
+    """Regression: it said `sent 10 stops`, as if the field were off, though no reply came: the
+    driver had no power or another speed, or was at another port."""
+    stage = Bench(baud=baud)
+    stage.driver.trouble.mute = mute
+    with pytest.raises(AbortError, match="sent 10 stops, but no current driver replies") as raised:
+        stop_coils(stage)
+    assert raised.value.hint == "switch the driver's supply off"
+
+
+@needs_compiler
+def test_lab_stop_is_sent_next_to_a_run_that_has_the_port(stop_coils):
+    """Regression: the field stayed on until the run had ended, and next to a program that cannot be
+    ended it was not switched off at all."""
+    stage = Bench()
+    with stage.opened(SETUP) as run:
+        run.send(Steer(1.0), POSES, BOTH, 0)
+        with pytest.raises(PortHeldError):
+            stop_coils(stage)
+        assert stop_coils(stage, alone=False) == "sent 10 stops"
+    with stage.opened(SETUP) as actuator:
+        (problem,) = actuator.check().problems
+    assert "emergency-stopped" in problem
 
 
 @needs_compiler

@@ -85,19 +85,24 @@ def stop(
     m3pi and twist robots stay stopped, and a coil driver makes no field, until they are switched
     off. Other robots, such as toio cubes, can be driven again at once; cells swim on.
 
-    No camera is needed. A run that uses the port is ended: stops are sent on the same port, the run
+    No camera is needed. Each run that uses a port is ended: stops are sent on the same port, the run
     gets two requests to end, then it is killed. Exits with 1 if a robot cannot be reached, or if
-    another program keeps the port.
+    another program keeps a port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
     stop_all = _stops(spec, sets, port, baud)
-    try:
-        typer.echo(stop_all())
-    except PortHeldError as held:
-        stop_beside(held.port, partial(stop_all, alone=False), typer.echo)
-        typer.echo(stop_all())  # once more, now that no other program can drive the robots
-    return Exit.DONE
+    released = set[str]()  # ports of runs that have been ended
+    while True:  # until stops are sent while no other program can drive the robots
+        try:
+            typer.echo(stop_all())
+        except PortHeldError as held:
+            if held.port in released:
+                raise
+            stop_beside(held.port, partial(stop_all, alone=False), typer.echo)
+            released.add(held.port)
+        else:
+            return Exit.DONE
 
 
 def _stops(

@@ -85,9 +85,9 @@ def stop(
     m3pi and twist robots stay stopped, and a coil driver makes no field, until they are switched
     off. Other robots, such as toio cubes, can be driven again at once; cells swim on.
 
-    No camera is needed. Each run that uses a port is ended: stops are sent on the same port, the run
-    gets two requests to end, then it is killed. Exits with 1 if a robot cannot be reached, or if
-    another program keeps a port.
+    No camera is needed. Each run that uses a port is ended: stops are sent on the same port, the
+    run gets two requests to end, then it is killed. Exits with 1 if a robot cannot be reached, no
+    radio answers, or another program keeps a port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """

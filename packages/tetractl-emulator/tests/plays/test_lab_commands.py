@@ -106,8 +106,10 @@ def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
     assert list((tmp_path / "logs").iterdir()) == []
 
 
-def test_stop_latches_every_robot_by_port_alone(lab, tmp_path):
-    settings = lab().settings
+def test_stop_latches_every_robot_by_port_alone(lab, tmp_path, monkeypatch):
+    emulated = lab()
+    settings = emulated.settings
+    monkeypatch.setattr("tetractl.core.clock.MonotonicClock", lambda: emulated.clock)
     done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio")).ok()
     assert done.stdout.startswith("sent 10 stops on ")
     done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags(settings))

@@ -12,12 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from tetractl.core.clock import Clock
-from tetractl.core.errors import WireError
+from tetractl.core.errors import AbortError, WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
 from tetractl.lab.actuators.wheel_commands import Poll, Reply, Status, polled
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.serial_port import SWITCH_OFF
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 
 COMMAND = 0x51  # first byte of a command
@@ -126,8 +127,9 @@ def stop_all(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
     """Latch the emergency stop of every robot in radio range by ten frames within 200 ms; return a
     summary.
 
-    The module is not checked, because sending through a wrong module is better than no stop. If not
-    `alone`, another process may have the port open.
+    The module is not checked before, because sending through a wrong module is better than no stop;
+    AbortError if none answers after it. If not `alone`, another process may have the port open and
+    take the answer, so that none is expected.
     """
     link = Link(module, clock)
     try:
@@ -136,6 +138,12 @@ def stop_all(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
         for _ in range(STOPS):
             robots.send(cobs.Flag.EMERGENCY_STOP)
             clock.sleep_until(clock.now() + STOP_GAP_NS)
+        if alone and link.ask_twice(b"AP") is None:
+            raise AbortError(
+                f"sent {STOPS} stops on {module.port}, but no XBee module answers at {module.baud} "
+                "baud",
+                f"is this the module's baud rate? {SWITCH_OFF}",
+            )
     finally:
         link.close()
     return f"sent {STOPS} stops on {module.port}; switch the robots off and on to drive them again"

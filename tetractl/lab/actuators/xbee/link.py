@@ -67,6 +67,10 @@ class Link:
         self._wait(lambda: any(answer[:2] == awaited for answer in self._answers), 0.3)
         return next((answer[2] for answer in self._answers if answer[:2] == awaited), None)
 
+    def ask_twice(self, command: bytes) -> bytes | None:
+        """Return the value of a parameter, asked for once more if no answer came."""
+        return self.ask(command) or self.ask(command)
+
     def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""
         return drained(self._fresh)
@@ -96,7 +100,7 @@ class Link:
         """
         radio = self.radio
         # the first request may be lost behind an incomplete frame
-        hardware = self._ask_twice(b"HV")
+        hardware = self.ask_twice(b"HV")
         if hardware is None:
             silent = self._silent()
             # a module that wakes late answers all requests at once, also those at another baud rate
@@ -124,7 +128,7 @@ class Link:
                 f"{radio.baud}",
                 f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
             )
-        mode = _number(self._ask_twice(b"AP"))
+        mode = _number(self.ask_twice(b"AP"))
         if mode is None:
             raise AbortError(
                 f"{radio.port}: the radio's module does not answer any more",
@@ -146,10 +150,6 @@ class Link:
             question = f"is not in tetractl's list: does it run {RIGHT_PROTOCOL} firmware?"
             return (f"{radio.port}: {module} {question}",)
         return ()
-
-    def _ask_twice(self, command: bytes) -> bytes | None:
-        """Return the value of a parameter, asked for once more if no answer came."""
-        return self.ask(command) or self.ask(command)
 
     def _silent(self) -> AbortError:
         """Try the other baud rates; return the error for a module silent at the spec's."""

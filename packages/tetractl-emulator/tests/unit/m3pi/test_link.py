@@ -6,7 +6,7 @@ from tetractl_emulator.virtual_wires import LabClock, memory_wires
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command
+from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command, stop_all
 from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.actuators.xbee.frames import (
     AT_COMMAND,
@@ -17,7 +17,7 @@ from tetractl.lab.actuators.xbee.frames import (
 )
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.cobs import Splitter
+from tetractl.lab.cobs import Flag, Splitter
 
 SERIES_1 = {b"HV": b"\x17\x44", b"VR": b"\x10\xed", b"BD": b"\x00\x00\x00\x06", b"AP": b"\x02"}
 
@@ -218,3 +218,41 @@ def test_a_reply_to_another_command_is_not_believed():
     assert first is None
     assert second is not None
     assert second.battery_mv == 4800
+
+
+@pytest.fixture
+def stop_robots(monkeypatch):
+    """Return what `lab stop` does at a module's port: what it says, or its error."""
+
+    def stop(module, alone=True):
+        monkeypatch.setattr("tetractl.lab.actuators.xbee.link.SerialPort", module.wires.ports)
+        return stop_all(XbeeSection(port=module.name), module.clock, alone)
+
+    return stop
+
+
+def emergency_stops(module):
+    """Return how many of the frames that the module has to send stop robots for good."""
+    commands = [decode_command(content[len(BROADCAST) : -1]) for content in module.sent]
+    return sum(command.flags == Flag.EMERGENCY_STOP for command in commands)
+
+
+def test_lab_stop_sends_ten_stops_through_a_module_that_answers(stop_robots):
+    module = Module()
+    assert stop_robots(module).startswith("sent 10 stops on radio; switch the robots off and on")
+    assert emergency_stops(module) == 10
+
+
+def test_lab_stop_says_that_no_module_answers_after_the_stops(stop_robots):
+    """Regression: at a wrong baud rate, where a module hears garbage, it said `sent 10 stops` and
+    that the robots have to be switched off and on to drive again, though none had heard a stop."""
+    module = Module(answers={})
+    with pytest.raises(AbortError, match="but no XBee module answers at 57600 baud") as raised:
+        stop_robots(module)
+    assert "baud rate" in raised.value.hint
+    assert "switch the robots off by hand" in raised.value.hint
+    assert emergency_stops(module) == 10
+
+
+def test_lab_stop_expects_no_answer_while_a_run_has_the_port(stop_robots):
+    assert stop_robots(Module(answers={}), alone=False).startswith("sent 10 stops")

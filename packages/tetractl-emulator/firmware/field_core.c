@@ -112,6 +112,12 @@ void field_init(field_core *core, const field_limits *limits, uint32_t now_ms)
     core->temperature_dc = FIELD_TEMPERATURE_UNKNOWN;
 }
 
+void field_emergency_stop(field_core *core)
+{
+    core->emergency_stopped = true;
+    stop(core);
+}
+
 field_event field_push(field_core *core, uint8_t byte, uint32_t now_ms)
 {
     const framing_event event = framing_push(&core->reader, byte);

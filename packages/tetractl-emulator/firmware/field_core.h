@@ -20,8 +20,9 @@
  * neither faster than slew_ma_s; so do they to 0 on a stop, a silence, an emergency stop or heat: a
  * current broken off at once would drive the coils' energy into the supply.
  *
- * Emergency stop: latched by any frame that checks and has the flag, and by a temperature of
- * temperature_max_dc. Only field_init clears it, that is, switching the driver off and on.
+ * Emergency stop: latched by any frame that checks and has the flag, by a temperature of
+ * temperature_max_dc, and by field_emergency_stop. Only field_init clears it, that is, switching the
+ * driver off and on.
  */
 #ifndef FIELD_CORE_H
 #define FIELD_CORE_H
@@ -76,6 +77,10 @@ typedef struct {
 
 /* Power-up: no current, silent, not latched, nothing measured. */
 void field_init(field_core *core, const field_limits *limits, uint32_t now_ms);
+
+/* Latch the emergency stop. Call it after field_init if the chip's own watchdog has reset the chip:
+ * the memory that held an emergency stop is lost then. */
+void field_emergency_stop(field_core *core);
 
 /* Take one byte from the serial line. */
 field_event field_push(field_core *core, uint8_t byte, uint32_t now_ms);

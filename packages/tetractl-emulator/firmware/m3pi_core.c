@@ -86,6 +86,12 @@ void m3pi_init(m3pi_core *core, uint8_t index)
     core->silent = true;
 }
 
+void m3pi_emergency_stop(m3pi_core *core)
+{
+    core->emergency_stopped = true;
+    stop(core);
+}
+
 m3pi_event m3pi_push(m3pi_core *core, uint8_t byte, uint32_t now_ms)
 {
     const framing_event event = framing_push(&core->reader, byte);

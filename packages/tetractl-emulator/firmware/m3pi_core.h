@@ -13,8 +13,8 @@
  * is how a restarted controller is taken up. Frames that are not new never set wheels and never
  * feed the watchdog; but a frame that tells to stop is obeyed, new or not.
  *
- * Emergency stop: latched by any frame that checks and has the flag. Only m3pi_init clears it,
- * that is, switching the robot off and on.
+ * Emergency stop: latched by any frame that checks and has the flag, and by m3pi_emergency_stop.
+ * Only m3pi_init clears it, that is, switching the robot off and on.
  */
 #ifndef M3PI_CORE_H
 #define M3PI_CORE_H
@@ -57,6 +57,10 @@ typedef struct {
 
 /* Power-up: stopped, silent, not latched. `index` is the robot's place in the frame, from 0. */
 void m3pi_init(m3pi_core *core, uint8_t index);
+
+/* Latch the emergency stop. Call it after m3pi_init if the chip's own watchdog has reset the chip:
+ * the memory that held an emergency stop is lost then. */
+void m3pi_emergency_stop(m3pi_core *core);
 
 /* Take one byte from the radio. */
 m3pi_event m3pi_push(m3pi_core *core, uint8_t byte, uint32_t now_ms);

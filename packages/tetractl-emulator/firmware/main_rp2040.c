@@ -73,6 +73,9 @@ int main(void)
     open_port(uart0, RADIO_BAUD, 0);
     open_port(uart1, BASE_BAUD, 4);
     m3pi_shell_start(&shell, &hal, ROBOT_INDEX, now_ms());
+    if (watchdog_enable_caused_reboot()) { /* not a new program or the reset button */
+        m3pi_emergency_stop(&shell.core);
+    }
     watchdog_enable(M3PI_WATCHDOG_MS, true);
     for (;;) {
         m3pi_shell_step(&shell, now_ms());

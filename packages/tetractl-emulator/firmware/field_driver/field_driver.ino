@@ -13,6 +13,9 @@
  *
  * On an Uno a capacitor of 10 uF from RESET to ground keeps a program that opens the port from
  * restarting it, which would end an emergency stop.
+ *
+ * After a reset by the chip's own watchdog the driver begins emergency-stopped, until it is switched
+ * off and on.
  */
 #include "field_core.h"
 
@@ -44,8 +47,31 @@ static void start_hardware(void)
 #else
     TCCR1B = (TCCR1B & 0xF8) | 1; /* 31 kHz on pins 9 and 10 */
     wdt_enable(WDTO_250MS);
+    WDTCSR |= _BV(WDIE); /* first the interrupt, then the reset */
 #endif
 }
+
+#if defined(ARDUINO_ARCH_RP2040)
+static bool was_bitten(void) { return rp2040.getResetReason() == RP2040::WDT_RESET; }
+#else
+/* An Uno's bootloader clears the register that tells why the chip was reset. So the watchdog's
+ * interrupt, which comes before its reset, leaves a mark in memory that a reset keeps and a power-up
+ * fills at random. A program that hangs with interrupts off is reset without the mark. */
+#define BITTEN 0x5AC39617UL /* any number that a power-up is unlikely to make */
+static volatile uint32_t mark __attribute__((section(".noinit")));
+
+ISR(WDT_vect)
+{
+    analogWrite(SPEED[0], 0);
+    analogWrite(SPEED[1], 0);
+    mark = BITTEN;
+    wdt_enable(WDTO_15MS);
+    for (;;) { /* until the reset */
+    }
+}
+
+static bool was_bitten(void) { return mark == BITTEN; }
+#endif
 
 static void alive(void)
 {
@@ -100,6 +126,9 @@ void setup()
     start_hardware();
     last_ms = millis();
     field_init(&core, &limits, last_ms);
+    if (was_bitten()) {
+        field_emergency_stop(&core);
+    }
 }
 
 void loop()

@@ -109,6 +109,24 @@ static void test_watchdog_and_latch(void)
     CHECK(field_status(&core, 100) == (FIELD_STATUS_HOT | FIELD_STATUS_EMERGENCY_STOPPED));
 }
 
+/* Regression: a driver whose own watchdog had reset it took up the next frame. */
+static void test_a_driver_can_begin_latched(void)
+{
+    field_core core;
+    field_init(&core, &limits, 0);
+    field_emergency_stop(&core);
+    CHECK(field_status(&core, 0) == (FIELD_STATUS_EMERGENCY_STOPPED | FIELD_STATUS_SILENT));
+    CHECK(send(&core, 1, FIELD_FLAG_RUN, 100, 0, 0) == FIELD_ACCEPTED);
+    CHECK(gives(&core, 100, 0, 0));
+    CHECK(field_status(&core, 100) == FIELD_STATUS_EMERGENCY_STOPPED);
+    field_init(&core, &limits, 0);
+    CHECK(send(&core, 1, FIELD_FLAG_RUN, 100, 0, 0) == FIELD_ACCEPTED);
+    CHECK(gives(&core, 10, 100000, 0));
+    field_emergency_stop(&core);
+    CHECK(gives(&core, 15, 50000, 0)); /* down at the slew limit, as every stop */
+    CHECK(gives(&core, 20, 0, 0));
+}
+
 static void test_garbage_never_makes_a_field(void)
 {
     uint32_t random = 1;
@@ -129,6 +147,7 @@ int main(void)
     test_slew_is_a_straight_line();
     test_extreme_wishes_are_scaled();
     test_watchdog_and_latch();
+    test_a_driver_can_begin_latched();
     test_garbage_never_makes_a_field();
     printf("%s\n", failures ? "FAILED" : "passed");
     return failures != 0;

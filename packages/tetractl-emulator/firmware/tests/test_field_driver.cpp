@@ -1,7 +1,7 @@
-/* The sketch on a board that this test plays: what the pins do for a frame, and after silence. */
+/* The sketch on a board that this test plays, an Uno or one with an RP2040: what the pins do for a
+ * frame, after silence, and after a reset by the chip's own watchdog. */
 #include "Arduino.h"
 
-#define ARDUINO_ARCH_RP2040
 #include "../field_driver/field_driver.ino"
 
 #include <stdio.h>
@@ -10,9 +10,8 @@
 static uint32_t clock_ms;
 static uint8_t waiting[64], written[64], level[40];
 static size_t first, last, answered;
-static int duty[40], pulses, bites, failures;
+static int duty[40], pulses, kicks, failures;
 SerialStub Serial;
-Rp2040Stub rp2040;
 
 uint32_t millis(void) { return clock_ms; }
 void delayMicroseconds(unsigned int) {}
@@ -25,8 +24,38 @@ void SerialStub::begin(unsigned long) {}
 int SerialStub::available() { return (int)(last - first); }
 int SerialStub::read() { return waiting[first++]; }
 size_t SerialStub::write(const uint8_t *data, size_t size) { memcpy(written, data, size); return answered = size; }
-void Rp2040Stub::wdt_begin(uint32_t) {}
-void Rp2040Stub::wdt_reset() { bites++; }
+
+#if defined(ARDUINO_ARCH_RP2040)
+static RP2040::resetReason_t reason = RP2040::PWRON_RESET;
+RP2040 rp2040;
+void RP2040::wdt_begin(uint32_t) {}
+void RP2040::wdt_reset() { kicks++; }
+RP2040::resetReason_t RP2040::getResetReason() { return reason; }
+
+static void bite() { reason = RP2040::WDT_RESET; }
+#else
+struct Reset {};
+uint8_t TCCR1B, WDTCSR;
+void wdt_enable(uint8_t time)
+{
+    WDTCSR = 0;
+    if (time == WDTO_15MS) {
+        throw Reset();
+    }
+}
+void wdt_reset() { kicks++; }
+
+static void bite()
+{
+    if ((WDTCSR & _BV(WDIE)) == 0) {
+        return; /* a reset without an interrupt before it */
+    }
+    try {
+        WDT_vect();
+    } catch (const Reset &) {
+    }
+}
+#endif
 
 static void expect(bool holds, const char *what)
 {
@@ -43,6 +72,25 @@ static void run(uint32_t ms)
     }
 }
 
+/* Regression: after a reset by the chip's own watchdog the driver took up the next frame. */
+static void test_reset_by_the_watchdog()
+{
+    first = 0; /* the same frame again */
+    run(100);
+    expect(duty[SPEED[0]] > 0, "current before the watchdog bites");
+    bite();
+#if !defined(ARDUINO_ARCH_RP2040)
+    expect(duty[SPEED[0]] == 0 && duty[SPEED[1]] == 0, "no current while the reset is awaited");
+#endif
+    setup();
+    answered = 0;
+    first = 0;
+    run(100);
+    expect(duty[SPEED[0]] == 0 && duty[SPEED[1]] == 0, "no current after a reset by the watchdog");
+    expect(answered == FIELD_REPLY_SIZE, "a reply after a reset by the watchdog");
+    expect(written[3] == FIELD_STATUS_EMERGENCY_STOPPED, "latched by a reset by the watchdog");
+}
+
 int main()
 {
     /* sequence 1, run and poll, x 1.5 A, y -0.75 A */
@@ -50,19 +98,20 @@ int main()
 
     setup();
     run(5);
-    expect(duty[2] == 0 && duty[3] == 0, "no current at power-up");
+    expect(duty[SPEED[0]] == 0 && duty[SPEED[1]] == 0, "no current at power-up");
     last = framing_seal(command, sizeof command, waiting);
     run(100);
 #if defined(ELECTRODES)
-    expect(duty[2] == 31 && duty[3] == 15, "1.5 V and 0.75 V of 12 V");
+    expect(duty[SPEED[0]] == 31 && duty[SPEED[1]] == 15, "1.5 V and 0.75 V of 12 V");
 #else
-    expect(duty[2] == 127 && duty[3] == 63, "6 V and 3 V of 12 V");
+    expect(duty[SPEED[0]] == 127 && duty[SPEED[1]] == 63, "6 V and 3 V of 12 V");
 #endif
-    expect(level[6] == LOW && level[7] == HIGH, "directions");
+    expect(level[DIRECTION[0]] == LOW && level[DIRECTION[1]] == HIGH, "directions");
     expect(answered == FIELD_REPLY_SIZE, "a reply");
     run(300);
-    expect(duty[2] == 0 && duty[3] == 0, "0 after silence");
-    expect(pulses > 400 && pulses == bites, "a pulse and a kick each millisecond");
+    expect(duty[SPEED[0]] == 0 && duty[SPEED[1]] == 0, "0 after silence");
+    expect(pulses > 400 && pulses == kicks, "a pulse and a kick each millisecond");
+    test_reset_by_the_watchdog();
     printf("field_driver: %d failures\n", failures);
     return failures != 0;
 }

@@ -186,6 +186,22 @@ static void test_emergency_stop_is_latched(void)
     CHECK(drives(&core, 0, 9, 9));
 }
 
+/* Regression: a robot whose own watchdog had reset it took up the next frame. */
+static void test_a_robot_can_begin_latched(void)
+{
+    m3pi_core core;
+    m3pi_init(&core, 0);
+    m3pi_emergency_stop(&core);
+    CHECK(m3pi_status(&core, 0) == (M3PI_STATUS_EMERGENCY_STOPPED | M3PI_STATUS_SILENT));
+    CHECK(send(&core, 1, M3PI_FLAG_RUN, 9, 9, 0) == M3PI_ACCEPTED);
+    CHECK(drives(&core, 0, 0, 0));
+    CHECK(m3pi_status(&core, 0) == M3PI_STATUS_EMERGENCY_STOPPED);
+    m3pi_init(&core, 0);
+    (void)send(&core, 1, M3PI_FLAG_RUN, 9, 9, 0);
+    m3pi_emergency_stop(&core);
+    CHECK(drives(&core, 0, 0, 0)); /* also in the middle of a drive */
+}
+
 static void test_reply(void)
 {
     uint8_t reply[M3PI_REPLY_SIZE], expected[32];
@@ -306,6 +322,7 @@ int main(void)
     test_watchdog();
     test_sequence();
     test_emergency_stop_is_latched();
+    test_a_robot_can_begin_latched();
     test_reply();
     test_garbage_never_drives();
     test_shell();

@@ -189,3 +189,23 @@ def test_the_firmwares_own_tests_pass(tmp_path, target):
         pytest.skip("the compiler has no sanitizer libraries")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.endswith("\npassed\n")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(
+    shutil.which("make") is None or shutil.which("g++") is None, reason="no make or g++ found"
+)
+def test_the_sketch_of_the_current_driver_passes_its_tests(tmp_path):
+    """Regression: after a reset by the chip's own watchdog the driver took up the next frame."""
+    done = subprocess.run(
+        ["make", "--no-print-directory", f"BUILD={tmp_path}", "sketch"],
+        cwd=FOLDER,
+        capture_output=True,
+        text=True,
+    )
+    if "cannot find -l" in done.stderr:
+        pytest.skip("the compiler has no sanitizer libraries")
+    assert done.returncode == 0, done.stdout + done.stderr
+    boards = 2  # Uno, RP2040
+    loads = 2  # coils, electrodes
+    assert done.stdout.count("field_driver: 0 failures") == boards * loads

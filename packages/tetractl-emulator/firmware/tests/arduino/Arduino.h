@@ -26,10 +26,21 @@ struct SerialStub {
 };
 extern SerialStub Serial;
 
-struct Rp2040Stub {
+#if defined(ARDUINO_ARCH_RP2040)
+struct RP2040 {
+    enum resetReason_t { PWRON_RESET, WDT_RESET };
     void wdt_begin(uint32_t ms);
     void wdt_reset();
+    resetReason_t getResetReason();
 };
-extern Rp2040Stub rp2040;
+extern RP2040 rp2040;
+#else
+#define A0 14
+#define A1 15
+#define WDIE 6
+#define _BV(bit) (1 << (bit))
+#define ISR(vector) extern "C" void vector()
+extern uint8_t TCCR1B, WDTCSR;
+#endif
 
 #endif

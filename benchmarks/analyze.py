@@ -7,9 +7,10 @@
 
 Each instance of the dozen is a spec of experiments/ with a noise, and at times other robots. One
 controller drives in all of them: model predictive control by multistart with identification, which
-ends with its sequence. Everything is simulated. The last line is the rank correlation (Spearman) of
-the predicted mean total error with that of the trials, over the instances, both in ways that the
-robots drive in a control period, so that millimetres and micrometres can be compared.
+steers points without margins and does not rest. Everything is simulated. The last line is the rank
+correlation (Spearman) of the predicted mean total error with that of the trials, over the
+instances, both in ways that the robots drive in a control period, so that millimetres and
+micrometres can be compared.
 """
 
 import argparse
@@ -28,7 +29,8 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.results.estimate import distributions
 
 CONTROLLER = (
-    "controller={type: pso-mpc, motion: exact, horizon_max: 60, steps_max: 150, estimate: true,"
+    "controller={type: mpc, period: 0.2, horizon_max: 60, time_limit: 30, estimate: true,"
+    " collision: {walls: false, adaptive: false, stop_before_collision: false, silence: 0},"
     " optimizer: {type: multistart, rounds: 8}}"
 )
 

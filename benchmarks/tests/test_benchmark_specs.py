@@ -1,5 +1,6 @@
 """The benchmark's instances: each is valid, and README tells of it."""
 
+import analyze
 import pytest
 from instances import controllers, study_text
 from support.paths import ROOT
@@ -49,3 +50,11 @@ def test_the_study_of_an_instance_is_valid(path, tmp_path):
     study = tmp_path / "study.yaml"
     study.write_text(study_text(path.stem, "study", arms, trials=2), encoding="utf-8")
     assert [arm.name for arm in load_study(study).arms] == list(arms)
+
+
+@pytest.mark.parametrize("instance", analyze.INSTANCES, ids=lambda instance: instance.name)
+def test_an_instance_of_the_prediction_is_valid(instance):
+    """Regression: the controller was `pso-mpc` with `estimate`, a field that only `mpc` has."""
+    experiment = instance.experiment()
+    assert experiment.controller.type == "mpc"
+    assert experiment.controller.estimate == (instance.name != "3 m3pi, not identified")

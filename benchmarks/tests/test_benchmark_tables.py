@@ -15,6 +15,7 @@ SMALLEST = [
     ("anywhere.py", "--trials", "1"),
     ("bodies.py", "--rate", "5", "--trials", "1"),
     ("unmodelled.py", "--trials", "1", "--world", "base"),
+    ("analyze.py", "--trials", "1", "--plans", "1"),
     ("solver.py", "--quick", "--only", "b"),
 ]
 

@@ -124,7 +124,9 @@ class _Solutions(Progress):
 
     def solve(self, guess: Floats, iterations: int, warm: bool) -> Floats | None:
         """Solve from a guess and return what was found; None where the search is over."""
-        if self.left <= 0 or not self.affords(1):
+        if self.ended is None:
+            self.ended = self.limit_before(1)
+        if self.ended is not None or self.left <= 0:
             return None
         programme = shooter(self.problem, self.length, iterations, warm=warm)
         signals = wrap(programme.solve(self.problem, guess))

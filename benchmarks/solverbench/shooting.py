@@ -1,14 +1,17 @@
 """IPOPT by multiple shooting, the package benchmarks/tetractl-ipopt: raced, and in the loop."""
 
 from collections.abc import Callable, Iterator
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
 from tetractl.control.algorithm2 import Algorithm2
 from tetractl.control.cost import evaluate
+from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
+from tetractl.experiment.controller import OptimizerSection
+from tetractl.experiment.experiment import Experiment
 
 from .peers import Meter
 from .problems import LENGTH
@@ -32,6 +35,26 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
             meter.note(float(evaluate(problem, solution[None]).total[0]))
 
     return run
+
+
+class ShrinkingSection(RecommendedMpc):
+    """The fields of `Shrinking`: those of the recommended problem, and the steps that Algorithm 2
+    counts."""
+
+    steps_max: int = LENGTH
+    """A trial ends with its sequence, one step a signal, and so before this step."""
+
+    controller: ClassVar[str] = "solverbench.shooting:Shrinking"
+
+
+def shrinking(spec: Experiment, optimizer: OptimizerSection) -> Experiment:
+    """Return a spec with `Shrinking` in place of its recommended controller, whose control period
+    must be that of its signals: Algorithm 2 drops a signal in each step."""
+    recommended = spec.controller
+    assert isinstance(recommended, RecommendedMpc)
+    assert recommended.signal_periods == 1
+    fields: dict[str, Any] = dict(recommended) | {"optimizer": optimizer}
+    return spec.model_copy(update={"controller": ShrinkingSection(**fields)})
 
 
 class Shrinking(Algorithm2):

@@ -16,7 +16,7 @@ SMALLEST = [
     ("bodies.py", "--rate", "5", "--trials", "1"),
     ("unmodelled.py", "--trials", "1", "--world", "base"),
     ("analyze.py", "--trials", "1", "--plans", "1"),
-    ("solver.py", "--quick", "--only", "b"),
+    ("solver.py", "--quick", "--only", "b,c"),
 ]
 
 

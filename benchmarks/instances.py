@@ -61,7 +61,8 @@ def controllers(name: str) -> dict[str, SETTING]:
 def published(name: str) -> SETTING:
     """Return the arm of the controller exactly as published, in the place of an instance's.
 
-    Its period, longest sequence, weight of obstacles and time limit are the instance's.
+    Its period, longest sequence, weight of obstacles and time limit are the instance's, and k_max
+    is the last step within this limit.
     """
     ours = instance(name).controller
     assert isinstance(ours, RecommendedMpc)
@@ -70,7 +71,7 @@ def published(name: str) -> SETTING:
         "period": ours.period,
         "horizon_max": ours.horizon_max,
         "obstacle_weight": ours.obstacle_weight,
-        "time_limit": ours.time_limit,
+        "steps_max": round(ours.time_limit / ours.period) - 1,  # a trial has one step more
     }
     return {"controller": section}
 

@@ -2,7 +2,8 @@
 
 import analyze
 import pytest
-from instances import controllers, study_text
+import yaml
+from instances import controllers, published, study_text
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
@@ -58,3 +59,15 @@ def test_an_instance_of_the_prediction_is_valid(instance):
     experiment = instance.experiment()
     assert experiment.controller.type == "mpc"
     assert experiment.controller.estimate == (instance.name != "3 m3pi, not identified")
+
+
+@pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)
+def test_the_published_arm_has_the_time_limit_of_its_instance(path):
+    """Regression: k_max was 100 in every instance, and ended trials before their plans, some with
+    fewer steps than the longest sequence."""
+    spec = load_spec(path).experiment
+    settings = yaml.safe_dump(published(path.stem)["controller"], default_flow_style=True)
+    arm = load_spec(path, [f"controller={settings}"]).experiment.controller
+    assert (arm.steps_max + 1) * arm.period == pytest.approx(spec.controller.time_limit)
+    assert arm.time_limit == pytest.approx(spec.controller.time_limit)
+    assert arm.steps_max + 1 >= arm.horizon_max

@@ -1,5 +1,7 @@
 """What users type wrong, and what they are answered: one line, a hint where useful, a code."""
 
+import contextlib
+import os
 import re
 import shlex
 import shutil
@@ -287,6 +289,21 @@ def test_a_full_disk_does_not_lose_what_robots_were_moved_for(tmp_path, capsys, 
     with pytest.raises(LogError, match="No space left on device"):
         save_calibration(tmp_path / "calibration.yaml", measured)
     assert capsys.readouterr().out == "green: radius 40.1 mm\n"
+
+
+def test_a_calibration_is_written_although_nobody_reads_stdout(tmp_path, capsys, monkeypatch):
+    """Regression: `lab calibrate | true` moved all robots, wrote no file, and exited with 0."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    unread = os.fdopen(writing, "w")
+    monkeypatch.setattr("sys.stdout", unread)
+    out = tmp_path / "calibration.yaml"
+    save_calibration(out, Measured(lines=("green: radius 40.1 mm",)))
+    monkeypatch.undo()
+    with contextlib.suppress(BrokenPipeError):
+        unread.close()
+    assert "measured:" in out.read_text()
+    assert capsys.readouterr().err.startswith("green: radius 40.1 mm\nwrote ")
 
 
 @pytest.mark.parametrize("words", [["run"], ["stats"], ["study"], ["lab", "check"], []])

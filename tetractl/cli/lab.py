@@ -95,13 +95,14 @@ def stop(
     released = set[str]()  # ports of runs that have been ended
     while True:  # until stops are sent while no other program can drive the robots
         try:
-            typer.echo(stop_all())
+            sent = stop_all()
         except PortHeldError as held:
             if held.port in released:
                 raise
-            stop_beside(held.port, partial(stop_all, alone=False), typer.echo)
+            stop_beside(held.port, partial(stop_all, alone=False), ui.tell)
             released.add(held.port)
         else:
+            typer.echo(sent)
             return Exit.DONE
 
 
@@ -210,7 +211,10 @@ def save_calibration(out: Path, measured: "Measured") -> int:
         camera=dict(measured.camera),
         actuator=dict(measured.actuator),
     )
-    print(*measured.lines, sep="\n", flush=True)  # first, so that a full disk does not lose them
+    try:  # first, so that a full disk does not lose the lines
+        print(*measured.lines, sep="\n", flush=True)
+    except OSError:  # the reader of stdout has ended, or its disk is full
+        ui.tell(*measured.lines)
     values = calibration.model_dump(mode="json", exclude_none=True)
     save_whole(out, dump(values).encode())
     whose = f", of an emulated {' and '.join(measured.emulated)}" if measured.emulated else ""

@@ -265,8 +265,9 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     """Stop the robots of the run that has a port open, and end that run, if needed by SIGKILL.
 
     `stops` sends stops on the port and returns a summary; it is called until the port is free,
-    since a hanging run may still drive robots. `say` prints a line. AbortError if the process that
-    has the port open cannot be ended: it is unknown, another user's, or not tetractl.
+    since a hanging run may still drive robots. `say` prints a line, after the first stops, and must
+    not raise. AbortError if the process that has the port open cannot be ended: it is unknown,
+    another user's, or not tetractl.
     """
     began = time.monotonic()
     failure = ""  # why the newest stops could not be sent to all
@@ -275,7 +276,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     due = list(ENDING_SIGNALS)
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
-    say(f"{port}: {name} has this port open")
+    unsaid = [f"{port}: {name} has this port open"]
     unendable = ""  # why this program does not end the process
     if pid is None:
         unendable = "is unknown"
@@ -291,7 +292,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
                 except PermissionError:
                     unendable = "belongs to another user"
             if not unendable:
-                say(f"{did}, after {time.monotonic() - began:.1f} s")
+                unsaid.append(f"{did}, after {time.monotonic() - began:.1f} s")
         try:
             sent = stops()
         except AbortError as error:
@@ -300,8 +301,11 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
         else:
             failure = ""
             if not said:
-                say(f"{sent}, while that process has the port open")
+                unsaid.append(f"{sent}, while that process has the port open")
             said = True
+        for line in unsaid:
+            say(line)
+        unsaid.clear()
         if unendable:
             raise _left(name, unendable, failure)
         if holder(port) != pid:

@@ -7,6 +7,7 @@ import sys
 import tty
 
 import pytest
+from support.running import PATIENCE_S, TETRACTL, environment
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
@@ -92,6 +93,42 @@ def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):
     said = stopping(port)
     assert process.wait() == -signal.SIGKILL
     assert said.index("asked the process to end at once") < said.index("killed the process")
+
+
+def test_stops_are_sent_before_anything_is_said(port, hold):
+    """Regression: a terminal that hung took the first line, and neither a signal nor a stop went
+    out."""
+    hold("tetractl")
+    events = []
+
+    def stops():
+        events.append("stops")
+        return "sent stops"
+
+    stop_beside(port, stops, events.append)
+    assert events[0] == "stops"
+    assert "has this port open" in events[1]
+
+
+def test_lab_stop_ends_a_run_although_nobody_reads_its_stdout(port, hold):
+    """Regression: `lab stop | head -1` ended with exit code 0 at its first line, without a signal
+    to the run, and without one stop."""
+    process = hold("tetractl")
+    reading, writing = os.pipe()
+    os.close(reading)
+    stop = subprocess.run(
+        [TETRACTL, "lab", "stop", "--port", port],
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    os.close(writing)
+    assert stop.returncode == 0
+    assert process.poll() == -signal.SIGTERM
+    assert "the process released the port" in stop.stderr
 
 
 def test_another_program_is_named_and_left_alone(port, hold):

@@ -152,7 +152,8 @@ def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
         run.wait()
     assert done.returncode == 0, done.stderr
     assert code in (1, 130)
-    assert f"process {run.pid} (" in done.stdout
+    assert f"process {run.pid} (" in done.stderr
+    assert done.stdout.startswith("sent 10 stops on ")
     _, record = emulator.end()
     assert at_rest(record)
     assert [e for e in record if e["event"] == "command"][-1]["flags"] & Flag.EMERGENCY_STOP

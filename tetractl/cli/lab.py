@@ -18,7 +18,7 @@ from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 from tetractl.lab.serial_port import PortHeldError, stop_beside
 from tetractl.run.interrupt import interrupted_once
-from tetractl.view.terminal.keys import SAYS, StopKey
+from tetractl.view.terminal.keys import NO_KEY, SAYS, StopKey
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
@@ -185,18 +185,21 @@ def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "
         seed = SeedSequence(experiment.trials.seed)
         return limited.rig(setup, limited.clock(), seed, supervision)
 
-    with watched_by_operator(supervision):
+    with watched_by_operator(supervision, experiment.plant.real_time):
         calibrate_robots = lab.actuator.calibrate
         return calibrate_robots(lab, rig_within, experiment.setup, names, limit, ui.tell)
 
 
 @contextmanager
-def watched_by_operator(supervision: "LabSupervision") -> Iterator[None]:
-    """Let the terminal's space bar or Esc be the emergency stop, and a signal end what is done."""
+def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Iterator[None]:
+    """Let the terminal's space bar or Esc be the emergency stop, and a signal end what is done;
+    say so or, if real robots move without a terminal, that there is no such key."""
     stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
             ui.tell(SAYS)
+        elif real_robots:
+            ui.tell(NO_KEY)
         yield
 
 

@@ -220,14 +220,14 @@ def _in_lab(
 
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.executors import Here
-    from tetractl.view.terminal.keys import SAYS, StopKey
+    from tetractl.view.terminal.keys import NO_KEY, SAYS, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
     safety = Console(stderr=True)  # prints with --quiet, too
     emergency = threading.Event()
     entered = threading.Event()
     with StopKey(emergency.set, entered.set, options.unattended) as key:
-        says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
+        says = SAYS if key.listening else NO_KEY
         safety.print(says, style="bold", highlight=False)
         asks = key.listening and not options.yes
         prompt = TerminalPrompt(safety, entered) if asks else None

@@ -117,11 +117,11 @@ def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None
 
 
 def require_consent(yes: bool, what: str) -> None:
-    """Ask at the terminal whether robots may move, unless `yes`, and say `what` will happen; raises
-    if they may not, or if there is no terminal."""
+    """Ask on stderr whether robots may move, unless `yes`, and say `what` will happen; raises if
+    they may not, or if there is no terminal at which to ask."""
     require_confirmation(yes)
     if not yes:
-        typer.confirm(f"{what} Continue?", abort=True)
+        typer.confirm(f"{what} Continue?", abort=True, err=True)
 
 
 def require_confirmation(yes: bool) -> None:

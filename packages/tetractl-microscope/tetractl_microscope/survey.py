@@ -106,7 +106,10 @@ def survey(
     if experiment.plant.real_time:
         ui.require_consent(yes, f"The field will turn the cells for {choice.seconds:g} s.")
     supervision = LabSupervision()
-    with watched_by_operator(supervision), ui.rig_of(experiment, supervision) as rig:
+    with (
+        watched_by_operator(supervision, experiment.plant.real_time),
+        ui.rig_of(experiment, supervision) as rig,
+    ):
         cells, turned = watch_turning(rig, choice, experiment.trials.seed, supervision)
     wrong, turning = handedness_lines(turned)
     ui.tell(*(f"warning: {problem}" for problem in wrong))

@@ -148,6 +148,7 @@ class Keyboard:
 
 
 SAYS = "SPACE or ESC: EMERGENCY STOP"
+NO_KEY = "no terminal: there is no key to stop the robots"
 
 
 class StopKey:

@@ -126,14 +126,16 @@ def test_a_cell_that_rests_is_still_that_cell(tmp_path):
 
 
 def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkeypatch):
-    """Regression: the page said so, and the field turned at once."""
+    """Regression: the page said so, and the field turned at once; then the question was on stdout,
+    so that with `--json > cells.json` it was not seen."""
     monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
     with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
         words = [word for setting in dish.settings for word in ("--set", setting)]
         done = tetractl(tmp_path, "lab", "survey", DISH, *words, stdin="n\n")
         assert dish.events("run") == []
     assert done.returncode != 0
-    assert "The field will turn the cells for" in done.stdout + done.stderr
+    assert "The field will turn the cells for" in done.stderr
+    assert done.stdout.strip() == ""
 
 
 def test_a_key_is_the_emergency_stop_of_a_survey(tmp_path, monkeypatch):

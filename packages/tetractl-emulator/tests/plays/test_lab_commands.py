@@ -160,12 +160,14 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
 
 
 def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):
+    """Regression: the question was on stdout, so that with `> values.txt` it was not seen."""
     monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
     emulated = lab()
     words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
     done = tetractl(tmp_path, *words, stdin="n\n")
     assert done.returncode != 0
-    assert "green, blue, red will move up to 0.3 m each. Continue?" in done.stdout + done.stderr
+    assert "green, blue, red will move up to 0.3 m each. Continue?" in done.stderr
+    assert done.stdout.strip() == ""
     assert emulated.events("run") == []
 
 

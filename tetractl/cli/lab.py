@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
     from tetractl.core.setup import Setup
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
+    from tetractl.experiment.lab_section import LabLimits, Measured
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
     from tetractl.lab.rig import Rig
 
@@ -112,14 +112,39 @@ def _stops(
     """Return what stops every robot and returns a line about it: the actuator of a spec's lab, or
     an m3pi radio at a port."""
     if spec is not None and port is None:
-        lab, experiment = _real_lab(spec, sets)
-        return partial(lab.actuator.stop_all, experiment.setup, lab.clock())
+        return _stops_of_spec(spec, sets or [])
     if port is not None and spec is None:
         from tetractl.core.clock import MonotonicClock
         from tetractl.lab.actuators.m3pi import broadcast as m3pi
 
         return partial(m3pi.stop_all, _xbee(port, baud), MonotonicClock())
     raise UsageError("give either a SPEC or --port")
+
+
+def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
+    """Return what stops every robot of a spec's real lab, without its calibration. If the spec is
+    wrong elsewhere, its actuator alone stops them, and the errors are warnings."""
+    from tetractl.core.clock import MonotonicClock
+    from tetractl.experiment.actuator_alone import actuator_alone
+    from tetractl.experiment.load import load_document
+    from tetractl.experiment.plants import lab_of, on_plant, settings_on
+    from tetractl.experiment.yaml.document import read_document
+    from tetractl.experiment.yaml.settings import with_settings
+
+    document = read_document(spec)
+    settings = settings_on(document, sets, "lab")
+    try:
+        loaded = on_plant(load_document(document, settings), "lab", with_calibration=False)
+    except UsageError as error:
+        settled = with_settings(document, settings)
+        alone = actuator_alone(settled)
+        wrong_setting = len(settled.problems) > len(document.problems)  # it may name the port
+        if alone is None or wrong_setting:
+            raise
+        ui.tell(*(f"warning: {line}" for line in error.message.split("\n")))
+        return partial(alone.section.stop_all, alone.setup, MonotonicClock())
+    lab = lab_of(loaded.experiment, loaded.name)
+    return partial(lab.actuator.stop_all, loaded.experiment.setup, lab.clock())
 
 
 def calibrate(
@@ -234,15 +259,6 @@ def _experiment_on(spec: Path, sets: list[str] | None, plant: str) -> "Experimen
     document = read_document(spec)
     loaded = load_document(document, settings_on(document, sets or [], plant))
     return on_plant(loaded, plant).experiment
-
-
-def _real_lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
-    """Return the real lab of a spec, and the experiment in it."""
-    from tetractl.experiment.plants import lab_of, on_plant
-
-    loaded = ui.load(spec, sets)
-    experiment = on_plant(loaded, "lab").experiment
-    return lab_of(experiment, loaded.name), experiment
 
 
 def _xbee(port: str, baud: int) -> "XbeeSection":

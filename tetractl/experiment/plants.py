@@ -35,12 +35,12 @@ class Calibration(Model):
     """Values that replace values in `lab.actuator`."""
 
 
-def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
+def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True) -> LoadedSpec:
     """Return the spec with the plant that will be run: of a given kind, or the spec's own.
 
-    Values of the lab's calibration file replace the spec's; the file's text is attached to the log.
-    SpecError if the file is relative to a spec that comes from no file.
-    An unused `lab` section is kept for other runs.
+    Values of the lab's calibration file, `with_calibration`, replace the spec's; the file's text is
+    attached to the log. SpecError if the file is relative to a spec that comes from no file. An
+    unused `lab` section is kept for other runs.
     """
     experiment = loaded.experiment
     if experiment.plant.simulated and kind in (None, "sim", experiment.plant.type):
@@ -54,7 +54,7 @@ def on_plant(loaded: LoadedSpec, kind: str | None) -> LoadedSpec:
     loaded = replace(loaded, experiment=_with(experiment, plant=lab, lab=None))
     for error in section_errors(loaded.experiment):
         raise SpecError(f"{loaded.name}: {dotted(error.where)} {error.text}")
-    if lab.calibration is None:
+    if lab.calibration is None or not with_calibration:
         return loaded
     path = file_of_spec(folder, "lab.calibration", lab.calibration)
     text = read_text(path)

@@ -138,6 +138,19 @@ def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkey
     assert done.stdout.strip() == ""
 
 
+def test_stop_of_a_field_needs_no_more_of_a_spec_than_its_driver(tmp_path, monkeypatch):
+    """Regression: the field stayed on if any other part of the spec was wrong."""
+    with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
+        monkeypatch.setattr("tetractl.core.clock.MonotonicClock", lambda: dish.clock)
+        sets = ("controller.typo=1", f"lab.actuator.port={tmp_path / 'radio'}")
+        words = [word for setting in sets for word in ("--set", setting)]
+        done = tetractl(tmp_path, "lab", "stop", DISH, *words).ok()
+        dish.clock.sleep_until(dish.clock.now() + SECOND)
+        assert DriverStatus.EMERGENCY_STOPPED in dish.emulation.actuator.driver.status
+    assert done.stdout == "sent 10 stops\n"
+    assert "controller.typo" in done.stderr
+
+
 def test_a_key_is_the_emergency_stop_of_a_survey(tmp_path, monkeypatch):
     """Regression: keys did nothing while a survey turned the field."""
 

@@ -11,8 +11,10 @@ from support.lab_processes import SMALL, SPEC, flags
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.script import parse_script
 
+from tetractl.core.clock import SECOND
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant
+from tetractl.lab.cobs import Flag
 from tetractl.log.read.reader import read_trial
 
 pytestmark = pytest.mark.slow
@@ -116,6 +118,68 @@ def test_stop_latches_every_robot_by_port_alone(lab, tmp_path, monkeypatch):
     assert done.returncode == 1
     for name in ("green", "blue", "red"):
         assert f"problem: {name} is emergency-stopped" in done.stdout
+
+
+WRONG_SPECS = {
+    "a controller's field": (("type: mpc", "type: mpc\n  typo: 1"), "controller.typo"),
+    "a kind of camera": (("type: optitrack", "type: sonar"), "lab.camera.type"),
+    "a robot's start": (("start: [900, 800]", "start: [9000, 800]"), "robots.0.start"),
+    "a robot without an entry": (("      - {name: red, index: 2}\n", ""), "lab.actuator.robots"),
+    "no identified file": (("name: three", "identified: away.yaml\nname: three"), "away.yaml"),
+}
+
+
+def stops_by_spec(emulated, folder, monkeypatch, replaced, *settings):
+    """Run `lab stop` with a spec of the emulated lab in which texts are replaced; return what it
+    printed, and the number of stops that the radio transmitted."""
+    monkeypatch.setattr("tetractl.core.clock.MonotonicClock", lambda: emulated.clock)
+    text = SPEC.read_text().replace("/dev/ttyUSB0", str(folder / "radio"))
+    for old, new in replaced:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "lab.yaml").write_text(text)
+    done = tetractl(folder, "lab", "stop", "lab.yaml", *flags(settings))
+    emulated.clock.sleep_until(emulated.clock.now() + SECOND)
+    commands = emulated.events("command")
+    return done, sum(bool(command["flags"] & Flag.EMERGENCY_STOP) for command in commands)
+
+
+@pytest.mark.parametrize("where", WRONG_SPECS)
+def test_stop_needs_no_more_of_a_spec_than_its_actuator(lab, tmp_path, monkeypatch, where):
+    """Regression: not one stop was sent if any part of the spec was wrong."""
+    replaced, field = WRONG_SPECS[where]
+    done, count = stops_by_spec(lab(), tmp_path, monkeypatch, [replaced])
+    assert done.ok().stdout.startswith("sent 10 stops on ")
+    assert count == 10
+    assert "warning: " in done.stderr
+    assert field in done.stderr
+
+
+def test_stop_needs_no_calibration(lab, tmp_path, monkeypatch):
+    """Regression: not one stop was sent if the file was missing."""
+    replaced = ("  # calibration: m3pi", "  calibration: m3pi")
+    done, count = stops_by_spec(lab(), tmp_path, monkeypatch, [replaced])
+    assert (done.returncode, count, done.stderr) == (0, 10, "")
+
+
+def test_stop_takes_the_settings_of_a_run(lab, tmp_path, monkeypatch):
+    """Regression: `--set plant.actuator.port=..`, as of `run --plant lab`, was refused."""
+    emulated = lab()
+    port = f"plant.actuator.port={tmp_path / 'radio'}"
+    replaced = (str(tmp_path / "radio"), "/dev/ttyUSB0")
+    done, count = stops_by_spec(emulated, tmp_path, monkeypatch, [replaced], port)
+    assert (done.returncode, count, done.stderr) == (0, 10, "")
+
+
+def test_stop_refuses_an_actuator_or_a_setting_that_is_wrong(lab, tmp_path, monkeypatch):
+    """What is wrong may be the port, and stops on another one would stop no robot."""
+    emulated = lab()
+    done, count = stops_by_spec(emulated, tmp_path, monkeypatch, [("port: ", "prt: ")])
+    assert (done.returncode, count) == (2, 0)
+    assert "lab.actuator.prt" in done.stderr
+    done, count = stops_by_spec(emulated, tmp_path, monkeypatch, [], "lab.actuator.robots.pink=1")
+    assert (done.returncode, count) == (2, 0)
+    assert "has no entry 'pink'" in done.stderr
 
 
 def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, monkeypatch):

@@ -1,0 +1,68 @@
+"""The actuator of a spec of which another part is wrong: what is needed to stop its robots.
+
+A stop needs the actuator's ports and the names of its robots. Their motion, the camera, the
+controller and the calibration do not matter to it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from tetractl.core.registries import ACTUATORS
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import with_tuples
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab_section import ActuatorSection, RobotPart
+from tetractl.experiment.registry_fields import STRICT, KindSection
+from tetractl.experiment.yaml.document import Document
+
+STAND_IN = {"start": (0.5, 0.5), "target": (0.5, 0.5), "a": 1.0, "speed": 1.0}
+"""Place and motion of a robot that is only stopped; a setup needs some, and no stop uses them."""
+STAND_IN_WHEEL_RADIUS = 1.0
+"""Distance from a wheel to a robot's centre, in the unit of the setup: as above."""
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorAlone:
+    """An actuator's valid section, and a setup with the names of its robots."""
+
+    section: ActuatorSection
+    setup: Setup
+
+
+def actuator_alone(spec: Document) -> ActuatorAlone | None:
+    """Return the actuator of a spec's plant or lab; None if that section is missing or invalid."""
+    section = _valid_actuator(spec.data.get("plant")) or _valid_actuator(spec.data.get("lab"))
+    if section is None:
+        return None
+    return ActuatorAlone(section, _setup_of(_robot_names(section)))
+
+
+def _valid_actuator(lab: Any) -> ActuatorSection | None:
+    """Return the valid section `actuator` of a section of a lab, None if there is none."""
+    if not isinstance(lab, dict) or "actuator" not in lab:
+        return None
+    adapter = TypeAdapter[ActuatorSection](Annotated[ActuatorSection, KindSection(ACTUATORS)])
+    try:
+        return adapter.validate_python(with_tuples(lab["actuator"]), strict=True, context=STRICT)
+    except ValidationError:
+        return None
+
+
+def _robot_names(section: ActuatorSection) -> list[str]:
+    """Return the names of the robots that a section lists, none if it lists no robots."""
+    parts = getattr(section, "robots", ())
+    return [part.name for part in parts if isinstance(part, RobotPart)]
+
+
+def _setup_of(names: Sequence[str]) -> Setup:
+    """Return a setup of robots of these names, or of one that stands for all cells in a field."""
+    contents = {
+        "name": "stop",
+        "arena": {"left": 0.0, "bottom": 0.0, "width": 1.0, "height": 1.0},
+        "robots": tuple({"name": name, **STAND_IN} for name in names or ("all",)),
+        "wheels": {"radius": STAND_IN_WHEEL_RADIUS},
+    }
+    return Experiment.model_validate(contents, strict=True, context=STRICT).setup

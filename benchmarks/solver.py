@@ -5,7 +5,8 @@
     python benchmarks/solver.py --only a,e          some parts
     python benchmarks/solver.py --plot growth.svg   draw part (d), too
 
-Peers come with `pip install '.[bench]'`; those that are missing are named and skipped.
+Peers come with `pip install '.[bench]' ./benchmarks/tetractl-ipopt`; those that are missing are
+named and skipped.
 """
 
 import argparse

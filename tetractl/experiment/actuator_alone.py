@@ -53,7 +53,7 @@ def _valid_actuator(lab: Any) -> ActuatorSection | None:
 
 def _robot_names(section: ActuatorSection) -> list[str]:
     """Return the names of the robots that a section lists, none if it lists no robots."""
-    parts = getattr(section, "robots", ())
+    parts = dict(section).get("robots", ())
     return [part.name for part in parts if isinstance(part, RobotPart)]
 
 

@@ -7,6 +7,7 @@ the spec's length unit; times are in seconds.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -100,6 +101,19 @@ class CameraSection(DeviceSection):
         return None
 
 
+def send_stops(stop: Callable[[], object], clock: Clock) -> AbortError | None:
+    """Send STOPS stops, STOP_GAP_NS apart, also after one that fails: it may fail for one robot,
+    and the others need those to come. Return the first failure, None without one."""
+    failure: AbortError | None = None
+    for _ in range(STOPS):
+        try:
+            stop()
+        except AbortError as error:
+            failure = failure or error
+        clock.sleep_until(clock.now() + STOP_GAP_NS)
+    return failure
+
+
 class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
@@ -124,14 +138,8 @@ class ActuatorSection(DeviceSection):
         port is needed; if `alone` is False, a run uses the port at the same time. Returns a text
         about the stops sent; AbortError if one could not be sent to all robots.
         """
-        failure: AbortError | None = None
         with self.build(setup, clock) as actuator:
-            for _ in range(STOPS):
-                try:
-                    actuator.stop(emergency=True)
-                except AbortError as error:  # of one robot: the others need the stops to come
-                    failure = failure or error
-                clock.sleep_until(clock.now() + STOP_GAP_NS)
+            failure = send_stops(partial(actuator.stop, emergency=True), clock)
         if failure is not None:
             raise failure
         return f"sent {STOPS} stops"

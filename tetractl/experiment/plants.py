@@ -145,8 +145,9 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
 def _values_not_dumped(plant: PlantSection) -> dict[str, Any]:
     """Return the values that a plant's dump leaves out, since no log is to have them."""
+    values = dict(plant)
     fields = type(plant).model_fields
-    return {name: getattr(plant, name) for name, field in fields.items() if field.exclude}
+    return {name: values[name] for name, field in fields.items() if field.exclude}
 
 
 def _calibration(text: str, origin: str) -> Document:

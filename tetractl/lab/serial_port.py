@@ -19,7 +19,7 @@ import serial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.experiment.lab_section import STOPS, send_stops
 
 WRITE_TIMEOUT_S = 0.02  # longest wait until a port takes what is written [s]
 ENDING_SIGNALS = (
@@ -207,10 +207,7 @@ def stop_all_at(
     """
     try:
         unreached = _open_reachable(ports, alone)
-        for _ in range(STOPS):
-            with suppress(AbortError):  # of a port that has failed, which is said below
-                stop()
-            clock.sleep_until(clock.now() + STOP_GAP_NS)
+        send_stops(stop, clock)  # which port has failed, the ports say below
     finally:
         for port in ports:
             port.close()
@@ -277,11 +274,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
     unsaid = [f"{port}: {name} has this port open"]
-    unendable = ""  # why this program does not end the process
-    if pid is None:
-        unendable = "is unknown"
-    elif not any(Path(word).name == "tetractl" for word in words[:3]):
-        unendable = "is not a tetractl process that can be ended"
+    unendable = _why_unendable(pid, words)
     while True:
         if pid and not unendable and due and time.monotonic() - began >= due[0][0]:
             _, number, did = due.pop(0)
@@ -313,6 +306,15 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
             return
         if time.monotonic() - began > 6.0:
             raise _left(name, "does not end even after SIGKILL", failure)
+
+
+def _why_unendable(pid: int | None, words: Sequence[str]) -> str:
+    """Return why this program does not end a process with this command line, "" if it does."""
+    if pid is None:
+        return "is unknown"
+    if any(Path(word).name == "tetractl" for word in words[:3]):
+        return ""
+    return "is not a tetractl process that can be ended"
 
 
 def _left(name: str, why: str, failure: str) -> AbortError:

@@ -234,8 +234,8 @@ def test_a_frame_that_arrives_before_its_exposure_stops_the_robots():
     assert lab.actuator.sent[-1].direction is None  # a stop
 
 
-def test_a_camera_that_raises_for_good_stops_the_robots():
-    """Regression: the stop was left to the next step, which failed before it: robots drove on."""
+def lab_whose_camera_is_gone():
+    """A lab a second after its camera began to raise in each step, while robots drove."""
     lab = fake_lab(experiment().setup)
     lab.plant.open()
     lab.plant.send(Steer(0.5))
@@ -245,6 +245,12 @@ def test_a_camera_that_raises_for_good_stops_the_robots():
 
     lab.camera.frames = frames
     lab.clock.sleep_until(lab.clock.now() + SECOND)
+    return lab
+
+
+def test_a_camera_that_raises_for_good_stops_the_robots():
+    """Regression: the stop was left to the next step, which failed before it: robots drove on."""
+    lab = lab_whose_camera_is_gone()
     assert lab.plant.rig.guard.reason == "the camera is gone"
     assert [sent.direction for sent in lab.actuator.sent[-10:]] == [None] * 10
     assert lab.world.moving == (False,) * 3
@@ -266,15 +272,7 @@ def test_an_emergency_stop_is_sent_after_an_abort_too():
 def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step():
     """Regression: a step read the key after the camera's frames, so it was never obeyed while
     the camera raised: nothing was sent, and no device latched a stop."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
-
-    def frames():
-        raise AbortError("the camera is gone")
-
-    lab.camera.frames = frames
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    lab = lab_whose_camera_is_gone()
     assert lab.actuator.emergencies == 0
     pressed_ns = lab.clock.now()
     lab.supervision.emergency.set()

@@ -1,5 +1,6 @@
 """A UDP port, with real sockets of this computer."""
 
+import contextlib
 import os
 import socket
 import tempfile
@@ -28,6 +29,18 @@ def port_to(name, heard=lambda data, now: None):
     return UdpPort(name, 57600, "the radio", MonotonicClock(), heard, "hint")
 
 
+@contextlib.contextmanager
+def run_at(name):
+    """A program that has the port of this name open."""
+    port = port_to(name)
+    port.open()
+    try:
+        yield port
+    finally:
+        port.close()
+        lock_file(name).unlink()
+
+
 def test_datagrams_go_and_come(robot):
     heard = Queue()
     port = port_to(f"udp://127.0.0.1:{robot.getsockname()[1]}", lambda data, now: heard.put(data))
@@ -48,38 +61,24 @@ def test_datagrams_go_and_come(robot):
 
 def test_a_second_program_is_refused_and_the_first_is_found(robot):
     name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    first = port_to(name)
-    second = port_to(name)
-    first.open()
-    try:
+    with run_at(name), contextlib.closing(port_to(name)) as second:
         with pytest.raises(PortHeldError) as held:
             second.open()
         assert holder(held.value.port) == os.getpid()
         beside = port_to(name)
         beside.open(alone=False)
         beside.close()
-    finally:
-        first.close()
-        second.close()
-        lock_file(name).unlink()
 
 
 def test_a_second_program_with_another_temporary_folder_is_refused(robot, monkeypatch, tmp_path):
     """Regression: `lab stop` in a terminal with another TMPDIR than the run's did not see the run,
     said that stops were sent, and the run drove on."""
     name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    first = port_to(name)
-    first.open()
-    try:
+    with run_at(name):
         monkeypatch.setenv("TMPDIR", str(tmp_path))
         monkeypatch.setattr(tempfile, "tempdir", None)  # so that TMPDIR is read again
-        second = port_to(name)
-        with pytest.raises(PortHeldError):
+        with contextlib.closing(port_to(name)) as second, pytest.raises(PortHeldError):
             second.open()
-        second.close()
-    finally:
-        first.close()
-        lock_file(name).unlink()
 
 
 @pytest.mark.parametrize("hosts", [("localhost", "127.0.0.1"), ("127.0.0.1", "localhost")])

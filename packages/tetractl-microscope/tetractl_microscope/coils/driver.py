@@ -127,7 +127,7 @@ class Driver:
             return "the current driver does not answer any more"
         if newest is not None and DriverStatus.HOT in newest.status:
             return f"the current driver stopped: it is {newest.temperature_dc / 10:.0f} °C hot"
-        if newest is not None and DriverStatus.EMERGENCY_STOPPED in newest.status:
+        if self.is_emergency_stopped:
             return "the current driver is emergency-stopped"
         return None
 

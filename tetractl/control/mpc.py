@@ -131,8 +131,8 @@ SILENT_LAST = 2
 """Number of last signals of a plan after which this is not tested: near the end of a plan hardly
 any other would be left to choose. Chosen, not measured."""
 SILENT_ROOM = 0.2
-"""Clearance of robots that receive nothing, as a fraction of their radius: with 0.4, trials took a
-quarter longer (docs/decisions/safety.md)."""
+"""Clearance of robots that receive nothing, as a fraction of their radius: with 0.4, trials took
+27 s for 21 (n 6, docs/decisions/safety.md)."""
 END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg begins, if there is one."""
 

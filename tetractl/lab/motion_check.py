@@ -13,8 +13,9 @@ turned must lie between the integrals of these bounds; the displacement across t
 within plus or minus the integral of e, as a rolling robot does not move sideways. A slack is added
 to each bound. Each robot's integrals go to the time of its own pose.
 
-A pose that repeats to the last bit while every command moves its robot is not accepted, with a
-camera that measures on a grid only once the robot must have gone further than a step of the grid.
+A pose that repeats to the last bit is not accepted while every command that may act moves its
+robot, nor once commands have moved it, between stops, for DELAY_NS in all since its pose changed;
+with a camera that measures on a grid only if it must have gone further than a step of the grid.
 Lengths are in the spec's length unit.
 """
 
@@ -28,7 +29,7 @@ from typing import Self
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
+from tetractl.core.poses import UNSTATED, Bools, Floats, Pose, Sight
 from tetractl.lab.command_history import CommandHistory
 
 DELAY_NS = 3 * SECOND // 10
@@ -176,6 +177,10 @@ class MotionCheck:
         # least and greatest rates of each transmission (2, N, 3): along, across, around
         self._commanded = CommandHistory(2, robots, 3)
         self._bounds = np.zeros((2, robots, 3))  # bounds in force now
+        self._drives = CommandHistory(robots)  # 1 where a transmission moves a robot, else 0
+        self._last_sent_ns = -WATCHDOG_NS
+        # time (N,) [s] for which commands moved each robot since its pose changed
+        self._driven_s = np.zeros(robots)
         self._since_rest = MotionSinceRest(robots)
 
     @property
@@ -203,7 +208,10 @@ class MotionCheck:
         error_w = error / self._radius if self._radius else share * np.abs(w)
         middle = np.array([v, np.zeros_like(v), w]).T
         spread = np.array([error, error, error_w]).T
-        self._commanded.sent(now_ns, np.array([middle - spread, middle + spread]))
+        bounds = np.array([middle - spread, middle + spread])
+        self._commanded.sent(now_ns, bounds)
+        self._drives.sent(now_ns, _moves(bounds).astype(float))
+        self._last_sent_ns = now_ns
 
     def take_frame(self, times: tuple[int, ...]) -> None:
         """Take the times (N,) of a frame's poses, before `take_pose` is called for these."""
@@ -216,6 +224,7 @@ class MotionCheck:
             bounds = self._bounds_between(since_ns, until_ns)[:, rows]
             self._bounds[:, rows] = bounds
             allowed[:, rows] += bounds * ((until_ns - since_ns) / SECOND)
+            self._driven_s[rows] += self._driven_between(since_ns, until_ns)[rows]
         self._since_rest.allowed = allowed
         self.times = times
 
@@ -229,12 +238,21 @@ class MotionCheck:
             rates = np.concatenate([rates, np.zeros((1, *self._bounds.shape))])
         return np.array([rates[:, 0].min(axis=0), rates[:, 1].max(axis=0)])
 
+    def _driven_between(self, since_ns: int, now_ns: int) -> Floats:
+        """Return for how long (N,) [s] the commands between two times move robots, each until the
+        next, the last until the watchdog."""
+        until_ns = min(now_ns, self._last_sent_ns + WATCHDOG_NS)
+        if until_ns <= since_ns:
+            return np.zeros(len(self.times))
+        driven_ns = until_ns - since_ns
+        return self._drives.mean(until_ns, driven_ns) * (driven_ns / SECOND)
+
     def must_have_moved(self, i: int) -> bool:
         """Return whether robot i, whose pose repeats, must have moved: every command that may act
-        now moves it, and since its pose changed it has gone further than a step of the grid and
-        the slack."""
-        least, most = self._bounds[:, i]
-        if not np.any((least > 0.0) | (most < 0.0)):
+        now moves it, or since its pose changed commands have moved it for longer than any is late;
+        and it has gone further than a step of the grid and the slack."""
+        moves_now = bool(_moves(self._bounds[:, i]))
+        if not moves_now and self._driven_s[i] <= DELAY_NS / SECOND:
             return False
         since_rest = self._since_rest
         least_way, most_way = since_rest.allowed[:, i] - since_rest.at_change[:, i]
@@ -249,6 +267,7 @@ class MotionCheck:
         window = since_rest.windows[i]
         allowed = since_rest.allowed[:, i]
         since_rest.at_change[:, i] = allowed
+        self._driven_s[i] = 0.0
         travelled = since_rest.travelled[i]
         if window.moments:
             travelled = travelled + motion(before, pose)
@@ -289,6 +308,12 @@ class MotionCheck:
             if over_least < -slack or over_most > slack:
                 return True
         return False
+
+
+def _moves(bounds: Floats) -> Bools:
+    """Return whether robots move by bounds (2, ..., 3), whatever their wheels are off: (...)."""
+    least, most = bounds
+    return ((least > 0.0) | (most < 0.0)).any(axis=-1)
 
 
 def motion(before: Pose, pose: Pose) -> Floats:

@@ -241,6 +241,50 @@ def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
         assert check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)) == ""
 
 
+def refused_repeats(seen_as, goes_ns, rests_ns, *, ends=NEVER_S, delay=0.25):
+    """The times [s] at which a repeated pose must have moved, of a camera without noise: a robot is
+    commanded to drive for `goes_ns`, to stand for `rests_ns`, and so on; nothing is sent from
+    `ends` [s] on.
+    """
+    check = MotionCheck([SPEED], RADIUS, 2.0)
+    robot = WheeledRobot(delay, FRAME_S / 50, (1.0, 1.0), (NEVER_S, NEVER_S))
+    refused = []
+    before = robot.pose
+    for now_ns in range(FRAME, 3 * SECOND, FRAME):
+        if now_ns < ends * SECOND:
+            speed = SPEED if now_ns % (goes_ns + rests_ns) < goes_ns else 0.0
+            check.sent(now_ns, [speed], [0.0], 0.12)
+            robot.send(now_ns, speed, 0.0)
+        robot.move(now_ns, 0.0)
+        pose = seen_as(robot.pose)
+        check.take_frame((now_ns,))
+        if pose != before:
+            assert check.take_pose(0, before, pose) == ""
+            before = pose
+        elif check.must_have_moved(0):
+            refused.append(now_ns / SECOND)
+    return refused
+
+
+def test_a_frozen_picture_is_noticed_though_robots_stop_now_and_then():
+    """Regression: late frames stopped the robots every 0.25 s, so that a command to stand might
+    always act; they drove for 1.1 s by a frozen picture (a rehearsed day of seed 91128502).
+    """
+    start = Pose(900.0, 800.0, 0.0)
+    refused = refused_repeats(lambda pose: start, SECOND // 4, SECOND // 20)
+    # driven from 0 to 0.25 s and on from 0.3 s: for 0.3 s in all at 0.35 s
+    assert 0.35 <= refused[0] < 0.35 + 3 * FRAME_S
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.25])
+def test_a_robot_that_obeys_late_may_repeat_its_pose_between_short_drives(delay):
+    assert refused_repeats(lambda pose: pose, SECOND // 10, SECOND // 5, delay=delay) == []
+
+
+def test_a_robot_that_its_watchdog_has_stopped_may_repeat_its_pose():
+    assert refused_repeats(lambda pose: pose, 3 * SECOND, 0, ends=1.0, delay=0.05) == []
+
+
 def test_a_gap_in_the_frames_is_bridged():
     """A robot on a circle of 60 mm, by 180 mm/s and 3 rad/s, is not seen for 0.29 s."""
     check = MotionCheck([SPEED], RADIUS, 2.0)

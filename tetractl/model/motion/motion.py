@@ -137,7 +137,7 @@ class Lanes(Protocol):
 
 class PlainLanes(NamedTuple):
     """`Lanes` of a motion that computes nothing beforehand: PARAMETERS and t of each robot. Its
-    subclass has `differentiate`, and `advance` by that and `onwards`."""
+    subclass has `differentiate` and `advance`; the latter may be that and `onwards`."""
 
     rows: Floats  # (N, K + 1)
     pieces: int = 1

@@ -475,7 +475,8 @@ def _counts(truth: Truth) -> Iterator[Violation]:
     is_before_end = truth.times_s <= end_s
     last = truth.unseen_s[is_before_end][-1:]
     if last.size and last.max() > truth.limits.stream_lost:
-        yield _exit(f"a trial counts though a robot was unseen for {last.max():.2f} s", end_s)
+        finding = f"a trial counts though a robot was unseen for {last.max():.2f} s"
+        yield Violation("exit code", end_s, finding, frozen(truth))
     for fault in truth.shown_moving:
         if fault.span.began_s < truth.ended_s + AIR_S and fault.span.ended_s > end_s:
             yield _exit(f"a trial counts though the camera shows motion: {fault.kind}", end_s)

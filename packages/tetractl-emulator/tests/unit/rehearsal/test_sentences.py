@@ -417,6 +417,18 @@ def test_a_trial_counts_only_if_nothing_was_wrong_with_it(truth, wrong):
     assert names_of(5, truth) == ({"exit code"} if wrong else set())
 
 
+def test_a_trial_may_count_though_a_cameras_grid_hides_that_it_froze_at_the_end():
+    """Regression: cubes reported the same again and again from the last stop on, as cubes that
+    stand do (a rehearsed day of seed 91129705)."""
+    truth = complete(FREEZES, [starts(2.3), truth_at(4.0, unseen=(800.0, 10.0, 10.0))])
+    grid = replace(truth.setup, sight=Sight(grid_mm=1.36, grid_rad=0.02))
+    for setup, predicted in ((truth.setup, ""), (grid, "frozen: as robots that stand")):
+        with_camera = replace(truth, setup=setup)
+        vars(with_camera)["log"] = truth.log
+        (violation,) = SENTENCES[5](with_camera)
+        assert (violation.name, violation.predicted) == ("exit code", predicted)
+
+
 @pytest.mark.parametrize(
     ("said", "robot", "wrong"),
     [

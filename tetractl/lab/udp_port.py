@@ -12,7 +12,6 @@ import ipaddress
 import os
 import socket
 import stat
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -78,8 +77,9 @@ def _open_lock(path: Path) -> int:
 class UdpPort(SerialPort):
     """The devices at `udp://host:port`; see SerialPort, whose `baud` has no meaning here.
 
-    A refusal is of a datagram sent before, so it fails no port: the device may be starting. It is
-    kept until data comes, as a computer refuses only some of many datagrams.
+    A refusal is of a datagram sent before, so it fails no port: the device may be starting, or out
+    of the network's reach. It is kept until data comes, as only some of many datagrams are refused.
+    An empty datagram, which anybody may send, is not heard.
     """
 
     def __init__(
@@ -193,17 +193,23 @@ class UdpPort(SerialPort):
 
     def _read(self) -> None:
         while not self._closing.is_set():
-            with suppress(TimeoutError, ConnectionError):
-                self._heard(self._received(), self._clock.now())
+            data = self._received()
+            if data:
+                self._heard(data, self._clock.now())
 
     def _received(self) -> bytes:
-        """Wait for a datagram; TimeoutError if none comes, ConnectionError if one was refused."""
+        """Wait for a datagram; b"" if none comes, or one that was sent is reported as refused."""
         assert self._socket is not None
         try:
             data = self._socket.recv(PACKET_MAX)
+        except TimeoutError:
+            return b""
         except ConnectionRefusedError:
             self.refusal = self._no_listener
-            raise
+            return b""
+        except OSError as error:
+            self.refusal = f"{self._name}: {error.strerror or error}"
+            return b""
         self.refusal = None
         return data
 

@@ -1,6 +1,7 @@
 """A UDP port, with real sockets of this computer."""
 
 import contextlib
+import errno
 import os
 import socket
 import tempfile
@@ -220,6 +221,39 @@ def stopped(*ports):
             port.write(b"stop")
 
     return stop_all_at(ports, stop, VirtualClock(), alone=True)
+
+
+def test_a_host_that_is_reported_unreachable_or_an_empty_datagram_does_not_end_the_port(
+    robot, monkeypatch
+):
+    """Regression: a router's report ended the thread that reads, with a traceback, and an empty
+    datagram counted as a port that failed."""
+    received = Queue()
+    for outcome in (OSError(errno.EHOSTUNREACH, "No route to host"), b"", b"S 0\n"):
+        received.put(outcome)
+    was_refused = []
+
+    class ReportingSocket(socket.socket):
+        def recv(self, most):
+            if received.empty():
+                return super().recv(most)
+            outcome = received.get()
+            if isinstance(outcome, OSError):
+                raise outcome
+            was_refused.append(port.refusal)
+            return outcome
+
+    heard = Queue()
+    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
+    monkeypatch.setattr(socket, "socket", ReportingSocket)
+    port = port_to(name, lambda data, now: heard.put(data))
+    port.open()
+    try:
+        assert heard.get(timeout=PATIENCE_S) == b"S 0\n"
+        assert port.failure is None
+    finally:
+        port.close()
+    assert was_refused[0] == f"{name}: No route to host"
 
 
 def test_stops_where_no_device_listens_are_not_told_as_sent(robot):

@@ -65,8 +65,6 @@ class Script(Model):
 
     about: str = Field(min_length=1, max_length=500)
     """Purpose of the script, in one or two sentences."""
-    row: str = Field(default="", max_length=200)
-    """Kind of fault that the script tests."""
     emulation: Emulation = Emulation()
     """Properties of the emulated lab that differ from the spec."""
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(

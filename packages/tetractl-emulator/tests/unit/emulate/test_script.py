@@ -17,7 +17,6 @@ SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
 def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
     script = load_script(path, camera_of(path))
     assert script.expect is not None
-    assert script.row
     named = {name for fault in script.faults for name in fault.names()}
     assert named <= {"green", "blue", "red"}
 

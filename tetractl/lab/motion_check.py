@@ -151,29 +151,6 @@ class MotionSinceRest:
         self.windows = [MotionWindow() for _ in range(robots)]
 
 
-class DrivenTime:
-    """For how long commands have moved N robots since their poses changed: `seconds` (N,)."""
-
-    def __init__(self, robots: int) -> None:
-        self.seconds = np.zeros(robots)
-        self._moves = CommandHistory(robots)  # 1 where a transmission moves a robot, else 0
-        self._sent_ns = -WATCHDOG_NS
-
-    def sent(self, now_ns: int, moves: Bools) -> None:
-        """Take a transmission, and whether it moves the robots (N,)."""
-        self._moves.sent(now_ns, moves.astype(float))
-        self._sent_ns = now_ns
-
-    def add(self, since_ns: int, until_ns: int, rows: slice | list[int]) -> None:
-        """Add the time between two times in which commands moved some robots: each until the next,
-        the last until the watchdog."""
-        acts_until_ns = min(until_ns, self._sent_ns + WATCHDOG_NS)
-        acting_ns = acts_until_ns - since_ns
-        if acting_ns > 0:
-            moved_s = self._moves.mean(acts_until_ns, acting_ns) * (acting_ns / SECOND)
-            self.seconds[rows] += moved_s[rows]
-
-
 class MotionCheck:
     """Compares the motion of N robots, with the speeds `speeds` (N,), with their commands.
 
@@ -200,7 +177,8 @@ class MotionCheck:
         # least and greatest rates of each transmission (2, N, 3): along, across, around
         self._commanded = CommandHistory(2, robots, 3)
         self._bounds = np.zeros((2, robots, 3))  # bounds in force now
-        self._driven = DrivenTime(robots)
+        # time (N,) [s] for which commands have moved each robot since its pose changed
+        self._driven_s = np.zeros(robots)
         self._since_rest = MotionSinceRest(robots)
 
     @property
@@ -228,9 +206,7 @@ class MotionCheck:
         error_w = error / self._radius if self._radius else share * np.abs(w)
         middle = np.array([v, np.zeros_like(v), w]).T
         spread = np.array([error, error, error_w]).T
-        bounds = np.array([middle - spread, middle + spread])
-        self._commanded.sent(now_ns, bounds)
-        self._driven.sent(now_ns, _moves(bounds))
+        self._commanded.sent(now_ns, np.array([middle - spread, middle + spread]))
 
     def take_frame(self, times: tuple[int, ...]) -> None:
         """Take the times (N,) of a frame's poses, before `take_pose` is called for these."""
@@ -243,7 +219,7 @@ class MotionCheck:
             bounds = self._bounds_between(since_ns, until_ns)[:, rows]
             self._bounds[:, rows] = bounds
             allowed[:, rows] += bounds * ((until_ns - since_ns) / SECOND)
-            self._driven.add(since_ns, until_ns, rows)
+            self._driven_s[rows] += self._driven_between(since_ns, until_ns)[rows]
         self._since_rest.allowed = allowed
         self.times = times
 
@@ -257,12 +233,25 @@ class MotionCheck:
             rates = np.concatenate([rates, np.zeros((1, *self._bounds.shape))])
         return np.array([rates[:, 0].min(axis=0), rates[:, 1].max(axis=0)])
 
+    def _driven_between(self, since_ns: int, until_ns: int) -> Floats:
+        """Return for how long (N,) [s] commands move the robots between two times: each until the
+        next, or until the watchdog."""
+        times, rates = self._commanded.acting(since_ns, until_ns)
+        driven_s = np.zeros(len(self.times))
+        spans = pairwise([*times, until_ns])
+        for (sent_ns, next_ns), bounds in zip(spans, rates, strict=True):
+            begins_ns = max(sent_ns, since_ns)
+            ends_ns = min(next_ns, sent_ns + WATCHDOG_NS)
+            if ends_ns > begins_ns:
+                driven_s[_moves(bounds)] += (ends_ns - begins_ns) / SECOND
+        return driven_s
+
     def must_have_moved(self, i: int) -> bool:
         """Return whether robot i, whose pose repeats, must have moved: every command that may act
         now moves it, or since its pose changed commands have moved it for longer than any is late;
         and it has gone further than a step of the grid and the slack."""
         moves_now = bool(_moves(self._bounds[:, i]))
-        if not moves_now and self._driven.seconds[i] <= DELAY_NS / SECOND:
+        if not moves_now and self._driven_s[i] <= DELAY_NS / SECOND:
             return False
         since_rest = self._since_rest
         least_way, most_way = since_rest.allowed[:, i] - since_rest.at_change[:, i]
@@ -277,7 +266,7 @@ class MotionCheck:
         window = since_rest.windows[i]
         allowed = since_rest.allowed[:, i]
         since_rest.at_change[:, i] = allowed
-        self._driven.seconds[i] = 0.0
+        self._driven_s[i] = 0.0
         travelled = since_rest.travelled[i]
         if window.moments:
             travelled = travelled + motion(before, pose)

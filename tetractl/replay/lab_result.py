@@ -73,17 +73,19 @@ def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Diffe
 
     The plant of a lab evaluates only the frames between the first step and the stop. A stated
     distance must therefore lie between the least distance in all frames and the least distance in
-    the evaluated frames.
+    the evaluated frames. A pose that came so late that its robot no longer counts as tracked is a
+    place where the robot was, too, but not one at which others were at the time of its frame.
     """
     path, has_pose = trial_path(log)
-    in_all = check_path(log.start.setup, path, has_pose, verdict.final)
+    in_all = check_path(log.start.setup, path, np.isfinite(path).all(axis=2), verdict.final)
+    tracked = check_path(log.start.setup, path, has_pose, verdict.final)
     since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     driven = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
     evaluated = check_path(log.start.setup, path[driven], has_pose[driven], verdict.final)
     for name, stated, least, most in (
         ("clearance", verdict.clearance, in_all.clearance, evaluated.clearance),
         ("edge", verdict.edge, in_all.edge, evaluated.edge),
-        ("apart", verdict.apart, in_all.apart, evaluated.apart),
+        ("apart", verdict.apart, tracked.apart, evaluated.apart),
     ):
         yield from _distances(name, stated, least, most)
     for i, (stated, touches) in enumerate(zip(verdict.entered, in_all.entered, strict=True)):

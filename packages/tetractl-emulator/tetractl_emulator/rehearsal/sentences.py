@@ -55,6 +55,7 @@ POSE_RAD = 1.0  # the turn by which a robot leaves its way
 RESULT_MM = 10.0  # 0.03 s of driving at 200 mm/s, and the noise of poses at rest
 RESTS_S = 1.0  # of pictures that show whether robots rest
 SHOWN_S = NOISE_MM / MOVES_MM_S  # in which the slowest motion that counts is more than noise
+OWN_EVENT_S = 0.03  # longest time for which a robot's own reading waits for an event of its radio
 LATE_RADIO = ("late_radio", "overtaken_packets")
 OFF_FLOOR = ("lifted", "tipped")
 ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
@@ -333,7 +334,7 @@ def _least_off(truth: Truth) -> tuple[Floats, Floats]:
 def _seen_though_hidden(truth: Truth) -> Iterator[Violation]:
     """Yield a robot of which the log has a pose, though it was hidden or not on the floor."""
     for span in hidden_spans(truth):
-        began_s = span.began_s + 2 * FRAME_S
+        began_s = span.began_s + max(2 * FRAME_S, OWN_EVENT_S)
         ended_s = span.ended_s - 2 * FRAME_S
         during = (truth.times_s > began_s) & (truth.times_s < ended_s)
         is_shown = during & truth.fresh[:, span.robot]

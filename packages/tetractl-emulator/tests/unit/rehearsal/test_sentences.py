@@ -317,6 +317,14 @@ def test_the_log_has_no_pose_of_a_robot_that_is_hidden(fault, wrong):
     assert names_of(3, with_log(STARTS, fault=fault)) == ({"untrue"} if wrong else set())
 
 
+@pytest.mark.parametrize(("hidden_s", "wrong"), [(2.175, False), (2.165, True)])
+def test_a_reading_that_waited_for_an_event_of_its_radio_is_from_before(hidden_s, wrong):
+    """Regression: a cube's reading was passed on 20 ms after the cube saw its mat no more."""
+    truth = with_log(STARTS, fault=LOST)
+    truth.day.events[-1] = starts(hidden_s)
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
 def complete_result(poses, more_mm=0.0):
     """The result of a trial that arrived with robots at these poses, but for an error."""
     mm = SETUP.metres * 1000

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
@@ -489,17 +490,23 @@ def _late_in_a_row(truth: Truth) -> int:
     """Return the most control steps in a row that the log shows to be late by a period.
 
     A step begins when its frame has come and the step before has ended: a silent camera makes
-    frames old, and no step late.
+    frames old, and no step late. Robots stand from a step that stops them until the next has ended:
+    neither is late for anybody, and a row ends with them.
     """
     assert truth.trial is not None
     period_ns = truth.setup.period_s * 1e9
     most = 0
     count = 0
     ended_ns = 0
+    robots_stand = True
     for step in truth.trial.steps:
         began_ns = max(step.observation.received_ns, ended_ns)
         ended_ns = step.command.sent_ns
-        count = count + 1 if ended_ns - began_ns > period_ns else 0
+        stops = isinstance(step.command.action, Stop)
+        is_late = ended_ns - began_ns > period_ns
+        in_row = is_late and not stops and not robots_stand
+        count = count + 1 if in_row else 0
+        robots_stand = stops
         most = max(most, count)
     return most
 

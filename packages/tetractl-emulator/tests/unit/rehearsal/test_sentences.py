@@ -13,6 +13,7 @@ from tetractl_emulator.rehearsal.day import Day, DayPlan
 from tetractl_emulator.rehearsal.sentences import SENTENCES, hidden, violations
 from tetractl_emulator.rehearsal.truth import Truth
 
+from tetractl.core.commands import Steer, Stop
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Sight
 from tetractl.experiment.lab_section import LabLimits
@@ -391,7 +392,7 @@ def step(received_s, sent_s, facing=None):
     return SimpleNamespace(
         plan=SimpleNamespace(facing=facing),
         observation=SimpleNamespace(received_ns=round(received_s * 1e9)),
-        command=SimpleNamespace(sent_ns=round(sent_s * 1e9)),
+        command=SimpleNamespace(sent_ns=round(sent_s * 1e9), action=Steer(0.0)),
     )
 
 
@@ -400,6 +401,13 @@ def late_steps(count):
     took_s = SETUP.period_s + 0.01
     late = [step(k * took_s, (k + 1) * took_s) for k in range(count)]
     return [step(0.0, 0.0), *late, step(count * took_s, count * took_s)]
+
+
+def late_steps_around_a_rest(count):
+    """As `late_steps`, of which the middle one stops the robots."""
+    steps = late_steps(count)
+    steps[len(steps) // 2].command.action = Stop()
+    return steps
 
 
 def steps_without_frames(count):
@@ -418,6 +426,8 @@ def steps_without_frames(count):
         (complete(events=[truth_at(4.0, unseen=(800.0, 10.0, 10.0))]), True),
         (complete(steps=late_steps(5)), False),
         (complete(steps=late_steps(6)), True),
+        (complete(steps=late_steps_around_a_rest(11)), False),
+        (complete(steps=late_steps_around_a_rest(13)), True),
         (complete(steps=steps_without_frames(9)), False),
     ],
 )

@@ -77,7 +77,8 @@ def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Diffe
     place where the robot was, too, but not one at which others were at the time of its frame.
     """
     path, has_pose = trial_path(log)
-    in_all = check_path(log.start.setup, path, np.isfinite(path).all(axis=2), verdict.final)
+    has_place = np.asarray(np.isfinite(path).all(axis=2))
+    in_all = check_path(log.start.setup, path, has_place, verdict.final)
     tracked = check_path(log.start.setup, path, has_pose, verdict.final)
     since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     driven = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)

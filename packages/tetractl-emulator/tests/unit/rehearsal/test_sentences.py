@@ -318,11 +318,19 @@ def test_the_log_has_no_pose_of_a_robot_that_is_hidden(fault, wrong):
     assert names_of(3, with_log(STARTS, fault=fault)) == ({"untrue"} if wrong else set())
 
 
-@pytest.mark.parametrize(("hidden_s", "wrong"), [(2.175, False), (2.165, True)])
-def test_a_reading_that_waited_for_an_event_of_its_radio_is_from_before(hidden_s, wrong):
+MAT = Sight(grid_mm=1.36, grid_rad=0.02)
+FILMED = Sight()
+
+
+@pytest.mark.parametrize(
+    ("sight", "hidden_s", "wrong"),
+    [(MAT, 2.175, False), (MAT, 2.165, True), (FILMED, 2.175, True), (FILMED, 2.185, False)],
+)
+def test_only_a_reading_of_a_mat_may_be_from_before_its_robot_was_hidden(sight, hidden_s, wrong):
     """Regression: a cube's reading was passed on 20 ms after the cube saw its mat no more."""
     truth = with_log(STARTS, fault=LOST)
     truth.day.events[-1] = starts(hidden_s)
+    truth.setup = replace(truth.setup, sight=sight)
     assert names_of(3, truth) == ({"untrue"} if wrong else set())
 
 
@@ -439,7 +447,7 @@ def test_a_trial_may_count_though_a_cameras_grid_hides_that_it_froze_at_the_end(
     """Regression: cubes reported the same again and again from the last stop on, as cubes that
     stand do (a rehearsed day of seed 91129705)."""
     truth = complete(FREEZES, [starts(2.3), truth_at(4.0, unseen=(800.0, 10.0, 10.0))])
-    grid = replace(truth.setup, sight=Sight(grid_mm=1.36, grid_rad=0.02))
+    grid = replace(truth.setup, sight=MAT)
     for setup, predicted in ((truth.setup, ""), (grid, "frozen: as robots that stand")):
         with_camera = replace(truth, setup=setup)
         vars(with_camera)["log"] = truth.log

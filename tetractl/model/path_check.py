@@ -132,6 +132,12 @@ def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verd
             path_check.entered[robot] = check.entered[0]
             path_check.clearance[robot] = check.clearance[0]
             path_check.edge[robot] = check.edge[0]
-    tracked_path = np.where(tracked[..., None], path[..., :2], np.nan)
-    path_check.apart = separations(tracked_path[..., 0].T, tracked_path[..., 1].T)
+    path_check.apart = tracked_separations(path, tracked)
     return path_check.verdict(final)
+
+
+def tracked_separations(path: Floats, tracked: Bools) -> Floats:
+    """Return the least distance (N,) of each robot to another one over the samples of a recorded
+    path (M, N, 2 or more) for which both are `tracked` (M, N)."""
+    places = np.where(tracked[..., None], path[..., :2], np.nan)
+    return separations(places[..., 0].T, places[..., 1].T)

@@ -16,7 +16,7 @@ from tetractl.lab.guard_records import GuardState
 from tetractl.lab.rig import guard_rules
 from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.model.path_check import check_path
+from tetractl.model.path_check import check_path, tracked_separations
 from tetractl.model.wheels import body_velocity
 from tetractl.replay.comparison import Difference, first_difference
 
@@ -79,14 +79,14 @@ def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Diffe
     path, has_pose = trial_path(log)
     has_place = np.asarray(np.isfinite(path).all(axis=2))
     in_all = check_path(log.start.setup, path, has_place, verdict.final)
-    tracked = check_path(log.start.setup, path, has_pose, verdict.final)
+    apart = tracked_separations(path, has_pose)
     since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     driven = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
     evaluated = check_path(log.start.setup, path[driven], has_pose[driven], verdict.final)
     for name, stated, least, most in (
         ("clearance", verdict.clearance, in_all.clearance, evaluated.clearance),
         ("edge", verdict.edge, in_all.edge, evaluated.edge),
-        ("apart", verdict.apart, tracked.apart, evaluated.apart),
+        ("apart", verdict.apart, apart.tolist(), evaluated.apart),
     ):
         yield from _distances(name, stated, least, most)
     for i, (stated, touches) in enumerate(zip(verdict.entered, in_all.entered, strict=True)):

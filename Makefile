@@ -62,7 +62,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP)
-	@echo "Collecting tests, which prints nothing at first; with them, about 4 minutes on two cores"
+	@echo "Collecting tests, which prints nothing at first; with them, about 5 minutes on two cores"
 	$(PYTEST) -m "not long and not system"
 
 # What needs neither other processes nor much time: for work on the code.

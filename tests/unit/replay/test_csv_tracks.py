@@ -351,10 +351,11 @@ def test_a_last_place_far_off_says_nothing_of_the_headings(tmp_path, column, far
 @pytest.mark.parametrize(
     ("packed", "form"),
     [
-        (gzip.compress(b"time_s,direction_rad\n0,0\n"), "gzip"),
+        (gzip.compress(b"time_s,direction_rad\n0,0\n", mtime=0), "gzip"),
         (bz2.compress(b"time_s,direction_rad\n0,0\n"), "bzip2"),
         (b"PK\x03\x04 the start of an .xlsx", "zip, or a spreadsheet"),
     ],
+    ids=["gzip", "bzip2", "zip"],
 )
 def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
     """Regression: it was said to be no UTF-8."""

@@ -9,6 +9,7 @@ from tetractl.analysis.reach import reach_of
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_verdicts_agree_with_the_plant(seed):
     setup, motion = drawn(np.random.default_rng(seed), near=bool(seed % 2))

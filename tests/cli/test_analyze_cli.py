@@ -24,6 +24,7 @@ def analyze(folder, *arguments):
     return cli.tetractl(folder, "analyze", *arguments)
 
 
+@pytest.mark.long
 def test_text_json_and_figure(tmp_path):
     (tmp_path / "two.yaml").write_text(TWO, encoding="utf-8")
     few = ("two.yaml", "--plans", 1, "--set", "robots.1.a=3.7")

@@ -124,6 +124,7 @@ def test_every_python_example_runs(page, tmp_path, monkeypatch):
         exec(program, names)
 
 
+@pytest.mark.long
 def test_the_reference_of_commands_is_what_their_help_says():
     page = make_cli.PAGE.read_text("utf-8")
     assert make_cli.page(page) == page, "run: python docs/make_cli.py"
@@ -174,6 +175,7 @@ def test_completion_is_offered_for_each_shell(shell):
     assert "_TETRACTL_COMPLETE" in script
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [

@@ -51,6 +51,7 @@ def test_a_kill_costs_little(tmp_path, seed):
     assert killed.lost_s <= LOSS_S + 2 * host.most_s
 
 
+@pytest.mark.long
 def test_verify_says_which_of_the_two_it_did(logs):
     done = tetractl(logs, "verify .").ok()
     assert done.stdout.count("ok: ") == done.stdout.count("re-computed, bit-identical") == 2

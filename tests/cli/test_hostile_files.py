@@ -64,6 +64,7 @@ def test_directions_between_two_frames_are_bounded(tmp_path, monkeypatch):
     refused(done, "directions were sent between two frames")
 
 
+@pytest.mark.long
 def test_what_determines_nothing_is_told(tmp_path):
     """Regression: a singular matrix was a traceback."""
     (tmp_path / "poses.csv").write_text(poses(f"{i / 10},r,{i},0,0\n" for i in range(200)))

@@ -79,6 +79,7 @@ def contents(tmp_path_factory):
     return scan(write(trial(steps=12, robots=2, index=1), folder / "trial.mcap"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("build", [huge_spec, far_pose, escapes])
 def test_a_log_from_anybody_is_read_or_told_in_a_line(build, contents, tmp_path):
     log = build(contents, tmp_path / "hostile.mcap")

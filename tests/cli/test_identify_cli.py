@@ -25,6 +25,7 @@ def resolved(folder, *words):
     return yaml.safe_load(done.stdout)
 
 
+@pytest.mark.long
 def test_a_batch_is_identified(identified):
     assert identified["dead_time"]["value"] == pytest.approx(0.1, abs=0.01)
     assert identified["robots"]["two"]["a"]["value"] == pytest.approx(3, rel=0.05)
@@ -63,6 +64,7 @@ def identified_json(folder, *words):
     return json.loads(tetractl(folder, "identify", *words, "--json").ok().stdout)
 
 
+@pytest.mark.long
 def test_exported_tables_say_the_same(folder):
     assert tetractl(folder, "export", "logs", "-o", "tables").returncode == 0
     from_logs = identified_json(folder, "logs")
@@ -74,6 +76,7 @@ def test_exported_tables_say_the_same(folder):
         assert robot["a"]["value"] == pytest.approx(expected["a"]["value"], rel=1e-3)
 
 
+@pytest.mark.long
 def test_logs_of_a_field_of_known_strength_say_the_rate_per_strength(folder):
     text = (folder / "quick.yaml").read_text() + "strength: 4.0\n"
     (folder / "field.yaml").write_text(text.replace("a: 3", "a: {per_mT: 0.75}"))
@@ -101,6 +104,7 @@ DRIVEN = {
 }
 
 
+@pytest.mark.long
 def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     (tmp_path / "poses.csv").write_text(f"time_s,robot,x_mm,y_mm,heading_rad\n{POSES}")
     for name, (head, row) in DRIVEN.items():
@@ -128,6 +132,7 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
         assert done.returncode == 2 and why in done.stderr, done.stderr
 
 
+@pytest.mark.long
 def test_the_wheels_of_logs_are_identified(folder):
     robots = identified_json(folder, "logs", "--wheels")
     assert [robot["name"] for robot in robots] == ["one", "two"]

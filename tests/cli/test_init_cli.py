@@ -21,6 +21,7 @@ def tetractl(tmp_path):
     return partial(cli.tetractl, tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "lab"), [([], False), (["--lab"], True)], ids=["robots", "lab"]
 )
@@ -45,6 +46,7 @@ def test_the_lab_of_a_new_spec_can_be_used(tetractl):
     assert "cameras" in done.stdout.partition("# Limits")[2]
 
 
+@pytest.mark.long
 def test_a_lab_has_the_robots_and_the_camera_that_are_asked_for(tetractl, tmp_path):
     init = tetractl("init", "lines", "--lab", "--robots", "twist").ok()
     assert init.stdout == "lines.yaml\n"

@@ -117,6 +117,7 @@ def test_it_follows_the_size_of_the_terminal(folder):
         assert terminal.finish() == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", first_of(["ctrl-c", "SIGTERM", "SIGHUP"]))
 def test_an_interrupt_gives_the_terminal_back(folder, how):
     with play(folder) as terminal:
@@ -167,6 +168,7 @@ echo "stopped=$?"; stty -a; fg; echo "ended=$?"
         assert terminal.finish() == 0
 
 
+@pytest.mark.long
 def test_a_dumb_terminal_gets_plain_lines(folder):
     with play(folder, TERM="dumb") as terminal:
         assert terminal.finish() == 0
@@ -211,6 +213,7 @@ def test_start_until_and_rate_without_a_terminal(folder):
     ]
 
 
+@pytest.mark.long
 def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     done = run("replay", "cut.mcap.part", cwd=folder)
     assert done.returncode == 1
@@ -239,6 +242,7 @@ def test_a_figure_of_two_folders_is_named_after_what_holds_them(folder, tmp_path
     assert (done.returncode, done.stdout) == (0, "demo-errors.png\n"), done.stderr
 
 
+@pytest.mark.long
 def test_a_video_is_written_beside_where_it_was_asked_for(folder):
     done = run("plot", "cut.mcap.part", "--kind", "video", cwd=folder)
     assert (done.returncode, done.stdout) == (1, "cut-video.gif\n")

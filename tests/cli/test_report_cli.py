@@ -67,6 +67,7 @@ def text(page, name):
     return page.run(f"document.getElementById('{name}').textContent")
 
 
+@pytest.mark.long
 def test_the_page_needs_nothing_beside_it(folder):
     html = (folder / "report.html").read_text()
     assert not re.search(r"(src|href)=\"(?!data:|#)", html)

@@ -58,6 +58,7 @@ def work(tmp_path, batch):
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", first_of(EXPERIMENTS), ids=lambda path: path.stem)
 def test_every_shipped_experiment_brings_its_robots_near_their_targets(path, tmp_path):
     experiment = load_spec(path).experiment
@@ -241,6 +242,7 @@ def test_a_trial_whose_worker_is_killed_twice_ends_the_batch_with_a_clear_line(t
         assert lines[-1].startswith("hint: give the same command with fewer --jobs")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("limit", [4096, 30_000])
 def test_a_full_disk_aborts_the_trial_and_says_so_once(batch, tmp_path, limit):
     def full():
@@ -263,6 +265,7 @@ def test_a_full_disk_aborts_the_trial_and_says_so_once(batch, tmp_path, limit):
         assert [step.k for step in log.steps] == list(range(len(log.steps)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("args", first_of([["run", "--help"], ["--help"], ["--version"]]))
 def test_help_imports_nothing_heavy(tmp_path, args):
     done = subprocess.run(

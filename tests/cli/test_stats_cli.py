@@ -111,6 +111,7 @@ def test_a_trial_of_a_lab_in_which_a_robot_turns_unlike_in_the_others_is_named(t
     assert [trial["log"] for trial in flagged if said in trial["notes"]] == ["trial-005.mcap"]
 
 
+@pytest.mark.long
 def test_against_prints_what_several_folders_print(work):
     write(work / "exact", 12, controller={"motion": "exact"})
     for form in ("table", "json", "csv", "html"):
@@ -128,6 +129,7 @@ def three(work):
     return work
 
 
+@pytest.mark.long
 def test_several_folders_are_batches_compared_two_by_two(three):
     document = json.loads(stats("ten", "exact", "still", "--json", cwd=three).stdout)
     assert [arm["name"] for arm in document["groups"]] == ["ten", "exact", "still"]
@@ -141,6 +143,7 @@ def test_several_folders_are_batches_compared_two_by_two(three):
     assert (plants["rank_p"], plants["verdict"]) == (None, None)
 
 
+@pytest.mark.long
 def test_comparisons_are_printed_and_drawn(three):
     done = stats("ten", "exact", "still", "--plot", "ecdf.svg", cwd=three)
     assert (done.returncode, done.stderr) == (0, "wrote ecdf.svg\n")
@@ -149,12 +152,14 @@ def test_comparisons_are_printed_and_drawn(three):
     assert (three / "ecdf.svg").stat().st_size > 1000
 
 
+@pytest.mark.long
 def test_every_figure_of_a_comparison_fits_a_wide_terminal(three):
     full = stats("ten", "exact", "still", "--full", cwd=three).stdout
     assert "detectable at 80 %" in full
     assert max(map(len, full.splitlines())) <= 120
 
 
+@pytest.mark.long
 def test_comparisons_are_csv_and_latex_too(three):
     rows = csv_rows(stats("ten", "exact", "--format=csv", cwd=three).stdout)
     mean_of_exact = 300 + 10 * sum(range(12)) / 12
@@ -163,6 +168,7 @@ def test_comparisons_are_csv_and_latex_too(three):
     assert "ten - exact & 10 pairs" in latex
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", first_of(["table", "json", "csv"]))
 def test_a_reader_that_goes_away_is_no_reason_to_complain(work, form):
     command = f"{TETRACTL} stats ten --format {form} | true"

@@ -30,6 +30,7 @@ def finished_study(tmp_path_factory):
     return folder, done
 
 
+@pytest.mark.long
 def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(finished_study):
     folder, _ = finished_study
     out = folder / "out"
@@ -82,6 +83,7 @@ def test_a_study_is_checked_previewed_and_run_from_python_alike(
     assert [row["total_error_mm"] for row in table(tmp_path / "again")] == totals
 
 
+@pytest.mark.long
 def test_the_whole_log_of_a_trial_with_a_brief_one_is_made_by_rerun(tmp_path):
     """Regression: rerun read from the brief log what only a whole log has."""
     write(tmp_path, SMALL)
@@ -139,6 +141,7 @@ def test_a_study_interrupted_is_gone_on_with(finished_study, tmp_path):
     assert results(out) == results(finished_study[0] / "out")
 
 
+@pytest.mark.long
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     write(tmp_path, FAILING)
     args = ("--out", "out", "--logs", "failed", "--jobs", 1)

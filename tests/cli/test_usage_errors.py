@@ -208,6 +208,7 @@ sys.exit(run_app())
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("module", "words", "hinted"),
     [

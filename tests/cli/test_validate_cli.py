@@ -35,6 +35,7 @@ def tetractl(tmp_path):
     return partial(cli.tetractl, tmp_path)
 
 
+@pytest.mark.long
 def test_good_specs_are_ok(tetractl):
     result = tetractl("validate", *SPECS).ok()
     warned = result.stderr.splitlines()  # holds of cells, as tight as they can be

@@ -182,6 +182,7 @@ def test_ctrl_c_ends_a_trial_and_is_raised_again(tmp_path):
     assert ended.result.steps == 2
 
 
+@pytest.mark.long
 def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
     contents = yaml.safe_load(SPEC)
     batch = tetractl.run_batch(contents, tmp_path)

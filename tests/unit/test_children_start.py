@@ -76,6 +76,7 @@ def test_each_way_to_start_a_process_is_seen(code, name):
     assert name in starters(ast.parse(code))
 
 
+@pytest.mark.long
 def test_no_module_but_the_helper_starts_a_process():
     """A process started otherwise imports what lies in the present folder (K4)."""
     wrong = {}

@@ -36,7 +36,7 @@ def test_files_that_start_much_are_marked(names, marks):
     assert [path for path in starting if not marked.search(texts[path])] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_processes_that_tests_start_take_signals_that_the_tests_ignore():
     program = CHILD.format(str(ROOT / "tests"), *map(int, DEAF))
     done = subprocess.run(

@@ -40,7 +40,7 @@ def emulation(experiment):
     return started(experiment.lab, experiment.setup, clock, Options(address=None)), clock
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_robots_that_cannot_answer_are_calibrated_and_emulated_as_the_spec_says():
     """Regression: None was taken for no answer, and the spec's gains and radius were ignored."""
     given = GREEN, f"{GREEN}, left_gain: 1.2, radius_mm: 50"

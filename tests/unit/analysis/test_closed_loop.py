@@ -124,6 +124,7 @@ def test_the_mean_length_of_a_normal_vector_along_one_axis_is_that_of_a_half_nor
     assert mean_length == pytest.approx(deviation * np.sqrt(2 / np.pi))
 
 
+@pytest.mark.long
 def test_the_noise_is_the_plants():
     plant = {
         "type": "sim",

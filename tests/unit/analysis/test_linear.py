@@ -49,6 +49,7 @@ def assert_agrees(ours, expected, relative):
     assert ours == pytest.approx(expected, rel=relative, abs=relative * np.abs(expected).max())
 
 
+@pytest.mark.long
 @given(seeds, motions)
 def test_ends_by_each_signal(seed, motion):
     plan = random_plan(seed, motion)

@@ -82,7 +82,7 @@ def test_of_very_many_robots_nothing_is_said():
     assert reach(experiment(robots=robots)) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_analyze_says_it_where_no_plan_is_found():
     mpc = {"type": "mpc", "period": 0.2, "horizon_max": 12, "estimate": False}
     analysis = analyze(three_robots(a=(6, 6, 3), controller=mpc), plans=1)

@@ -16,7 +16,7 @@ main()
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "most"),
     [(["--help"], 41), (["stats", ROOT / "tests" / "golden" / "format-4-sim.mcap"], 118)],

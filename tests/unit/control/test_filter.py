@@ -227,6 +227,7 @@ def test_each_robot_may_have_a_dead_time_of_its_own():
     assert estimate.a == pytest.approx(plant.a, rel=0.03)
 
 
+@pytest.mark.long
 def test_a_dead_time_that_changes_is_found_again():
     """Regression: the dead times around 0.26 s had been dropped by then: 0.25 s, and a misfit."""
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
@@ -236,6 +237,7 @@ def test_a_dead_time_that_changes_is_found_again():
     assert (estimator.filter.reopened_ns or 0) > 12 * SECOND
 
 
+@pytest.mark.long
 def test_the_side_to_which_a_robot_turns_faster_is_found():
     more = np.array([0.2, -0.2, 0.1])
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
@@ -245,6 +247,7 @@ def test_the_side_to_which_a_robot_turns_faster_is_found():
     assert estimate.misfit.max() < 1
 
 
+@pytest.mark.long
 def test_motors_that_saturate_are_found_by_the_misfit():
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
     estimate, *_ = drive(settings, 24, 20, disturbance=Turns(most=1.5))
@@ -255,6 +258,7 @@ def test_motors_that_saturate_are_found_by_the_misfit():
     assert (free.saturation == 1).all()
 
 
+@pytest.mark.long
 def test_the_turning_rates_of_motors_that_saturate_are_found():
     """Regression: the small a that had explained the turns stayed, 29 to 34 % too small."""
     settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
@@ -262,11 +266,13 @@ def test_the_turning_rates_of_motors_that_saturate_are_found():
     assert estimate.a == pytest.approx(plant.a, rel=0.15)
 
 
+@pytest.mark.long
 def test_a_bank_is_not_opened_again_while_the_model_fits():
     driven = drive(["plant.dead_time=0.11", "plant.a_error=0.2", *NOISY], 20, 20)
     assert driven.filters.reopened_ns is None
 
 
+@pytest.mark.long
 def test_a_motion_that_the_model_leaves_out_is_noticed():
     """Robots slide, and are taken not to."""
     names = ["green", "blue", "red"]
@@ -350,16 +356,19 @@ def test_the_radio_is_tested_where_something_is_to_be_learnt(is_learnt):
     assert bank.tests_radio == is_learnt
 
 
+@pytest.mark.long
 def test_a_radio_that_works_never_seems_sparse():
     driven = drive(RADIO, rate=20, directions=JUMPING)
     assert driven.filters.reception.times_shown == 0
 
 
+@pytest.mark.long
 def test_a_radio_that_each_robot_hears_badly_by_itself_is_not_taken_for_it():
     driven = drive((*RADIO, "plant.lost_commands=0.3"), rate=20, directions=JUMPING)
     assert not driven.estimator.is_radio_sparse
 
 
+@pytest.mark.long
 def test_commands_that_act_later_are_not_taken_for_it():
     late = Late([0.1] * 3, since_s=6.0)
     driven = drive(RADIO, rate=20, disturbance=late, directions=JUMPING)
@@ -390,6 +399,7 @@ def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.03)
 
 
+@pytest.mark.long
 def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
     """With the lag given, the dead time is that of the radio and a the true one."""
     wheels = "{rate: 400, lead: 0.01, lag: 0.04}"
@@ -421,6 +431,7 @@ def test_cells_are_followed_through_helix_noise_and_flow(settings):
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.15)
 
 
+@pytest.mark.long
 def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_said_to_stand():
     stuck = "plant.disturbances=[{type: sticking, every: 2, duration: 0.5}]"
     agree = []
@@ -436,6 +447,7 @@ def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_said_to_stand():
     assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_cell_that_rests_is_said_to_stand_within_three_to_five_pictures():
     rate = 30
     said = {}  # by the number of pictures since the rest began
@@ -685,6 +697,7 @@ def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
     assert len(sizes) > 2
 
 
+@pytest.mark.long
 def test_a_robot_whose_watchdog_stops_it_fits_a_hypothesis():
     """At 5 Hz, a robot that misses one direction stands after 0.25 s, until it hears the next."""
     unfit = []
@@ -732,6 +745,7 @@ def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
     assert not np.isnan(np.concatenate(directions)).any()
 
 
+@pytest.mark.long
 def test_poses_are_followed_at_their_own_times():
     late_ns = 30_000_000
 
@@ -794,6 +808,7 @@ def test_frames_of_one_robot_alone_may_repeat():
     assert filters.bank.cov[filter_row, robot, slot, X, X] < first_var
 
 
+@pytest.mark.long
 def test_where_robots_will_be_can_be_asked_any_number_of_times():
     """A forecast changes nothing: what later frames bring does not depend on it."""
 

@@ -103,6 +103,7 @@ def test_three_robots_pass_a_gap_one_after_the_other_to_their_targets(tmp_path):
     assert verify(log_path(tmp_path, 0)).problems == ()
 
 
+@pytest.mark.long
 def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
     """Random sequences leave more than half of the way; the tree is the same for every clock.
 
@@ -137,6 +138,7 @@ def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
     assert discs.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", range(3))
 def test_a_polish_from_the_tree_leads_robots_from_anywhere_to_anywhere(key):
     """Four robots to places of their own in 2.4 m: no search from random sequences finds a plan."""

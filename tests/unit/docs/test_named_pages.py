@@ -37,6 +37,7 @@ def missing(path, text):
             yield page
 
 
+@pytest.mark.long
 def test_every_page_that_a_source_names_exists():
     files = sources()
     assert ROOT / "experiments" / "tetrahymena.yaml" in files

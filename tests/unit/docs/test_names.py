@@ -5,6 +5,7 @@ import re
 import tomllib
 from collections import defaultdict
 
+import pytest
 from support.paths import ROOT, SOURCE_FOLDERS
 
 from tetractl.experiment.load import load_spec
@@ -37,6 +38,7 @@ def repeated(places):
     return {name: paths for name, paths in places.items() if len(paths) > 1}
 
 
+@pytest.mark.long
 def test_a_class_has_a_name_of_its_own():
     places = defaultdict(list)
     for package in PACKAGES:

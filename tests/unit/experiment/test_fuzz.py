@@ -74,6 +74,7 @@ def mutated(draw):
     return data
 
 
+@pytest.mark.long
 @given(mutated())
 def test_any_change_to_a_good_spec(data):
     spec_text(dump(data))
@@ -83,6 +84,7 @@ WITH_PATHS = st.builds("{}={}".format, KEYS, TREES)
 SETTINGS = st.text(max_size=30) | WITH_PATHS
 
 
+@pytest.mark.long
 @given(SETTINGS, st.sampled_from(["", "0."]))
 def test_any_setting(setting, step):
     spec_text(WRITTEN, setting, f"robots.{step}{setting}")
@@ -131,6 +133,7 @@ NEGATIVE_ZERO = GOOD.model_copy(
 )
 
 
+@pytest.mark.long
 @given(experiments())
 @example(NEGATIVE_ZERO)
 def test_a_resolved_spec_loads_as_the_same_experiment(experiment):

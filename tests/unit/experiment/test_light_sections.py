@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 from support.paths import ROOT
 
 CHECK = """
@@ -20,6 +21,7 @@ print(sorted({"numba", "matplotlib", "cv2", "serial", "scipy"} & set(sys.modules
 """
 
 
+@pytest.mark.long
 def test_no_section_imports_what_is_heavy():
     done = subprocess.run(
         [sys.executable, "-c", CHECK, ROOT / "experiments/three_m3pi.yaml"],

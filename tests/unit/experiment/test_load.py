@@ -197,6 +197,7 @@ def test_an_empty_list_is_called_too_short():
     assert problem == "s.yaml:3:9: robots: []: must have at least 1 entries"
 
 
+@pytest.mark.long
 def test_thousands_of_problems_are_cut_short():
     unknown_keys = "".join(f"key{i}: 1\n" for i in range(500))
     *first_hundred, last = problems(GOOD + unknown_keys)

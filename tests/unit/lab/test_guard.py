@@ -496,6 +496,7 @@ def test_limits_in_millimetres_hold_in_the_units_of_the_spec():
     assert course.guard.refused == ("its pose jumped", "")
 
 
+@pytest.mark.long
 def test_a_drift_is_the_same_in_every_unit():
     """Green drives an arc, and is seen to do a little more than it is commanded."""
 

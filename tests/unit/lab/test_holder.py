@@ -110,6 +110,7 @@ def test_stops_are_sent_before_anything_is_said(port, hold):
     assert "has this port open" in events[1]
 
 
+@pytest.mark.long
 def test_lab_stop_ends_a_run_although_nobody_reads_its_stdout(port, hold):
     """Regression: `lab stop | head -1` ended with exit code 0 at its first line, without a signal
     to the run, and without one stop."""

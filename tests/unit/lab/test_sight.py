@@ -150,6 +150,7 @@ class Mat:
         return poses, times_ns
 
 
+@pytest.mark.long
 def test_poses_on_a_grid_repeat_and_their_robots_are_not_lost():
     mat = Mat(swing=0.5, speed=60.0)
     guard = mat.go(6.0)
@@ -158,6 +159,7 @@ def test_poses_on_a_grid_repeat_and_their_robots_are_not_lost():
     assert mat.repeats > 100
 
 
+@pytest.mark.long
 def test_poses_that_repeat_are_refused_where_nothing_is_said_of_a_grid():
     mat = Mat(replace(RULES, sight=Sight()), swing=0.5, speed=60.0)
     assert mat.go(6.0).refusals > 100

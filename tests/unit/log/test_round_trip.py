@@ -48,6 +48,7 @@ def assert_same_frames(log, random_trial):
     assert not first_difference(log.truth, truth)
 
 
+@pytest.mark.long
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32),

@@ -103,6 +103,7 @@ def test_a_path_goes_on_from_the_last_sample_of_the_call_before():
     assert check.entered.tolist() == [True]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("walls", [None, ARENA])
 def test_many_samples_at_once_are_checked_as_one_by_one(walls):
     """Three robots wander by steps of 10 mm; a tenth of their samples is unknown."""

@@ -117,6 +117,7 @@ def test_shapes_grow_by_the_margin_and_no_more(section, x0, y0, x1, y1, margin):
         assert not crosses(grown, x0, y0, x1, y1)
 
 
+@pytest.mark.long
 @given(SHAPES, PLACES, PLACES, PLACES, PLACES, MARGINS)
 @example(L_SHAPE, 2.0, 2.0, 0.0, 0.0, 0.0)
 @example(L_SHAPE, 4.0, 0.5, 0.0, 0.0, 0.0)  # on an edge

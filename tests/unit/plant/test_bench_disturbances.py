@@ -172,6 +172,7 @@ def test_a_flow_carries_all_who_swim_alike():
     assert samples[-1].truth.y - start_y == pytest.approx([20, 20], abs=0.2)
 
 
+@pytest.mark.long
 def test_the_direction_of_a_flow_is_drawn_in_every_trial():
     angles = []
     for seed in range(200):
@@ -308,6 +309,7 @@ def test_markers_are_off_to_either_side_in_the_picture_alone():
     assert rate_agrees(np.array(off) > 0, 0.5)
 
 
+@pytest.mark.long
 def test_robots_slow_down_as_batteries_do():
     """By a fifth in 10 s, at 120 frames a second, and no further."""
     samples = driven(plant({"type": "battery", "speed": 0.2, "over": 10.0}), 20)
@@ -341,6 +343,7 @@ def test_robots_whose_speeds_wander_do_not_come_as_far_as_by_their_speeds():
     assert way != pytest.approx(10 * SPEEDS, rel=1e-3)
 
 
+@pytest.mark.long
 def test_tracking_is_lost_as_often_and_as_long_as_the_spec_says():
     section = {"type": "tracking-loss", "every": 0.3, "duration": 0.1}
     samples = driven(plant(section, seed=3), 200)

@@ -205,6 +205,7 @@ def test_a_stop_has_the_time_at_which_it_was_first_sent_and_is_reported_once(cal
     assert [sent_ns for sent_ns in others if sent_ns >= stops[0]] == stops[1:]
 
 
+@pytest.mark.long
 def test_a_trial_at_20_hz_goes_on_after_a_turn_on_the_spot_and_a_long_search():
     lab = opened(replace(SETUP, period_s=0.05))
     for search_s in (0.0, 3.0):

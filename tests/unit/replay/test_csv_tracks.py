@@ -254,7 +254,7 @@ def test_a_table_is_read_however_it_is_written(tmp_path, form):
     assert not track.remarks
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_is_right_of_a_table_in_unix_seconds(tmp_path):
     tracks = csv_tracks(write_drive(tmp_path, FORMS["Unix seconds"]))
     (robot,) = identify(tracks, None).robots

@@ -74,6 +74,7 @@ def test_tables_and_arrays_hold_no_direction_then(log):
     assert np.isnan(to_arrays(log).direction).tolist() == off
 
 
+@pytest.mark.long
 def test_it_is_shown(log):
     k = next(step.k for step in log.steps if step.command.action == FieldOff())
     assert "field off" in step_line(Recording(log), k)

@@ -105,6 +105,7 @@ def width(interval):
     return interval.high - interval.low
 
 
+@pytest.mark.long
 def test_without_noise_everything_is_found_exactly():
     driven = drive(1, "plant.dead_time=0.083", "plant.a_error=0.25", "plant.speed_error=0.2")
     identification = identify([driven.track], A_RAD_S)
@@ -301,6 +302,7 @@ def test_commands_that_follow_before_a_frame_tells_are_no_noise():
     assert_noise_is_right(identify([driven.track], A_RAD_S).robots)
 
 
+@pytest.mark.long
 def test_robots_that_are_seen_at_times_of_their_own_have_one_dead_time():
     """Robots that measure their own poses: two of them earlier than the frame, by up to 0.1 s."""
     track = drive(1, "plant.dead_time=0.083").track
@@ -339,6 +341,7 @@ def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():
     assert hold_s2 >= hold_s**2
 
 
+@pytest.mark.long
 def test_lost_commands_are_counted():
     driven = drive(8, *NOISY, "plant.dead_time=0.06", "plant.lost_commands=0.1")
     identification = identify([driven.track], A_RAD_S)
@@ -346,6 +349,7 @@ def test_lost_commands_are_counted():
     assert 6 <= lost <= 25  # of 150, 15 expected
 
 
+@pytest.mark.long
 def test_a_is_found_where_nothing_is_expected():
     driven = drive(4, *NOISY, "plant.dead_time=0.1")
     identification = identify([driven.track], None)
@@ -363,6 +367,7 @@ def test_pooled_tracks_tell_more_than_one():
         assert width(pooled.a) < 0.8 * width(alone.a)
 
 
+@pytest.mark.long
 def test_frames_that_did_not_see_a_robot_are_left_out():
     track = drive(6, *NOISY, "plant.dead_time=0.1").track
     track.valid[300:500, 1] = False
@@ -404,6 +409,7 @@ def test_tracks_of_other_robots_are_refused():
         identify([track, renamed], A_RAD_S)
 
 
+@pytest.mark.long
 def test_a_model_that_fits_is_said_to():
     track = drive(5, *NOISY, "plant.dead_time=0.1").track
     identification = identify([track], A_RAD_S)
@@ -411,6 +417,7 @@ def test_a_model_that_fits_is_said_to():
     assert "the model fits" in tables(identification)[0].note
 
 
+@pytest.mark.long
 def test_a_model_that_does_not_fit_is_said_not_to():
     """A robot that turns faster to one side, by half as much again."""
     track = drive(5, *NOISY, "plant.dead_time=0.1").track

@@ -86,6 +86,7 @@ def track_of_one_robot(seed):
     )
 
 
+@pytest.mark.long
 def test_gains_lags_and_dead_time_are_found_and_intervals_hold_them():
     holds = []
     for seed in range(2):
@@ -103,6 +104,7 @@ def width(interval):
     return interval.high - interval.low
 
 
+@pytest.mark.long
 def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
     disturbed = track_of_one_robot(4)
     clean = track_of_one_robot(5)

@@ -82,6 +82,7 @@ def test_a_mirror_image_that_no_dead_time_explains_is_refused():
         check([course_by(mirrored)], RANDOM)
 
 
+@pytest.mark.long
 def test_robots_that_no_directions_turn_say_nothing():
     """Headings that wander by 0.3 rad/sqrt(s), as of cells without a magnet."""
     random = np.random.default_rng(5)

@@ -56,6 +56,7 @@ def test_a_reversal_of_more_than_its_bound_ends_a_turn():
     assert spinning_time(angle, np.arange(7.0)) == 4 + 2  # 0 to 7 rad, and back to 0
 
 
+@pytest.mark.long
 def test_a_paper_is_run_once_and_its_table_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(PAPERS.builtin, "mine", f"{__name__}:PAPER")
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.DONE
@@ -68,6 +69,7 @@ def test_a_paper_is_run_once_and_its_table_printed(tmp_path, monkeypatch, capsys
     assert {path: path.stat().st_mtime_ns for path in written_ns} == written_ns
 
 
+@pytest.mark.long
 def test_another_verdict_than_the_pages_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(PAPERS, "load", lambda name: Paper("x", ARMS, [claim(0)]))
     monkeypatch.setitem(PAPERS.builtin, "mine", f"{__name__}:PAPER")
@@ -75,6 +77,7 @@ def test_another_verdict_than_the_pages_is_told(tmp_path, monkeypatch, capsys):
     assert "mine: error: missed, but reached on the page" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_each_plan_is_sent_open_loop_in_a_trial_of_its_own(tmp_path, monkeypatch):
     """Without disturbances a plan of the plant's own equations ends where it says."""
     euler = ("plant.motion=euler", "controller.steps_max=1")
@@ -89,6 +92,7 @@ def test_each_plan_is_sent_open_loop_in_a_trial_of_its_own(tmp_path, monkeypatch
         assert total_error(sent) == pytest.approx(planned.steps[0].plan.target_cost, abs=1e-6)
 
 
+@pytest.mark.long
 def test_after_ctrl_c_it_goes_on_with_the_trials_it_lacks(tmp_path, monkeypatch):
     run_batch = api.run_batch
 

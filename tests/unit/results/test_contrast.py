@@ -122,6 +122,7 @@ def test_other_worlds_are_not_paired(fields, why):
     assert unpaired.difference.ci95.known
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("paired", [True, False])
 def test_the_p_of_a_table_and_its_interval_are_of_one_test(paired):
     """With equal means and unequal spread ranks differ, the means do not.

@@ -60,6 +60,7 @@ def test_a_trial_that_failed_is_counted_once(tmp_path):
     assert whole_logs(failed) == {0: True, 1: True, 2: True, 3: True}
 
 
+@pytest.mark.long
 def test_logs_that_were_set_aside_do_not_count(tmp_path, monkeypatch):
     arm = arm_of_three_trials(tmp_path, ALL)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")

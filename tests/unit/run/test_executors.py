@@ -21,6 +21,7 @@ print("goes on")
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
 def test_a_worker_whose_pool_broke_ends_without_the_log_of_its_trial():
     """Regression: with its fork server killed, a pool ended workers by SIGTERM; these wrote logs of

@@ -153,6 +153,7 @@ def test_a_trial_goes_on_without_a_robot_that_does_not_move(tmp_path):
     assert verify(path).problems == ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("robots", "on_lost"), [(LISTED, "drop"), (MARKED, "replace")])
 def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(
     robots, on_lost, tmp_path, monkeypatch

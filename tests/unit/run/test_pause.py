@@ -78,6 +78,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
     assert verify(log_path(tmp_path, 3)).problems == ()
 
 
+@pytest.mark.long
 def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(tmp_path):
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     run_trial(spec, tmp_path, 3)

@@ -94,6 +94,7 @@ def test_a_dry_run_in_the_lab_says_where_it_would_go_and_what_ends_it():
     assert "cameras" not in limits(load_spec(spec).experiment)
 
 
+@pytest.mark.long
 def test_the_gap_of_the_square_is_not_believed_to_be_motion(tmp_path):
     """The robots are back at their start after 6 s: the way between is 0, the speed is not."""
     square = ("first_plan.type=square", "first_plan.side=1.5", "estimate=true")

@@ -125,6 +125,7 @@ def test_viewers_watch_once_one_has_subscribed(server):
         assert server.viewers.watched
 
 
+@pytest.mark.long
 def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
     server = Live()
     frames = 3 * BACKLOG  # far more than its queue and sockets hold

@@ -40,6 +40,7 @@ def headline_of(figure):
     return text.get_text()
 
 
+@pytest.mark.long
 def test_the_error_of_one_arm_is_that_of_its_trials(ran):
     arm = ran.loaded.arms[2]
     group = group_of(ran.loaded, ran.store, arm.name, [arm])
@@ -108,6 +109,7 @@ def test_rows_of_several_types_of_processor_are_marked(ran, monkeypatch):
     )
 
 
+@pytest.mark.long
 def test_there_is_a_figure_for_each_field_and_it_repeats(ran):
     paths = write_figures(ran.loaded, ran.store)
     assert [path.name for path in paths] == [
@@ -133,6 +135,7 @@ def test_a_figure_has_a_line_for_each_controller(ran):
     )
 
 
+@pytest.mark.long
 def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
     study = (
         "name: q\nbase: spec.yaml\ntrials: {count: 5}\n"

@@ -53,6 +53,7 @@ def digests(ran):
     return {key: trial.digest for key, trial in ran.finished.items()}
 
 
+@pytest.mark.long
 def test_a_brief_log_has_the_result_and_the_digest_of_the_trial_run_by_itself(tmp_path):
     ran = run(tmp_path)
     arm = ran.loaded.arms[3]

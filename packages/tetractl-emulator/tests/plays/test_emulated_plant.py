@@ -148,6 +148,7 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
     assert "the content digests agree" in done.stderr, done.stderr
 
 
+@pytest.mark.long
 @needs_compiler
 def test_late_steps_between_punctual_ones_do_not_end_a_trial(tmp_path):
     script = tmp_path / "busy.yaml"

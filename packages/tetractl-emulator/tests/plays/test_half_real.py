@@ -14,6 +14,7 @@ from tetractl_emulator.virtual_plant import EmulatedPlantSection
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("real", ["neither", "camera", "actuator", "both"])
 def test_each_mix_of_real_and_emulated_devices_runs_and_verifies(tmp_path, real):
     with virtual_lab(tmp_path, *SMALL, spec=THREE, ahead_s=0.5) as lab:

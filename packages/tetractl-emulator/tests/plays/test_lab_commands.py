@@ -194,6 +194,7 @@ def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, m
     assert done.stderr.endswith("nowhere: there is no such port\nhint: is the radio plugged in?\n")
 
 
+@pytest.mark.long
 def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     """Regression: `rerun LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
     emulated = lab(replace_after=0.5)
@@ -271,6 +272,7 @@ TWIST = "{type: twist, port: p, robots: [{name: green}, {name: blue}, {name: red
 ODD = "{actuator: {robots: [{name: green, left_gain: 0.9, right_gain: 1.1}]}}"
 
 
+@pytest.mark.long
 def test_calibrate_drives_robots_that_take_lines_too(tmp_path):
     sets = (f"lab.actuator={TWIST}", f"plant.faults={{about: odd gains, emulation: {ODD}}}")
     words = ("lab", "calibrate", SPEC, "--plant", "emulated", "--robot", "green")

@@ -87,6 +87,7 @@ def test_a_lab_with_a_real_device_is_not_rehearsed(tmp_path):
     assert "a device of this one is real" in done.stderr
 
 
+@pytest.mark.long
 def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):
     """Regression: no row of the table had the reason."""
     silent = {"kind": "server silent", "strength": 0.5, "fault": "no_server"}
@@ -191,6 +192,7 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault_by_any_number_of_jobs
     assert "doubled_packets" not in script
 
 
+@pytest.mark.long
 def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkeypatch):
     """Regression: the day was forgotten, and the last line said that there was no violation."""
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [*FAULTS], ""))

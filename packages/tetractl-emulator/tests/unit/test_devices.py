@@ -75,6 +75,7 @@ ACTUATORS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CAMERAS)
 def test_camera(name, tmp_path):
     with CAMERAS[name](tmp_path) as (section, setup, scene):

@@ -8,6 +8,7 @@ from support.wire_targets import TARGETS
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TARGETS)
 def test_anything_may_come(name):
     withstands(TARGETS[name])

@@ -44,6 +44,7 @@ def test_a_tag_that_no_page_holds_is_refused():
         list(arranged(PAPERS["a4"], [(3, 200.0, "x")]))
 
 
+@pytest.mark.long
 def test_a_new_spec_with_tags_is_printed_on_true_pages(tmp_path):
     tetractl(tmp_path, "init", "shelf", "--lab", "--camera", "apriltag", "--robots", "twist").ok()
     done = tetractl(tmp_path, "lab", "markers", "shelf.yaml", "-o", "tags.pdf").ok()

@@ -34,6 +34,7 @@ def tracks(dish):
     return dish / "found", tetractl(dish, "track", "dish.avi", *words).ok().stdout
 
 
+@pytest.mark.long
 def test_tables_a_log_and_a_film_are_written(tracks):
     out, printed = tracks
     assert "magnet" in printed and "wrote found" in printed
@@ -171,6 +172,7 @@ def test_speeds_have_intervals_in_json_unless_the_scale_is_guessed(dish):
     assert "none: the scale is a guess" in again.stdout
 
 
+@pytest.mark.long
 def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
     stack(tmp_path / "still.tif", np.full((20, 64, 80), 700, np.uint16))
     without = tetractl(tmp_path, "track", "still.tif", "--scale", "2.3")
@@ -184,6 +186,7 @@ def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
     )
 
 
+@pytest.mark.long
 def test_times_of_a_folder_are_those_of_the_table(tmp_path):
     synthetic = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
     pictures = np.array(list(synthetic.pictures()))

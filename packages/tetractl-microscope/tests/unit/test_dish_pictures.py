@@ -23,6 +23,7 @@ def log(tmp_path_factory):
     return read_trial(path)
 
 
+@pytest.mark.long
 def test_a_picture_lies_where_its_cells_were_measured(log):
     pictures = DishPictures(log)
     assert pictures.times == [time_ns for time_ns, _ in log.pictures]

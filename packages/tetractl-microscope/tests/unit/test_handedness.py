@@ -56,6 +56,7 @@ def test_side_and_rotation_are_found(mirrored, rotated):
     assert all(words in problem for problem in problems)
 
 
+@pytest.mark.long
 def test_cells_that_do_not_follow_the_field_are_a_problem_and_so_are_too_few():
     driven = manoeuvre(3.2, 6)
     turning = handedness(paths(driven), field_of(manoeuvre(2.3, 9)))

@@ -13,6 +13,7 @@ from tetractl.core.errors import TetractlError
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_a_camera_may_answer_anything():
     withstands(TARGETS["pictures"])
 

@@ -42,6 +42,7 @@ def test_what_does_not_swim_does_not_respond_to_the_field():
     assert replace(speck, speed=79.0).magnetised
 
 
+@pytest.mark.long
 def test_no_choice_has_cells_that_cannot_be_distinguished():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]

@@ -17,6 +17,7 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.long
 def test_a_run_is_valid_and_verifies(folder):
     assert "1 of 1 trials valid" in tetractl(folder, *RUN, "--out", "well").ok().stdout
     assert "bit-identical" in tetractl(folder, "verify", "well").ok().stdout

@@ -50,6 +50,7 @@ def faults(*rows):
     return ("--set", f"plant.faults={{about: a test, faults: [{listed}]}}")
 
 
+@pytest.mark.long
 def test_a_run_reads_the_mat_and_verifies(folder):
     done = run(folder, "well", "--trials", "2", "--set", "plant.record=truth").ok()
     assert "2 of 2 trials valid" in done.stdout
@@ -64,6 +65,7 @@ def test_a_run_reads_the_mat_and_verifies(folder):
     assert any(event["event"] == "command" and any(event["drives"]) for event in events)
 
 
+@pytest.mark.long
 def test_turns_computed_again_from_a_log_are_those_of_the_guard(folder, monkeypatch):
     """Regression: frames were seen after a command of the same time, and turns of cubes differed by
     up to 0.71 of a standard error."""
@@ -79,6 +81,7 @@ def test_turns_computed_again_from_a_log_are_those_of_the_guard(folder, monkeypa
     assert all(0 < error < 10 for error in trial.result.verdict.turn_std)
 
 
+@pytest.mark.long
 def test_cubes_that_are_lifted_before_a_run_are_waited_for(folder, tmp_path):
     """Regression: a cube says once that it sees no mat, so that a run took cubes that were carried
     to their starts for a camera without frames."""
@@ -114,6 +117,7 @@ def rehearse(folder, out, monkeypatch, fault):
     return json.loads((out / "record-000000.json").read_text())["record"]
 
 
+@pytest.mark.long
 def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
     folder, tmp_path, monkeypatch
 ):
@@ -125,6 +129,7 @@ def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
     assert record["reason"] == "no message came from green, blue, red"
 
 
+@pytest.mark.long
 def test_frozen_readings_of_cubes_that_stand_show_them(folder, tmp_path, monkeypatch):
     """Regression: a trial was said to count though its robots were unseen, as the cubes reported
     the same readings while they stood."""

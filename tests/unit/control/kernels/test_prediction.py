@@ -182,6 +182,7 @@ def costs_twice(problem, signals):
     return costs(signals.T)
 
 
+@pytest.mark.long
 @given(
     seed=SEEDS,
     robots=st.integers(1, 5),

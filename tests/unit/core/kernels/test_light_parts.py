@@ -63,6 +63,7 @@ def called_by_another_kernel(part):
     return other(1.0)
 
 
+@pytest.mark.long
 def test_a_part_can_be_called_by_kernels_of_others_too():
     kernel, light_part = kernel_and_part(LATEST)
     usual_kernel, usual_part = kernel_and_part(UNTRIED)

@@ -120,6 +120,7 @@ NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, math.pi, 5e-324, 1e3
 UNIX_NS = st.integers(0, 2**62) | st.sampled_from([0, 1, 2**21, EPOCH_NS, EPOCH_NS + 2**28])
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(data=st.data(), robots=st.integers(1, 3), count=st.integers(0, 12))
 def test_the_bytes_are_those_of_protobufs_own_encoder(data, robots, count):

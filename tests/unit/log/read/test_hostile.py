@@ -47,6 +47,7 @@ def contents(log):
     return scan(log)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["truncated", "flipped"])
 def test_a_damaged_log_is_read_as_far_as_it_is_good(log, tmp_path, kind):
     """Ten thousand of each in benchmarks/log.py."""
@@ -79,6 +80,7 @@ PADDING = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
 EMPTY = bytes([Opcode.MESSAGE]) + struct.pack("<QHIQQ", 22, 1, 0, 0, 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("inside", [PADDING, EMPTY * 60_000])
 def test_many_chunks_together_are_bounded(log, tmp_path, inside):
     path = with_chunks(log, tmp_path / "many.mcap", [chunk(inside)] * 20)

@@ -112,6 +112,7 @@ def test_a_log_that_is_recovered_twice_says_it_once(rotten, tmp_path):
     assert len(scan(tmp_path / "twice.mcap").by_topic[RECOVERED]) == 1
 
 
+@pytest.mark.long
 def test_every_intact_record_comes_back(log, tmp_path):
     data = log.read_bytes()
     rng = random.Random(3)

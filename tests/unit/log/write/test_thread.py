@@ -78,6 +78,7 @@ def test_a_disk_that_stays_still_ends_the_trial(tmp_path, monkeypatch):
     assert read_trial(tmp_path / "trial.mcap.part").damage is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
 def test_what_fails_in_the_thread_reaches_the_loop_at_its_next_call(tmp_path, monkeypatch, number):
     random_trial = trial(steps=3)

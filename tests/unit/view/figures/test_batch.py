@@ -59,6 +59,7 @@ def test_a_batch_without_a_controller_is_called_given_directions():
     assert labels == ["this batch\nn = 7\ngiven directions"]
 
 
+@pytest.mark.long
 def test_a_dot_links_to_its_trial(tmp_path):
     statistics = group(batch(ERRORS[:3].tolist()))
     links = {trial.log: f"#trial-{i}" for i, trial in enumerate(statistics.batch.trials, 1)}

@@ -241,6 +241,7 @@ def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     assert total[tracked] == pytest.approx(gap.sum(axis=1)[tracked])
 
 
+@pytest.mark.long
 def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log):
     missed = 3
     first = replace(log.steps[0], solve_ns=900_000_000)  # it may take longer than a period
@@ -258,6 +259,7 @@ def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log)
     assert f"0 of {1 + len(rest)} deadlines missed" in words(in_time)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["errors", "over-time"])
 def test_the_time_axis_starts_with_the_first_direction(log, kind):
     placed = 20 * SECOND
@@ -283,6 +285,7 @@ def test_the_time_axis_starts_with_the_first_direction(log, kind):
         assert axes.get_xlabel() == expected.get_xlabel()
 
 
+@pytest.mark.long
 def test_the_direction_turns_through_pi_without_a_line_across(log):
     sent = (3.0, -3.0, -0.5)  # rad: from the first to the second it turns by 0.28
     steps = tuple(
@@ -296,6 +299,7 @@ def test_the_direction_turns_through_pi_without_a_line_across(log):
     assert [tick.get_text() for tick in direction.get_yticklabels()][::2] == ["−π", "0", "π"]
 
 
+@pytest.mark.long
 def test_over_time_shows_what_was_estimated(log):
     figure = draw("over-time", [log])
     _, _, a, speed = figure.axes
@@ -309,6 +313,7 @@ def test_over_time_shows_what_was_estimated(log):
     assert "one standard deviation" in text
 
 
+@pytest.mark.long
 def test_over_time_shows_the_dead_time_if_it_was_estimated(log):
     more = {
         "heading_bias": np.array([0.1, 0, -0.1]),
@@ -339,17 +344,20 @@ def test_no_text_hides_another_dashes_are_in_the_legend_and_the_plant_is_named(l
     assert {line.get_linestyle() for line in dashed} <= keys
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [kind for kind in ALONE if kind != "swarm"])
 def test_no_text_hides_another_of_many_robots(log, kind):
     assert overlapping(draw(kind, [many(log, 14)])) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", SEVERAL)
 def test_no_text_hides_another_in_a_batch_of_many_robots(log, kind):
     logs = [many(three_robots(seed), 14) for seed in (1, 2, 3)]
     assert overlapping(draw(kind, logs)) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["trajectory", "over-time"])
 def test_an_aborted_trial_says_so(log, kind):
     assert log.result
@@ -417,6 +425,7 @@ def chose(log, order):
     return replace(log, experiment=spec, start=replace(log.start, setup=spec.setup))
 
 
+@pytest.mark.long
 def test_trials_that_chose_their_robots_by_one_rule_are_drawn_together(log):
     logs = [chose(log, (0, 1, 2)), chose(log, (1, 0, 2))]
     for kind in SEVERAL:
@@ -439,6 +448,7 @@ def test_what_cannot_be_drawn_is_told(log, kind, changed, error, why):
         draw(kind, changed(log))
 
 
+@pytest.mark.long
 def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
     before = dict(matplotlib.rcParams)
     figure = draw("over-time", [log])
@@ -471,6 +481,7 @@ def test_the_swarm_is_that_of_the_logged_search(log):
     assert np.isclose(dots["course"][-1], dots["swarm"]).all(axis=1).any()
 
 
+@pytest.mark.long
 def test_the_errors_of_a_batch_end_as_the_results_say(log):
     logs = [three_robots(seed) for seed in (1, 2, 3)]
     of_total, of_robots = draw("errors", logs).axes
@@ -485,6 +496,7 @@ def test_the_errors_of_a_batch_end_as_the_results_say(log):
     assert starts == pytest.approx([sum(np.hypot([800] * 3, [300, 300, 400]))] * 3, rel=0.01)
 
 
+@pytest.mark.long
 def test_aborted_trials_are_not_in_the_band_nor_in_the_means(log):
     logs = [three_robots(seed) for seed in (1, 2, 3)]
     assert logs[2].result
@@ -527,6 +539,7 @@ def with_total(log, folder, error):
     return replace(log, log=f"{folder}/trial-{error:.0f}.mcap", result=result)
 
 
+@pytest.mark.long
 def test_each_folder_has_panels_of_its_own_errors(log):
     logs = two_arms(log)
     figure = draw("errors", logs)

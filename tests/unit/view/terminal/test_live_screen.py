@@ -62,6 +62,7 @@ def ended(trial, count, result, left_s=None):
     return Ending(Task(trial, count, b"", "arm"), result, failure, left_s)
 
 
+@pytest.mark.long
 def test_the_live_view_shows_trial_numbers_and_how_it_ended(tmp_path):
     console = terminal()
     wall = Wall()

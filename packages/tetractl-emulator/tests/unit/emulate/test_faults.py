@@ -165,6 +165,7 @@ def test_a_fault_of_pictures_is_taken_back(tmp_path, text):
         assert picture_state() == before
 
 
+@pytest.mark.long
 def test_pictures_are_late_lost_or_doubled_and_what_is_shown_is_known(tmp_path):
     """From 1 s on pictures come 0.2 s later, from 2 s on all are lost, those under way too."""
     pytest.importorskip("cv2")

@@ -56,6 +56,7 @@ def client(tmp_path):
         yield Client(lab)
 
 
+@pytest.mark.long
 def test_unicast_clients_time_out_and_are_kept_alive(client):
     motive = client.motive
     clock = client.clock

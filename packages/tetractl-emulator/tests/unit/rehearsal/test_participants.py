@@ -35,6 +35,7 @@ def test_a_camera_of_pictures_has_none_of_a_motion_capture_system():
     assert not names & {"swap", "twin_id", "ghost"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["tetrahymena_dish", "tetrahymena_lab", "tags"])
 def test_days_of_cells_and_of_pictures_are_valid_scripts(name):
     """Every row is drawn; a dish from which trials choose has its own cells."""
@@ -79,6 +80,7 @@ def test_one_robot_is_not_swapped_with_itself():
     assert none == {"swap", "swapped_numbers", "twin_id"}
 
 
+@pytest.mark.long
 def test_days_of_lines_are_valid_scripts_with_a_world_of_their_own():
     lab, setup = lab_of(TWIST_SPEC)
     for day in range(100):

@@ -42,6 +42,7 @@ def test_every_tenth_day_is_a_valid_script():
         assert len(script.faults) == len(plan.faults)
 
 
+@pytest.mark.long
 def test_every_fault_is_drawn_often_and_its_strongest_lasts():
     random = Random(1)
     counts = Counter()

@@ -1,5 +1,6 @@
 """What days come to: the table of faults, how days ended, and the drawing."""
 
+import pytest
 from tetractl_emulator.rehearsal.drawing import days_figure
 from tetractl_emulator.rehearsal.schedule import KINDS
 from tetractl_emulator.rehearsal.summary import reasons, summary, table
@@ -40,6 +41,7 @@ def test_reasons_are_counted_whatever_their_numbers():
     assert reasons(rows) == "2 days: no frame for … s\n1 day: green is lost"
 
 
+@pytest.mark.long
 def test_every_fault_has_a_row_of_the_drawing_and_every_notice_a_point():
     days, times = days_figure(ROWS, KINDS, "a rehearsal").axes
     assert [label.get_text() for label in days.get_yticklabels()] == [k.name for k in KINDS]

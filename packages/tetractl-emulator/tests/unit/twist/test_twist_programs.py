@@ -112,6 +112,7 @@ def damaged(rng):
     return line.replace(b"\n", b"")
 
 
+@pytest.mark.long
 @needs_compiler
 def test_core_program_and_codec_agree_on_what_a_command_is(tmp_path):
     rng = random.Random(3)

@@ -233,6 +233,7 @@ class Served:
         self.server.__exit__(*error)
 
 
+@pytest.mark.long
 def test_exposure_times_are_right_to_a_few_milliseconds():
     """A robot that moves by known speed tells when a frame was really exposed."""
     speed = 300.0

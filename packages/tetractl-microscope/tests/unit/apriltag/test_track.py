@@ -33,6 +33,7 @@ def off(looked, i=0, truth=STANDING):
     return math.hypot(pose.x - truth.x[i], pose.y - truth.y[i])
 
 
+@pytest.mark.long
 @finds_small_tags
 @pytest.mark.parametrize(
     ("size", "mm", "mm_95", "rad", "rad_95"),
@@ -97,6 +98,7 @@ def test_tilted_the_focal_length_is_found():
     assert mine.floor.plane.doubt_mm < 1.5
 
 
+@pytest.mark.long
 def test_a_calibrated_lens_is_straightened():
     bent = (-0.3, 0.15, 0.004, -0.003, 0.0)
     renderer = rendered(LARGE, distortion=bent)
@@ -107,6 +109,7 @@ def test_a_calibrated_lens_is_straightened():
     assert np.median(wrong) > 3 * np.median(right)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bend", [-0.2, 0.05])
 def test_the_bend_of_a_simple_lens_is_found_from_the_floor(bend):
     renderer = rendered(LARGE, distortion=(bend, 0.0, 0.0, 0.0))

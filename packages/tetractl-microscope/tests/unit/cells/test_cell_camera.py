@@ -59,6 +59,7 @@ def camera(path, starts, extra="", clock=None):
     return experiment, camera
 
 
+@pytest.mark.long
 def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path):
     synthetic, path = dish(tmp_path)
     starts = synthetic.body[25, [1, 0], :2]  # the other way round
@@ -80,6 +81,7 @@ def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path
     assert health.facts["scale"] == "2.3 um/px"
 
 
+@pytest.mark.long
 def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
     """From picture 50 on all that is seen is shifted, and a rim is new; what is still tells."""
     down = 6
@@ -109,6 +111,7 @@ def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
     assert cells._view.moved_um == pytest.approx((right * 2.3, -down * 2.3), abs=3)
 
 
+@pytest.mark.long
 def test_a_picture_that_comes_again_is_no_frame(tmp_path):
     """A camera's noise never repeats; black pictures are all alike, and are reported as black."""
     synthetic, path = dish(tmp_path)
@@ -128,6 +131,7 @@ def test_a_picture_that_comes_again_is_no_frame(tmp_path):
     assert cells.damaged == 0
 
 
+@pytest.mark.long
 def test_a_picture_of_another_size_is_not_learned(tmp_path):
     """It is refused, and learning takes 0.5 s as if it had not come: until picture 16, since 15
     intervals are 5 ns less."""

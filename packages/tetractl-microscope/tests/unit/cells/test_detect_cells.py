@@ -170,6 +170,7 @@ def test_a_cell_that_rested_while_the_background_was_learned_leaves_no_ghost():
     )  # it is not in the background any more
 
 
+@pytest.mark.long
 def test_a_cell_that_rests_stays_as_long_as_it_is_kept():
     dish = Dish(-0.4, noise=3.0)
     blob_finder = finder(dish)
@@ -182,6 +183,7 @@ def test_a_cell_that_rests_stays_as_long_as_it_is_kept():
     assert len(blob_finder.find(dish.picture([]))) == 0
 
 
+@pytest.mark.long
 def test_a_dish_that_was_exchanged_is_learned_again():
     dish = Dish(-0.4, noise=3.0)
     other_dish = Dish(-0.4, noise=3.0)

@@ -78,6 +78,7 @@ def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(field_known):
     assert np.sqrt(np.mean(np.square(off))) < (0.05 if field_known else 0.12)
 
 
+@pytest.mark.long
 def test_turning_rates_and_speeds_are_within_their_intervals():
     errors = []
     for seed in range(4):

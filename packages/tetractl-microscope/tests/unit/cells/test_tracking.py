@@ -40,6 +40,7 @@ def test_poses_of_swimming_cells(field_known):
     assert np.median(np.abs(score.heading)) < 0.05
 
 
+@pytest.mark.long
 def test_cells_are_followed_at_ten_pictures_a_second():
     synthetic = film(seed=2, side=512, cells=5, rate=10.0, crossings=0.0)
     assert Score().add(synthetic, followed(synthetic)).f1 > 0.98
@@ -116,6 +117,7 @@ def test_a_new_cells_path_begins_after_the_blob_of_another_cell(rate_hz):
     assert len(own_path(path, SIZE, 52.3)) == 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bright", [False, True])
 def test_the_polarity_is_found_and_specks_are_no_cells(bright):
     look = {"bright": bright, "light": 50.0 if bright else 160.0}
@@ -185,6 +187,7 @@ def drawn(cells, size):
     return level.astype(np.uint8)
 
 
+@pytest.mark.long
 def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
     halves = [(12.0, 6.0)] * 6 + [(16.0, 9.0)]
     rows = 40.0 + 40 * np.arange(7)

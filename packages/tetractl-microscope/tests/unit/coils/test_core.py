@@ -159,6 +159,7 @@ readings = st.tuples(ma, ma, st.integers(0, 65_535), st.just(-32_768) | ma)
 acts = st.tuples(pauses, lines, st.none() | st.none() | readings)
 
 
+@pytest.mark.long
 @given(limits, st.integers(0, 2**32 - 1), st.lists(acts, max_size=30))
 @settings(max_examples=300)
 def test_core_and_twin_agree_on_everything(limits, start, acts):

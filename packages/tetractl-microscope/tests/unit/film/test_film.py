@@ -246,6 +246,7 @@ def test_pictures_of_a_folder_come_by_number_and_bad_ones_are_counted(tmp_path):
     assert film_.damaged == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["film.avi", "film.mp4", "film.mjpeg"])
 def test_films_are_read_by_their_own_rate(tmp_path, name):
     path = tmp_path / name

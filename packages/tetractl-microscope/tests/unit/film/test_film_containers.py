@@ -82,6 +82,7 @@ def test_a_film_without_a_rate_needs_one(tmp_path, write):
     assert "--rate" in error.value.hint
 
 
+@pytest.mark.long
 def test_a_folder_may_have_a_file_of_times(tmp_path):
     path = folder(tmp_path / "film", made(3))
     file = tmp_path / "film" / "times.csv"
@@ -99,6 +100,7 @@ def test_a_folder_may_have_a_file_of_times(tmp_path):
             open_film(path)
 
 
+@pytest.mark.long
 def test_uneven_times_of_the_tags_are_those_of_the_pictures(tmp_path, monkeypatch):
     uneven = [0.0, 40.0, 70.0, 150.0]
     monkeypatch.setattr("support.film_containers.times_ms", lambda count: uneven[:count])
@@ -192,6 +194,7 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path):
         assert any(name.startswith("nd2") for name in extras["films"])
 
 
+@pytest.mark.long
 def test_a_picture_is_measured_before_it_is_decoded(tmp_path):
     large = np.zeros((4097, 4096), np.uint8)
     for name in ("1.png", "1.tif"):

@@ -87,6 +87,7 @@ def test_other_swimmers_than_those_chosen_are_counted_and_named():
     assert recognised(film, 6.0, PARAMECIUM).remarks == ()
 
 
+@pytest.mark.long
 def test_small_cells_that_seem_large_in_coarse_pictures_are_not_taken_for_others():
     film = Ellipses(7.0, 2.0, 35.0)  # seem 164 um long and 96 um wide
     with pytest.raises(TetractlError, match="0 of them like tetrahymena") as refused:
@@ -97,6 +98,7 @@ def test_small_cells_that_seem_large_in_coarse_pictures_are_not_taken_for_others
     assert said[-1].startswith("warning: tetrahymena is 1.6 px wide")
 
 
+@pytest.mark.long
 def test_what_swims_but_is_like_no_organism_ends_the_run_unless_one_is_named():
     worms = Ellipses(40.0, 12.0, 60.0)  # 400 um long, 120 um wide
     with pytest.raises(TetractlError, match="no known organism: ") as refused:
@@ -147,6 +149,7 @@ def test_cells_that_turn_while_they_are_looked_at_swim_all_the_same():
     assert recognised(film, 2.3, TETRAHYMENA).remarks == ()
 
 
+@pytest.mark.long
 def test_beads_that_go_to_and_fro_do_not_swim():
     beads = Beads(12.0, 12.0, 1.5)
     for um_px in (None, 0.5):
@@ -165,6 +168,7 @@ def test_pictures_too_rare_to_tell_cells_apart_are_said():
     assert recognised(film, 2.3, TETRAHYMENA).remarks == ()
 
 
+@pytest.mark.long
 def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said():
     film = swimming(EUGLENA, 1.5)
     recognition = recognised(film, None, EUGLENA)

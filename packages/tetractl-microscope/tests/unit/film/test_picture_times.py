@@ -115,6 +115,7 @@ def test_a_unit_of_time_that_is_unknown_is_said(tmp_path, monkeypatch):
         open_film(path)
 
 
+@pytest.mark.long
 def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
     path = czi(tmp_path / "film.czi", drawn(4))
     times = [0.0, 0.5, 0.6, 1.5]

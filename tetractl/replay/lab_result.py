@@ -1,5 +1,13 @@
-"""Computes again what tables use of a lab's log, from its frames and commands: errors, final
-poses, distances to obstacles, duration, and how fast the robots turned by themselves.
+"""Computes again what tables use of a lab's log, from its frames and commands, and yields where
+the log's result differs: errors, final poses, duration, least distances, and turns.
+
+A lab cannot run a trial again, so each value of the result is compared with what frames and
+commands show. A least distance is that of a robot to obstacles, to the arena's edge or to other
+robots [length unit]; a turn is the rate at which a robot on wheels turns by itself [rad/s].
+
+A log does not say which of its first and last frames the plant had read when it stated the result,
+since its threads run at times of their own. Where a value depends on that, it must lie between the
+values for all logged frames and for those that the plant had surely read.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,12 +29,22 @@ from tetractl.model.wheels import body_velocity
 from tetractl.replay.comparison import Difference, first_difference
 
 DISTANCE_TOLERANCE = 1e-6
-"""Tolerance of a least distance, relative."""
+"""Tolerance of a least distance, as a share of it or, below 1, in the length unit."""
 STOP_REPEATED_NS = 500_000_000
-"""Longest time from a stop's first repetition to its last [ns]."""
+"""Longest time from a stop's first repetition to its last [ns]; `log.stop` may be any of these."""
 LAST_FRAMES = 120
-"""A lab trial's final poses must be those of one of this many last frames: once, logs had some
-more."""
+"""The final poses of robots that stand must be those of one of this many last frames: older logs
+have some frames more after these."""
+TURN_ERRORS = 1.0
+"""Largest difference between a stated turn and the one computed again, in standard errors.
+
+In virtual time the two are the same. In a lab's threads a frame that arrives in the last
+millisecond before a start may be seen before or after it, and then all blocks of motion begin one
+frame earlier or later. Emulated, that makes up to 0.71 (20 trials of cubes, whose poses are coarse)
+and 0.05 (20 of m3pi robots)."""
+TURN_STD_SHARE = 0.1
+"""Largest difference between a turn's standard errors, as a share, for the same reason: up to
+0.046 in the same trials."""
 
 
 def lab_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -38,13 +56,15 @@ def lab_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
     if result.outcome.complete or not untold(result.verdict):
         if not _stands(log, result.verdict.final, log.stop):
             yield Difference(None, "result.final", "differs from the robots' last poses")
-        yield from _obstacles(log, result.verdict, log.stop)
+        yield from _paths(log, result.verdict, log.stop)
     if result.outcome.complete:  # no log says when the guard of another aborted it
         yield from _turns(log, result.verdict)
 
 
 def untold(verdict: Verdict) -> bool:
-    """Return whether a verdict states nothing, as `Verdict.unknown`."""
+    """Return whether a verdict is that of a trial whose end is unknown: no final poses, no distance
+    to an obstacle, and nothing entered.
+    """
     if any(verdict.entered) or np.isfinite(verdict.clearance).any():
         return False
     final = verdict.final.array()
@@ -52,7 +72,9 @@ def untold(verdict: Verdict) -> bool:
 
 
 def error_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Yield the first value of a result that contradicts its final poses or its tour."""
+    """Yield the first value of a result that contradicts its final poses, its tour, or the solve
+    times of its steps.
+    """
     again = Result.of(
         log.start.setup,
         result.verdict,
@@ -68,43 +90,50 @@ def error_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         yield difference
 
 
-def _obstacles(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Difference]:
-    """Check the distances and the entered obstacles in the verdict against the logged path.
+def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Difference]:
+    """Check the least distances and the entered obstacles in the verdict against the logged path.
 
-    The plant of a lab evaluates only the frames between the first step and the stop. A stated
-    distance must therefore lie between the least distance in all frames and the least distance in
-    the evaluated frames. A pose that came so late that its robot no longer counts as tracked is a
-    place where the robot was, too, but not one at which others were at the time of its frame.
+    The frames between the first step and the stop have surely been read: a stated distance lies
+    between the least of all frames and the least of these. In the other frames robots stand, so
+    that they enter no obstacle: those entered are the same for all frames.
+
+    A pose that came too late for its robot to count as tracked is a place on the robot's path, but
+    the other robots were elsewhere in its frame: it does not count for distances between robots.
     """
-    path, has_pose = trial_path(log)
-    has_place = np.asarray(np.isfinite(path).all(axis=2))
-    in_all = check_path(log.start.setup, path, has_place, verdict.final)
-    apart = tracked_separations(path, has_pose)
-    since = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
-    driven = (log.received_ns > since) & (log.received_ns <= stop.sent_ns)
-    evaluated = check_path(log.start.setup, path[driven], has_pose[driven], verdict.final)
-    for name, stated, least, most in (
-        ("clearance", verdict.clearance, in_all.clearance, evaluated.clearance),
-        ("edge", verdict.edge, in_all.edge, evaluated.edge),
-        ("apart", verdict.apart, apart.tolist(), evaluated.apart),
-    ):
-        yield from _distances(name, stated, least, most)
-    for i, (stated, touches) in enumerate(zip(verdict.entered, in_all.entered, strict=True)):
-        if stated != touches:
-            text = f"states {stated}, but the logged path gives {touches}"
+    path, is_tracked = trial_path(log)
+    is_known = np.asarray(np.isfinite(path).all(axis=2))
+    setup = log.start.setup
+    of_all = check_path(setup, path, is_known, verdict.final)
+    apart_of_all = tracked_separations(path, is_tracked).tolist()
+    first_step_ns = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
+    is_read = (log.received_ns > first_step_ns) & (log.received_ns <= stop.sent_ns)
+    of_read = check_path(setup, path[is_read], is_tracked[is_read], verdict.final)
+    yield from _distances("clearance", verdict.clearance, of_all.clearance, of_read.clearance)
+    yield from _distances("edge", verdict.edge, of_all.edge, of_read.edge)
+    yield from _distances("apart", verdict.apart, apart_of_all, of_read.apart)
+    for i, (stated, entered) in enumerate(zip(verdict.entered, of_all.entered, strict=True)):
+        if stated != entered:
+            text = f"states {stated}, but the logged path gives {entered}"
             yield Difference(None, f"result.entered.{i}", text)
 
 
 def _distances(
-    name: str, stated: Sequence[float], least: Sequence[float], most: Sequence[float]
+    name: str, stated: Sequence[float], of_all: Sequence[float], of_read: Sequence[float]
 ) -> Iterator[Difference]:
-    """Check that each stated distance is within its least and its greatest possible value."""
-    for i, (distance, low, high) in enumerate(zip(stated, least, most, strict=False)):
-        floor = low - DISTANCE_TOLERANCE * max(1.0, abs(low)) if np.isfinite(low) else -np.inf
-        ceiling = high + DISTANCE_TOLERANCE * max(1.0, abs(high))
+    """Check that each stated least distance is between that of all frames and that of the frames
+    read. Logs of older versions state no `edge` and no `apart`: then none is checked.
+    """
+    for i, (distance, least, most) in enumerate(zip(stated, of_all, of_read, strict=False)):
+        floor = least - _tolerance(least)
+        ceiling = most + _tolerance(most)
         if not floor <= distance <= ceiling:
-            text = f"states {distance}, the frames show {low} to {high}"
+            text = f"states {distance}, the frames show {least} to {most}"
             yield Difference(None, f"result.{name}.{i}", text)
+
+
+def _tolerance(distance: float) -> float:
+    """Return the tolerance of a least distance, 0 for one that is infinite."""
+    return DISTANCE_TOLERANCE * max(1.0, abs(distance)) if np.isfinite(distance) else 0.0
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
@@ -121,31 +150,23 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
 
 
 def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
-    """Return whether the final poses are those of one of the last frames or, for robots that swim
-    on after the stop, of any frame since STOP_REPEATED_NS before the stop, or since the last one
-    before it if the pictures ended earlier.
+    """Return whether the final poses are, to the bit, those of one of the last frames.
+
+    Robots that swim on have their final poses when the stop was first sent, and `log.stop` may be
+    its last repetition: those of any frame since STOP_REPEATED_NS before it or, if pictures ended
+    earlier, since the last frame before it.
     """
     if not len(log.mocap):
         return True
-    rows = log.mocap[-LAST_FRAMES:]
     if log.start.plant.facts.get(HALTS) == "no":
-        before_stop = log.mocap_ns <= stop.sent_ns
-        last_before_ns = int(log.mocap_ns[before_stop].max(initial=0))
+        is_before_stop = log.mocap_ns <= stop.sent_ns
+        last_before_ns = int(log.mocap_ns[is_before_stop].max(initial=0))
         since_ns = min(stop.sent_ns - STOP_REPEATED_NS, last_before_ns)
-        may_be_last = log.mocap_ns >= since_ns
-        rows = log.mocap[may_be_last]
+        rows = log.mocap[log.mocap_ns >= since_ns]
+    else:
+        rows = log.mocap[-LAST_FRAMES:]
     ends = [np.ascontiguousarray(row).tobytes() for row in rows]
     return np.ascontiguousarray(final.array()).tobytes() in ends
-
-
-TURN = 1.0
-"""Largest difference of a turn from the one computed again, in its standard errors. It is 0 in
-virtual time. In a lab's threads a frame that arrives in the last millisecond before a start may be
-seen before or after it. Then all blocks of motion begin one frame earlier or later: up to 0.71
-(20 trials of cubes, whose poses are coarse) and 0.05 (20 of m3pi robots), emulated."""
-TURN_STD = 0.1
-"""Largest difference of a turn's standard error from the one computed again, relative: up to 0.046
-by the same, in the same trials."""
 
 
 def _turns(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
@@ -159,9 +180,9 @@ def _turns(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
         return
     stated = zip(verdict.turn, verdict.turn_std, rates, errors, strict=True)
     for i, (rate, error, again, std) in enumerate(stated):
-        if np.isfinite(std) and abs(rate - again) > TURN * std:
+        if np.isfinite(std) and not abs(rate - again) <= TURN_ERRORS * std:
             yield Difference(None, f"result.turn.{i}", f"states {rate}, the frames show {again}")
-        if not np.isclose(error, std, rtol=TURN_STD):
+        if not np.isclose(error, std, rtol=TURN_STD_SHARE):
             yield Difference(None, f"result.turn_std.{i}", f"states {error}, not {std}")
 
 
@@ -179,13 +200,13 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
     events += [(command.sent_ns, True, i) for i, command in enumerate(log.commands)]
     for t_ns, is_command, i in sorted(events):
         if is_command:
-            _send(guard, log.commands[i], t_ns, setup.wheel_radius)
+            _take_command(guard, log.commands[i], t_ns, setup.wheel_radius)
         else:
             guard.check_frame(_frame(log, i))
     return guard.drift.turning()
 
 
-def _send(guard: Guard, command: Command, t_ns: int, radius: float) -> None:
+def _take_command(guard: Guard, command: Command, t_ns: int, radius: float) -> None:
     """Let a guard take a command to robots with wheels at a radius [length unit]."""
     if command.stops:
         guard.end_run()

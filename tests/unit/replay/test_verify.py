@@ -395,6 +395,17 @@ def test_final_poses_that_an_aborted_trial_states_are_compared(log_of_robots_at_
     assert "result.final" in fields_that_differ(log, aborted)
 
 
+def test_without_obstacles_no_distance_to_one_can_be_stated(log_of_robots_at_rest):
+    """Regression: any distance to an obstacle passed."""
+    log = log_of_robots_at_rest
+    bare = replace(log, start=replace(log.start, setup=replace(log.start.setup, obstacles=())))
+    true = replace(log.result.verdict, clearance=(np.inf,) * 3)
+    assert "result.clearance.1" not in fields_that_differ(bare, replace(log.result, verdict=true))
+    made_up = replace(true, clearance=(np.inf, 50.0, np.inf))
+    fields = fields_that_differ(bare, replace(log.result, verdict=made_up))
+    assert "result.clearance.1" in fields
+
+
 def without_result_and_a_frame(lost_parts):
     """A log without its result, whose camera lost the frame after number 30."""
     log = three_robots()

@@ -72,13 +72,14 @@ def test_turns_computed_again_from_a_log_are_those_of_the_guard(folder, monkeypa
     run(folder, "turns", "--trials", "1").ok()
     trial = read_trial(folder / "turns" / "trial-000.mcap")
     complete = replace(trial.result, outcome=Outcome.ARRIVED)
-    monkeypatch.setattr(lab_result, "TURN", 1e-9)
-    monkeypatch.setattr(lab_result, "TURN_STD", 1e-9)
-    fields = {
-        lab_difference.field for lab_difference in lab_result.lab_differences(trial, complete)
-    }
+    monkeypatch.setattr(lab_result, "TURN_ERRORS", 1e-9)
+    monkeypatch.setattr(lab_result, "TURN_STD_SHARE", 1e-9)
+    fields = {difference.field for difference in lab_result.lab_differences(trial, complete)}
     assert not {field for field in fields if field.startswith("result.turn")}
     assert all(0 < error < 10 for error in trial.result.verdict.turn_std)
+    made_up = replace(complete.verdict, turn=(float("nan"), *complete.verdict.turn[1:]))
+    differences = lab_result.lab_differences(trial, replace(complete, verdict=made_up))
+    assert "result.turn.0" in {difference.field for difference in differences}
 
 
 @pytest.mark.long

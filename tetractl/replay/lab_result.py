@@ -1,5 +1,5 @@
 """Computes again what tables use of a lab's log, from its frames and commands, and yields where
-the log's result differs: errors, final poses, duration, least distances, and turns.
+the log's result differs: errors, final poses, duration, least distances, entered obstacles, turns.
 
 A lab cannot run a trial again, so each value of the result is compared with what frames and
 commands show. A least distance is that of a robot to obstacles, to the arena's edge or to other
@@ -40,8 +40,8 @@ TURN_ERRORS = 1.0
 
 In virtual time the two are the same. In a lab's threads a frame that arrives in the last
 millisecond before a start may be seen before or after it, and then all blocks of motion begin one
-frame earlier or later. Emulated, that makes up to 0.71 (20 trials of cubes, whose poses are coarse)
-and 0.05 (20 of m3pi robots)."""
+frame earlier or later: a turn then differs by up to 0.71 standard errors (20 emulated trials of
+cubes, whose poses are coarse) or 0.05 (20 of m3pi robots)."""
 TURN_STD_SHARE = 0.1
 """Largest difference between a turn's standard errors, as a share, for the same reason: up to
 0.046 in the same trials."""
@@ -94,11 +94,12 @@ def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Differenc
     """Check the least distances and the entered obstacles in the verdict against the logged path.
 
     The frames between the first step and the stop have surely been read: a stated distance lies
-    between the least of all frames and the least of these. In the other frames robots stand, so
-    that they enter no obstacle: those entered are the same for all frames.
+    between the least of all frames and the least of these. The obstacles entered are those of all
+    frames.
 
-    A pose that came too late for its robot to count as tracked is a place on the robot's path, but
-    the other robots were elsewhere in its frame: it does not count for distances between robots.
+    A pose that came too late for its robot to count as tracked (`is_known`, but not `is_tracked`)
+    may be a place on its path. The other robots were elsewhere in its frame, so that no distance
+    between robots follows from it.
     """
     path, is_tracked = trial_path(log)
     is_known = np.asarray(np.isfinite(path).all(axis=2))
@@ -137,8 +138,8 @@ def _tolerance(distance: float) -> float:
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
-    """Check the duration of a trial in the lab, from the first direction to the stop; without a
-    direction, it counts from the opening of the devices, within a second of the first frame.
+    """Check the duration of a trial: from the first direction to the stop, or without a direction
+    at most from a second before the first frame, since when the devices are open.
     """
     directed = [command.sent_ns for command in log.commands if not command.stops]
     opened = int(log.received_ns[0]) - SECOND if len(log.received_ns) else 0
@@ -207,7 +208,8 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _take_command(guard: Guard, command: Command, t_ns: int, radius: float) -> None:
-    """Let a guard take a command to robots with wheels at a radius [length unit]."""
+    """Let a guard take a command to robots whose wheels are at `radius` from their centres
+    [length unit]."""
     if command.stops:
         guard.end_run()
     elif guard.state is GuardState.READY:

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -43,9 +44,10 @@ LONG = ("--set", "controller.deadline=60", "--set", "controller.time_limit=60")
 def bridge_of(parent):
     """The process of the library that a process has started."""
     for entry in Path("/proc").glob("[0-9]*"):
-        ours = f"PPid:\t{parent}\n" in (entry / "status").read_text()
-        if ours and b"tetractl_motioncapture.bridge" in (entry / "cmdline").read_bytes():
-            return int(entry.name)
+        with suppress(OSError):  # a process that has ended meanwhile
+            ours = f"PPid:\t{parent}\n" in (entry / "status").read_text()
+            if ours and b"tetractl_motioncapture.bridge" in (entry / "cmdline").read_bytes():
+                return int(entry.name)
     raise AssertionError("the camera's process runs")
 
 

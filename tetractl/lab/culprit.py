@@ -28,7 +28,8 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
-from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS, DOES_NOT_MOVE
+from tetractl.lab.motion_check import DELAY_NS
+from tetractl.lab.motion_faults import AS_NO_COMMAND, DOES_NOT_MOVE
 
 RECENT_NS = SECOND // 2
 """Time over which motion is compared."""

@@ -32,7 +32,8 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
 from tetractl.lab.command_history import CommandHistory
-from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS, motion
+from tetractl.lab.motion_check import WATCHDOG_NS, motion
+from tetractl.lab.motion_faults import ANOTHER, KINDS
 from tetractl.model.motion.rolling import rolled
 
 BLOCK_NS = SECOND // 20

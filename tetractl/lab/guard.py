@@ -93,7 +93,7 @@ from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.lab.guard_status import GuardStatus
-from tetractl.lab.motion_check import REPEATS
+from tetractl.lab.motion_faults import REPEATS
 from tetractl.lab.pose_decision import PoseDecision, PoseReading, PoseStatus
 from tetractl.lab.robot_track import RobotTrack
 from tetractl.lab.run_checks import RUN_CHECKS, RobotSituation, Situation, untracked_text

@@ -11,7 +11,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Finding, Lose
 from tetractl.lab.camera_stream import Outdated, no_frame_text, with_outdated
 from tetractl.lab.guard_records import GuardRules
-from tetractl.lab.motion_check import DOES_NOT_MOVE
+from tetractl.lab.motion_faults import DOES_NOT_MOVE
 
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""

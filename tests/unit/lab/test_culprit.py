@@ -7,7 +7,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.lab.culprit import CAMERA, RADIO, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
+from tetractl.lab.motion_check import motion
+from tetractl.lab.motion_faults import ANOTHER, DOES_NOT_MOVE, WRONG_WAY
 
 NAMES = ("green", "blue", "red")
 PAIR = NAMES[:2]

@@ -9,7 +9,8 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
-from tetractl.lab.motion_check import DOES_NOT_MOVE, MotionCheck
+from tetractl.lab.motion_check import MotionCheck
+from tetractl.lab.motion_faults import DOES_NOT_MOVE
 
 pytestmark = pytest.mark.slow
 

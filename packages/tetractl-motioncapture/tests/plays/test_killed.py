@@ -39,16 +39,18 @@ def connect(system, options):
 RUN = ("run", "capture.yaml", "--plant", "emulated", "--trials", "1", "--yes", "--quiet")
 HALF = ("--set", "plant.real=camera", "--set", "plant.record=true_events")
 LONG = ("--set", "controller.deadline=60", "--set", "controller.time_limit=60")
+# steps and commands that a busy host delays end no run
+LATE = ("--set", "lab.limits.late_steps=100000", "--set", "lab.limits.wheel_error=1")
 
 
 def bridge_of(parent):
-    """The process of the library that a process has started."""
+    """The process of the library that a process has started; None if there is none."""
     for entry in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # a process that has ended meanwhile
             ours = f"PPid:\t{parent}\n" in (entry / "status").read_text()
             if ours and b"tetractl_motioncapture.bridge" in (entry / "cmdline").read_bytes():
                 return int(entry.name)
-    raise AssertionError("the camera's process runs")
+    return None
 
 
 def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
@@ -57,7 +59,7 @@ def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
     path = filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")])
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path))
     command = str(Path(sys.executable).with_name("tetractl"))
-    words = [command, *RUN, *HALF, *LONG, "--out", "logs"]
+    words = [command, *RUN, *HALF, *LONG, *LATE, "--out", "logs"]
     run = subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     record = tmp_path / "true_events" / "truth-000.jsonl"
 
@@ -68,7 +70,9 @@ def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
     has_moved = wait_for(MonotonicClock(), moves, 120)
     is_running = run.poll() is None
     assert has_moved and is_running, run.communicate()
-    os.kill(bridge_of(run.pid), signal.SIGKILL)
+    bridge = bridge_of(run.pid)
+    assert bridge is not None, run.communicate()
+    os.kill(bridge, signal.SIGKILL)
     _, said = run.communicate(timeout=120)
     assert run.returncode == 1 and "the process of the camera has ended: Killed" in said
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")

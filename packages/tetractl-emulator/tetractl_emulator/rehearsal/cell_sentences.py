@@ -8,8 +8,8 @@
 | no streamed pose jumps | a body's length, and two cells' way | a body, the spec's speed |
 
 A field does not hold a cell back, so none must stay inside the arena. Log, exit code and reason are
-as of robots, in `sentences`. A stream that tracks cells itself has its noise, `STREAM_UM`, for
-bounds.
+as of robots, in `outcome_sentences`. A stream that tracks cells itself has its noise, `STREAM_UM`,
+for bounds.
 """
 
 from collections.abc import Iterator
@@ -22,8 +22,7 @@ from tetractl.core.poses import Floats, Integers
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import TrialLog
 from tetractl_emulator.rehearsal.logged import logged
-from tetractl_emulator.rehearsal.sentences import (
-    AIR_S,
+from tetractl_emulator.rehearsal.outcome_sentences import (
     exit_code_is_right,
     log_is_whole,
     reason_names_a_fault,
@@ -31,6 +30,7 @@ from tetractl_emulator.rehearsal.sentences import (
 from tetractl_emulator.rehearsal.truth import (
     EMERGENCY,
     RUN,
+    TRANSIT_S,
     Event,
     Truth,
     VisibleFault,
@@ -164,8 +164,8 @@ def cell_violations(truth: DishTruth, lab: LabSection) -> list[Violation]:
 
 def _commands(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
     """A field needs a new picture; after a stop only stops are sent."""
-    turning_s = limits.stream_lost + limits.latency + PERIOD_S + AIR_S
-    emergency_s = truth.first_s("fault", name="emergency", phase="start") + AIR_S
+    turning_s = limits.stream_lost + limits.latency + PERIOD_S + TRANSIT_S
+    emergency_s = truth.first_s("fault", name="emergency", phase="start") + TRANSIT_S
     for command in truth.commands:
         at_s = time_s(command)
         flags = command["flags"]
@@ -177,7 +177,7 @@ def _commands(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
         if at_s > truth.ended_s + RUNS_ON_S:
             yield Violation("not at rest", at_s, f"{at_s - truth.ended_s:.3f} s after the stop")
             return
-        bound_s = limits.stale + AIR_S if at_s >= truth.began_s else turning_s
+        bound_s = limits.stale + TRANSIT_S if at_s >= truth.began_s else turning_s
         unseen_s = min(command["unseen_ms"], default=0.0) / 1000
         if unseen_s > bound_s + truth.late_s:
             yield Violation("driven blind", at_s, f"unseen for {unseen_s:.3f} s")

@@ -1,40 +1,48 @@
-"""The seven sentences that hold on every day of robots, each with one bound.
+"""The seven sentences that hold on every day of robots in an emulated lab.
 
-| sentence | bound | from |
+The observer knows what truly happened, and shares no code with the guard. Each sentence is a
+function, whose docstring says all that is checked:
+
+| sentence | function | main bound |
 |---|---|---|
-| no robot is driven blind | `stale` + `reaction` after its last sight | limits of the spec |
-| robots rest after a stop | air + `watchdog` + rolling [s] | UART and radio, wheels, `ROLL_S` |
-| robots stay inside the arena, apart | speed * (sight + air + lag - `reaction`) [mm] | stopping |
-| poses and the result are true | `POSE_MM`, `POSE_RAD`; `RESULT_MM` | a body; noise at rest |
-| the log is readable, and says what was | `NOTED_S` of `logged` | poll of the wire |
-| the exit code is right | 0, 1, 130, or the signal's | documentation of the codes |
-| the reason names a fault that was there | the row of the table of faults | `schedule` |
+| no robot is driven blind | `driven_blind` | limits of the spec, and `reaction` |
+| robots rest after a stop | `rests_after_a_stop` | `TRANSIT_S`, the watchdog, `ROLL_S` |
+| robots stay inside the arena, apart | `stays_inside` | wrong poses, pushes, the way to stand |
+| poses and the result are true | `poses_are_true` | `POSE_MM`, `POSE_RAD`; `RESULT_MM` |
+| the log is readable, and says what was | `log_is_readable` | in `outcome_sentences` |
+| the exit code is right | `exit_code_is_right` | in `outcome_sentences` |
+| the reason names a fault that was there | `reason_names_a_fault` | in `outcome_sentences` |
 
-Distances are in mm and times in s. The observer knows the truth and shares no code with the guard.
+Coarse on purpose: unless a docstring says otherwise, a fault widens a bound, or lifts it, for all
+robots and the whole day, also before it begins. This may miss a violation, and invents none.
+
+Distances are in mm, times in s. As in `truth`, T counts exposures and N robots.
 """
 
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
-from itertools import combinations, islice
-from typing import NamedTuple
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from tetractl.core.commands import Stop
-from tetractl.core.plan import Outcome
-from tetractl.core.poses import Floats
-from tetractl.log.read.trial_log import TrialLog
-from tetractl_emulator.rehearsal.day import HUNG
-from tetractl_emulator.rehearsal.log_checks import log_differences
-from tetractl_emulator.rehearsal.logged import MUTE, logged
-from tetractl_emulator.rehearsal.schedule import FRAME_S, MOTION
+from tetractl.core.poses import Bools, Floats
+from tetractl_emulator.rehearsal.excuses import undetectable_freeze, undetectable_motion
+from tetractl_emulator.rehearsal.logged import MUTE
+from tetractl_emulator.rehearsal.outcome_sentences import (
+    exit_code_is_right,
+    log_is_readable,
+    reason_names_a_fault,
+)
+from tetractl_emulator.rehearsal.schedule import FRAME_S
 from tetractl_emulator.rehearsal.truth import (
     EMERGENCY,
     LATCHED,
     MOVES_MM_S,
     RUNNING,
     SILENT,
+    TRANSIT_S,
+    Event,
     Truth,
     time_s,
 )
@@ -43,23 +51,39 @@ from tetractl_emulator.rehearsal.world import LAG_MAX_S
 
 Sentence = Callable[[Truth], Iterator[Violation]]
 
-AIR_S = 0.05  # a tick of 10 ms, a frame of the camera, the UART and the air
-ROLL_S = LAG_MAX_S * math.log(1000.0)  # from 1 m/s to 1 mm/s with the slowest wheels
-NOISE_MM = 4.0  # of a camera at its worst
-TILT_NOISE = 0.05  # of the tilt that a camera at its worst measures [rad]
-DRIVEN_MM_S = 5.0  # least speed of a wheel of a robot that is driven
-TURNS_MM_S = 1.5  # least speed at which a wheel counts as turning: it has rolled to 1 mm/s
-WATCHED_S = 4.0  # in which a robot crosses half the arena
-STOPS = 5  # a radio that loses every second packet takes one of these on 97 of 100 days
-POSE_MM = 95.0  # a body's length
-POSE_RAD = 1.0  # the turn by which a robot leaves its way
-RESULT_MM = 10.0  # 0.03 s of driving at 200 mm/s, and the noise of poses at rest
-RESTS_S = 1.0  # of pictures that show whether robots rest
-SHOWN_S = NOISE_MM / MOVES_MM_S  # in which the slowest motion that counts is more than noise
-EVENT_S = 0.03  # longest time for which a reading of a mat waits for an event of its connection
-LATE_RADIO = ("late_radio", "overtaken_packets")
+DRIVING_WINDOW_S = 4.0
+"""Time of driving in which each robot has to be shown for half of it; it crosses half the arena."""
+ROLL_S = LAG_MAX_S * math.log(1000.0)
+"""Time in which the slowest wheels roll from 1 m/s to 1 mm/s."""
+ROLLS_MM_S = 1.5
+"""Speed above which a wheel counts as moving after `ROLL_S`: somewhat above 1 mm/s."""
+DRIVEN_MM_S = 5.0
+"""Speed of a wheel above which its robot counts as driven."""
+STOPS_MIN = 5
+"""Least stops after a run: a radio that loses every second packet takes one on 97 of 100 days."""
+REST_SEEN_S = 1.0
+"""Time of pictures that show whether robots rest."""
+NOISE_MM = 4.0
+"""Noise of a pose of the worst camera."""
+TILT_NOISE_RAD = 0.05
+"""Noise of a tilt of the worst camera."""
+MOTION_SEEN_S = NOISE_MM / MOVES_MM_S
+"""Time in which the slowest motion that counts is more than noise."""
+POSE_MM = 95.0
+"""Error of a pose accepted: a body's length."""
+POSE_RAD = 1.0
+"""Error of a heading accepted: the turn by which a robot leaves its way."""
+RESULT_MM = 10.0
+"""Error of a result: 0.03 s of driving at 200 mm/s, and the noise of poses at rest."""
+READING_WAITS_S = 0.03
+"""Longest time for which a reading of a mat waits for an event of its connection."""
 OFF_FLOOR = ("lifted", "tipped")
-ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
+"""Faults that take a body off the floor: a camera may track it, and shows no robot."""
+STOPS_FAIL = (
+    *("loss", "deaf", "unplug", "stuck_port", "radio_resets", "baud", "bad_bytes"),
+    *("signal", "stopped", "off", "busy"),
+)
+"""Faults by which a stop may not come to a robot, so that its watchdog has to stop it."""
 
 
 def violations(truth: Truth) -> list[Violation]:
@@ -67,292 +91,414 @@ def violations(truth: Truth) -> list[Violation]:
     return [violation for sentence in SENTENCES for violation in sentence(truth)]
 
 
-# 1
+# 1: no robot is driven blind
 
 
 def driven_blind(truth: Truth) -> Iterator[Violation]:
-    """No robot is driven that has not been shown for `stale`, none while another has not been shown
-    for `untracked_abort`, none without a direction for `stream_lost`: by more than `reaction` each.
+    """No robot is driven that the camera has not shown for long, none without a direction of the
+    controller, and none that is shown too seldom. Only the first finding is yielded.
+    """
+    violation = _first_blind_command(truth)
+    if violation is None:
+        violation = _first_seldom_shown(truth)
+    if violation is not None:
+        yield violation
+
+
+def _first_blind_command(truth: Truth) -> Violation | None:
+    """Return the first command that drives a robot although
+
+    - a robot that it drives has not been shown for `stale` + `reaction` when it ends to act, or
+    - any robot, also one that stands, has not been for `untracked_abort` + `reaction` then, or
+    - the controller has given no direction for `reaction` and the longer of `stream_lost` and
+      `late_steps` + 1 periods when it is sent.
+
+    Frames that are late without showing it add `late_s` to the first two. On a day on which nothing
+    could be sent, or our process was killed, the next command may be missing for that reason: the
+    first two are then checked when a command is sent, and the last is not.
     """
     limits = truth.limits
-    own_s = limits.stale + limits.reaction + truth.late_s
-    other_s = limits.untracked_abort + limits.reaction + truth.late_s
-    silent_s = max(limits.stream_lost, (limits.late_steps + 1) * truth.setup.period_s)
-    silent_s += limits.reaction
+    driven_max_s = limits.stale + limits.reaction + truth.late_s
+    any_max_s = limits.untracked_abort + limits.reaction + truth.late_s
+    late_steps_s = (limits.late_steps + 1) * truth.setup.period_s
+    undirected_max_s = max(limits.stream_lost, late_steps_s) + limits.reaction
     mute = truth.met(*MUTE) or truth.killed
     off_floor = [span for span in hidden_spans(truth) if span.fault in OFF_FLOOR]
     for k, command in enumerate(truth.commands):
         driven = np.array(truth.drives(command), bool)
         if not driven.any():
             continue
-        acts_s = 0.0 if mute else truth.acting_s[k]
-        unseen = np.array(command["unseen_ms"]) / 1000 + acts_s
-        at_s = time_s(command)
-        for span in off_floor:  # the camera tracks the body, and shows no robot
-            if span.began_s < at_s < span.ended_s:
-                unseen[span.robot] = max(unseen[span.robot], at_s + acts_s - span.began_s)
-        finding = ""
-        if unseen[driven].max() > own_s or unseen.max() > other_s:
-            finding = f"unseen for {unseen.max():.3f} s"
-        elif truth.undirected_s[k] > silent_s and not mute:
-            finding = f"without a direction for {truth.undirected_s[k]:.2f} s"
-        if finding:
-            yield Violation("driven blind", at_s, finding, frozen(truth))
-            return
-    yield from _seldom_shown(truth)
+        unseen_s = _unseen_s(command, 0.0 if mute else truth.acting_s[k], off_floor)
+        undirected_s = truth.undirected_s[k]
+        if unseen_s[driven].max() > driven_max_s or unseen_s.max() > any_max_s:
+            finding = f"unseen for {unseen_s.max():.3f} s"
+        elif undirected_s > undirected_max_s and not mute:
+            finding = f"without a direction for {undirected_s:.2f} s"
+        else:
+            continue
+        return Violation("driven blind", time_s(command), finding, undetectable_freeze(truth))
+    return None
 
 
-def _seldom_shown(truth: Truth) -> Iterator[Violation]:
-    """In each `WATCHED_S` in which robots may be driven, each is shown for half of it, though late:
-    how old a pose may be by which a robot is driven is said above.
+def _unseen_s(command: Event, acts_s: float, off_floor: "Sequence[HiddenSpan]") -> Floats:
+    """Return for how long each robot has not been shown (N,) when a command has acted for `acts_s`;
+    a robot that is off the floor when it is sent, since it was taken off.
     """
-    span_s = np.diff(truth.times_s, append=truth.alive_s).clip(0.0, FRAME_S * 2)
+    unseen_s = np.array(command["unseen_ms"]) / 1000 + acts_s
+    at_s = time_s(command)
+    for span in off_floor:
+        if span.began_s < at_s < span.ended_s:
+            unseen_s[span.robot] = max(unseen_s[span.robot], at_s + acts_s - span.began_s)
+    return unseen_s
+
+
+def _first_seldom_shown(truth: Truth) -> Violation | None:
+    """Return when first a robot was unseen for more than half of `DRIVING_WINDOW_S`.
+
+    The window is the last such time in which the guard let robots be driven: it leaves out pauses,
+    and joins what was driven before and after them. A robot counts as unseen once it has not been
+    shown for `stale` and the longest delay of frames: `_first_blind_command` says how old a pose
+    may be.
+    """
+    row_s = np.diff(truth.times_s, append=truth.alive_s).clip(0.0, FRAME_S * 2)
+    driving_s = np.where(_may_be_driven(truth), row_s, 0.0)
+    driven_s = np.cumsum(driving_s)
+    is_unseen = truth.unseen_s > truth.limits.stale + truth.longest_delay_s
+    blind_s = np.cumsum(np.where(is_unseen, driving_s[:, None], 0.0), axis=0)
+    window_begins = np.searchsorted(driven_s, driven_s - DRIVING_WINDOW_S)
+    most_blind_s = (blind_s - blind_s[window_begins]).max(axis=1, initial=0.0)
+    is_seldom = most_blind_s > DRIVING_WINDOW_S / 2
+    if not is_seldom.any():
+        return None
+    at_s = float(truth.times_s[is_seldom.argmax()])
+    finding = f"a robot is unseen for half of {DRIVING_WINDOW_S:g} s"
+    return Violation("driven blind", at_s, finding, undetectable_freeze(truth))
+
+
+def _may_be_driven(truth: Truth) -> Bools:
+    """Return at which exposures the guard lets robots be driven (T,)."""
     may_drive = np.zeros(len(truth.times_s), bool)
     for span in truth.driven_spans:
         may_drive |= (truth.times_s >= span.began_s) & (truth.times_s < span.ended_s)
-    span_s = np.where(may_drive, span_s, 0.0)
-    driven_s = np.cumsum(span_s)
-    blind = truth.unseen_s > truth.limits.stale + truth.longest_delay_s
-    blind_s = np.cumsum(np.where(blind, span_s[:, None], 0.0), axis=0)
-    before = np.searchsorted(driven_s, driven_s - WATCHED_S)
-    much = (blind_s - blind_s[before]).max(axis=1, initial=0.0) > WATCHED_S / 2
-    if much.any():
-        at_s = float(truth.times_s[much.argmax()])
-        finding = f"a robot is unseen for half of {WATCHED_S:g} s"
-        yield Violation("driven blind", at_s, finding, frozen(truth))
+    return may_drive
 
 
-# 2
+# 2: robots rest after a stop
 
 
 def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
-    """After the end none is driven for more than a tick, all stand, stops are sent, and an
-    emergency stop stays; a run begins at rest.
+    """After the end no wheel turns and no command drives, an emergency stop stays, robots that
+    stand are not driven again, and enough stops are sent; and a run begins at rest.
+
+    Stops are not counted on a day on which nothing could be sent, or our process was killed.
     """
-    end_s = truth.ended_s
+    yield from _wheels_stand(truth)
+    yield from _no_command_drives(truth)
+    yield from _emergency_stop_is_sent(truth)
+    yield from _latched_robots_stay(truth)
+    yield from _none_runs_again(truth)
+    if not truth.met(*MUTE) and not truth.killed:
+        yield from _stops_are_sent(truth)
+    yield from _run_begins_at_rest(truth)
+
+
+def _unrest(at_s: float, finding: str) -> Violation:
+    return Violation("not at rest", at_s, finding)
+
+
+def _radio_late_s(truth: Truth) -> float:
+    """Return by how much faults of the radio delay what is sent."""
+    return truth.delay_s("late_radio", "overtaken_packets")
+
+
+def _wheels_stand(truth: Truth) -> Iterator[Violation]:
+    """No wheel turns once a command has come, a watchdog has passed and wheels have rolled since
+    the end or a kill, whichever was first.
+    """
     killed_s = [fault.span.began_s for fault in truth.faults if fault.is_kill]
-    bound_s = AIR_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
-    must_rest = truth.times_s > min([end_s, *killed_s]) + bound_s
-    rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > TURNS_MM_S)
+    bound_s = TRANSIT_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
+    must_rest = truth.times_s > min([truth.ended_s, *killed_s]) + bound_s
+    rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
     if rolls.any():
         row, i = np.argwhere(rolls)[0]
         yield _unrest(float(truth.times_s[row]), f"{truth.setup.names[i]} moves")
+
+
+def _no_command_drives(truth: Truth) -> Iterator[Violation]:
+    """No command after the end drives a robot, unless another takes its place in `TRANSIT_S`."""
     for command, acts_s in zip(truth.commands, truth.acting_s.tolist(), strict=True):
-        if time_s(command) > end_s and acts_s > AIR_S and any(truth.drives(command)):
+        if time_s(command) > truth.ended_s and acts_s > TRANSIT_S and any(truth.drives(command)):
             yield _unrest(time_s(command), "a command drives")
-            break
-    yield from _emergency(truth)
-    yield from _obeys(truth)
-    if not truth.met(*MUTE) and not truth.killed:
-        yield from _stops(truth)
+            return
+
+
+def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
+    """If it is pressed once a run has begun, a command with its flag is sent within `TRANSIT_S`,
+    before or after, and each command that is later by more than that has the flag.
+
+    Not checked on a day on which nothing could be sent, or if our process ended within that time.
+    """
+    pressed_s = truth.first_s("fault", name="emergency", phase="start")
+    is_in_run = truth.first_s("run") < pressed_s < truth.alive_s - TRANSIT_S
+    if not is_in_run or truth.met(*MUTE):
+        return
+    stopping_s = [time_s(c) for c in truth.commands if c["flags"] & EMERGENCY]
+    others_s = [time_s(c) for c in truth.commands if not c["flags"] & EMERGENCY]
+    if not any(pressed_s - TRANSIT_S < at_s < pressed_s + TRANSIT_S for at_s in stopping_s):
+        yield _unrest(pressed_s, "no emergency stop is sent")
+    if any(at_s > pressed_s + TRANSIT_S for at_s in others_s):
+        yield _unrest(pressed_s, "a command releases the emergency stop")
+
+
+def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
+    """A robot that has latched an emergency stop stays latched. Not checked on a day on which any
+    robot was switched off, at whatever time: it is free once it is on again.
+    """
+    latched = truth.has_status(LATCHED)
+    freed = (latched[:-1] & ~latched[1:]).any(axis=1)
+    if freed.any() and not truth.met("off"):
+        freed_row = 1 + freed.argmax()
+        yield _unrest(float(truth.times_s[freed_row]), "a robot is free again")
+
+
+def _none_runs_again(truth: Truth) -> Iterator[Violation]:
+    """A robot that stands since it has heard the end does not run again. Only a command that a
+    later one has overtaken could drive it; what does is not checked.
+
+    A robot that does not run counts as one that has heard the end, unless its watchdog stops it. A
+    radio that delays all alike delays the end, too.
+
+    Not checked on a day on which any robot was switched off, at whatever time.
+    """
+    heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio")
+    is_after = (truth.times_s > heard_s)[:, None]
+    runs = truth.has_status(RUNNING)
+    stands = is_after & ~runs & ~truth.has_status(SILENT)
+    has_stood = np.maximum.accumulate(stands, axis=0)
+    runs_again = (has_stood & runs).any(axis=1)
+    if runs_again.any() and not truth.met("off"):
+        yield _unrest(float(truth.times_s[runs_again.argmax()]), "a robot is driven again")
+
+
+def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
+    """From `TRANSIT_S` before the end of each time of driving until a watchdog after it,
+    `STOPS_MIN` commands that drive no robot are sent; of the first time that lacks some only.
+
+    And if for `REST_SEEN_S` after the end one robot was shown later than another by more than a
+    watchdog, it is not known to rest: stops are sent for two watchdogs at least. Neither is checked
+    if our process ended in this time.
+    """
+    halts_s = [time_s(c) for c in truth.commands if not any(truth.drives(c))]
+    for span in truth.driven_spans:
+        until_s = span.ended_s + truth.watchdog_s
+        sent = [at_s for at_s in halts_s if span.ended_s - TRANSIT_S < at_s < until_s]
+        if len(sent) < STOPS_MIN and until_s < truth.alive_s:
+            yield _unrest(span.ended_s, f"{len(sent)} stops are sent")
+            return
+    rest_seen_s = truth.ended_s + REST_SEEN_S
+    rows = (truth.times_s > truth.ended_s) & (truth.times_s < rest_seen_s)
+    apart_s = np.ptp(truth.unseen_s[rows], axis=1) if rows.any() else np.zeros(1)
+    one_unseen = apart_s.min() > truth.watchdog_s
+    stops_end = max(halts_s, default=0.0) < truth.ended_s + 2 * truth.watchdog_s
+    if one_unseen and stops_end and rest_seen_s < truth.alive_s:
+        yield _unrest(rest_seen_s, "stops end though a robot is not shown")
+
+
+def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
+    """No run begins while a fault shows motion, and has for as long as it takes to see it."""
     begins_s = truth.first_s("run")
-    shown_s = SHOWN_S + truth.limits.latency + AIR_S
+    shown_s = MOTION_SEEN_S + truth.limits.latency + TRANSIT_S
     for fault in truth.shown_moving:
         if fault.span.began_s + shown_s < begins_s < fault.span.ended_s:
             yield _unrest(begins_s, f"a run begins though the camera shows motion: {fault.kind}")
 
 
-def _unrest(at_s: float, finding: str) -> Violation:
-    return Violation("not at rest", float(at_s), finding)
-
-
-def _radio_late_s(truth: Truth) -> float:
-    """Return by how much faults of the radio delay what is sent [s]."""
-    return truth.delay_s(*LATE_RADIO)
-
-
-def _emergency(truth: Truth) -> Iterator[Violation]:
-    """An emergency stop is sent as soon as it is pressed, each later command has its flag, and no
-    robot that has latched is free again before it is switched off.
-    """
-    pressed_s = truth.first_s("fault", name="emergency", phase="start")
-    commands = [(time_s(c), bool(c["flags"] & EMERGENCY)) for c in truth.commands]
-    if truth.first_s("run") < pressed_s < truth.alive_s - AIR_S and not truth.met(*MUTE):
-        if not any(pressed_s - AIR_S < at_s < pressed_s + AIR_S for at_s, flag in commands if flag):
-            yield _unrest(pressed_s, "no emergency stop is sent")
-        if any(at_s > pressed_s + AIR_S for at_s, flag in commands if not flag):
-            yield _unrest(pressed_s, "a command releases the emergency stop")
-    latched = truth.has_status(LATCHED)
-    freed = latched[:-1] & ~latched[1:]
-    if freed.any() and not truth.met("off"):
-        yield _unrest(truth.times_s[freed.any(axis=1).argmax()], "a robot is free again")
-
-
-def _obeys(truth: Truth) -> Iterator[Violation]:
-    """A robot that has stood after the end is not driven again, by a command that another has
-    overtaken. A radio that delays all alike delays the end, too.
-    """
-    heard_s = truth.ended_s + AIR_S + truth.delay_s("late_radio")
-    runs = truth.has_status(RUNNING)
-    after = (truth.times_s > heard_s)[:, None]
-    stood = np.maximum.accumulate(after & ~runs & ~truth.has_status(SILENT), axis=0)
-    again = (stood & runs).any(axis=1)
-    if again.any() and not truth.met("off"):
-        yield _unrest(truth.times_s[again.argmax()], "a robot is driven again")
-
-
-def _stops(truth: Truth) -> Iterator[Violation]:
-    """Stops follow the end of each run, as many as a radio that loses some needs."""
-    halts = [time_s(c) for c in truth.commands if not any(truth.drives(c))]
-    for span in truth.driven_spans:
-        end_s = span.ended_s
-        sent = sum(end_s - AIR_S < at_s < end_s + truth.watchdog_s for at_s in halts)
-        if sent < STOPS and end_s + truth.watchdog_s < truth.alive_s:
-            yield _unrest(end_s, f"{sent} stops are sent")
-            return
-    # while one robot is not shown, it is not known to rest
-    again_s = truth.ended_s + RESTS_S
-    rows = (truth.times_s > truth.ended_s) & (truth.times_s < again_s)
-    apart_s = np.ptp(truth.unseen_s[rows], axis=1) if rows.any() else np.zeros(1)
-    ends = max(halts, default=0.0) < truth.ended_s + 2 * truth.watchdog_s
-    if ends and apart_s.min() > truth.watchdog_s and again_s < truth.alive_s:
-        yield _unrest(again_s, "stops end though a robot is not shown")
-
-
-# 3
+# 3: robots stay inside the arena and apart
 
 
 def stays_inside(truth: Truth) -> Iterator[Violation]:
-    """No robot is beyond the rim, in an obstacle, or nearer to another than `separation_mm`, by
-    more than its pose was wrong, people moved it, and it rolled before it could be stopped.
+    """No robot is beyond the rim or in an obstacle, or nearer to another than `separation_mm`, by
+    more than is allowed: for each robot the greatest error of its pose so far, the way of its
+    fastest wheel so far in `_rolls_on_s`, and half the noise; and all pushes of the day.
+
+    Yields the worst place of one robot, and of one pair.
     """
     if not len(truth.times_s):
         return
-    speed = np.maximum.accumulate(truth.wheel_speed_mm_s, axis=0)
-    wrong = np.maximum.accumulate(truth.error_mm, axis=0)
-    allowed = wrong + speed * _rolls_s(truth) + NOISE_MM / 2
+    speed_mm_s = np.maximum.accumulate(truth.wheel_speed_mm_s, axis=0)
+    wrong_mm = np.maximum.accumulate(truth.error_mm, axis=0)
+    allowed_mm = wrong_mm + speed_mm_s * _rolls_on_s(truth) + NOISE_MM / 2
+    pushed_mm = _pushed_mm(truth)
     names = truth.setup.names
-    yield from _outside(truth, truth.outside_mm - allowed - _pushed_mm(truth), names)
-    robots = range(len(names))
-    pairs = list(combinations(robots, 2))
-    if pairs:
-        positions = truth.poses[..., 0] + 1j * truth.poses[..., 1]
-        meets = [
-            truth.limits.separation_mm
-            - np.abs(positions[:, i] - positions[:, j])
-            - allowed[:, i]
-            - allowed[:, j]
-            for i, j in pairs
-        ]
-        pair_names = [f"{names[i]}, {names[j]}" for i, j in pairs]
-        yield from _outside(truth, np.stack(meets, axis=1) - _pushed_mm(truth), pair_names)
+    yield from _worst_place(truth, truth.outside_mm - allowed_mm - pushed_mm, names)
+    pairs = list(combinations(range(len(names)), 2))
+    if not pairs:
+        return
+    positions = truth.poses[..., 0] + 1j * truth.poses[..., 1]
+    too_near = list[Floats]()
+    for i, j in pairs:
+        apart_mm = np.abs(positions[:, i] - positions[:, j])
+        lacking_mm = truth.limits.separation_mm - apart_mm
+        too_near.append(lacking_mm - allowed_mm[:, i] - allowed_mm[:, j])
+    pair_names = [f"{names[i]}, {names[j]}" for i, j in pairs]
+    yield from _worst_place(truth, np.stack(too_near, axis=1) - pushed_mm, pair_names)
 
 
 def _pushed_mm(truth: Truth) -> float:
-    """Return how far people moved robots, which no frame shows at once."""
+    """Return how far people pushed robots on the day, summed over all robots and times: no frame
+    shows a push at once.
+    """
     return sum(math.hypot(*fault.fields["by"]) for fault in truth.faults_of("pushed"))
 
 
 def _pushed_rad(truth: Truth) -> float:
-    """Return by how much people turned robots, which no frame shows at once."""
+    """Return by how much people turned robots on the day, summed as in `_pushed_mm`."""
     return sum(abs(fault.fields.get("turn", 0.0)) for fault in truth.faults_of("pushed"))
 
 
-def _rolls_s(truth: Truth) -> Floats:
-    """Return how long a robot may go on beyond the time that is looked ahead (T, N) [s]: since it
-    was last shown, the way of a stop to it, and its lag.
+def _rolls_on_s(truth: Truth) -> Floats:
+    """Return how long a robot may roll on beyond what the guard predicts, `reaction` (T, N): the
+    longest time so far for which it was driven unseen, in which frames are late, then the way of a
+    stop to it, or until its watchdog where a stop may fail, and its lag.
     """
-    after_s = AIR_S + LAG_MAX_S + _radio_late_s(truth)
-    quiet = ("loss", "deaf", "unplug", "stuck_port", "radio_resets", "baud", "bad_bytes", "signal")
-    if truth.met(*quiet, "stopped", "off", "busy"):
-        after_s += truth.watchdog_s
-    unseen_s = np.where(truth.wheel_speed_mm_s > DRIVEN_MM_S, truth.unseen_s, 0.0)
-    unseen_s = np.maximum.accumulate(unseen_s, axis=0) + truth.late_s
-    return np.maximum(0.0, unseen_s + after_s - truth.limits.reaction)
+    stops_s = TRANSIT_S + LAG_MAX_S + _radio_late_s(truth)
+    if truth.met(*STOPS_FAIL):
+        stops_s += truth.watchdog_s
+    driven_unseen_s = np.where(truth.wheel_speed_mm_s > DRIVEN_MM_S, truth.unseen_s, 0.0)
+    unseen_s = np.maximum.accumulate(driven_unseen_s, axis=0) + truth.late_s
+    return np.maximum(0.0, unseen_s + stops_s - truth.limits.reaction)
 
 
-def _outside(truth: Truth, beyond: Floats, names: Sequence[str]) -> Iterator[Violation]:
-    if (beyond > 0).any():
-        row, i = np.unravel_index(int(beyond.argmax()), beyond.shape)
-        finding = f"{names[int(i)]} by {beyond[row, i]:.0f} mm more than allowed"
-        yield Violation("outside", float(truth.times_s[row]), finding, hidden(truth))
+def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Iterator[Violation]:
+    """Yield the place furthest beyond what is allowed, of robots or pairs of these names."""
+    if (beyond_mm > 0).any():
+        row, i = np.unravel_index(int(beyond_mm.argmax()), beyond_mm.shape)
+        finding = f"{names[int(i)]} by {beyond_mm[row, i]:.0f} mm more than allowed"
+        at_s = float(truth.times_s[row])
+        yield Violation("outside", at_s, finding, undetectable_motion(truth))
 
 
-# 4
+# 4: poses and the result are true
 
 
 def poses_are_true(truth: Truth) -> Iterator[Violation]:
-    """No pose is accepted of a robot that is driven that is off by more than a body; none of one
-    that is hidden; and the errors of a complete trial are true.
-
-    A pose is compared where it was exposed: what a robot does until the next one is its own motion.
+    """Poses accepted of robots that are driven are true, the log has none of a robot that is
+    hidden, and the errors of a complete trial are true.
     """
-    accepted = (
-        truth.fresh & (truth.wheel_speed_mm_s > 5.0) & (truth.times_s < truth.ended_s)[:, None]
-    )
-    off_mm, off_rad = _least_off(truth)
-    off_mm -= _pushed_mm(truth)
-    off_rad -= _pushed_rad(truth)
-    for off, most, unit in ((off_mm, POSE_MM, "mm"), (off_rad, POSE_RAD, "rad")):
-        wrong = accepted & (off > most)
+    yield from _accepted_poses_are_true(truth)
+    yield from _hidden_robots_have_no_pose(truth)
+    yield from _result_is_true(truth)
+
+
+def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
+    """No pose that the log has of a driven robot before the end is off by more than `POSE_MM` and
+    all pushes of the day, or `POSE_RAD` and all turns by people; yields the first, of a place if
+    there is one.
+
+    A pose is compared in the frame that has it: what a robot does until the next one is its own
+    motion.
+    """
+    is_driven = truth.wheel_speed_mm_s > DRIVEN_MM_S
+    is_before_end = (truth.times_s < truth.ended_s)[:, None]
+    checked = truth.fresh & is_driven & is_before_end
+    off = _least_pose_errors(truth)
+    off_mm = off.mm - _pushed_mm(truth)
+    off_rad = off.rad - _pushed_rad(truth)
+    for errors, most, unit in ((off_mm, POSE_MM, "mm"), (off_rad, POSE_RAD, "rad")):
+        wrong = checked & (errors > most)
         if wrong.any():
             row, i = np.argwhere(wrong)[0]
-            finding = f"{truth.setup.names[i]} by {off[row, i]:.3g} {unit}"
-            yield Violation("untrue", float(truth.times_s[row]), finding, hidden(truth))
-            break
-    yield from _seen_though_hidden(truth)
-    log = truth.trial
-    if log is not None and log.result is not None and log.result.outcome.complete:
-        most_mm = float(_result_off_mm(truth, log.result.robot_errors).max())
-        if most_mm > RESULT_MM:
-            finding = f"a result by {most_mm:.0f} mm"
-            yield Violation("untrue", float(truth.times_s[-1]), finding, hidden(truth))
-
-
-def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
-    """Return how far the error of each robot in a result is (N,) from the nearest true one [mm] of
-    the last `stale`: a robot that is put elsewhere at the end is known by its pose before.
-    """
-    mm = truth.setup.metres * 1000
-    final_s = truth.times_s[truth.final_exposure]
-    is_recent = (truth.times_s > final_s - truth.limits.stale) & (truth.times_s <= final_s)
-    apart = truth.poses[is_recent, :, :2] / mm - truth.setup.targets.reshape(-1, 2)
-    off = np.hypot(apart[..., 0], apart[..., 1]) - robot_errors
-    return np.abs(off).min(axis=0) * mm
-
-
-def _least_off(truth: Truth) -> tuple[Floats, Floats]:
-    """Return how far each pose accepted is, in place [mm] and in heading [rad] (T, N), from the
-    nearest true one of the time in which it may have been exposed: the `late_s` and, if it repeats
-    the pose before to the last bit, the time in which a frozen pose looks like that of a
-    robot that stands, since a stop or no command may still act on it.
-    """
-    frozen_s = truth.limits.stale + AIR_S + truth.watchdog_s
-    within_s = truth.late_s + np.where(truth.repeated, frozen_s, 0.0)
-    last = np.arange(len(truth.times_s))[:, None]
-    first = np.searchsorted(truth.times_s, truth.times_s[:, None] - within_s)
-    robots = np.arange(truth.fresh.shape[1])
-    least_mm = np.full(truth.fresh.shape, np.inf)
-    least_rad = least_mm.copy()
-    for back in range(int((last - first).max(initial=0)) + 1):
-        off = truth.accepted - truth.poses[np.maximum(last - back, first), robots]
-        turned = np.abs(np.remainder(off[..., 2] + np.pi, 2 * np.pi) - np.pi)
-        least_mm = np.fmin(least_mm, np.hypot(off[..., 0], off[..., 1]))
-        least_rad = np.fmin(least_rad, turned)
-    return least_mm, least_rad
-
-
-def _seen_though_hidden(truth: Truth) -> Iterator[Violation]:
-    """Yield a robot of which the log has a pose, though it was hidden or not on the floor.
-
-    Readings of a mat have the times of their arrival: one may be from before its robot was hidden.
-    """
-    arrives_s = EVENT_S if truth.setup.sight.coarse else 2 * FRAME_S
-    for span in hidden_spans(truth):
-        began_s = span.began_s + arrives_s
-        ended_s = span.ended_s - 2 * FRAME_S
-        during = (truth.times_s > began_s) & (truth.times_s < ended_s)
-        is_shown = during & truth.fresh[:, span.robot]
-        if is_shown.any():
-            name = truth.setup.names[span.robot]
-            yield Violation(
-                "untrue", float(truth.times_s[is_shown.argmax()]), f"{name} is not hidden"
-            )
+            finding = f"{truth.setup.names[i]} by {errors[row, i]:.3g} {unit}"
+            at_s = float(truth.times_s[row])
+            yield Violation("untrue", at_s, finding, undetectable_motion(truth))
             return
 
 
-class HiddenSpan(NamedTuple):
-    """A time in which a fault hides a robot, or its body is not on the floor: begin, end [s]."""
+@dataclass(frozen=True, slots=True)
+class LeastPoseErrors:
+    """How far poses accepted are from true ones, in place [mm] and in heading [rad] (T, N)."""
+
+    mm: Floats
+    rad: Floats
+
+
+def _least_pose_errors(truth: Truth) -> LeastPoseErrors:
+    """Return how far each pose accepted is from the true ones of its robot in the time in which it
+    may have been exposed: from the nearest in place, and from the nearest in heading, which may be
+    of another exposure. Infinite where no pose was accepted.
+
+    This time ends at the row's exposure and lasts for `late_s`. A pose that repeats the one before
+    to the last bit may be longer ago, since a frozen pose looks like that of a robot that stands:
+    by `stale`, `TRANSIT_S` and the watchdog, after which no command acts any more.
+    """
+    frozen_s = truth.limits.stale + TRANSIT_S + truth.watchdog_s
+    may_be_old_s = truth.late_s + np.where(truth.repeated, frozen_s, 0.0)
+    rows = np.arange(len(truth.times_s))[:, None]
+    earliest_rows = np.searchsorted(truth.times_s, truth.times_s[:, None] - may_be_old_s)
+    robots = np.arange(truth.fresh.shape[1])
+    least_mm = np.full(truth.fresh.shape, np.inf)
+    least_rad = least_mm.copy()
+    most_rows_back = int((rows - earliest_rows).max(initial=0))
+    for rows_back in range(most_rows_back + 1):
+        exposed_rows = np.maximum(rows - rows_back, earliest_rows)
+        off = truth.accepted - truth.poses[exposed_rows, robots]
+        off_mm = np.hypot(off[..., 0], off[..., 1])
+        off_rad = np.abs(np.remainder(off[..., 2] + np.pi, 2 * np.pi) - np.pi)
+        least_mm = np.fmin(least_mm, off_mm)  # leaves out NaN, where there is no pose
+        least_rad = np.fmin(least_rad, off_rad)
+    return LeastPoseErrors(least_mm, least_rad)
+
+
+def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
+    """The log has no pose of a robot that is hidden, but for two frames at the begin and the end;
+    yields the first of one robot.
+
+    Readings of a mat have the times of their arrival: until `READING_WAITS_S` after its begin, one
+    may be from before.
+    """
+    arrives_s = READING_WAITS_S if truth.setup.sight.coarse else 2 * FRAME_S
+    for span in hidden_spans(truth):
+        began_s = span.began_s + arrives_s
+        ended_s = span.ended_s - 2 * FRAME_S
+        is_hidden = (truth.times_s > began_s) & (truth.times_s < ended_s)
+        is_shown = is_hidden & truth.fresh[:, span.robot]
+        if is_shown.any():
+            at_s = float(truth.times_s[is_shown.argmax()])
+            yield Violation("untrue", at_s, f"{truth.setup.names[span.robot]} is not hidden")
+            return
+
+
+def _result_is_true(truth: Truth) -> Iterator[Violation]:
+    """No error of a robot in the result of a complete trial is wrong by more than `RESULT_MM`."""
+    log = truth.trial
+    if log is None or log.result is None or not log.result.outcome.complete:
+        return
+    most_mm = float(_result_off_mm(truth, log.result.robot_errors).max())
+    if most_mm > RESULT_MM:
+        finding = f"a result by {most_mm:.0f} mm"
+        at_s = float(truth.times_s[-1])
+        yield Violation("untrue", at_s, finding, undetectable_motion(truth))
+
+
+def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
+    """Return how far the error of each robot in a result is (N,) from the nearest true one of the
+    last `stale` before the last frame: a robot that is put elsewhere at the end is known by its
+    pose before.
+    """
+    unit_mm = truth.setup.metres * 1000
+    final_s = truth.times_s[truth.final_exposure]
+    is_recent = (truth.times_s > final_s - truth.limits.stale) & (truth.times_s <= final_s)
+    to_targets = truth.poses[is_recent, :, :2] / unit_mm - truth.setup.targets.reshape(-1, 2)
+    off = np.hypot(to_targets[..., 0], to_targets[..., 1]) - robot_errors
+    return np.abs(off).min(axis=0) * unit_mm
+
+
+# When no camera can show a robot
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenSpan:
+    """A time in which a `fault` hides a robot, by its number, or its body is not on the floor."""
 
     robot: int
     fault: str
@@ -361,194 +507,21 @@ class HiddenSpan(NamedTuple):
 
 
 def hidden_spans(truth: Truth) -> Iterator[HiddenSpan]:
-    """Yield when robots were hidden, or lifted or tipped by more than the spec allows; nothing if
-    robots are swapped: each is then shown where another is.
+    """Yield when robots were not tracked, or lifted or tipped by more than the spec allows and a
+    camera's noise; nothing if robots were swapped on the day: each is then shown as another.
     """
     if truth.met("swap"):
         return
     limits = truth.limits
     for fault in truth.faults:
         fields = fault.fields
-        high = fields.get("height", 0.0) > limits.height_mm[1] + NOISE_MM
-        tilted = fault.name == "tipped" and abs(fields["angle"]) > limits.tilt + TILT_NOISE
-        if fault.name in ("untracked", "nan", "bad_quaternion") or high or tilted:
+        is_untracked = fault.name in ("untracked", "nan", "bad_quaternion")
+        is_high = fields.get("height", 0.0) > limits.height_mm[1] + NOISE_MM
+        tilt_max = limits.tilt + TILT_NOISE_RAD
+        is_tilted = fault.name == "tipped" and abs(fields["angle"]) > tilt_max
+        if is_untracked or is_high or is_tilted:
             robot = truth.setup.names.index(fields["robot"])
             yield HiddenSpan(robot, fault.name, fault.span.began_s, fault.span.ended_s)
-
-
-def hidden(truth: Truth) -> str:
-    """Return the class of faults on the day that one camera cannot show: those that it cannot tell
-    from wheels within `wheel_error`, and a picture that crept before the run, since all poses are
-    measured in it; "" for none.
-    """
-    error = truth.limits.wheel_error
-    speed = float(truth.setup.speed.max()) * truth.setup.metres * 1000
-    radius = (truth.setup.wheel_radius or 0.04) * truth.setup.metres * 1000
-    walk = error * speed + 5.0
-    for fault in truth.faults_of("ghost", "picture"):
-        fields = fault.fields
-        creeps = fault.name == "ghost" or fields.get("creeps")
-        step_mm = math.hypot(*fields.get("by", (0.0, 0.0)))
-        speed_mm_s = step_mm / FRAME_S
-        rate = abs(fields.get("turn", 0.0)) / FRAME_S
-        grows = abs(fields.get("scale", 1.0) - 1.0) / FRAME_S * 1000
-        if creeps and rate <= error * speed / radius and speed_mm_s <= walk and grows <= walk:
-            return "slow: as wheels within wheel_error"
-        if fault.name == "picture" and creeps and fault.span.ended_s <= truth.began_s:
-            return "before: the camera was off when the run began"
-    return ""
-
-
-def frozen(truth: Truth) -> str:
-    """Return the class of frozen pictures that a camera's grid hides: those of robots that stand;
-    "" for none.
-    """
-    coarse = truth.setup.sight.coarse and truth.met("repeat", "freeze")
-    return "frozen: as robots that stand" if coarse else ""
-
-
-# 5
-
-
-def log_is_readable(truth: Truth) -> Iterator[Violation]:
-    """A log is there, whole but for a full disk or a kill, consistent, and says what was."""
-    yield from log_is_whole(truth)
-    yield from logged(truth)
-
-
-def log_is_whole(truth: Truth) -> Iterator[Violation]:
-    """A log is there, whole but for a full disk or a kill, and consistent."""
-    log = truth.log
-    spoilt = truth.killed or truth.met("disk_full")
-    if truth.day.exit == HUNG:
-        return
-    if isinstance(log, str):
-        if log or truth.began_s < np.inf:
-            yield Violation("log", 0.0, log or "none was written")
-    elif log.result is None or log.damage is not None:
-        if not spoilt:
-            yield Violation("log", 0.0, f"damaged, or without a result: {log.damage}")
-    else:
-        for differs in islice(log_differences(log), 1):
-            yield Violation("log", 0.0, str(differs))
-
-
-# 6
-
-
-def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
-    """The exit code says how the trial ended, nothing is left behind, and a trial counts only if
-    robots were seen to rest, no emergency stop was pressed and no limit of the spec was passed.
-    """
-    day = truth.day
-    log = truth.log
-    for text in (truth.reason, day.said):
-        if ERROR.search(text):
-            yield _exit(text[-500:])
-            break
-    if day.exit == HUNG:
-        yield _exit("hangs")
-        return
-    if day.left_behind:
-        yield _exit(f"left behind: {day.left_behind}")
-    expected = -9 if truth.killed and day.exit < 0 else 1
-    if isinstance(log, TrialLog) and log.result is not None:
-        outcome = log.result.outcome
-        expected = exit_code_of(outcome)
-    refused = truth.began_s == np.inf and truth.met("signal")  # while it waits for robots
-    if day.exit != expected and not (refused and day.exit == 130):
-        yield _exit(f"{day.exit}, not {expected}")
-    if day.exit == 0:
-        yield from _counts(truth)
-
-
-def exit_code_of(outcome: Outcome) -> int:
-    """Return the exit code of a run of one trial that ended so, as the documentation says."""
-    if outcome.complete:
-        return 0
-    return 130 if outcome is Outcome.INTERRUPTED else 1
-
-
-def _exit(finding: str, at_s: float = 0.0) -> Violation:
-    return Violation("exit code", at_s, finding)
-
-
-def _counts(truth: Truth) -> Iterator[Violation]:
-    end_s = truth.alive_s
-    pressed_s = truth.first_s("fault", name="emergency", phase="start")
-    if truth.first_s("run") < pressed_s < end_s - AIR_S:
-        yield _exit("a trial counts though an emergency stop was pressed", pressed_s)
-    is_before_end = truth.times_s <= end_s
-    last = truth.unseen_s[is_before_end][-1:]
-    if last.size and last.max() > truth.limits.stream_lost:
-        finding = f"a trial counts though a robot was unseen for {last.max():.2f} s"
-        yield Violation("exit code", end_s, finding, frozen(truth))
-    for fault in truth.shown_moving:
-        if fault.span.began_s < truth.ended_s + AIR_S and fault.span.ended_s > end_s:
-            yield _exit(f"a trial counts though the camera shows motion: {fault.kind}", end_s)
-    if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
-        yield _exit("a trial counts though more than `late_steps` were late in a row")
-
-
-def _late_in_a_row(truth: Truth) -> int:
-    """Return the most control steps in a row that the log shows to be late by a period.
-
-    A step begins when its frame has come and the step before has ended: a silent camera makes
-    frames old, and no step late. Robots stand from a step that stops them until the next has ended:
-    neither is late for anybody, and a row ends with them.
-    """
-    assert truth.trial is not None
-    period_ns = truth.setup.period_s * 1e9
-    most = 0
-    count = 0
-    ended_ns = 0
-    robots_stand = True
-    for step in truth.trial.steps:
-        began_ns = max(step.observation.received_ns, ended_ns)
-        ended_ns = step.command.sent_ns
-        stops = isinstance(step.command.action, Stop)
-        is_late = ended_ns - began_ns > period_ns
-        in_row = is_late and not stops and not robots_stand
-        count = count + 1 if in_row else 0
-        robots_stand = stops
-        most = max(most, count)
-    return most
-
-
-# 7
-
-
-def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
-    """The reason of an abort or a refusal is one that the table of faults has for a fault that was
-    there, and names a robot that has it.
-    """
-    reason = truth.reason
-    if not reason:
-        return
-    at_s = min(truth.abort_s, 1e6)
-    plan = truth.day.plan
-    grid = MOTION if truth.setup.sight.coarse and truth.met("freeze") else ""
-    of_faults = [plan.kind(fault.fields).right for fault in truth.faults]
-    right = [pattern for pattern in (plan.right, grid, *of_faults) if pattern]
-    is_right = bool(right) and re.search("|".join(right), reason, re.IGNORECASE)
-    if not plan.faults or not is_right:
-        yield Violation("reason", at_s, reason[:200])
-        return
-    robot = _misnamed(truth)
-    if robot:
-        yield Violation("reason", at_s, f"{reason[:200]}: it was {robot}")
-
-
-def _misnamed(truth: Truth) -> str:
-    """Return the robot that has the only fault, if the reason names others; "" if it does not."""
-    right = truth.day.plan.right
-    needs_no_fault = bool(right) and re.search(right, truth.reason)
-    if len(truth.faults) != 1 or needs_no_fault or "robot" not in truth.faults[0].fields:
-        return ""
-    fields = truth.faults[0].fields
-    named = {name for name in truth.setup.names if re.search(rf"\b{name}\b", truth.reason)}
-    has_fault = {fields["robot"], fields.get("other")}
-    return str(fields["robot"]) if named and not named & has_fault else ""
 
 
 SENTENCES: tuple[Sentence, ...] = (

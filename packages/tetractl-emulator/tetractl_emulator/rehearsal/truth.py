@@ -62,6 +62,9 @@ MOVES_MM_S = 10.0
 """Least speed that pictures of a second show plainly [mm/s]."""
 MOVES_RAD_S = 0.1
 """Least rate of turning that pictures of a second show plainly [rad/s]."""
+TRANSIT_S = 0.05
+"""Longest time from an event to its command at the robots [s]: a tick of our side of 10 ms, a frame
+of the camera, the UART and the air."""
 NEAR_S = 0.02
 """Greatest difference between the times of a picture and of the exposure that it shows [s]."""
 

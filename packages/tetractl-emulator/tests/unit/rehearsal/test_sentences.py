@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 from tetractl_emulator.rehearsal.day import Day, DayPlan
-from tetractl_emulator.rehearsal.sentences import SENTENCES, hidden, violations
+from tetractl_emulator.rehearsal.excuses import undetectable_motion
+from tetractl_emulator.rehearsal.sentences import SENTENCES, violations
 from tetractl_emulator.rehearsal.truth import Truth
 
 from tetractl.core.commands import Steer, Stop
@@ -176,6 +177,13 @@ def test_a_frozen_picture_on_a_cameras_grid_is_of_a_class_that_no_camera_shows()
 )
 def test_robots_rest_after_a_stop(events, more):
     assert "not at rest" in broken(events, **more)
+
+
+def test_a_robot_that_is_free_again_is_dated_when_it_is_free():
+    """Regression: it was dated by the exposure before, at which it had still latched the stop."""
+    truth = day([*GOOD, truth_at(2.0, status=(2, 0, 0)), truth_at(2.1)])
+    freed = [v for v in violations(truth) if v.finding == "a robot is free again"]
+    assert [violation.at_s for violation in freed] == [2.1]
 
 
 @pytest.mark.parametrize(("shown_s", "wrong"), [(0.5, False), (0.6, True)])
@@ -468,6 +476,20 @@ def test_the_reason_names_a_fault_that_was_there(said, robot, wrong):
     assert ("reason" in names) == wrong
 
 
+def test_a_name_is_no_pattern_of_other_names():
+    """Regression: a reason that named axb counted as one that named a.b."""
+    setup = replace(SETUP, names=("a.b", "axb", "c"))
+    said = "error: trial 1: axb is not tracked (0.30 s)\n"
+    assert names_of(6, day(GOOD, LOST | {"robot": "a.b"}, said, setup=setup)) == {"reason"}
+
+
+def test_a_reason_that_is_right_without_a_fault_may_begin_with_a_capital():
+    """Regression: it then had to name the robot with the fault, too."""
+    truth = day(GOOD, said="error: trial 1: About to leave the arena: blue\n")
+    truth.day = replace(truth.day, plan=replace(truth.day.plan, right="about to leave"))
+    assert names_of(6, truth) == set()
+
+
 def test_slow_motion_is_of_a_class_that_no_camera_shows():
     slow = GHOST | {"turn": 0.001}
     turned = [[900.0, 800.0, math.pi / 2], *STARTS[1:]]
@@ -484,4 +506,4 @@ def test_a_camera_that_slipped_before_the_run_is_what_no_camera_shows(ended_s, p
     slips |= {"scale": 0.999, "creeps": True}
     end = at(ended_s, "fault", phase="end", row=0)
     truth = day([starts(0.8), *RUN, truth_at(2.2, 180.0), end], fault=slips)
-    assert hidden(truth) == predicted
+    assert undetectable_motion(truth) == predicted

@@ -1,0 +1,212 @@
+"""The three sentences about what a trial leaves behind, of robots and of cells alike: its log, its
+exit code, and the reason of its abort.
+"""
+
+import re
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+
+from tetractl.core.commands import Stop
+from tetractl.core.plan import Outcome
+from tetractl_emulator.rehearsal.day import HUNG
+from tetractl_emulator.rehearsal.excuses import undetectable_freeze
+from tetractl_emulator.rehearsal.log_checks import log_differences
+from tetractl_emulator.rehearsal.logged import logged
+from tetractl_emulator.rehearsal.schedule import MOTION
+from tetractl_emulator.rehearsal.truth import TRANSIT_S, Truth
+from tetractl_emulator.rehearsal.violation import Violation
+
+KILLED = -9
+"""The exit code that a day has of a process that was killed."""
+INTERRUPTED = 130
+"""The exit code of a run that a signal has ended."""
+NO_ABORT_S = 1e6
+"""Stands for the time of an abort that never came [s]: results have no infinite numbers."""
+PROGRAM_ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
+"""What a run prints if it fails by an error of our program."""
+
+
+# The log is readable, and says what was
+
+
+def log_is_readable(truth: Truth) -> Iterator[Violation]:
+    """A log is whole, as of `log_is_whole`, and says what was sent and shown, as of `logged`."""
+    yield from log_is_whole(truth)
+    yield from logged(truth)
+
+
+def log_is_whole(truth: Truth) -> Iterator[Violation]:
+    """There is a log once a run has begun; it can be read, has a result and no damage, and does not
+    contradict itself, of which the first difference is found.
+
+    On a day with a full disk or a kill it may be damaged or lack its result, but has to be there
+    and to be readable. That of a day that hangs is not checked.
+    """
+    if truth.day.exit == HUNG:
+        return
+    log = truth.log
+    may_be_damaged = truth.killed or truth.met("disk_full")
+    if isinstance(log, str):
+        if log or truth.began_s < np.inf:
+            yield Violation("log", 0.0, log or "none was written")
+    elif log.result is None or log.damage is not None:
+        if not may_be_damaged:
+            yield Violation("log", 0.0, f"damaged, or without a result: {log.damage}")
+    else:
+        for difference in islice(log_differences(log), 1):
+            yield Violation("log", 0.0, str(difference))
+
+
+# The exit code is right
+
+
+def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
+    """A run does not hang, prints no error of our program, leaves nothing behind, ends with the
+    code of `_expected_code`, and a trial that ends with 0 deserves it, as of `_counts`.
+
+    A process that got a signal and never began a run, since it waited for robots, may also end with
+    130. If it hangs, its end is not checked further.
+    """
+    day = truth.day
+    for text in (truth.reason, day.said):
+        if PROGRAM_ERROR.search(text):
+            yield _wrong_end(text[-500:])
+            break
+    if day.exit == HUNG:
+        yield _wrong_end("hangs")
+        return
+    if day.left_behind:
+        yield _wrong_end(f"left behind: {day.left_behind}")
+    expected = _expected_code(truth)
+    waited = truth.began_s == np.inf and truth.met("signal")
+    if day.exit != expected and not (waited and day.exit == INTERRUPTED):
+        yield _wrong_end(f"{day.exit}, not {expected}")
+    if day.exit == 0:
+        yield from _counts(truth)
+
+
+def _wrong_end(finding: str, at_s: float = 0.0) -> Violation:
+    return Violation("exit code", at_s, finding)
+
+
+def _expected_code(truth: Truth) -> int:
+    """Return the exit code that a day has to have: that of the result in the log or, without one,
+    -9 of a process that a kill has ended, and else 1.
+
+    No kill comes after the result: it acts in a tick of the emulation, and the log gets its result
+    once the emulation has made its last tick.
+    """
+    if truth.trial is not None and truth.trial.result is not None:
+        return _code_of(truth.trial.result.outcome)
+    return KILLED if truth.killed and truth.day.exit < 0 else 1
+
+
+def _code_of(outcome: Outcome) -> int:
+    """Return the exit code of a run of one trial that ended so, as the documentation says."""
+    if outcome.complete:
+        return 0
+    return INTERRUPTED if outcome is Outcome.INTERRUPTED else 1
+
+
+def _counts(truth: Truth) -> Iterator[Violation]:
+    """A trial counts only if no emergency stop was pressed since its run began, but in the last
+    `TRANSIT_S`; no robot was unseen for `stream_lost` at its end; no fault showed motion from the
+    end of driving to that of the process; and no more than `late_steps` were late in a row.
+
+    Other limits of the spec are not checked here.
+    """
+    end_s = truth.alive_s
+    pressed_s = truth.first_s("fault", name="emergency", phase="start")
+    if truth.first_s("run") < pressed_s < end_s - TRANSIT_S:
+        yield _wrong_end("a trial counts though an emergency stop was pressed", pressed_s)
+    is_before_end = truth.times_s <= end_s
+    last_unseen_s = truth.unseen_s[is_before_end][-1:]
+    if last_unseen_s.size and last_unseen_s.max() > truth.limits.stream_lost:
+        finding = f"a trial counts though a robot was unseen for {last_unseen_s.max():.2f} s"
+        yield Violation("exit code", end_s, finding, undetectable_freeze(truth))
+    for fault in truth.shown_moving:
+        if fault.span.began_s < truth.ended_s + TRANSIT_S and fault.span.ended_s > end_s:
+            finding = f"a trial counts though the camera shows motion: {fault.kind}"
+            yield _wrong_end(finding, end_s)
+    if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
+        yield _wrong_end("a trial counts though more than `late_steps` were late in a row")
+
+
+def _late_in_a_row(truth: Truth) -> int:
+    """Return the most control steps in a row that the log shows to be late by a period.
+
+    A step begins when its frame has come and the step before has ended: a silent camera makes
+    frames old, and no step late. Robots stand from a step that stops them until the next has ended:
+    neither is late for any robot, and a row ends with them.
+    """
+    assert truth.trial is not None
+    period_ns = truth.setup.period_s * 1e9
+    most = 0
+    count = 0
+    ended_ns = 0
+    robots_stand = True
+    for step in truth.trial.steps:
+        began_ns = max(step.observation.received_ns, ended_ns)
+        ended_ns = step.command.sent_ns
+        stops = isinstance(step.command.action, Stop)
+        is_late = ended_ns - began_ns > period_ns
+        in_row = is_late and not stops and not robots_stand
+        count = count + 1 if in_row else 0
+        robots_stand = stops
+        most = max(most, count)
+    return most
+
+
+# The reason names a fault that was there
+
+
+def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
+    """The reason of an abort or a refusal matches, in capitals or not, a pattern
+
+    - that the table of faults has for a fault which became visible,
+    - of the plan, `right`: what robots near the rim, or a world off the spec, bring about, or
+    - `MOTION`, if a camera that measures on a grid sent a frozen frame: robots then seem to stand;
+
+    and it names no robot but one that has the fault, as of `_robot_not_named`. On a day planned
+    without a fault each reason is wrong: the lab is as the spec allows.
+    """
+    reason = truth.reason
+    if not reason:
+        return
+    at_s = min(truth.abort_s, NO_ABORT_S)
+    if not truth.day.plan.faults or not _is_right(reason, _right_patterns(truth)):
+        yield Violation("reason", at_s, reason[:200])
+        return
+    robot = _robot_not_named(truth)
+    if robot:
+        yield Violation("reason", at_s, f"{reason[:200]}: it was {robot}")
+
+
+def _right_patterns(truth: Truth) -> list[str]:
+    """Return the regular expressions of right reasons, as of `reason_names_a_fault`."""
+    plan = truth.day.plan
+    grid_froze = truth.setup.sight.coarse and truth.met("freeze")
+    patterns = [plan.right, MOTION if grid_froze else ""]
+    patterns += [plan.kind(fault.fields).right for fault in truth.faults]
+    return [pattern for pattern in patterns if pattern]
+
+
+def _is_right(reason: str, patterns: list[str]) -> bool:
+    return any(re.search(pattern, reason, re.IGNORECASE) for pattern in patterns)
+
+
+def _robot_not_named(truth: Truth) -> str:
+    """Return the robot that has the only visible fault, if the reason names robots, but neither it
+    nor the fault's `other`; "" if not, and for a reason that is right without a fault.
+    """
+    right = truth.day.plan.right
+    needs_no_fault = bool(right) and _is_right(truth.reason, [right])
+    if len(truth.faults) != 1 or needs_no_fault or "robot" not in truth.faults[0].fields:
+        return ""
+    fields = truth.faults[0].fields
+    names = truth.setup.names
+    named = {name for name in names if re.search(rf"\b{re.escape(name)}\b", truth.reason)}
+    has_fault = {fields["robot"], fields.get("other")}
+    return str(fields["robot"]) if named and not named & has_fault else ""

@@ -37,9 +37,9 @@ robot must have moved
        since its pose changed: each from its transmission to the next, for WATCHDOG_NS at most.
 
 The second rule finds a frozen picture though robots are stopped so often that they might always
-stand by the first. A camera that measures on a grid may repeat a pose while its robot moves: then
-the integrals since the pose changed must say, in addition, that a part of the motion is greater
-than a step of the grid and the slack.
+stand by the first. If the camera measures on a grid, a pose may repeat while its robot moves: then,
+in addition, the integrals since the pose changed must say that the robot has gone further than such
+a camera may leave unseen (`MotionTolerance.unseen`).
 
 Lengths are in the spec's length unit, angles rad, positive anticlockwise, times ns on the run's
 clock. N is the number of robots. Arrays (..., 3) hold the parts along, across and around; arrays
@@ -142,17 +142,18 @@ class MotionCheck:
         self._commanded = CommandHistory(2, robots, 3)
         # the bounds (2, N, 3) up to the newest frame
         self._bounds = np.zeros((2, robots, 3))
-        # for how long (N,) [s] commands that exclude zero were sent since each pose changed
+        # for how long (N,) [s] commands that exclude zero have been in force since the last pose
+        # of each robot was taken
         self._driven_s = np.zeros(robots)
         self._since_rest = MotionSinceRest(self._tolerance.slack)
 
     @property
     def travelled(self) -> Floats:
-        """The motion (N, 3) since the start, by consistent poses."""
+        """The motion (N, 3) since the robots started from rest, by consistent poses."""
         return self._since_rest.travelled
 
     def restart(self) -> None:
-        """Forget all motion; called when robots start from rest.
+        """Forget the motion and its integrals; called when robots start from rest.
 
         A pose may repeat since before: what rule 2 counts is kept. The integrals since it changed,
         which a camera with a grid needs, begin at 0 again.
@@ -185,8 +186,8 @@ class MotionCheck:
 
         A robot that measures its own pose may have an earlier time than before: that of its last
         accepted pose, if a later one was refused and now none comes. Integrating backward then
-        takes back what was added. More than DELAY_NS back it does not: no command is found, and
-        what follows is counted twice.
+        takes back what was added while the commands did not change. More than DELAY_NS back it does
+        not: no command is found, and what follows is counted twice, as it always is by rule 2.
         """
         intervals = list(zip(self.times, times, strict=True))
         distinct = set(intervals)

@@ -87,7 +87,7 @@ STOPS_FAIL = (
 
 
 def violations(truth: Truth) -> list[Violation]:
-    """Return the sentences that a day of robots has broken."""
+    """Return where a day of robots broke a sentence."""
     return [violation for sentence in SENTENCES for violation in sentence(truth)]
 
 
@@ -153,7 +153,7 @@ def _unseen_s(command: Event, acts_s: float, off_floor: "Sequence[HiddenSpan]") 
 
 
 def _first_seldom_shown(truth: Truth) -> Violation | None:
-    """Return when first a robot was unseen for more than half of `DRIVING_WINDOW_S`.
+    """Return the first time at which a robot was unseen for more than half of `DRIVING_WINDOW_S`.
 
     The window is the last such time in which the guard let robots be driven: it leaves out pauses,
     and joins what was driven before and after them. A robot counts as unseen once it has not been
@@ -233,8 +233,9 @@ def _no_command_drives(truth: Truth) -> Iterator[Violation]:
 
 
 def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
-    """If it is pressed once a run has begun, a command with its flag is sent within `TRANSIT_S`,
-    before or after, and each command that is later by more than that has the flag.
+    """If the day's first press is after the begin of a run, a command with the flag of an emergency
+    stop is sent within `TRANSIT_S`, before or after, and each command that is later by more than
+    that has the flag.
 
     Not checked on a day on which nothing could be sent, or if our process ended within that time.
     """
@@ -285,8 +286,8 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
     `STOPS_MIN` commands that drive no robot are sent; of the first time that lacks some only.
 
     And if for `REST_SEEN_S` after the end one robot was shown later than another by more than a
-    watchdog, it is not known to rest: stops are sent for two watchdogs at least. Neither is checked
-    if our process ended in this time.
+    watchdog, it is not known to rest: the last stop is two watchdogs after the end or later. Of
+    either, nothing is checked if our process ended in the time of which it speaks.
     """
     halts_s = [time_s(c) for c in truth.commands if not any(truth.drives(c))]
     for span in truth.driven_spans:
@@ -305,7 +306,8 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
 
 
 def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
-    """No run begins while a fault shows motion, and has for as long as it takes to see it."""
+    """The first run does not begin while a fault shows motion, and has shown it for as long as it
+    takes to see."""
     begins_s = truth.first_s("run")
     shown_s = MOTION_SEEN_S + truth.limits.latency + TRANSIT_S
     for fault in truth.shown_moving:
@@ -357,9 +359,10 @@ def _pushed_rad(truth: Truth) -> float:
 
 
 def _rolls_on_s(truth: Truth) -> Floats:
-    """Return how long a robot may roll on beyond what the guard predicts, `reaction` (T, N): the
-    longest time so far for which it was driven unseen, in which frames are late, then the way of a
-    stop to it, or until its watchdog where a stop may fail, and its lag.
+    """Return how long a robot may roll on beyond `reaction`, for which the guard predicts (T, N).
+
+    This is the sum of the longest time so far for which it was driven unseen, the delay of frames,
+    the way of a stop to the robot and its lag; and of its watchdog, where a stop may fail.
     """
     stops_s = TRANSIT_S + LAG_MAX_S + _radio_late_s(truth)
     if truth.met(*STOPS_FAIL):
@@ -395,8 +398,8 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
     all pushes of the day, or `POSE_RAD` and all turns by people; yields the first, of a place if
     there is one.
 
-    A pose is compared in the frame that has it: what a robot does until the next one is its own
-    motion.
+    A pose is compared in the frame that has it, with where its robot was when it may have been
+    exposed: what a robot does until the next frame is its own motion.
     """
     is_driven = truth.wheel_speed_mm_s > DRIVEN_MM_S
     is_before_end = (truth.times_s < truth.ended_s)[:, None]

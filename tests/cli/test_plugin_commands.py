@@ -45,8 +45,9 @@ def tetractl(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(site)
     for registry in (COMMANDS, LAB_COMMANDS):
         fresh = Registry(registry.group, {})
-        fresh.names()  # reads what is installed
-        monkeypatch.setitem(vars(registry), "_installed", vars(fresh)["_installed"])
+        fresh.kinds()  # reads what is installed, and by which packages
+        for read_once in ("_installed", "_packages"):
+            monkeypatch.setitem(vars(registry), read_once, vars(fresh)[read_once])
     for name in MODULES:
         monkeypatch.delitem(sys.modules, name, raising=False)
     return lambda *words: cli.tetractl(tmp_path, *words, env={"COLUMNS": "100"})

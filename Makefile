@@ -71,7 +71,7 @@ test: $(STAMP)
 test-fast: $(STAMP)
 	$(PYTEST) -m "not slow and not long and not system"
 
-# Whole days, films, all faults in virtual time, and whatever takes over 0.6 s.
+# Whole days, films, all faults in virtual time, and whatever takes over 0.5 s.
 test-long: $(STAMP)
 	$(PYTEST) -m "long and not system"
 

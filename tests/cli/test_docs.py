@@ -189,6 +189,7 @@ def test_completion_knows_commands_options_and_choices(typed, offered):
     assert offered <= set(_completion("complete_bash", typed).split())
 
 
+@pytest.mark.long
 def test_completion_is_installed_into_the_users_shell(tmp_path):
     home = {
         "HOME": str(tmp_path),

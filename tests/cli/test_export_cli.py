@@ -82,6 +82,7 @@ def test_a_damaged_log_is_told_and_a_failure(folder, tmp_path, command, out):
     assert "\x1b" not in done.stdout + done.stderr
 
 
+@pytest.mark.long
 def test_logs_of_different_experiments_are_exported_apart(folder, tmp_path):
     (tmp_path / "other.yaml").write_text(
         (folder / "quick.yaml").read_text().replace("name: two", "name: three")

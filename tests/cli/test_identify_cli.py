@@ -53,6 +53,7 @@ def test_what_was_identified_is_not_overwritten(folder):
     assert "exists already" in again.stderr
 
 
+@pytest.mark.long
 def test_what_is_identified_from_a_damaged_log_is_told_with_a_failure(folder, tmp_path):
     torn = tmp_path / "torn.mcap"
     torn.write_bytes((folder / "logs/trial-000.mcap").read_bytes()[:-200])

@@ -30,6 +30,7 @@ def tetractl(folder, command):
     return cli.tetractl(folder, *shlex.split(command))
 
 
+@pytest.mark.long
 def test_it_says_what_is_in_a_log(folder):
     done = tetractl(folder, "info whole.mcap")
     assert (done.returncode, done.stderr) == (0, "")

@@ -226,6 +226,7 @@ def test_a_damaged_log_shows_what_is_left_and_says_so(folder):
     assert (folder / "cut-errors.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", first_of(["trajectory", "convergence", "errors", "over-time"]))
 def test_plot_names_its_file_after_the_log_here(folder, tmp_path, kind):
     done = run("plot", folder / "whole.mcap", "--kind", kind, cwd=tmp_path)

@@ -199,6 +199,7 @@ def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
     assert tetractl.parse_spec(contents).experiment == tetractl.parse_spec(SPEC).experiment
 
 
+@pytest.mark.long
 def test_a_study_is_run_from_its_contents(tmp_path):
     """Also its base is what a script has in hand."""
     study = {

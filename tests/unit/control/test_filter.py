@@ -296,6 +296,7 @@ def test_a_and_speed_are_found_while_the_robots_move(error):
     assert estimate.speed == pytest.approx(plant.speed, rel=0.005)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate", [5, 20])
 def test_lost_commands_and_noise_do_not_lead_the_estimate_astray(rate):
     settings = [
@@ -311,6 +312,7 @@ def test_lost_commands_and_noise_do_not_lead_the_estimate_astray(rate):
     assert estimate.speed == pytest.approx(plant.speed, rel=0.005)
 
 
+@pytest.mark.long
 def test_a_lost_command_is_seen_by_how_a_robot_turns():
     """At half a second after each command the direction followed is the one that arrived."""
     settings = ["plant.lost_commands=0.3", "plant.dead_time=0.05", "wheels.watchdog=null"]

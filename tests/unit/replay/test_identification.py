@@ -430,6 +430,7 @@ def test_a_model_that_does_not_fit_is_said_not_to():
     assert "the model does not fit" in tables(identification)[0].note
 
 
+@pytest.mark.long
 def test_poses_of_a_pause_are_not_used():
     """A stop after step 9; robots drive again from step 10 on, and are then left to settle."""
     log = three_robots()

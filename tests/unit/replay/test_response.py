@@ -119,6 +119,7 @@ def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
     assert width(response.dead_time) < 1.1 * width(pooled.dead_time)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("other_lag_s", "note"),
     [(0.09, "the lag of turning for a spec: lab.lag=0.08"), (0.2, "no single lag fits all")],

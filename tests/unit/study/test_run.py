@@ -78,6 +78,7 @@ def without_what_may_differ(trial):
     return replace(trial, log="", brief=False, result=result)
 
 
+@pytest.mark.long
 def test_a_brief_log_and_a_whole_one_give_the_same_result(finished, tmp_path):
     brief_trials = run(tmp_path, SMALL, logs=NONE).finished
     assert len(finished.finished) == 2 * TRIALS

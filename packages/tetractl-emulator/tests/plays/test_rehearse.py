@@ -63,6 +63,7 @@ def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp
     assert "| frames frozen |" in done.stdout
 
 
+@pytest.mark.long
 def test_what_no_fault_causes_and_days_of_another_seed_are_refused(tmp_path):
     """Regression: each day of a spec that no trial can start was a violation to be shrunk."""
     done = rehearse(tmp_path, "--days", "3", "--set", "lab.limits.latency=0.001")

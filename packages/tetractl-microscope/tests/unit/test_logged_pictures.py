@@ -16,6 +16,7 @@ def film_log(tmp_path_factory):
     return path, samples
 
 
+@pytest.mark.long
 def test_what_the_camera_adds_is_logged_as_it_is_with_the_times_of_its_frame(film_log):
     path, samples = film_log
     log = scan(path)

@@ -23,6 +23,7 @@ def test_a_run_is_valid_and_verifies(folder):
     assert "bit-identical" in tetractl(folder, "verify", "well").ok().stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "why"), [("process_ends", "the camera is gone"), ("no_frames", "no new camera frame")]
 )

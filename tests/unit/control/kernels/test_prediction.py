@@ -71,6 +71,7 @@ def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion
     assert fast.target == pytest.approx(slow.target, rel=1e-6)
 
 
+@pytest.mark.long
 @given(seed=SEEDS, swept=st.booleans(), margin=st.sampled_from([0.0, 30.0]))
 def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     """Some robots start outside, and many leave."""

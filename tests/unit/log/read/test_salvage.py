@@ -297,6 +297,7 @@ def test_chunks_of_other_writers_are_read(tmp_path, log, how):
     assert not contents.problems
 
 
+@pytest.mark.long
 def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):
     """Regression: `stats` and `--resume`, which read by the index, missed nine of ten."""
     data = log.read_bytes()

@@ -57,6 +57,7 @@ def test_a_cell_outside_of_the_picture_leaves_it_empty():
     assert np.ptp(picture) == 0
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_film_and_its_pairs_cross():
     first, again = (film(seed=3, side=256, seconds=1.0) for _ in "ab")
     for a, b in zip(first.pictures(), again.pictures(), strict=True):

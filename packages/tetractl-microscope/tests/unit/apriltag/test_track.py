@@ -48,6 +48,7 @@ def test_poses_are_right(size, mm, mm_95, rad, rad_95):
     assert np.quantile(angles, 0.95) < rad_95
 
 
+@pytest.mark.long
 @finds_small_tags
 def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
     renderer = rendered(LARGE, gain=0.5, noise=4.0, exposure_s=0.01)

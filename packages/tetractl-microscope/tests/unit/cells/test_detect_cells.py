@@ -95,6 +95,7 @@ def matched(blobs, cells, shift=(0.0, 0.0)):
     return pairs
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("contrast", [-0.17, 0.17, -0.035])
 def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
     dish = Dish(contrast)

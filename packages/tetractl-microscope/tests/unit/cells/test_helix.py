@@ -66,6 +66,7 @@ def followed(seed, field_known=True, seconds=6.0, cells=8):
     return synthetic, bank, rows
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("field_known", [True, False])
 def test_the_heading_is_that_of_the_helix_not_of_the_swaying_body(field_known):
     off = []

@@ -177,6 +177,7 @@ def test_core_and_twin_agree_on_everything(limits, start, acts):
         assert core.take_reply(now) == twin.take_reply(now)
 
 
+@pytest.mark.long
 @given(limits, st.lists(acts, max_size=30))
 def test_no_bytes_break_the_limits(limits, acts):
     core = DriverCore(limits)

@@ -64,6 +64,7 @@ def test_every_container_gives_the_pictures_that_were_written(tmp_path, name):
     assert film.remarks == []
 
 
+@pytest.mark.long
 def test_a_value_of_the_user_beats_the_tags_and_a_difference_is_said(tmp_path):
     film = open_film(imagej(tmp_path / "a.tif", made()), 25.0, 2.0)
     assert (film.rate_hz, film.um_px) == (25.0, 2.0)

@@ -132,6 +132,7 @@ def test_a_plane_that_a_czi_file_does_not_have_is_no_picture(tmp_path):
     assert opened.damaged == len(PICTURES) - 1
 
 
+@pytest.mark.long
 def test_a_tiff_file_that_is_cut_short_is_said_to_be(tmp_path):
     """Regression: "is one picture, and no film"; "attempt to get argmax of an empty sequence"."""
     tifffile.imwrite(tmp_path / "whole.tif", PICTURES, imagej=True)

@@ -78,6 +78,7 @@ def test_an_organism_is_recognised_by_its_size_and_speed(name):
     assert len(recognition.remarks) == 1
 
 
+@pytest.mark.long
 def test_other_swimmers_than_those_chosen_are_counted_and_named():
     film = swimming(PARAMECIUM, 6.0)
     said, coarse = recognised(film, 6.0, TETRAHYMENA).remarks
@@ -181,6 +182,7 @@ def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said(
     assert unknown.organism is TETRAHYMENA and "tetrahymena" in unknown.remarks[0]
 
 
+@pytest.mark.long
 def test_if_nothing_swims_the_scale_cannot_be_guessed_and_the_organism_is_said():
     still = Ellipses(20.0, 8.0, 0.0)
     with pytest.raises(TetractlError, match="nothing swims"):

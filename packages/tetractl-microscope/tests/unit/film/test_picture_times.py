@@ -341,6 +341,7 @@ def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many,
     assert "pip install imagecodecs" in error.value.hint
 
 
+@pytest.mark.long
 def test_a_graph_of_uneven_pictures_has_their_times(tmp_path):
     core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
     um = {"time_s": [0.0, 0.1, 0.4], "heading": [0.0] * 3, "axis": [0.0] * 3, "sure": [True] * 3}

@@ -57,31 +57,32 @@ $(DEMO)/all-trials.png:
 	@$(BIN)/tetractl plot $(DEMO)/ours/trial-*.mcap -o $@ $(QUIETLY)
 
 # The tests of a file share fixtures: one process runs them. Files begin in the order of `testpaths`.
-# Those in real time mostly wait: with them, one process more than there are cores.
 # Containers often keep Python from writing bytecode; then each process of a test compiles all anew.
 unexport PYTHONDONTWRITEBYTECODE
-PYTEST := $(BIN)/python -m pytest --dist loadfile --no-loadscope-reorder -n auto
-PYTEST_WAITING = $(PYTEST) -n $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
+PYTEST := -m pytest --dist loadfile --no-loadscope-reorder
+ON_CORES := -n auto
+# Tests in real time mostly wait: with them, one process more than there are cores.
+ON_CORES_WAITING = -n $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
 
 test: $(STAMP)
 	@echo "Collecting tests, which prints nothing at first; with them, about 3 minutes on two cores"
-	$(PYTEST) -m "not long and not system"
+	$(BIN)/python $(PYTEST) $(ON_CORES) -m "not long and not system"
 
 # What needs neither other processes nor much time: for work on the code.
 test-fast: $(STAMP)
-	$(PYTEST) -m "not slow and not long and not system"
+	$(BIN)/python $(PYTEST) $(ON_CORES) -m "not slow and not long and not system"
 
 # Whole days, films, all faults in virtual time, and whatever takes over 0.5 s.
 test-long: $(STAMP)
-	$(PYTEST) -m "long and not system"
+	$(BIN)/python $(PYTEST) $(ON_CORES) -m "long and not system"
 
 # Real wires in real time, browser, cluster, cold compiles, pages to the last digit.
 test-system: $(STAMP)
-	$(PYTEST_WAITING) -m system
+	$(BIN)/python $(PYTEST) $(ON_CORES_WAITING) -m system
 
 # All that `make test` leaves out.
 test-all: $(STAMP)
-	$(PYTEST_WAITING) -m "long or system"
+	$(BIN)/python $(PYTEST) $(ON_CORES_WAITING) -m "long or system"
 
 # The tests with the lowest versions that pyproject.toml allows, and with the newest, each installed
 # into an environment of its own. Half an hour each on two cores: .ci/run leaves them out.
@@ -89,7 +90,7 @@ test-lowest test-newest: test-%: $(STAMP)
 	@test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
 	@$(BIN)/python tools/versions.py $* >.venv-$*/constraints.txt
 	@.venv-$*/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-$*/constraints.txt -e '.[dev]' $(PACKAGES:%=-e %)
-	.venv-$*/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not system" $(TESTS)
+	.venv-$*/bin/python $(PYTEST) $(ON_CORES) -m "not system" $(TESTS)
 
 # Wheels of all packages, of the core a second one that brings its compiled code: docs/how-to/extend.md.
 DIST ?= dist

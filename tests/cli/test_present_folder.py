@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.cli import PATIENCE_S, tetractl
+from support.running import child_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -38,18 +39,6 @@ def test_modules_in_the_present_folder_are_not_run(command, tmp_path):
     assert not (tmp_path / "was-run").exists()
 
 
-def server_of(parent):
-    """Return the id of the process from which a process's workers are forked; None without."""
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            ours = f"PPid:\t{parent}\n" in (entry / "status").read_text()
-            if ours and b"multiprocessing.forkserver" in (entry / "cmdline").read_bytes():
-                return int(entry.name)
-        except OSError:  # it has ended
-            continue
-    return None
-
-
 @pytest.mark.system
 def test_a_run_whose_fork_server_is_killed_does_its_work(tmp_path):
     """Regression: it said "interrupted" with exit code 130, and ran nothing."""
@@ -62,7 +51,7 @@ def test_a_run_whose_fork_server_is_killed_does_its_work(tmp_path):
     while server is None:
         assert run.poll() is None
         assert time.monotonic() < until
-        server = server_of(run.pid)
+        server = child_of(run.pid, "multiprocessing.forkserver")
     os.kill(server, signal.SIGKILL)
     _, said = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 0, said

@@ -138,6 +138,16 @@ def _children(pid):
     return []
 
 
+def child_of(parent, module):
+    """The id of the process that another one has started to run a Python module; None without."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended
+            is_child = f"PPid:\t{parent}\n" in (entry / "status").read_text()
+            if is_child and module.encode() in (entry / "cmdline").read_bytes():
+                return int(entry.name)
+    return None
+
+
 def is_worker(pid):
     """Whether a process is, still, a worker that the server of forks has started."""
     with suppress(OSError):

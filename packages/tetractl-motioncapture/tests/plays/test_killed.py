@@ -6,11 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from support.cli import tetractl
+from support.running import child_of
 
 from tetractl.core.clock import SECOND, MonotonicClock, wait_for
 from tetractl.core.commands import Stop
@@ -43,16 +43,6 @@ LONG = ("--set", "controller.deadline=60", "--set", "controller.time_limit=60")
 LATE = ("--set", "lab.limits.late_steps=100000", "--set", "lab.limits.wheel_error=1")
 
 
-def bridge_of(parent):
-    """The process of the library that a process has started; None if there is none."""
-    for entry in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):  # a process that has ended meanwhile
-            ours = f"PPid:\t{parent}\n" in (entry / "status").read_text()
-            if ours and b"tetractl_motioncapture.bridge" in (entry / "cmdline").read_bytes():
-                return int(entry.name)
-    return None
-
-
 def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
     tetractl(tmp_path, "init", "capture", "--lab", "--camera", "motioncapture", "--robots", "twist")
     (tmp_path / "motioncapture.py").write_text(LIBRARY)
@@ -70,7 +60,7 @@ def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
     has_moved = wait_for(MonotonicClock(), moves, 120)
     is_running = run.poll() is None
     assert has_moved and is_running, run.communicate()
-    bridge = bridge_of(run.pid)
+    bridge = child_of(run.pid, "tetractl_motioncapture.bridge")
     assert bridge is not None, run.communicate()
     os.kill(bridge, signal.SIGKILL)
     _, said = run.communicate(timeout=120)

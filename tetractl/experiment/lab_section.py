@@ -188,8 +188,9 @@ class LabLimits(Model):
     drives in that time at twice its speed, plus this length [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
     """Least and greatest height of a body above the floor, the camera system's zero [mm]; a body
-    outside this range is rejected, since it may have come off its robot. Only for cameras that
-    report heights.
+    outside this range is rejected, since it may have come off its robot. In a run it is also
+    rejected more than 40 mm above or below where it was at the start. Only for cameras that report
+    heights.
     """
     tilt: Positive = 0.5
     """Largest tilt of a body's upward axis from the vertical [rad]; a greater tilt is rejected."""

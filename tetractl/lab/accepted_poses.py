@@ -1,8 +1,9 @@
 """The poses of one robot that the guard has accepted, and why a new pose cannot be the robot's.
 
-A pose is wrong if the body is not upright on the floor. While robots may drive, it is also wrong if
-the robot cannot have come there: after a time dt since each pose that is remembered, which are the
-last one and some of the last second,
+A pose is wrong if the body is not upright on the floor. Once a run has begun, it is also wrong if
+the body is not as high as when the run began, within LIFTED_MM: somebody has lifted the robot, or
+set it down. And it is wrong if the robot cannot have come there: after a time dt since each pose
+that is remembered, which are the last one and some of the last second,
 
     distance <= FASTER speed dt + jump,    angle <= FASTER turning dt + jump_heading.
 
@@ -10,6 +11,7 @@ Lengths are in the spec's length unit, times ns on the run's clock.
 """
 
 import math
+import statistics
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -24,6 +26,11 @@ JUMP_SPACING_NS = SECOND // 50
 """Least time between two of these: FASTER times a robot's way in it is what a pose may jump by in
 addition, because up to so much time lies between a pose that is remembered and one that is not."""
 JUMPED = "its pose jumped"
+LIFTED_MM = 40.0
+"""By how much a body may be higher or lower than when the run began [mm]: a floor that is 1 degree
+off the camera's zero makes 35 mm of 2 m, and heights of a webcam's tags are off by up to 16 mm."""
+HEIGHT_NS = SECOND // 4
+"""Time before a run begins over which a body's height is measured: robots stand then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +67,7 @@ class AcceptedPoses:
     limits: MotionLimits
     last: Pose | None = None
     last_ns: int = 0
+    _height: float | None = None  # when the run began; None if the camera measures none
     _remembered: deque[TimedPose] = field(default_factory=deque)  # oldest first
 
     def accept(self, pose: Pose, exposed_ns: int) -> None:
@@ -72,8 +80,15 @@ class AcceptedPoses:
         if not remembered or exposed_ns - remembered[-1].exposed_ns >= JUMP_SPACING_NS:
             remembered.append(TimedPose(exposed_ns, pose))
 
-    def forget_the_past(self) -> None:
-        """Compare new poses with the last one only: before it the robot may have been carried."""
+    def start_run(self) -> None:
+        """Compare new poses with the last one only, before which the robot may have been carried,
+        and with the height at which the body is now."""
+        heights = [
+            earlier.pose.height
+            for earlier in self._remembered
+            if self.last_ns - earlier.exposed_ns <= HEIGHT_NS and earlier.pose.height is not None
+        ]
+        self._height = statistics.median(heights) if heights else None
         self._remembered.clear()
         if self.last is not None:
             self._remembered.append(TimedPose(self.last_ns, self.last))
@@ -81,12 +96,13 @@ class AcceptedPoses:
     def fault(self, pose: Pose, exposed_ns: int, driving: bool) -> str:
         """Return why a pose cannot be the robot's, "" if it can.
 
-        Robots that are not `driving` may be carried: only height and tilt are checked.
+        Robots that are not `driving` may be carried: only the limits of height and tilt are
+        checked.
         """
         fault = self._off_the_floor(pose)
-        if not fault and driving and self._jumps(pose, exposed_ns):
-            return JUMPED
-        return fault
+        if fault or not driving:
+            return fault
+        return self._lifted(pose) or (JUMPED if self._jumps(pose, exposed_ns) else "")
 
     def _off_the_floor(self, pose: Pose) -> str:
         """Return why a body's height or tilt is wrong for a robot on the floor; "" if both fit."""
@@ -95,6 +111,17 @@ class AcceptedPoses:
             return f"its body is at a height of {pose.height * limits.mm:.0f} mm"
         if pose.tilt is not None and not pose.tilt <= limits.tilt:
             return f"its body is tilted by {pose.tilt:.2f} rad"
+        return ""
+
+    def _lifted(self, pose: Pose) -> str:
+        """Return how much higher or lower the body is than when the run began, "" if it is not."""
+        if pose.height is None or self._height is None:
+            return ""
+        higher_mm = (pose.height - self._height) * self.limits.mm
+        if higher_mm > LIFTED_MM:
+            return f"its body is {higher_mm:.0f} mm higher than at the start: was it lifted?"
+        if higher_mm < -LIFTED_MM:
+            return f"its body is {-higher_mm:.0f} mm lower than at the start: was it set down?"
         return ""
 
     def _jumps(self, pose: Pose, exposed_ns: int) -> bool:

@@ -74,7 +74,7 @@ class RobotTrack:
 
     def start_run(self) -> None:
         """Forget how the robot moved before a run: it may have been carried."""
-        self.poses.forget_the_past()
+        self.poses.start_run()
         self.absence.leave_out(self.poses.last_ns)
         self.refused = ""
         self.disobeys = False

@@ -58,3 +58,63 @@ def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
     spacing_s = 0.02
     creeps_s = (poses.last_ns - since_ns) / SECOND
     assert poses.last.x <= 200.0 * (creeps_s + spacing_s) + 30.0
+
+
+def started(heights_mm, limits=LIMITS):
+    """Return the poses of a robot that stood for half a second, whose heights were seen in turn,
+    when a run began."""
+    poses = AcceptedPoses(limits)
+    for k in range(51):
+        height = heights_mm[k % len(heights_mm)]
+        poses.accept(Pose(0.0, 0.0, 0.0, height=height), k * SECOND // 100)
+    poses.start_run()
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "said"),
+    [
+        (120.0, "its body is 60 mm higher than at the start: was it lifted?"),
+        (260.0, "its body is 200 mm higher than at the start: was it lifted?"),
+        (10.0, "its body is 50 mm lower than at the start: was it set down?"),
+        (95.0, ""),  # 2 m further on a floor that is 1 degree off
+        (25.0, ""),
+        (None, ""),  # a tag too small to measure
+    ],
+)
+def test_a_robot_stays_as_high_as_when_its_run_began(height_mm, said):
+    poses = started([60.0])
+    pose = Pose(0.0, 0.0, 0.0, height=height_mm)
+    assert poses.fault(pose, SECOND, driving=True) == said
+    assert poses.fault(pose, SECOND, driving=False) == "", "robots may be carried"
+
+
+def test_one_wrong_height_is_not_that_of_the_start():
+    poses = started([60.0, 60.0, 130.0])
+    assert poses.fault(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, driving=True) == ""
+
+
+def test_a_floor_out_of_level_is_followed_from_run_to_run():
+    """A pause comes every 2 m; each time the floor is 35 mm higher."""
+    poses = started([60.0])
+    for k in range(1, 5):
+        now_ns = k * 20 * SECOND
+        pose = Pose(2000.0 * k, 0.0, 0.0, height=60.0 + 35.0 * k)
+        assert poses.fault(pose, now_ns, driving=True) == ""
+        poses.accept(pose, now_ns)
+        poses.start_run()
+
+
+def test_a_robot_lifted_in_a_pause_is_noticed_in_the_next_run():
+    poses = started([60.0])
+    lifted = Pose(0.0, 0.0, 0.0, height=120.0)
+    assert "lifted" in poses.fault(lifted, SECOND, driving=True)
+    poses.start_run()
+    assert "lifted" in poses.fault(lifted, 2 * SECOND, driving=True)
+
+
+def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
+    metres = MotionLimits(speed=0.1, turning=2.0, jump=0.03, jump_heading=0.7, mm=1000.0)
+    poses = started([0.06], metres)
+    assert poses.fault(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) == ""
+    assert "60 mm higher" in poses.fault(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True)

@@ -44,6 +44,7 @@ from tetractl_emulator.rehearsal.truth import (
     TRANSIT_S,
     Event,
     Truth,
+    VisibleFault,
     time_s,
 )
 from tetractl_emulator.rehearsal.violation import Violation
@@ -77,6 +78,10 @@ RESULT_MM = 10.0
 """Error of a result: 0.03 s of driving at 200 mm/s, and the noise of poses at rest."""
 READING_WAITS_S = 0.03
 """Longest time for which a reading of a mat waits for an event of its connection."""
+BODY_MM = 60.0
+"""Height of a body on an emulated robot."""
+LIFTED_MM = 40.0
+"""By how much a robot may be lifted once it drives."""
 OFF_FLOOR = ("lifted", "tipped")
 """Faults that take a body off the floor: a camera may track it, and shows no robot."""
 STOPS_FAIL = (
@@ -519,12 +524,21 @@ def hidden_spans(truth: Truth) -> Iterator[HiddenSpan]:
     for fault in truth.faults:
         fields = fault.fields
         is_untracked = fault.name in ("untracked", "nan", "bad_quaternion")
-        is_high = fields.get("height", 0.0) > limits.height_mm[1] + NOISE_MM
+        is_high = fields.get("height", 0.0) > _highest_mm(truth, fault) + NOISE_MM
         tilt_max = limits.tilt + TILT_NOISE_RAD
         is_tilted = fault.name == "tipped" and abs(fields["angle"]) > tilt_max
         if is_untracked or is_high or is_tilted:
             robot = truth.setup.names.index(fields["robot"])
             yield HiddenSpan(robot, fault.name, fault.span.began_s, fault.span.ended_s)
+
+
+def _highest_mm(truth: Truth, fault: VisibleFault) -> float:
+    """Return how high a body may be seen: in a run that a fault finds driving, LIFTED_MM above its
+    place on a robot."""
+    limit_mm = truth.limits.height_mm[1]
+    if fault.span.began_s <= truth.first_s("run"):
+        return limit_mm
+    return min(limit_mm, BODY_MM + LIFTED_MM)
 
 
 SENTENCES: tuple[Sentence, ...] = (

@@ -115,7 +115,7 @@ def test_a_robot_that_is_shown_late_is_shown():
 
 
 @pytest.mark.parametrize(
-    ("height", "at_s", "wrong"), [(600.0, 2.1, False), (600.0, 2.3, True), (400.0, 2.3, False)]
+    ("height", "at_s", "wrong"), [(200.0, 2.1, False), (200.0, 2.3, True), (95.0, 2.3, False)]
 )
 def test_a_robot_that_is_lifted_is_not_shown_though_it_is_tracked(height, at_s, wrong):
     lifted = {"kind": "lifted", "fault": "lifted", "robot": "green", "height": height, "at": 1.0}

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
+from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, SMALL, look, rendered, tracker
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_microscope.apriltag.floor import SQUARE, Plane
 
 pytestmark = pytest.mark.slow
 
+FULL = (1920, 1080)  # tags of 80 mm have 34 pixels
 OPTICS = Optics.facing(FLOOR, MM, *LARGE)
 SIDE = 0.12
 
@@ -49,8 +50,16 @@ def test_a_tilted_tag_does_not_look_flat(tilt, about):
 @pytest.mark.parametrize("higher_mm", [0, 80, 250])
 def test_pictures_show_the_height_of_a_tag(higher_mm):
     lifted = [r.model_copy(update={"height_mm": r.height_mm + higher_mm}) for r in ROBOTS]
-    before = rendered(LARGE)
+    before = rendered(FULL)
     looked = look(tracker(), Renderer(lifted, FLOOR, MM, before.optics))
     for pose, robot in zip(looked.poses, lifted, strict=True):
         assert pose.height == pytest.approx(robot.height_mm, abs=12.0)
         assert pose.tilt < 0.1
+
+
+def test_a_tag_of_few_pixels_shows_no_height():
+    """Regression: of tags of 15 pixels it differed by up to 59 mm from place to place, so that a
+    robot that drives would be taken for one that is lifted."""
+    looked = look(tracker(), rendered(SMALL))
+    assert [pose.height for pose in looked.poses] == [None, None, None]
+    assert all(pose.tilt is not None for pose in looked.poses)

@@ -26,8 +26,8 @@ def file_limit() -> int:
 
 
 def seconds_limit() -> float:
-    """Return the largest processor time for searching a damaged log, and for computing the
-    decisions of a log again [s]."""
+    """Return the largest processor time for finding the records of a log, and for computing its
+    decisions again [s]."""
     return 15 * _factor()
 
 

@@ -3,6 +3,10 @@
 MCAP has checksums for chunks and attachments, so each is verified by itself. The file is read from
 record to record; if a record is damaged, or the checksum over the data section does not match, the
 file is also searched for further chunks and attachments.
+
+What decodes a record gets the bytes of this record only, and all of the reading of a file counts
+towards one limit of processor time: records that claim to be longer than they are, or very many of
+them, could otherwise keep a reader busy for hours.
 """
 
 import re
@@ -37,6 +41,8 @@ _TOPICS = {number: topic for topic, number in NUMBERS.items()}
 UNSTATED = 0
 """What MCAP writes in place of a checksum that is left out."""
 _SUMMARY = {NUMBERS[topic] for topic in SUMMARY}
+_CHUNK_HEAD = 40
+"""Length of what stands in a chunk before its packed records, if its compression is zstd."""
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _MARKS = (
     (Opcode.CHUNK, re.compile(b"\x04\0\0\0zstd"), -28),
@@ -62,15 +68,12 @@ def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
 
 def peek(path: Path) -> RawLog | None:
     """Return only attachments and the chunks with the messages of the run and its result, in a
-    third of the time of `scan`; None for a damaged file.
+    third of the time of `scan`; None for a damaged file. Raises as `scan` does.
 
     Two checksums are tested, which together cover the whole file: of the data section and of the
     index.
     """
-    try:
-        return _Scan(path).summary()
-    except LogError:
-        return None
+    return _Scan(path).summary()
 
 
 def scan(path: Path) -> RawLog:
@@ -101,7 +104,7 @@ class _Scan:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._data = read_file(path)
-        self._file = BytesIO(self._data)
+        self._until_s = time.thread_time() + seconds_limit()
         self._records = _Records()
         self._problems: list[str] = []
         self._sealed = False  # the data section has a checksum
@@ -111,8 +114,8 @@ class _Scan:
         begins = self._data.startswith(MAGIC)
         if not begins:
             self._problems.append("the file does not begin as an MCAP file")
-        for opcode, begin in self._walk():
-            why = self._verify(opcode, begin)
+        for opcode, begin, end in self._walk():
+            why = self._verify(opcode, begin, end)
             if why and len(self._problems) < PROBLEMS_MAX:
                 offset = begin - _HEAD.size
                 self._problems.append(f"the record at byte {offset} is damaged: {why}")
@@ -127,21 +130,23 @@ class _Scan:
 
     def summary(self) -> RawLog | None:
         """Read what `peek` returns; None for a damaged file, or one that others wrote."""
-        wanted: dict[int, int] = {}  # opcodes by offset
-        chunk = 0  # offset of the last chunk
-        for opcode, begin in self._walk():
+        wanted: set[tuple[int, int, int]] = set()
+        chunk: tuple[int, int, int] | None = None  # the last one
+        for record in self._walk():
+            opcode, begin, _ = record
             if opcode == Opcode.CHUNK:
-                chunk = begin
+                chunk = record
             elif opcode == Opcode.MESSAGE_INDEX and self._number(begin, 2) in _SUMMARY:
-                wanted[chunk] = Opcode.CHUNK
+                if chunk is not None:
+                    wanted.add(chunk)
             elif opcode == Opcode.ATTACHMENT:
-                wanted[begin] = opcode
+                wanted.add(record)
             elif opcode == Opcode.MESSAGE:  # outside a chunk
                 return None
         self._read_index()
         if self._problems or not self._sealed:
             return None
-        if any(self._verify(opcode, begin) for begin, opcode in wanted.items()):
+        if any(self._verify(*record) for record in sorted(wanted)):
             return None
         return self._collected()
 
@@ -152,10 +157,12 @@ class _Scan:
         missing = expected - len(result.entries)
         return [f"{missing} of {expected} messages"] if missing else []
 
-    def _walk(self) -> Iterator[tuple[int, int]]:
-        """Yield the opcode of each record of the data section, and where its contents begin."""
+    def _walk(self) -> Iterator[tuple[int, int, int]]:
+        """Yield the opcode of each record of the data section, and where its contents begin and
+        end."""
         cut = len(MAGIC)
         for opcode, begin, end in records(self._data, cut):
+            self._require_time()
             if opcode == Opcode.DATA_END:
                 stated = self._number(begin)
                 self._sealed = stated != 0
@@ -164,7 +171,7 @@ class _Scan:
                 elif self._sealed and stated != self._crc(0, begin - _HEAD.size):
                     self._problems.append("the checksum of the data section does not match")
                 return
-            yield opcode, begin
+            yield opcode, begin, end
             cut = end
         self._problems.append(f"the file breaks off in the record at byte {cut}")
 
@@ -185,31 +192,42 @@ class _Scan:
             self._problems.append("the index at the end of the file is damaged")
             return None
         expected = None
-        for opcode, begin, _ in records(self._data, index) if index else ():
+        for opcode, begin, end in records(self._data, index) if index else ():
+            self._require_time()
             if opcode == Opcode.STATISTICS:
                 expected = self._number(begin, 8)
             elif self._problems:
                 with suppress(Exception):  # errors of UTF-8 and MCAP
-                    self._know(opcode, self._stream(begin))
+                    self._know(opcode, self._data[begin:end])
         return expected
 
     def _search(self) -> None:
         """Find further records anywhere in the file, by bytes that records of their kind
         contain.
         """
-        until = time.thread_time() + seconds_limit()
         for opcode, mark, away in _MARKS:
             for match in mark.finditer(self._data):
+                self._require_time()
                 begin = match.start() + away
                 if begin > 0 and begin not in self._records.by_offset:
-                    self._verify(opcode, begin)  # mostly bytes that only look like a record
-                if time.thread_time() > until:
-                    raise too_much(self._path, "very many damaged records")
+                    # mostly bytes that only look like a record
+                    self._verify(opcode, begin, self._end(opcode, begin))
 
-    def _verify(self, opcode: int, begin: int) -> str:
+    def _end(self, opcode: int, begin: int) -> int:
+        """Return where a chunk or an attachment ends, by the lengths of its parts, as the length in
+        its head may be damaged."""
+        if opcode == Opcode.CHUNK:
+            packed = begin + _CHUNK_HEAD
+            return packed + self._number(packed - 8, 8)
+        name = begin + 20  # after two times and a length
+        media_type = name + self._number(name - 4) + 4
+        data = media_type + self._number(media_type - 4) + 8
+        return data + self._number(data - 8, 8) + 4
+
+    def _verify(self, opcode: int, begin: int, end: int) -> str:
         """Decode and keep a record; return the reason if that fails, else ""."""
         try:
-            self._keep(opcode, begin)
+            self._keep(opcode, begin, self._data[begin:end])
         except LogError:
             raise
         except Exception as error:  # errors of zstd, UTF-8, struct and MCAP
@@ -217,8 +235,10 @@ class _Scan:
             return message.splitlines()[0] if message else type(error).__name__
         return ""
 
-    def _keep(self, opcode: int, begin: int) -> None:
-        stream = self._stream(begin)
+    def _keep(self, opcode: int, begin: int, contents: bytes) -> None:
+        if len(contents) > CHUNK_MAX and opcode not in (Opcode.CHUNK, Opcode.ATTACHMENT):
+            raise ValueError(f"it has {len(contents)} bytes")
+        stream = ReadDataStream(BytesIO(contents))
         if opcode == Opcode.CHUNK:
             data = unpack(Chunk.read(stream), self._records.foreign)
             self._records.by_offset[begin] = self._inside(data)
@@ -230,6 +250,7 @@ class _Scan:
             self._spend(stream.count)
             self._records.by_offset[begin] = attachment
         elif opcode == Opcode.METADATA:
+            self._spend(len(contents) + 256)
             self._records.metadata.append(Metadata.read(stream))
         elif opcode == Opcode.HEADER:
             self._records.library = printable(Header.read(stream).library, 200)
@@ -243,26 +264,32 @@ class _Scan:
         MCAP's `breakup_chunk` takes more than twice the time for each message.
         """
         messages: list[RawMessage] = []
+        count = 0
         end = 0
         for opcode, begin, end in records(data):
+            count += 1
             if opcode == Opcode.MESSAGE:
                 channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
                 message = data[begin + _MESSAGE.size : end]
                 messages.append((channel, log_ns, publish_ns, message))
             else:
-                self._know(opcode, ReadDataStream(BytesIO(data[begin:end])))
+                self._know(opcode, data[begin:end])
         if end < len(data):
             raise ValueError("the chunk contains an invalid record")
-        self._spend(len(data) + 256 * len(messages))  # even an empty message takes memory
+        self._spend(len(data) + 256 * count)  # even an empty message takes memory
         return messages
 
-    def _know(self, opcode: int, stream: ReadDataStream) -> None:
+    def _know(self, opcode: int, contents: bytes) -> None:
         if opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
+            channel = Channel.read(ReadDataStream(BytesIO(contents)))
             self._records.channels[channel.id] = channel
         elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
+            schema = Schema.read(ReadDataStream(BytesIO(contents)))
             self._records.schemas[schema.id] = schema
+
+    def _require_time(self) -> None:
+        if time.thread_time() > self._until_s:
+            raise too_much(self._path, "very many records, or very many damaged ones")
 
     def _spend(self, size: int) -> None:
         self._records.size += size
@@ -306,10 +333,6 @@ class _Scan:
         stated = {number: channel.topic for number, channel in self._records.channels.items()}
         numbered_so = all(_TOPICS.get(number, topic) == topic for number, topic in stated.items())
         return _TOPICS | stated if numbered_so else stated
-
-    def _stream(self, begin: int) -> ReadDataStream:
-        self._file.seek(begin)
-        return ReadDataStream(self._file)
 
     def _number(self, begin: int, size: int = 4) -> int:
         return int.from_bytes(self._data[begin : begin + size], "little")

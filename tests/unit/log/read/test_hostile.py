@@ -28,7 +28,7 @@ from tetractl.log.read import limits, raw_log, salvage
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
-from tetractl.log.read.salvage import scan
+from tetractl.log.read.salvage import peek, scan
 from tetractl.replay.verify import verify
 from tetractl.results.open_batch import counts, open_batch
 
@@ -96,8 +96,46 @@ def test_the_search_of_a_damaged_file_ends(log, contents, tmp_path, monkeypatch)
     path.write_bytes(log.read_bytes()[:-100] + trace * 1000)
     assert len(scan(path).entries) == len(contents.entries)
     monkeypatch.setattr(salvage, "seconds_limit", lambda: -1)
-    with pytest.raises(LogError, match="very many damaged records"):
+    with pytest.raises(LogError, match="very many records, or very many damaged ones"):
         scan(path)
+
+
+@pytest.mark.parametrize("opcode", [*Opcode, 0x80])
+def test_a_record_is_decoded_from_its_own_bytes(log, contents, tmp_path, opcode):
+    """Regression: an empty record of metadata was decoded from what followed it, and the time to
+    read very many of them grew with the square of their number."""
+    empty = struct.pack("<BQ", opcode, 0)
+    text_of_264 = struct.pack("<BQ", Opcode.MESSAGE_INDEX, 1) + b"\0"  # if these are its bytes
+    zeros = struct.pack("<BQ", Opcode.MESSAGE_INDEX, 300) + bytes(300)
+    data = log.read_bytes()
+    end_of_header = len(salvage.MAGIC) + 9 + int.from_bytes(data[9:17], "little")
+    path = tmp_path / "empty.mcap"
+    path.write_bytes(data[:end_of_header] + empty + text_of_264 + zeros + data[end_of_header:])
+    again = scan(path)
+    assert again.problems
+    if opcode != Opcode.DATA_END:  # after which the file is searched for chunks and attachments
+        assert again.metadata == contents.metadata
+    assert again.library == contents.library
+    assert again.records == contents.records
+    assert again.channels == contents.channels
+
+
+def test_every_record_of_a_chunk_counts_towards_its_limit(log, tmp_path, monkeypatch):
+    """Regression: only messages did; a file of 30 kB, of 14 million channels, took 48 s."""
+    channel = bytes([Opcode.CHANNEL]) + struct.pack("<QHHIII", 16, 1, 1, 0, 0, 0)
+    path = with_chunks(log, tmp_path / "channels.mcap", [chunk(channel * 1000)])
+    monkeypatch.setattr(salvage, "file_limit", lambda: 250_000)
+    assert scan(log).entries
+    with pytest.raises(LogError, match="very many bytes or messages in its chunks, more than"):
+        scan(path)
+
+
+def test_all_of_the_reading_of_a_file_counts_towards_its_limit(log, monkeypatch):
+    assert peek(log) is not None
+    monkeypatch.setattr(salvage, "seconds_limit", lambda: -1)
+    for read in (scan, peek):  # though nothing is damaged
+        with pytest.raises(LogError, match="very many records"):
+            read(log)
 
 
 def test_a_larger_file_is_read_if_the_factor_says_so(log, tmp_path, monkeypatch):

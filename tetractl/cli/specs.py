@@ -296,15 +296,14 @@ def warm(
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
     """
-    from rich.console import Console
-
     from tetractl.control.build import compiled_for, warm_up
     from tetractl.core.cache import cache_folder
+    from tetractl.core.table.terminal_table import open_console
 
     wanted: dict[str, list[Experiment]] = {}
     for experiment in _experiments(specs or [], sets or []):
         wanted.setdefault(compiled_for(experiment), []).append(experiment)
-    console = Console(stderr=True)
+    console = open_console(stderr=True)
     for number, (kinds, experiments) in enumerate(wanted.items(), start=1):
         began_s = perf_counter()
         with console.status(f"{number} of {len(wanted)}: compiling for {kinds}"):

@@ -119,8 +119,7 @@ def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
 
 def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", how: _How) -> bool:
     """Run trials with their progress on stderr; return whether a signal asked to stop."""
-    from rich.console import Console
-
+    from tetractl.core.table.terminal_table import open_console
     from tetractl.run.batch import run_batch
     from tetractl.study.options import warm_up_arms
     from tetractl.view.terminal.progress import StudyProgress
@@ -133,7 +132,7 @@ def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", h
     with chosen as executor:
         if not how.quiet:
             _tell_plan(loaded, len(tasks), executor.workers)
-        display = StudyProgress(Console(stderr=True), len(tasks), how.quiet)
+        display = StudyProgress(open_console(stderr=True), len(tasks), how.quiet)
         with interrupt.watch(), display as progress:
             run_batch(tasks, store, executor, progress, how.fail_fast)
     return interrupt.requested

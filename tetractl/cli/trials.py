@@ -183,13 +183,12 @@ def _run_trials(
     Trials of the lab are shown by `_in_lab`, one after another on a terminal by `_on_screen`, and
     all others by `_in_lines`.
     """
-    from rich.console import Console
-
+    from tetractl.core.table.terminal_table import open_console
     from tetractl.run.batch import run_batch
     from tetractl.run.task import batch_tasks
 
     tasks = batch_tasks(loaded, planned)
-    console = Console(stderr=True, quiet=options.quiet)
+    console = open_console(stderr=True, quiet=options.quiet)
     screen = console.is_terminal and not console.is_dumb_terminal and not options.quiet
     if loaded.experiment.plant.real_time:
         display = _in_lab(loaded.experiment, console, screen, options, interrupt, viewers)
@@ -216,14 +215,13 @@ def _in_lab(
     The terminal's space bar and Esc stop the robots at any time, and a person there starts each
     trial, unless `yes`. If `unattended`, a closed terminal does not stop the robots.
     """
-    from rich.console import Console
-
     from tetractl.core.protocols import LabSupervision
+    from tetractl.core.table.terminal_table import open_console
     from tetractl.run.executors import Here
     from tetractl.view.terminal.keys import NO_KEY, SAYS, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
-    safety = Console(stderr=True)  # prints with --quiet, too
+    safety = open_console(stderr=True)  # prints with --quiet, too
     emergency = threading.Event()
     entered = threading.Event()
     with StopKey(emergency.set, entered.set, options.unattended) as key:

@@ -14,7 +14,7 @@ import typer
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.table.table import Table
 from tetractl.core.table.table_files import json_text
-from tetractl.core.table.terminal_table import print_tables
+from tetractl.core.table.terminal_table import open_console, print_tables
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
@@ -160,10 +160,9 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
     """Show a progress bar on a terminal; yields the function that updates it, called with the
     number done and the total.
     """
-    from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    console = open_console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, count: bar.update(task, completed=done, total=count)

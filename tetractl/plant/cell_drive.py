@@ -57,6 +57,7 @@ class CellDrive:
         self._unit_um = setup.metres * 1e6
         self.body = self._drawn(section, setup, walk)
         """The cells, (ROWS, N) of `model.motion.swimming`."""
+        self.gains = np.ones((2, a.size))  # no wheels
         self.vary(a, speed)
         self.poses = starts
 

@@ -35,6 +35,7 @@ class DirectDrive:
     def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:
         robots = a.size
         self.poses = starts
+        self.gains = np.ones((2, robots))  # no wheels
         self._motion = motion
         self.held = Held(
             direction=np.zeros(robots),

@@ -44,6 +44,12 @@ class Drive(Protocol):
     def poses(self, poses: Poses) -> None: ...
 
     @property
+    def gains(self) -> Floats:
+        """By how much the robots' bodies change a and speed, a row each, (2, N): motors of another
+        gain, wheels farther apart than the spec says."""
+        ...
+
+    @property
     def commanded(self) -> Floats:
         """1 for robots whose last command moves them, 0 for others, (N,)."""
         ...

@@ -200,9 +200,10 @@ class SimPlant:
     def open(self) -> PlantInfo:
         """Expose the first frame."""
         self._catch_up()
+        a, speed = self.drive.gains * np.array([self.a, self.speed])
         facts = {
-            "true_a": json.dumps(self.a.tolist()),
-            "true_speed": json.dumps(self.speed.tolist()),
+            "true_a": json.dumps(a.tolist()),
+            "true_speed": json.dumps(speed.tolist()),
         }
         return PlantInfo(
             kind="sim", simulated=True, camera_rate_hz=self.settings.camera_rate, facts=facts

@@ -48,6 +48,7 @@ class WheelDrive(WheeledRobots):
         self.rest_s = wheels.lag * -np.log(REST) + 1 / section.truth_rate
         """Time until the wheels of a stopped robot stand [s]."""
         radii = setup.wheel_radius * (1 + wheels.radius_error * random.uniform(-1, 1, a.size))
+        self.gains = self.host.gains * np.array([setup.wheel_radius / radii, np.ones(a.size)])
         super().__init__(starts, radii, wheels.lag, REST * float(setup.speed.max(initial=0.0)))
         self._setup = setup
         self._walk_rad = section.heading_noise / np.sqrt(

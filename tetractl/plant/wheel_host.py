@@ -34,7 +34,7 @@ class SimHost:
     def __init__(
         self, section: WheelDriveSection, setup: Setup, random: np.random.Generator
     ) -> None:
-        from tetractl.plant.wheel_kernel import answer  # late: reading a spec needs no kernel
+        from tetractl.plant.wheel_kernel import GAIN, TRUE_GAIN, answer  # late: compiled
 
         assert setup.wheel_radius is not None, "the wheels need a radius"
         robots = setup.a.size
@@ -47,6 +47,9 @@ class SimHost:
         self._speeds = WheelSpeeds(np.zeros((2, robots)), np.zeros((2, robots)))
         self.trains = true_trains(section, robots, random)
         """Wheels as calibrated and in truth, (TRAIN_ROWS, 2, N) of `wheel_kernel`."""
+        self.gains = np.mean(self.trains[TRUE_GAIN] / self.trains[GAIN], axis=0)
+        """By how much robots drive and turn faster than sent, (N,); where the two wheels differ,
+        the robot turns on its way, too: its heading bias."""
         self.repeats_ns = NEVER
         """The time of the next transmission of the same action [ns]."""
 

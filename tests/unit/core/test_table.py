@@ -10,13 +10,14 @@ import numpy as np
 import pandas
 import pytest
 from rich.console import Console
+from rich.progress import Progress
 from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.core.table.csv_rows import read_csv
 from tetractl.core.table.table import Column, Table, fixed
 from tetractl.core.table.table_files import csv_text, flat, json_text, table_files
-from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, print_tables
+from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, open_console, print_tables
 
 LONG = "words " * 60
 TABLE = Table(
@@ -177,3 +178,16 @@ def test_no_other_module_writes_tables():
     }
     names = ("csv_rows", "table_files", "terminal_table")
     assert texts == {f"tetractl/core/table/{name}.py" for name in names}
+
+
+@pytest.mark.parametrize("forced", ["FORCE_COLOR", "TTY_COMPATIBLE"])
+def test_a_file_gets_no_code_of_a_terminal_though_colour_is_forced(forced, monkeypatch, capsys):
+    monkeypatch.setenv(forced, "1")
+    console = open_console()
+    with console.screen():
+        console.print("in a file", style="bold")
+    with Progress(console=console) as bar:
+        bar.add_task("trials", total=2)
+    assert not console.is_terminal
+    print_tables([Table("Title", (Column("robot", ["green"]),))])
+    assert "\x1b" not in capsys.readouterr().out

@@ -1,6 +1,7 @@
 """Robots on wheels in a simulation, against formulas."""
 
 import itertools
+import json
 import math
 
 import numpy as np
@@ -98,6 +99,24 @@ def test_gains_and_radii_err_within_their_bounds_and_are_not_what_is_logged(part
     ratio = np.array(turned)
     assert ratio.std() > 0.01
     assert np.abs(ratio - 1).max() < (0.12 if part == "radius_error" else 0.6)
+
+
+def test_a_and_speed_that_a_log_calls_true_are_those_of_the_robot():
+    drive = {"gain_error": 0.2, "radius_error": 0.2}
+    facts = plant(drive=drive).open().facts
+    _, samples = driven(plant(drive=drive, truth_rate=120), [0.0])  # straight on from heading 0
+    path = truths(samples)
+    mm_s = np.hypot(*(path[1] - path[0])[:, :2].T) * 120
+    assert json.loads(facts["true_speed"]) == pytest.approx(mm_s, rel=1e-3)
+    aside = [turn_of_the_first_frame(drive, u) for u in (math.pi / 2, -math.pi / 2)]
+    rad_s = (aside[0] - aside[1]) / 2 * 120  # without the turn by wheels that differ
+    assert json.loads(facts["true_a"]) == pytest.approx(rad_s, rel=0.01)
+    assert json.loads(facts["true_a"]) != pytest.approx([6, 4, 3], rel=0.01)
+
+
+def turn_of_the_first_frame(drive, u):
+    path = truths(driven(plant(drive=drive, truth_rate=120), [u])[1])
+    return (path[1] - path[0])[:, 2]
 
 
 def test_dead_zones_that_the_host_does_not_know_turn_robots():

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from support.studies import FAILING, STUDY, run
 
-from tetractl.results.estimate import distributions
+from tetractl.results.estimate import ArmErrors, distributions
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_tables
 from tetractl.study.figure import error_figure, write_figures
 from tetractl.study.load_study import arm_name
 from tetractl.study.options import Logs
+from tetractl.view.figures.sweep import errors_by
 
 TRIALS = 5  # of each of the eight arms of STUDY
 
@@ -146,14 +147,14 @@ def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
     assert path.name == "error-arms.png"
     (axes,) = error_figure(ran.loaded, ran.store, "arms").axes
     assert [label.get_text() for label in axes.get_xticklabels()] == ["ours", "theirs"]
-    mean_ours, trials_ours, mean_theirs, trials_theirs = [
-        list(line.get_ydata()) for line in axes.get_lines()
+    mean_ours, mean_theirs = [
+        list(line.get_ydata()) for line in axes.get_lines() if line.get_gid() != "trials"
     ]
     ours, theirs = ran.loaded.arms
     assert mean_ours == pytest.approx([np.mean(errors(ran, ours))])
     assert mean_theirs == pytest.approx([np.mean(errors(ran, theirs))])
-    assert trials_ours == errors(ran, ours)
-    assert trials_theirs == errors(ran, theirs)
+    dots = [y for line in axes.get_lines() if line.get_gid() == "trials" for y in line.get_ydata()]
+    assert sorted(dots) == sorted(errors(ran, ours) + errors(ran, theirs))
 
 
 def test_arms_without_a_controller_are_called_given_directions(tmp_path):
@@ -223,3 +224,33 @@ def test_options_are_parsed():
     assert Logs.parse("all").whole_trials == float("inf")
     assert Logs.parse("failed") == Logs(0, failed=True)
     assert Logs.parse("none") == Logs(0, failed=False)
+
+
+def drawn_arms(*arms):
+    """The axes of arms with these errors."""
+    described = [
+        ArmErrors.of(f"arm-{k}", f"arm-{k}", 1, np.array(errors)) for k, errors in enumerate(arms)
+    ]
+    (axes,) = errors_by({"": described}, "", "mm").axes
+    return axes
+
+
+def test_errors_of_which_one_is_thirty_times_another_have_a_logarithmic_axis():
+    assert drawn_arms([10.0, 11.0], [290.0, 250.0]).get_yscale() == "linear"
+    assert drawn_arms([10.0, 11.0], [300.0, 250.0]).get_yscale() == "log"
+    assert drawn_arms([0.0, 11.0], [300.0, 250.0]).get_yscale() == "linear"
+
+
+@pytest.mark.parametrize("far", [1.0, 2546.0])
+def test_trials_of_nearly_the_same_error_are_dots_beside_one_another(far):
+    axes = drawn_arms([5.89, 5.9, 5.91, 5.92], [far])
+    figure = axes.get_figure()
+    figure.draw_without_rendering()
+    places_px = {
+        round(float(line.get_transform().transform((x, y))[0]), 1)
+        for line in axes.get_lines()
+        if line.get_gid() == "trials"
+        for x, y in zip(*line.get_data(), strict=True)
+        if y != far
+    }
+    assert len(places_px) == 4

@@ -1,6 +1,7 @@
 """Writes tables for readers: to a terminal, as Markdown, LaTeX and HTML."""
 
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from html import escape
@@ -34,11 +35,18 @@ _UM = re.compile(r"\bum\b")
 _MINUS = re.compile(r"(?<![\w.])-(?=\d)")
 
 
-def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> None:
-    """Print tables to a terminal, or as plain text of WIDTH characters if there is none."""
+def open_console(stderr: bool = False, quiet: bool = False) -> "Console":
+    """Return rich's console of stdout or stderr. Into a file or a pipe it sends no code of a
+    terminal, whatever FORCE_COLOR and TTY_COMPATIBLE say: they are set in notebooks and CI."""
     from rich.console import Console
 
-    console = console or Console()
+    stream = sys.stderr if stderr else sys.stdout
+    return Console(stderr=stderr, quiet=quiet, force_terminal=None if stream.isatty() else False)
+
+
+def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> None:
+    """Print tables to a terminal, or as plain text of WIDTH characters if there is none."""
+    console = console or open_console()
     for table in tables:
         _print(table, console)
 

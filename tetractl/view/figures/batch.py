@@ -14,6 +14,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
 
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
@@ -28,20 +29,16 @@ from tetractl.results.estimate import (
 )
 from tetractl.results.open_batch import GIVEN_DIRECTIONS, counts, directions_given
 from tetractl.view import style
-from tetractl.view.figures.axes import by_folder, name_categories
+from tetractl.view.figures.axes import ErrorScale, by_folder, log_axis, name_categories
 
 DOTS_ASIDE = 0.14
 """Shift of dots to the left of their category's centre [categories]."""
 MEAN_ASIDE = 1.4 * DOTS_ASIDE
 """Shift of the mean to the right of it [categories]."""
-ROWS = 40
-"""Number of heights up to the greatest error: the dots of one are put side by side."""
 DOT_STEP = 0.07
 """Largest distance of dots side by side [categories]."""
 DOTS_WIDTH = 0.4
 """Largest width of a row of dots [categories]."""
-GOLDEN = 0.6180339887
-"""The golden ratio minus 1: multiples of it, modulo 1, are far from their neighbours."""
 MANY = 100
 """Number of trials beyond which dots are smaller."""
 DOT_PT2 = 16
@@ -50,6 +47,8 @@ SMALL_DOT_PT2 = 4
 """Area of a dot of many [pt^2]."""
 SHADED = 4
 """Most batches whose bands are shaded: more would hide one another."""
+ROOM = 0.05
+"""Room beyond the errors of a logarithmic axis, as a fraction of their range."""
 BEYOND = 1.02
 """Limits of the axes of a distribution, over the largest values."""
 DOTS_WIDTH_IN = 0.4 * style.PAGE_IN
@@ -128,16 +127,25 @@ def _drawn(
     error = f"total error [{unit_of(experiment.units.length)}]"
     style.panel(dots, "a", "each trial, and the mean", y=error)
     style.panel(distributions_panel, "b", "fraction of trials with at most an error", error)
-    labels = _categories(dots, drawn, links)
+    totals = np.concatenate([batch.totals for batch in drawn])
+    scale = ErrorScale.of(totals)
+    labels = _categories(dots, drawn, scale, links)
     reference = experiment.reference
     if reference is not None:
         published = published_distribution(reference.n, reference.mean, reference.std)
         _mean(dots, len(labels), published, style.GREY)
+        totals = np.append(totals, [reference.mean, reference.mean + reference.std])
         labels.append(f"published\nn = {reference.n}")
     name_categories(dots, labels, DOTS_WIDTH_IN)
-    dots.set_ylim(bottom=0)
-    style.grid_of_heights(dots)
     _distributions(distributions_panel, drawn)
+    if scale.logarithmic:
+        log_axis(dots, totals, ROOM, ROOM)
+        distributions_panel.set_xscale("log")
+        distributions_panel.set_xlim(left=dots.get_ylim()[0])
+        distributions_panel.xaxis.set_major_formatter(FuncFormatter(lambda error, _: f"{error:g}"))
+    else:
+        dots.set_ylim(bottom=0)
+    style.grid_of_heights(dots)
     curves, _ = distributions_panel.get_legend_handles_labels()
     _legend(figure, curves if len(drawn) > 1 else [])
     return figure
@@ -154,15 +162,16 @@ def _legend(figure: Figure, curves: Sequence[Artist]) -> None:
     style.legend(figure, [*signs, *curves], 4)
 
 
-def _categories(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) -> list[str]:
+def _categories(
+    axes: Axes, batches: Sequence[BatchErrors], scale: ErrorScale, links: Mapping[str, str]
+) -> list[str]:
     """Draw a category of the x axis for each batch, and return their labels: values to the left
     of the category's centre, their mean to the right.
     """
-    top = max(float(batch.totals.max()) for batch in batches)
     labels: list[str] = []
     for place, batch in enumerate(batches):
         color = style.batch_look(place)["color"]
-        _dots(axes, place - DOTS_ASIDE, batch, top, color, links)
+        _dots(axes, place - DOTS_ASIDE, batch, scale, color, links)
         distribution = distributions(batch.totals[None])[0]
         _mean(axes, place + MEAN_ASIDE, distribution, color)
         name = batch.name if len(batches) > 1 else "this batch"
@@ -174,13 +183,15 @@ def _dots(
     axes: Axes,
     place: float,
     batch: BatchErrors,
-    top: float,
+    scale: ErrorScale,
     color: str,
     links: Mapping[str, str],
 ) -> None:
-    """Draw a dot for each trial about a place of the x axis; `top` is the greatest error."""
+    """Draw a dot for each trial about a place of the x axis."""
+    columns = scale.columns(batch.totals)
+    widest = 2 * float(columns.max()) + 1
     dots = axes.scatter(
-        place + _spread(batch.totals, top),
+        place + columns * min(DOT_STEP, DOTS_WIDTH / widest),
         batch.totals,
         s=DOT_PT2 if len(batch.totals) <= MANY else SMALL_DOT_PT2,
         color=color,
@@ -192,25 +203,6 @@ def _dots(
     addresses = [links.get(path) for path in batch.paths]
     if any(addresses):
         dots.set_urls(addresses)
-
-
-def _spread(values: Floats, top: float) -> Floats:
-    """Return horizontal offsets, at most half of DOTS_WIDTH, that separate dots of similar
-    height.
-    """
-    if top <= 0:
-        return np.zeros(len(values))
-    heights = np.rint(values / top * ROWS).astype(int)
-    _, row, counted = np.unique(heights, return_inverse=True, return_counts=True)
-    step = min(DOT_STEP, DOTS_WIDTH / counted.max())
-    offsets = np.zeros(len(values))
-    for i, count in enumerate(counted):
-        (members,) = np.nonzero(row == i)
-        rising = members[np.argsort(values[members], kind="stable")]
-        places = np.arange(count)
-        separated = np.argsort(places * GOLDEN % 1)  # neighbours in height are far apart
-        offsets[rising[separated]] = step * (places - (count - 1) / 2)
-    return offsets
 
 
 def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:

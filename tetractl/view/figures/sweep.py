@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
@@ -11,16 +12,21 @@ from matplotlib.transforms import ScaledTranslation
 from tetractl.core.errors import unit_of
 from tetractl.results.estimate import ArmErrors, Interval, numeric
 from tetractl.view import style
-from tetractl.view.figures.axes import name_categories
+from tetractl.view.figures.axes import ErrorScale, log_axis, name_categories
 
 HEIGHT_IN = 2.8
 """Height of the figure [in]."""
 CURVES_ASIDE_IN = 0.12
 """Horizontal distance between two curves at the same value [in]: no curve hides another."""
-TRIALS_ASIDE_IN = 0.06
-"""Largest horizontal distance between a mean and its trials [in]."""
+TRIALS_ASIDE_IN = 0.12
+"""Largest horizontal distance between a mean and its trials [in]; their columns are as far from one
+another as room allows."""
+COLUMN_IN = 0.035
+"""Largest horizontal distance between two columns of trials [in]."""
 TRIALS_ROOM_IN = 2.5
-"""Sum of these distances over all values, at most [in]."""
+"""Sum of the widths of trials over all values, at most [in]."""
+ROOM = 0.05
+"""Room beyond the errors of a logarithmic axis, as a fraction of their range."""
 LABEL_LENGTH = 24
 """Largest length of a value's text [characters]."""
 LOG_DECADES = 1.5
@@ -55,6 +61,10 @@ def errors_by(
     axes = figure.subplots()
     places = _places(axes, all_arms)
     numbers = numeric(all_arms)
+    errors = np.array([error for arm in all_arms for error in arm.errors])
+    scale = ErrorScale.of(errors)
+    if scale.logarithmic:
+        log_axis(axes, errors, ROOM, ROOM)
     trials_in = min(TRIALS_ASIDE_IN, TRIALS_ROOM_IN / len(places))
     for number, (name, arms) in enumerate(curves.items()):
         connected = numbers and _comparable(arms, only)
@@ -64,13 +74,14 @@ def errors_by(
         aside_in = CURVES_ASIDE_IN * rank if field else 0
         color = style.batch_look(number)["color"]
         _means(axes, curve, _look(axes, color, aside_in))
-        _trials(axes, curve, _look(axes, color, aside_in - trials_in))
+        _trials(axes, curve, scale, color, aside_in - trials_in, trials_in)
         _show_all(axes, curve)
     if not field:
         name_categories(axes, [arm.label for arm in all_arms], 0.9 * style.PAGE_IN)
     axes.set_xlabel(field)
     axes.set_ylabel(f"total error [{unit_of(unit)}]")
-    axes.set_ylim(bottom=0)
+    if not scale.logarithmic:
+        axes.set_ylim(bottom=0)
     style.grid_of_heights(axes)
     if any(curves):
         figure.legend(loc="outside lower center", ncols=4)
@@ -122,19 +133,29 @@ def _means(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
             x.append(place)
             intervals.append(arm.error.ci95)
     low = [interval.low for interval in intervals]
+    if axes.get_yscale() == "log":
+        low = [max(end, axes.get_ylim()[0]) for end in low]  # a bound may be 0 or less
     high = [interval.high for interval in intervals]
     axes.vlines(x, low, high, linewidth=2.5, alpha=0.45, **look)
 
 
-def _trials(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
-    """Draw a dot for each trial."""
-    x: list[float] = []
-    errors: list[float] = []
-    for place, arm in zip(curve.x, curve.arms, strict=True):
-        for error in arm.errors:
-            x.append(place)
-            errors.append(error)
-    axes.plot(x, errors, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **look)
+def _trials(
+    axes: Axes, curve: SweptCurve, scale: ErrorScale, color: str, aside_in: float, width_in: float
+) -> None:
+    """Draw a dot for each trial, in columns about a place aside of its arm's mean; together they
+    are at most `width_in` wide."""
+    dots = [
+        (column, place, error)
+        for place, arm in zip(curve.x, curve.arms, strict=True)
+        for error, column in zip(arm.errors, scale.columns(np.array(arm.errors)), strict=True)
+    ]
+    columns = sorted({column for column, _, _ in dots})
+    step_in = min(COLUMN_IN, width_in / (2 * columns[-1] + 1))
+    for column in columns:
+        x = [place for of, place, _ in dots if of == column]
+        errors = [error for of, _, error in dots if of == column]
+        look = _look(axes, color, aside_in + column * step_in)
+        axes.plot(x, errors, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **look)
 
 
 def _show_all(axes: Axes, curve: SweptCurve) -> None:

@@ -3,10 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
-from rich.console import Console
-
 from tetractl.core.table.table import NONE, Column, Table, plural
-from tetractl.core.table.terminal_table import print_tables
+from tetractl.core.table.terminal_table import open_console, print_tables
 from tetractl.lab.preflight import Preflight
 
 ANSWERS = {True: "yes", False: "no", None: "n/a"}
@@ -49,7 +47,7 @@ def print_findings(preflight: Preflight, latency_stated: bool) -> None:
     With `latency_stated`, the age of frames follows from the spec's lab.camera.latency, and is not
     measured.
     """
-    console = Console()
+    console = open_console()
     print_tables([robots_table(preflight)], console)
     rate = "unknown" if preflight.camera_rate_hz is None else f"{preflight.camera_rate_hz:.1f} Hz"
     lines = [f"camera: {rate}"]

@@ -83,3 +83,12 @@ def test_a_headline_names_the_plants():
         heading(batch_figure([disturbed, undisturbed]))
         == "a: disturbed simulation; b: undisturbed simulation"
     )
+
+
+def test_a_batch_of_which_one_error_is_thirty_times_another_has_logarithmic_axes():
+    near = group(batch([[10.0, 0, 0], [12.0, 0, 0]]), name="near")
+    far = group(batch([[300.0, 0, 0]]), name="far")
+    of_dots, of_curves = batch_figure([near, far]).axes
+    assert (of_dots.get_yscale(), of_curves.get_xscale()) == ("log", "log")
+    of_dots, of_curves = batch_figure([near]).axes
+    assert (of_dots.get_yscale(), of_curves.get_xscale()) == ("linear", "linear")

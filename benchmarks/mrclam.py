@@ -85,14 +85,9 @@ def main(folders: list[Path]) -> None:
             [f"{np.median(column) / 2:.4f}" for column in widths],
         ),
     )
-    of_turning = sum("turning" in response.misfits for response in responses)
-    of_speed = sum("speed" in response.misfits for response in responses)
     steps = sum(response.intervals for response in responses)
     left_out = sum(response.left_out for response in responses)
-    note = (
-        f"{steps} steps, {left_out} left out; residuals are correlated in "
-        f"{of_turning} runs (turning) and {of_speed} (speed)"
-    )
+    note = f"{steps} steps, {left_out} left out"
     print_tables(
         [Table(f"MRCLAM, {len(responses)} runs of real robots; 95 % intervals", columns, note)]
     )

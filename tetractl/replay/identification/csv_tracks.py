@@ -28,6 +28,7 @@ from tetractl.core.table.quantities import (
     truth,
 )
 from tetractl.replay.identification.clocks import Span, clock_remark
+from tetractl.replay.identification.motion import PoseSteps, check_angle, measured
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
     SentDirections,
@@ -46,10 +47,12 @@ TRIALS_MAX = 10_000
 ORIGIN = "CSV"
 WHEELS = ("v", "left", "right", "radius")
 """Names of the columns of speeds, before their units."""
-MIRRORED = 0.2
-"""Share of their ways by which robots get farther ahead with y reversed, above which it is."""
 ALONG = 0.5
-"""Share of their ways by which robots at least get ahead that move along their headings."""
+"""Share of their ways that an angle to the headings explains at least."""
+NO_MEASUREMENT = 0.01
+"""Share of a robot's poses that are no measurement, above which it is said."""
+POSES_MIN = 20
+"""Least number of poses by which the angle between motion and heading is judged."""
 JUMP = 100.0
 """Median ways between two poses, above which a way is no motion but a wrong place; chosen."""
 COLUMNS_SAID = 8
@@ -219,7 +222,9 @@ def csv_tracks(
                 raise UsageError(
                     f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
-    tracks = [_track(numbers, unit, trial, shortest_s) for trial, numbers in trials.items()]
+    tracks = [
+        _track(numbers, unit, trial, shortest_s, on_wheels) for trial, numbers in trials.items()
+    ]
     return [replace(track, on_wheels=on_wheels) for track in tracks]
 
 
@@ -289,7 +294,7 @@ def _position_columns(
     raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
 
 
-def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Track:
+def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float, on_wheels: bool) -> Track:
     """Return the track of a trial, its times counted from its first pose."""
     poses_path = numbers.poses_path
     commands_path = numbers.commands_path
@@ -308,7 +313,12 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     if not names:
         raise UsageError(f"{poses_path}: has no robot that is seen for {shortest_s:g} s")
     time, poses, valid = _frames(poses_path, rows, len(names))
-    _check_headings(poses_path, poses, valid, may_back=bool(numbers.twists))
+    _check_degrees(poses_path, poses, valid)
+    remarks: list[str] = []
+    if on_wheels:
+        valid, remarks = _measured(poses_path, names, time, poses, valid)
+    if not numbers.twists:
+        _check_angles(poses_path, names, time, poses, valid)
     sent = _twists(numbers, names, begin) if numbers.twists else _directions(numbers, begin)
     if not len(sent.when):
         raise UsageError(f"{commands_path}: states no direction")
@@ -316,6 +326,8 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
     poses_span = Span(str(poses_path), begin, begin + float(time[-1]))
     commands_span = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
     remark = clock_remark(poses_span, begin + sent.when, commands_span)
+    if remark is not None:
+        remarks.append(remark)
     if not numbers.twists:
         directions = SentDirections(begin + sent.when, np.exp(1j * sent.u))
         _check_turning(poses_path, commands_path, begin + time, poses, directions)
@@ -334,7 +346,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float) -> Trac
         left_out=tuple(brief),
         lag=numbers.lag_s,
         twists=sent.twists,
-        remarks=() if remark is None else (remark,),
+        remarks=tuple(remarks),
     )
 
 
@@ -391,51 +403,61 @@ def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools
     return time, poses, np.logical_not(np.isnan(poses[..., 0] + poses[..., 1] + poses[..., 2]))
 
 
-def _check_headings(path: Path, poses: Floats, valid: Bools, may_back: bool) -> None:
-    """Raise UsageError for headings in degrees: beyond a turn, and along the motion as degrees; for
-    those along the motion only with y reversed; and for those against the motion, unless robots
-    `may_back`.
-
-    Headings in radians may be beyond a turn, too: those of `tetractl export` count whole turns.
+def _check_degrees(path: Path, poses: Floats, valid: Bools) -> None:
+    """Raise UsageError for headings in degrees: beyond a turn, and at one angle to the motion,
+    there and back, only as degrees. Those of `tetractl export` count whole turns in rad.
     """
-    in_both = valid[1:] & valid[:-1]
-    moved = _without_jumps(np.where(in_both[..., None], np.diff(poses[..., :2], axis=0), 0.0))
-    heading = np.where(in_both, poses[:-1, :, 2], 0.0)
-    ahead = _ahead(moved, heading)
-    angles = np.abs(np.where(valid, poses[..., 2], 0.0))
-    beyond = float(np.nanmax(angles))
+    beyond = float(np.abs(poses[valid][:, 2]).max(initial=0.0))
     problem = turn_problem(beyond)
-    way = float(np.hypot(moved[..., 0], moved[..., 1]).sum())
-    if problem is not None and _ahead(moved, np.radians(heading)) > max(ahead, ALONG * way):
+    if problem is None:
+        return
+    in_rad = 0.0
+    in_degrees = 0.0
+    ways = 0.0
+    for robot in range(poses.shape[1]):
+        x, y, heading = poses[valid[:, robot], robot].T
+        way = np.diff(x + 1j * y)
+        way *= np.abs(way) <= JUMP * np.median(np.abs(way))
+        squares = way**2
+        ways += float(np.abs(squares).sum())
+        in_rad += abs((squares * np.exp(-2j * heading[:-1])).sum())
+        in_degrees += abs((squares * np.exp(-2j * np.radians(heading[:-1]))).sum())
+    if in_degrees > max(in_rad, ALONG * ways):
         said, hint = problem
         raise UsageError(
             f"{path}: a heading of {beyond:g} {said}", f"{hint}, or name the column heading_deg"
         )
-    mirrored = _ahead(moved * (1, -1), heading)
-    if mirrored - max(ahead, 0.0) > MIRRORED * way:
-        raise UsageError(
-            f"{path}: robots move along their headings only with y reversed",
-            "are y downwards and headings anticlockwise? reverse one of them",
-        )
-    if ahead < -ALONG * way and not may_back:
-        raise UsageError(
-            f"{path}: robots move against their headings", "add half a turn to the headings"
-        )
 
 
-def _without_jumps(moved: Floats) -> Floats:
-    """Return the ways (M, N, 2) between poses, 0 where one is too long for motion: a single wrong
-    place would outweigh what all others say of the headings."""
-    lengths = np.hypot(moved[..., 0], moved[..., 1])
-    usual = np.median(lengths[lengths > 0]) if lengths.any() else 0.0
-    return np.where((lengths > JUMP * usual)[..., None], 0.0, moved)
+def _measured(
+    path: Path, names: tuple[str, ...], time: Floats, poses: Floats, valid: Bools
+) -> tuple[Bools, list[str]]:
+    """Return which poses (M, N, 3) are measurements (M, N), and what to say of robots of which a
+    share above NO_MEASUREMENT is none."""
+    is_measured = np.zeros_like(valid)
+    said: list[str] = []
+    for robot, name in enumerate(names):
+        rows = np.flatnonzero(valid[:, robot])
+        kept = rows[measured(time[rows], poses[rows, robot])]
+        is_measured[kept, robot] = True
+        share = 1 - len(kept) / max(len(rows), 1)
+        if share > NO_MEASUREMENT:
+            said.append(f"{share:.1%} of {printable(name)}")
+    if not said:
+        return is_measured, []
+    text = f"{path}: poses that repeat the one before, or jump away and back, are left out"
+    return is_measured, [f"{text}: {', '.join(said)}"]
 
 
-def _ahead(moved: Floats, heading: Floats) -> float:
-    """Return how far robots moved ahead, of their ways (M, N, 2) and headings (M, N) [rad]."""
-    along_x = moved[..., 0] * np.cos(heading)
-    along_y = moved[..., 1] * np.sin(heading)
-    return float(np.sum(along_x + along_y))
+def _check_angles(
+    path: Path, names: tuple[str, ...], time: Floats, poses: Floats, valid: Bools
+) -> None:
+    """Raise UsageError if robots that follow directions do not move along their headings."""
+    for robot, name in enumerate(names):
+        rows = np.flatnonzero(valid[:, robot])
+        if len(rows) >= POSES_MIN:
+            steps = PoseSteps.of(time[rows], poses[rows, robot])
+            check_angle(str(path), printable(name), steps, steps.duration_s)
 
 
 def _check_turning(

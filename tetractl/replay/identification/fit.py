@@ -370,7 +370,7 @@ def newton_step(
         scores = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
         return np.where(np.isfinite(scores), scores, UNLIKELY)
 
-    slope, curvature = _derivatives(score, parameters.shape[1])
+    slope, curvature = derivatives(score, parameters.shape[1])
     value, vector = np.linalg.eigh(curvature)
     value = np.maximum(np.abs(value), prior_std**-2)  # a step uphill where the curve is hollow
     step = np.einsum("nij,nj,nkj,nk->ni", vector, 1 / value, vector, slope)
@@ -380,7 +380,7 @@ def newton_step(
     return parameters + SHARES[best][:, None] * step, std
 
 
-def _derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
+def derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
     """Return the slope (N, P) of a score of P parameters and its negative curvature (N, P, P), from
     the score where they are, with each raised and lowered, and with each two raised."""
     raised = DIFFERENCE * np.eye(size)

@@ -11,9 +11,14 @@ along its heading. Poses are measured with white noise, which two neighbouring s
 opposite signs: the covariance of the steps is tridiagonal.
 
 **Fit.** For given `ResponseParameters` (dead time, lags, noise) the steps are linear in the gains,
-so that `regress` has their restricted likelihood in closed form. `_search` finds the likeliest
-parameters from a grid by Newton steps. Intervals are normal in dead time, gains and logarithms of
-the others; if residuals are correlated by the test of `fit`, they are wider and the table says so.
+so that `_Whitened` has their restricted likelihood in closed form. `_delay` finds the delay after
+which commands explain most of the motion, whatever the clocks' difference; from a grid about it
+`_search` finds the likeliest parameters by Newton steps. Intervals are normal in dead time, gains
+and logarithms of the others, and as wide as the differences of blocks of BLOCK_S ask: gains of real
+robots wander over seconds, which no model of white noise and random walks knows.
+
+**Checks.** Robots move along their headings (`motion.check_angle`), and the commands explain their
+turns and ways, with the right sign and in the right units; else the fit would be of something else.
 
 **Data.** Steps last at least STEP_S. Left out are steps without a command, since a robot that has
 none stands, and steps FAR times further off than usual: a tracker that takes a body for another.
@@ -22,18 +27,28 @@ Shapes: a robot has S steps in all its tracks, of which M are used; C commands a
 Pairs of a motion's two integrals stand in columns: of p, then of q.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solve_banded
+from scipy.ndimage import maximum_filter1d
+from scipy.special import stdtrit
 
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.core.table.table import Column, Table
-from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_step, white
+from tetractl.replay.identification.fit import (
+    DIFFERENCE,
+    NORMAL,
+    UNLIKELY,
+    SampleInterval,
+    derivatives,
+)
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell
+from tetractl.replay.identification.motion import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.tracks import Track
 
 STEP_S = 0.1
@@ -46,10 +61,21 @@ STD_OF_MEDIAN = 1.48
 """Standard deviation of normal numbers over the median of their magnitudes."""
 SAME_LAG_S = 0.02
 """How well a lag has to be known to be of use in a spec [s]."""
-GRID_DEAD_TIMES_S = np.arange(-0.1, 0.5, 0.05)
-"""Dead times from which the search may start, less the expected one [s]."""
+GRID_DEAD_TIMES_S = np.arange(-0.25, 0.26, 0.05)
+"""Dead times from which the search may start, less that of the start [s]."""
 GRID_TURNING_LAGS_S = (0.03, 0.1, 0.3)
 """Lags of turning from which it may start [s]; that of speed starts at its unit."""
+CLOCKS_APART_S = 0.05
+CLOCKS = 200
+PEAK = 5
+"""Spacing of the delays that are tried [s], their number to either side of the expected one, and
+that to either side which a delay has to exceed."""
+AS_GOOD = 0.1
+REVERSED = 0.8
+"""Share of the motion by which a delay nearer to the expected one may explain less; and that for
+which a delay counts if robots turn right where they are sent left."""
+USUAL = 0.02
+"""Share of rates to either side that are clipped."""
 DEAD_TIME_UNIT_S = 0.05
 LAG_UNIT_S = 0.1
 HEADING_WALK_UNIT = 0.02
@@ -62,10 +88,39 @@ POSITION_NOISE_UNIT_S = 0.002
 """Of the speed: usual values of the parameters, in which they are searched."""
 LAG_LEAST_S = 1e-3
 """Shorter lags are taken for this one [s]."""
-ROUNDS = 8
-"""Newton steps at most; the parameters after the last are used."""
+ROUNDS = 60
+"""Newton steps at most."""
+DAMPED = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
+"""Tried dampings of a step: curvatures added to those of the likelihood."""
 SETTLED = 0.02
 """A step that ends the search, in standard deviations of the parameters."""
+EXPLAINED = 0.4
+SURELY_MORE = 0.2
+"""Least share of turns or ways that commands explain; and by how much more they would explain with
+a gain of 1 if they are not obeyed."""
+UNIT_WITHIN = 1.5
+"""Factor about 1 within which gains are of robots that obey."""
+TURN_UNITS = {
+    180 / math.pi: "is w in degrees per second? name its column w_deg_s",
+    math.pi / 180: "is w in rad/s, as its column does not say? name it w_rad_s",
+    1e3: "is w in mrad/s? divide it by 1000",
+    1e-3: "is w per millisecond? multiply it by 1000",
+    3600.0: "is w per hour? divide it by 3600",
+    1 / 3600.0: "is w in turns of another unit of time? multiply it by 3600",
+}
+SPEED_UNITS = {
+    1e3: "are lengths of v and of positions of one unit? divide v by 1000",
+    1e-3: "are lengths of v and of positions of one unit? multiply v by 1000",
+    3600.0: "is v per hour? divide it by 3600",
+    1 / 3600.0: "is v per second, as its column does not say? multiply it by 3600",
+}
+"""By what gains are to be multiplied if commands are of another unit, and what to do."""
+SEARCHED = 7
+"""Number of the parameters that are searched; behind them in a vector come the gains."""
+BLOCK_S = 10.0
+BLOCKS_LEAST = 10
+"""Duration of the blocks whose differences give the intervals [s]; and how many there are at least,
+shorter ones."""
 PRIOR_STD = 5.0
 """Standard deviation of the prior of each parameter, in its units: hardly any prior."""
 LEAST_VARIANCE = 1e-18
@@ -73,16 +128,13 @@ LEAST_VARIANCE = 1e-18
 EXPONENT_MOST = 50.0
 """Most that an interval's end is from its value, in the logarithm."""
 
-Indices = NDArray[np.int64]
-
 
 @dataclass(frozen=True, slots=True)
 class RobotResponse:
     """How one robot follows its commands; see the fields of `FittedRobot` for the noise.
 
     `veer` [rad/length unit] is by how much it turns on its way though w is 0, `intervals` the
-    number of steps used and `left_out` that of steps too far off. `misfits` names the motions whose
-    residuals are correlated.
+    number of steps used and `left_out` that of steps too far off.
     """
 
     name: str
@@ -98,7 +150,6 @@ class RobotResponse:
     position_noise: SampleInterval
     intervals: int
     left_out: int
-    misfits: tuple[str, ...]
 
     @property
     def quantities(self) -> dict[str, SampleInterval]:
@@ -133,13 +184,14 @@ UNITS = {
 
 
 def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotResponse]:
-    """Return how each robot of the tracks follows its commands, for an expected dead time [s];
-    UsageError if it drives too little."""
+    """Return how each robot of the tracks follows its commands, for an expected dead time [s] if
+    several explain its motion; UsageError if it drives too little, or otherwise than it was sent.
+    """
     responses = []
     for robot, name in enumerate(tracks[0].names):
         driven = [_driven_track(track, robot) for track in tracks]
-        steps = _usable_steps(name, driven, dead_time)
-        responses.append(_response(name, steps, dead_time))
+        steps = _usable_steps(tracks[0].source, name, driven, dead_time)
+        responses.append(_response(tracks[0].source, name, steps))
     return responses
 
 
@@ -148,14 +200,11 @@ def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotRespon
 
 @dataclass(frozen=True, slots=True)
 class _DrivenTrack:
-    """One robot in one track: poses measured at `pose_s` (S + 1,) [s], of each step between them
-    how far it `turned` [rad] and drove (`way` [length unit]) (S,), and the `commands` (C, 2) of v
-    and w sent at `sent_s` (C,) [s].
-    """
+    """One robot in one track: the `steps` between its poses at `pose_s` (S + 1,) [s], and the
+    `commands` (C, 2) of v and w that it was sent at `sent_s` (C,) [s]."""
 
     pose_s: Floats
-    turned: Floats
-    way: Floats
+    steps: PoseSteps
     sent_s: Floats
     commands: Floats
 
@@ -166,8 +215,8 @@ class _DrivenTrack:
         the difference of U(t) - lag r(t) between a step's ends, with U the integral of u. Between
         two commands r tends to u as exp(-t / lag); robots have the first command's rates before it.
         """
-        if len(self.pose_s) < 2:
-            return np.zeros((0, 2))
+        if len(self.pose_s) < 2 or not len(self.sent_s):
+            return np.zeros((len(self.steps.turned), 2))
         apart_s = np.diff(self.sent_s)
         decay = np.exp(-apart_s / lag)
         # r at each command: r[k + 1] = decay[k] r[k] + (1 - decay[k]) u[k], a system in two bands
@@ -187,30 +236,34 @@ class _DrivenTrack:
         rate = command + (rates[newest] - command) * np.exp(-np.maximum(since_s, 0.0) / lag)
         return np.diff(total[newest] + since_s * command - lag * rate, axis=0)
 
+    def sent(self, delay: float) -> Floats:
+        """Return the way and turn that were sent in each step (S, 2), a delay [s] before."""
+        total = np.zeros((len(self.sent_s), 2))
+        total[1:] = np.cumsum(np.diff(self.sent_s)[:, None] * self.commands[:-1], axis=0)
+        times = self.pose_s - delay
+        sums = [np.interp(times, self.sent_s, column) for column in total.T]
+        return np.diff(np.column_stack(sums), axis=0)
+
+    def acts(self, dead_time: float) -> Bools:
+        """Return in which steps (S,) a command acts."""
+        times = self.pose_s - dead_time
+        return (times[:-1] >= self.sent_s[0]) & (times[1:] <= self.sent_s[-1])
+
 
 def _driven_track(track: Track, robot: int) -> _DrivenTrack:
-    """Return the steps of a robot in a track, from its first command to the end of the last."""
-    commanded = np.isfinite(track.twists[:, robot]).all(axis=1)
-    sent_s = track.sent[commanded]
+    """Return the steps of a robot in a track, and its commands."""
     times_s = track.exposed[:, robot]
     frames: list[int] = []
     last_s = -np.inf
     for frame in np.flatnonzero(track.valid[:, robot]).tolist():
-        time_s = times_s[frame]
-        commands_act = len(sent_s) > 0 and sent_s[0] <= time_s <= sent_s[-1]
-        if commands_act and time_s - last_s >= STEP_S - 1e-9:
+        if times_s[frame] - last_s >= STEP_S - 1e-9:
             frames.append(frame)
-            last_s = time_s
-    x, y, heading = track.poses[frames, robot].T
-    heading = np.unwrap(heading)
-    middle = (heading[1:] + heading[:-1]) / 2
-    along_x = np.diff(x) * np.cos(middle)
-    along_y = np.diff(y) * np.sin(middle)
+            last_s = times_s[frame]
+    commanded = np.isfinite(track.twists[:, robot]).all(axis=1)
     return _DrivenTrack(
         pose_s=times_s[frames],
-        turned=np.diff(heading),
-        way=along_x + along_y,
-        sent_s=sent_s,
+        steps=PoseSteps.of(times_s[frames], track.poses[frames, robot]),
+        sent_s=track.sent[commanded],
         commands=track.twists[commanded, robot],
     )
 
@@ -220,16 +273,19 @@ class _Steps:
     """The M steps of a robot that the fit uses: `rows` (M,) of those of all `tracks`.
 
     `turned`, `way` and `duration_s` are (M,); `neighbours` (M - 1,) is where the next step begins
-    with the pose at which a step ends. `left_out` is the number of steps too far off.
+    with the pose at which a step ends. `left_out` is the number of steps too far off, `dead_time`
+    [s] that from which the search starts.
     """
 
     tracks: list[_DrivenTrack]
-    rows: Indices
+    rows: Integers
     turned: Floats
     way: Floats
     duration_s: Floats
+    block: Integers
     neighbours: Bools
     left_out: int
+    dead_time: float
 
     @property
     def speed(self) -> float:
@@ -246,36 +302,84 @@ def _integrals(tracks: Sequence[_DrivenTrack], dead_time: float, lag: float) -> 
     return np.concatenate([track.integrals(dead_time, lag) for track in tracks])
 
 
-def _usable_steps(name: str, tracks: list[_DrivenTrack], dead_time: float) -> _Steps:
-    """Return the steps of a robot to use, by its commands at the expected dead time [s];
-    UsageError if they are too few, or too much alike."""
-    duration_s = np.concatenate([np.diff(track.pose_s) for track in tracks])
-    turned = np.concatenate([track.turned for track in tracks])
-    way = np.concatenate([track.way for track in tracks])
+def _usable_steps(source: str, name: str, tracks: list[_DrivenTrack], expected_s: float) -> _Steps:
+    """Return the steps of a robot to use, for an expected dead time [s]; UsageError if they are too
+    few, too much alike, or not along its heading."""
+    steps = PoseSteps.together([track.steps for track in tracks])
+    dead_time = _delay(tracks, steps, expected_s + LAG_UNIT_S) - LAG_UNIT_S
     driven = _integrals(tracks, dead_time, LAG_UNIT_S)
-    drives = (duration_s < LONGEST_S) & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
+    acts = np.concatenate([track.acts(dead_time) for track in tracks])
+    drives = acts & (steps.duration_s < LONGEST_S) & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
     if drives.sum() < INTERVALS_MIN:
         raise UsageError(f"robot {name} drives in only {drives.sum()} steps of {STEP_S:g} s")
     if np.linalg.matrix_rank(driven[drives]) < 2:
         raise UsageError(f"robot {name} is sent one speed and turning rate only")
+    check_angle(source, name, steps.at(drives), driven[drives, 0])
+    way = steps.moved.real
+    turned = steps.turned
     far_off = _far_off(turned, driven, drives) | _far_off(way, driven, drives)
     rows = np.flatnonzero(drives & ~far_off)
-    ends_of_tracks = np.cumsum([len(track.way) for track in tracks])[:-1]
+    ends_of_tracks = np.cumsum([len(track.steps.turned) for track in tracks])[:-1]
     return _Steps(
         tracks=tracks,
         rows=rows,
         turned=turned[rows],
         way=way[rows],
-        duration_s=duration_s[rows],
+        duration_s=steps.duration_s[rows],
+        block=_blocks(steps.duration_s)[rows],
         neighbours=(np.diff(rows) == 1) & ~np.isin(rows[1:], ends_of_tracks),
         left_out=int((drives & far_off).sum()),
+        dead_time=dead_time,
     )
+
+
+def _delay(tracks: Sequence[_DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
+    """Return the delay [s] after which speeds and turns that were sent explain most of the motion;
+    of several that explain AS_GOOD as much, that nearest to the expected one.
+    """
+    seen = steps.at(steps.duration_s < LONGEST_S)
+    turn_rate = _clipped(seen.turned / seen.duration_s)
+    ahead = _clipped(seen.moved.real / seen.duration_s)
+    aside = _clipped(seen.moved.imag / seen.duration_s)
+    delays = expected_s + CLOCKS_APART_S * np.arange(-CLOCKS, CLOCKS + 1)
+    explained = np.zeros(len(delays))
+    for i, delay in enumerate(delays.tolist()):
+        sent = np.concatenate([track.sent(delay) for track in tracks])
+        speed, rate = (sent / steps.duration_s[:, None])[steps.duration_s < LONGEST_S].T
+        of_turns = _correlation(rate, turn_rate)
+        of_ways = math.hypot(_correlation(speed, ahead), _correlation(speed, aside))
+        unexplained = (1 - of_turns**2) * (1 - min(of_ways, 1.0) ** 2)
+        explained[i] = (1 - unexplained) * (1.0 if of_turns > 0 else REVERSED)
+    is_peak = (explained == maximum_filter1d(explained, 2 * PEAK + 1)) & (
+        explained >= explained.max() - AS_GOOD
+    )
+    peaks = delays[is_peak]
+    return float(peaks[np.abs(peaks - expected_s).argmin()])
+
+
+def _clipped(rates: Floats) -> Floats:
+    """Return rates (S,) clipped to those that are usual: a tracker may take a body for another."""
+    low, high = np.quantile(rates, (USUAL, 1 - USUAL))
+    return np.clip(rates, low, high)
+
+
+def _correlation(first: Floats, second: Floats) -> float:
+    """Return the correlation of two series (S,), 0 if one of them never changes."""
+    a = first - first.mean()
+    b = second - second.mean()
+    return float(a @ b) / (float(np.linalg.norm(a) * np.linalg.norm(b)) + 1e-300)
+
+
+def _blocks(duration_s: Floats) -> Integers:
+    """Return the number of the block in which each step (S,) of some duration [s] is."""
+    elapsed_s = np.cumsum(duration_s)
+    count = max(BLOCKS_LEAST, round(elapsed_s[-1] / BLOCK_S))
+    return np.minimum(elapsed_s / elapsed_s[-1] * count, count - 1).astype(np.int64)
 
 
 def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
     """Return which steps (S,) are FAR from the regression of those that drive."""
-    gains = np.linalg.lstsq(driven[drives], measured[drives])[0]
-    residuals = np.abs(measured - driven @ gains)
+    residuals = np.abs(measured - driven @ robust_gains(measured[drives], driven[drives]))
     return residuals > FAR * STD_OF_MEDIAN * np.median(residuals[drives]) + 1e-9
 
 
@@ -327,122 +431,236 @@ class ResponseParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class StepRegression:
-    """Turns or ways as sums of a robot's two integrals: the `gains` (2,) of that of p and that of
-    q with their standard deviations `gains_std` (2,), the logarithm of the restricted likelihood,
-    and the whitened residuals (M,).
-    """
+class _Whitened:
+    """Turns or ways `y` (M,) and integrals `x` (M, 2) divided by the Cholesky root L of the steps'
+    covariance: y - x gains is white. `ln_root` (M,) are the logarithms of L's diagonal."""
 
-    likelihood: float
-    gains: Floats
-    gains_std: Floats
-    residuals: Floats
+    y: Floats
+    x: Floats
+    ln_root: Floats
+
+    def gains(self) -> Floats:
+        """Return the likeliest gains (2,), of the integrals of p and of q."""
+        return np.asarray(np.linalg.solve(self.x.T @ self.x, self.x.T @ self.y), dtype=np.float64)
+
+    def likelihoods(self, gains: Floats) -> Floats:
+        """Return ln of the likelihood of each step (M,) with some gains (2,)."""
+        return -self.ln_root - np.square(self.y - self.x @ gains) / 2
+
+    def restricted_likelihood(self) -> float:
+        """Return ln of the likelihood whatever the gains are."""
+        _, ln_information = np.linalg.slogdet(self.x.T @ self.x)
+        return float(self.likelihoods(self.gains()).sum() - ln_information / 2)
 
 
-def regress(
+def _whiten(
     measured: Floats, integrals: Floats, steps: _Steps, walk: float, noise: float
-) -> StepRegression:
-    """Return the regression of turns or ways (M,) on integrals (M, 2).
-
-    A step's variance is walk^2 times its duration and twice noise^2, the covariance of neighbours
-    -noise^2. With its Cholesky root L, L^-1 (measured - integrals gains) is white.
-    """
+) -> _Whitened:
+    """Return turns or ways (M,) and integrals (M, 2) whitened: a step's variance is walk^2 times
+    its duration and twice noise^2, the covariance of neighbours -noise^2."""
     covariance = np.zeros((2, len(measured)))  # its diagonal, and the one below
     covariance[0] = (walk**2 + LEAST_VARIANCE) * steps.duration_s + 2 * noise**2
     covariance[1, :-1] = np.where(steps.neighbours, -(noise**2), 0.0)
     root = cholesky_banded(covariance, lower=True)
     whitened = solve_banded((1, 0), root, np.column_stack([measured, integrals]))
-    y = whitened[:, 0]
-    x = whitened[:, 1:]
-    information = x.T @ x
-    gains = np.asarray(np.linalg.solve(information, x.T @ y), dtype=np.float64)
-    residuals = y - x @ gains
-    _, ln_information = np.linalg.slogdet(information)
-    likelihood = -np.log(root[0]).sum() - ln_information / 2 - residuals @ residuals / 2
-    gains_std = np.sqrt(np.diag(np.linalg.inv(information)))
-    return StepRegression(float(likelihood), gains, gains_std, residuals)
+    return _Whitened(whitened[:, 0], whitened[:, 1:], np.log(root[0]))
 
 
-def _regress_turns(steps: _Steps, p: ResponseParameters) -> StepRegression:
+def _turns(steps: _Steps, p: ResponseParameters) -> _Whitened:
     integrals = steps.integrals(p.dead_time, p.turning_lag)
-    return regress(steps.turned, integrals, steps, p.heading_walk, p.heading_noise)
+    return _whiten(steps.turned, integrals, steps, p.heading_walk, p.heading_noise)
 
 
-def _regress_ways(steps: _Steps, p: ResponseParameters) -> StepRegression:
+def _ways(steps: _Steps, p: ResponseParameters) -> _Whitened:
     integrals = steps.integrals(p.dead_time, p.speed_lag)
-    return regress(steps.way, integrals, steps, p.way_walk, p.position_noise)
+    return _whiten(steps.way, integrals, steps, p.way_walk, p.position_noise)
 
 
-def _search(steps: _Steps, units: ResponseParameters) -> tuple[Floats, Floats]:
-    """Return the likeliest vector of parameters (7,), and its standard deviations (7,)."""
+def _search(name: str, steps: _Steps, units: ResponseParameters) -> Floats:
+    """Return the likeliest vector of parameters (7,), by Newton steps of which the best DAMPED one
+    is taken; UsageError if it does not settle."""
 
-    def likelihoods(vectors: Floats) -> Floats:
-        """Return ln of the likelihood (1, V) of each of V vectors (1, V, 7)."""
-        values = []
-        for vector in vectors[0]:
-            parameters = units.at(vector)
-            turns = _regress_turns(steps, parameters)
-            ways = _regress_ways(steps, parameters)
-            values.append(turns.likelihood + ways.likelihood)
-        return np.array([values])
+    def posterior(vector: Floats) -> float:
+        """Return ln of the posterior of a vector (7,), with a normal prior around 0."""
+        parameters = units.at(vector)
+        turns = _turns(steps, parameters).restricted_likelihood()
+        ways = _ways(steps, parameters).restricted_likelihood()
+        score = turns + ways - np.square(vector).sum() / (2 * PRIOR_STD**2)
+        return score if np.isfinite(score) else UNLIKELY
 
-    grid = np.zeros((1, len(GRID_DEAD_TIMES_S) * len(GRID_TURNING_LAGS_S), 7))
-    grid[0, :, 0] = np.repeat(GRID_DEAD_TIMES_S / DEAD_TIME_UNIT_S, len(GRID_TURNING_LAGS_S))
-    lags = np.log(np.array(GRID_TURNING_LAGS_S) / LAG_UNIT_S)
-    grid[0, :, 1] = np.tile(lags, len(GRID_DEAD_TIMES_S))
-    best = grid[:, likelihoods(grid)[0].argmax()]
-    std = np.zeros_like(best)
+    def posteriors(vector: Floats, changes: Floats) -> Floats:
+        """Return ln of the posterior (1, V) of a vector (7,) after each of changes (1, V, 7)."""
+        return np.array([[posterior(vector + change) for change in changes[0]]])
+
+    starts = []
+    for dead_time_s in GRID_DEAD_TIMES_S:
+        for lag_s in GRID_TURNING_LAGS_S:
+            start = np.zeros(SEARCHED)
+            start[:2] = dead_time_s / DEAD_TIME_UNIT_S, np.log(lag_s / LAG_UNIT_S)
+            starts.append(start)
+    best = max(starts, key=posterior)
     for _ in range(ROUNDS):
-        before = best
-        best, std = newton_step(likelihoods, before, PRIOR_STD)
-        if (np.abs(best - before) < SETTLED * std).all():
-            break
-    return best[0], std[0]
-
-
-def _response(name: str, steps: _Steps, dead_time: float) -> RobotResponse:
-    """Fit one robot, for an expected dead time [s], and return its values with their intervals."""
-    units = ResponseParameters.of_units(dead_time, steps.speed)
-    vector, std_vector = _search(steps, units)
-    likeliest = units.at(vector)
-    std = ResponseParameters(*std_vector.tolist())  # in the units of the search
-    turns = _regress_turns(steps, likeliest)
-    ways = _regress_ways(steps, likeliest)
-    residuals = np.column_stack([turns.residuals, ways.residuals])
-    misfits, wider = white(residuals[:, :, None], np.zeros((2, 1)))
-    wider_turns, wider_ways = wider
-    misfit_names = []
-    if misfits[0]:
-        misfit_names.append("turning")
-    if misfits[1]:
-        misfit_names.append("speed")
-    return RobotResponse(
-        name=name,
-        dead_time=_normal(likeliest.dead_time, DEAD_TIME_UNIT_S * std.dead_time, wider_turns),
-        turning_lag=_log_normal(likeliest.turning_lag, std.turning_lag, wider_turns),
-        speed_lag=_log_normal(likeliest.speed_lag, std.speed_lag, wider_ways),
-        turning_gain=_normal(turns.gains[1], turns.gains_std[1], wider_turns),
-        speed_gain=_normal(ways.gains[0], ways.gains_std[0], wider_ways),
-        veer=_normal(turns.gains[0], turns.gains_std[0], wider_turns),
-        heading_walk=_log_normal(likeliest.heading_walk, std.heading_walk, wider_turns),
-        heading_noise=_log_normal(likeliest.heading_noise, std.heading_noise, wider_turns),
-        way_walk=_log_normal(likeliest.way_walk, std.way_walk, wider_ways),
-        position_noise=_log_normal(likeliest.position_noise, std.position_noise, wider_ways),
-        intervals=len(steps.rows),
-        left_out=steps.left_out,
-        misfits=tuple(misfit_names),
+        at_best = best
+        slopes, curvatures = derivatives(partial(posteriors, at_best), SEARCHED)
+        value, axes = np.linalg.eigh(curvatures[0])
+        value = np.maximum(np.abs(value), PRIOR_STD**-2)
+        along = axes.T @ slopes[0]
+        tried = [best + np.clip(axes @ (along / (value + d)), -1.0, 1.0) for d in DAMPED]
+        best = max([best, *tried], key=posterior)
+        std = np.sqrt(axes**2 @ (1 / value))
+        if (np.abs(best - at_best) < SETTLED * std).all():
+            return best
+    raise UsageError(
+        f"robot {name}: the search for its dead time and lags does not settle",
+        "give more or longer recordings, in which speed and turning rate change",
     )
 
 
-def _normal(value: float, std: float, wider: float) -> SampleInterval:
-    """Return a value with its interval, wider by a factor."""
-    reach = NORMAL * std * wider
+def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
+    """Fit one robot and return its values with their intervals."""
+    units = ResponseParameters.of_units(steps.dead_time, steps.speed)
+    vector = _search(name, steps, units)
+    likeliest = units.at(vector)
+    turn_gains = _turns(steps, likeliest).gains()
+    way_gains = _ways(steps, likeliest).gains()
+    turned_by = steps.integrals(likeliest.dead_time, likeliest.turning_lag)
+    driven_by = steps.integrals(likeliest.dead_time, likeliest.speed_lag)
+    turning = _Obeyed.of(steps.turned, turned_by, turn_gains, sent=1)
+    driving = _Obeyed.of(steps.way, driven_by, way_gains, sent=0)
+    _check_turns(source, name, turning)
+    _check_ways(source, name, driving)
+    std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
+    of_search = ResponseParameters(*std[:SEARCHED].tolist())  # in the units of the search
+    veer_std, turning_std, speed_std = std[SEARCHED : SEARCHED + 3].tolist()
+    return RobotResponse(
+        name=name,
+        dead_time=_normal(likeliest.dead_time, DEAD_TIME_UNIT_S * of_search.dead_time),
+        turning_lag=_log_normal(likeliest.turning_lag, of_search.turning_lag),
+        speed_lag=_log_normal(likeliest.speed_lag, of_search.speed_lag),
+        turning_gain=_normal(turn_gains[1], turning_std),
+        speed_gain=_normal(way_gains[0], speed_std),
+        veer=_normal(turn_gains[0], veer_std),
+        heading_walk=_log_normal(likeliest.heading_walk, of_search.heading_walk),
+        heading_noise=_log_normal(likeliest.heading_noise, of_search.heading_noise),
+        way_walk=_log_normal(likeliest.way_walk, of_search.way_walk),
+        position_noise=_log_normal(likeliest.position_noise, of_search.position_noise),
+        intervals=len(steps.rows),
+        left_out=steps.left_out,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Obeyed:
+    """What commands explain of turns or ways: the `gain`, the share `explained`, and that which
+    they would explain with a gain of 1, `if_obeyed`."""
+
+    gain: float
+    explained: float
+    if_obeyed: float
+
+    @classmethod
+    def of(cls, measured: Floats, integrals: Floats, gains: Floats, sent: int) -> "_Obeyed":
+        """Return it of turns or ways (M,), by gains (2,) of integrals (M, 2), one of them sent."""
+        rest = float(np.square(measured - integrals @ gains).sum())
+        commanded = float(np.square(integrals[:, sent]).sum())
+        total = float(np.square(measured).sum())
+        return cls(
+            gain=float(gains[sent]),
+            explained=1 - rest / total if total else 0.0,
+            if_obeyed=commanded / (commanded + rest) if commanded else 0.0,
+        )
+
+
+def _check_turns(source: str, name: str, turning: _Obeyed) -> None:
+    """Raise UsageError if commands do not explain the turns, or only with other signs or units."""
+    _check_explained(source, f"turns of {name}", turning)
+    if turning.explained < EXPLAINED:
+        return
+    if turning.gain < 0:
+        raise UsageError(
+            f"{source}: {name} turns right where it is sent left",
+            "reverse w; or y and the headings, if the picture is mirrored",
+        )
+    _check_unit(source, f"turning gain of {name}", turning.gain, TURN_UNITS)
+
+
+def _check_ways(source: str, name: str, driving: _Obeyed) -> None:
+    """Raise UsageError if commands do not explain the ways, or only with other units."""
+    _check_explained(source, f"way of {name}", driving)
+    if driving.explained >= EXPLAINED:
+        _check_unit(source, f"speed gain of {name}", driving.gain, SPEED_UNITS)
+
+
+def _check_explained(source: str, what: str, obeyed: _Obeyed) -> None:
+    """Raise UsageError for motion that commands do not explain though they are large enough."""
+    if obeyed.explained < min(EXPLAINED, obeyed.if_obeyed - SURELY_MORE):
+        raise UsageError(
+            f"{source}: the commands explain {max(obeyed.explained, 0.0):.0%} of the {what}",
+            "are they another robot's, or of another recording, or 10 s off?",
+        )
+
+
+def _check_unit(source: str, what: str, gain: float, units: dict[float, str]) -> None:
+    """Raise UsageError for a gain that is near 1 with another unit."""
+    for factor, hint in units.items():
+        right = gain * factor
+        if 1 / UNIT_WITHIN < right < UNIT_WITHIN:
+            raise UsageError(
+                f"{source}: the {what} is {gain:.3g}, as of a wrong unit; {right:.3g} otherwise",
+                hint,
+            )
+
+
+def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> Floats:
+    """Return the standard deviations (11,) of the likeliest vector, with the gains of turns and of
+    ways behind it: the greater of the curvature's and of those of blocks.
+
+    With s the slopes of ln of the likelihood of each of B blocks, and H its curvature, the
+    covariance is H^-1 (sum of s s') H^-1 B / (B - 1): blocks differ by more than the model says.
+    """
+    at_best = units.at(likeliest[:SEARCHED])
+    unit = np.ones(len(likeliest))
+    turns_x = _turns(steps, at_best).x
+    ways_x = _ways(steps, at_best).x
+    of_gains = [np.diag(np.linalg.inv(x.T @ x)) for x in (turns_x, ways_x)]
+    unit[SEARCHED:] = np.sqrt(np.concatenate(of_gains))
+
+    def of_steps(change: Floats) -> Floats:
+        """Return ln of the likelihood of each step (M,) after a change (11,) in these units."""
+        values = likeliest + unit * change
+        parameters = units.at(values[:SEARCHED])
+        turns = _turns(steps, parameters).likelihoods(values[SEARCHED : SEARCHED + 2])
+        ways = _ways(steps, parameters).likelihoods(values[SEARCHED + 2 :])
+        prior = np.square(values[:SEARCHED]).sum() / (2 * PRIOR_STD**2)
+        return turns + ways - prior / len(turns)
+
+    def scores(changes: Floats) -> Floats:
+        """Return ln of the posterior (1, V) after each of V changes (1, V, 11)."""
+        return np.array([[of_steps(change).sum() for change in changes[0]]])
+
+    _, curvature = derivatives(scores, len(likeliest))
+    value, vector = np.linalg.eigh(curvature[0])
+    inverse = (vector / np.maximum(np.abs(value), PRIOR_STD**-2)) @ vector.T
+    slopes = []
+    for change in DIFFERENCE * np.eye(len(likeliest)):
+        slope = (of_steps(change) - of_steps(-change)) / (2 * DIFFERENCE)
+        slopes.append(np.bincount(steps.block, slope))
+    of_blocks = np.array(slopes)
+    blocks = of_blocks.shape[1]
+    spread = inverse @ np.cov(of_blocks) @ inverse * blocks
+    wider = stdtrit(blocks - 1, 0.975) / NORMAL
+    return unit * np.sqrt(np.maximum(np.diag(inverse), wider**2 * np.diag(spread)))
+
+
+def _normal(value: float, std: float) -> SampleInterval:
+    """Return a value with its interval."""
+    reach = NORMAL * std
     return SampleInterval(value, value - reach, value + reach)
 
 
-def _log_normal(value: float, std: float, wider: float) -> SampleInterval:
-    """Return a value with the interval of its logarithm, wider by a factor."""
-    reach = min(NORMAL * std * wider, EXPONENT_MOST)
+def _log_normal(value: float, std: float) -> SampleInterval:
+    """Return a value with the interval of its logarithm."""
+    reach = min(NORMAL * std, EXPONENT_MOST)
     low = float(value * np.exp(-reach))
     high = float(value * np.exp(reach))
     return SampleInterval(float(value), low, high)
@@ -458,18 +676,14 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
         of_unit = f" [{unit_of_value.format(unit=unit)}]" if unit_of_value else ""
         labels.append(f"{name.replace('_', ' ')}{of_unit}")
     columns = [Column("quantity", [*labels, "left out"])]
-    misfits = []
     for robot in responses:
         values = [cell(value) for value in robot.quantities.values()]
         left_out = f"{robot.left_out} of {robot.left_out + robot.intervals}"
         columns.append(Column(robot.name, [*values, left_out]))
-        if robot.misfits:
-            misfits.append(f"{robot.name} ({', '.join(robot.misfits)})")
-    note = "the model fits"
-    if misfits:
-        wider = "residuals are correlated in time, so intervals are wider"
-        note = f"{wider}: {'; '.join(misfits)}"
-    return Table(title, tuple(columns), f"{note}\n{_lag_for_spec(responses)}")
+    note = _lag_for_spec(responses)
+    if any(robot.dead_time.high < 0 for robot in responses):
+        note += "\na dead time below 0: times of poses and commands are of two clocks"
+    return Table(title, tuple(columns), note)
 
 
 def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:

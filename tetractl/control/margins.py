@@ -3,7 +3,7 @@
 Robots deviate from a plan, because commands are lost and what is known of the robots is uncertain.
 While a robot follows a command, it comes off its course by at most (`off_course`)
 
-    off = LOST_SHARE v T + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
+    off = lost_way + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
 
     v    speed [length unit/s]             T    time for which a command is followed [s]
     a    turning rate [rad/s], above 0     tau  dead time: from a command to its effect [s]
@@ -39,14 +39,13 @@ import numpy as np
 from tetractl.control.collision import Collision
 from tetractl.control.discs import gaps
 from tetractl.control.kernels.clearance import least_apart
+from tetractl.control.near_targets import lost_way
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.model.obstacles import Obstacles
 
-LOST_SHARE = 0.75
-"""Deviation by a lost command, as a fraction of the path that it was to act for; chosen."""
 SIGMAS = 2.0
 """Standard deviations by which uncertain values are taken into account; chosen."""
 REDUCED = 0.98
@@ -59,7 +58,7 @@ def off_course(
     """Return the greatest deviation of any robot from its course while it follows a command, which
     takes `heard_s` [length unit]. Without an estimate the motion is certain: all sigma are 0.
     """
-    lost = LOST_SHARE * speed * heard_s
+    lost = lost_way(speed, heard_s)
     if estimate is None:
         return float(lost.max())
     of_dead_time = speed * (estimate.dead_time_std or 0.0)

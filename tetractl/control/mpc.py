@@ -89,6 +89,7 @@ from tetractl.control.holding import CircleSearch
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
+from tetractl.control.near_targets import kept_apart, parted
 from tetractl.control.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
 from tetractl.control.silence import Silence
@@ -158,7 +159,8 @@ class Leg:
 @dataclass(frozen=True, slots=True)
 class Course:
     """Where robots go in a leg: `present` tells which of all robots are not lost, `targets` (N, 2)
-    are those of these N robots, `discs` their bodies, and `margins` what plans keep clear by."""
+    are those of these N robots, `parted` if they are too near to each other, `discs` their bodies,
+    and `margins` what plans keep clear by."""
 
     present: Bools
     targets: Floats
@@ -343,8 +345,10 @@ class Mpc:
     def _course(self, index: int, poses: Poses) -> Course:
         """Return the course of a leg. Lost robots on wheels, at `poses`, are obstacles."""
         present = self.estimator.left
-        targets = self.legs[min(index, len(self.legs) - 1), present]  # a hold is at the targets
         collision = self.section.collision
+        stated = self.legs[min(index, len(self.legs) - 1), present]  # a hold is at the targets
+        least = kept_apart(collision, self.setup.speed[present], self.section.period)
+        targets = parted(stated, least)
         walls = self.setup.arena if collision.walls else None
         shapes = list(self.setup.obstacles)
         if collision.radius and self.setup.wheel_radius:

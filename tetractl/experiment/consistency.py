@@ -30,6 +30,9 @@ MEMORY_GB = 1.0
 """Most memory of a control step [GB]."""
 GB_PER_NUMBER = 8e-9
 """Memory of a number of 64 bits [GB]."""
+ROUNDING = 1e-9
+"""Bodies whose distance differs from two radii by less than this fraction touch but for rounding,
+and do not overlap."""
 
 Findings = Iterator[SpecFinding]
 
@@ -200,15 +203,23 @@ def too_large(experiment: Experiment) -> Findings:
 
 
 def overlapping(experiment: Experiment) -> Findings:
-    """No robot's body overlaps that of an earlier robot at the start."""
+    """No robot's body overlaps that of an earlier robot at the starts, at way-points that robots
+    pass together, or at the targets."""
     if experiment.chosen is not None:
         return
+    setup = experiment.setup
     radius = experiment.controller.body_radius
-    for i, neighbour in nearest_starts(experiment.setup):
-        if neighbour.distance < 2 * radius:
-            message = f"bodies of radius {radius:g} overlap; move one of them"
-            place = f"is {neighbour.distance:.4g} from the start of {neighbour.name}"
-            yield error(("robots", i, "start"), f"{place}: {message}")
+    touching = 2 * radius * (1 - ROUNDING)
+    places: list[tuple[Loc, str, Floats]] = [(("start",), "start", setup.starts.xy)]
+    for leg, points in enumerate(setup.legs[:-1]):
+        places.append((("via", leg), "way-point", points))
+    places.append((("target",), "target", setup.targets))
+    for where, word, points in places:
+        for i, neighbour in nearest(setup, points):
+            if neighbour.distance < touching:
+                message = f"bodies of radius {radius:g} overlap; move one of them"
+                place = f"is {neighbour.distance:.4g} {setup.unit} from the {word}"
+                yield error(("robots", i, *where), f"{place} of {neighbour.name}: {message}")
 
 
 def unreachable(experiment: Experiment) -> Findings:
@@ -241,18 +252,10 @@ class Neighbour:
     distance: float
 
 
-def nearest_starts(setup: Setup) -> Iterator[tuple[int, Neighbour]]:
-    """Yield the index of each robot but the first, and the nearest earlier robot at the start."""
-    return _nearest(setup, setup.starts.xy)
-
-
-def nearest_targets(setup: Setup) -> Iterator[tuple[int, Neighbour]]:
-    """Yield the index of each robot but the first, and the earlier robot of the nearest target."""
-    return _nearest(setup, setup.targets)
-
-
-def _nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, Neighbour]]:
+def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, Neighbour]]:
+    """Yield the index of each robot but the first, and the nearest of the earlier robots if each
+    is at its one of `points` (N, 2)."""
     for i in range(1, len(points)):
         gaps = np.hypot(*(points[:i] - points[i]).T)
-        nearest = int(gaps.argmin())
-        yield i, Neighbour(setup.names[nearest], float(gaps[nearest]))
+        k = int(gaps.argmin())
+        yield i, Neighbour(setup.names[k], float(gaps[k]))

@@ -80,10 +80,12 @@ class Estimating(Protocol):
 
 class Clearance(Protocol):
     """The distance that plans keep to obstacles: `margin` besides the `radius` of a robot [length
-    unit]; whether an `adaptive` margin gives way, and whether it is kept to `walls` too."""
+    unit]; the least `separation` of two robots [length unit]; whether an `adaptive` margin gives
+    way, and whether it is kept to `walls` too."""
 
     radius: float
     margin: float
+    separation: float
     adaptive: bool
     walls: bool
 

@@ -13,9 +13,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from pydantic import BaseModel
 
+from tetractl.control.near_targets import kept_apart
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
-from tetractl.experiment.consistency import nearest_starts, nearest_targets
+from tetractl.experiment.consistency import nearest
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec
@@ -434,8 +435,8 @@ def too_close(context: CheckContext) -> Findings:
         if not isinstance(part, LabSection):
             continue
         least_mm = part.limits.separation_mm
-        for field, nearest in (("start", nearest_starts), ("target", nearest_targets)):
-            for i, neighbour in nearest(context.setup):
+        for field, points in _ends(context.setup):
+            for i, neighbour in nearest(context.setup, points):
                 if neighbour.distance < least_mm * per_mm:
                     yield warning(
                         ("robots", i, field),
@@ -446,16 +447,40 @@ def too_close(context: CheckContext) -> Findings:
                     )
 
 
+def _ends(setup: Setup) -> tuple[tuple[str, Floats], ...]:
+    """Return the names of the fields of starts and of targets, and the points (N, 2)."""
+    return ("start", setup.starts.xy), ("target", setup.targets)
+
+
 def same_place(context: CheckContext) -> Findings:
-    """The first two equal starts, and the first two targets where robots overlap."""
-    body = 2 * context.collision.radius if context.collision else 0.0
-    for field, nearest in (("start", nearest_starts), ("target", nearest_targets)):
-        for i, neighbour in nearest(context.setup):
-            if neighbour.distance == 0 or neighbour.distance < body:
-                gap = context.length_text(neighbour.distance)
+    """The first two equal starts, and the first two equal targets."""
+    for field, points in _ends(context.setup):
+        for i, neighbour in nearest(context.setup, points):
+            if neighbour.distance == 0:
+                gap = context.length_text(0.0)
                 text = f"is {gap} from the {field} of {neighbour.name}: both cannot stand there"
                 yield warning(("robots", i, field), text, "move one of them")
                 break
+
+
+def targets_near_each_other(context: CheckContext) -> Findings:
+    """Targets so near to each other that robots are led to places farther apart, as bodies could
+    touch at the targets.
+    """
+    if not context.collision:
+        return
+    setup = context.setup
+    least = kept_apart(context.collision, setup.speed, setup.period_s)
+    for i, neighbour in nearest(setup, setup.targets):
+        if 0 < neighbour.distance < least:
+            gap = context.length_text(neighbour.distance)
+            yield warning(
+                ("robots", i, "target"),
+                f"is {gap} from the target of {neighbour.name}, where bodies might touch: the two "
+                f"are led to places {least:.4g} {context.unit} apart",
+                f"move the targets apart, or a trial ends some {least - neighbour.distance:.2g} "
+                f"{context.unit} off them",
+            )
 
 
 def hold_too_tight(context: CheckContext) -> Findings:
@@ -486,6 +511,7 @@ RULES: tuple[Callable[[CheckContext], Findings], ...] = (
     accepts_less_than_noise,
     too_close,
     same_place,
+    targets_near_each_other,
     hold_too_tight,
 )
 """Warnings of one line are printed in this order."""

@@ -174,19 +174,88 @@ def test_robots_at_one_place_are_told():
     ]
 
 
-def test_bodies_overlap_at_no_start_and_at_targets_with_a_warning():
+def refused(text, *sets):
+    """The lines of the error by which a spec is refused."""
     with pytest.raises(InvalidSpecError) as caught:
-        near = SAME.replace("three, start: [10, 10]", "three, start: [11, 10]")
-        parse_spec(near, "s", ["controller.collision.radius=1"])
-    assert caught.value.lines() == [
-        "s:7:26: robots.2.start: [11, 10]: is 1 from the start of one: bodies of radius 1 overlap; "
-        "move one of them"
+        parse_spec(text, "s", sets)
+    return caught.value.lines()
+
+
+def test_bodies_overlap_at_no_start():
+    near = SAME.replace("three, start: [10, 10]", "three, start: [11, 10]")
+    lines = refused(near, "controller.collision.radius=1", "robots.three.target=[9, 9]")
+    assert lines == [
+        "s:7:26: robots.2.start: [11, 10]: is 1 mm from the start of one: bodies of radius 1 "
+        "overlap; move one of them"
     ]
-    sets = ["controller.collision.radius=2.1", "robots.one.start=[1, 1]", "robots.two.start=[1, 9]"]
-    warnings = [str(w) for w in find_warnings(parse_spec(SAME, "s", sets), sets)]
-    assert any(
-        "is 4 mm from the target of one: both cannot stand there" in text for text in warnings
-    )
+
+
+APART = SAME.replace("three, start: [10, 10], target: [90, 90]", "three, start: [50, 50]").replace(
+    "{name: three, start: [50, 50]", "{name: three, start: [50, 50], target: [20, 20]"
+)
+"""The same robots, of which the targets of one and two are 4 mm apart, and the starts 3 mm."""
+
+
+def test_bodies_overlap_at_no_targets():
+    lines = refused(APART, "controller.collision.radius=2.1", "robots.two.start=[1, 90]")
+    assert lines == [
+        "s:6:42: robots.1.target: [90, 94]: is 4 mm from the target of one: bodies of radius 2.1 "
+        "overlap; move one of them"
+    ]
+
+
+def test_bodies_overlap_at_no_way_points_that_robots_pass_together():
+    vias = ["robots.one.via=[[30, 30]]", "robots.two.via=[[30, 32]]", "robots.three.via=[[60, 60]]"]
+    (line,) = refused(APART, "controller.collision.radius=1.5", *vias)
+    assert "robots.1.via.0: [[30, 32]]: is 2 mm from the way-point of one: bodies of" in line
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["controller.collision.radius=2", "robots.two.start=[1, 90]"],  # they touch
+        ["controller.collision.radius=1.5"],  # so do the starts
+        # 2 x 2.5 mm apart but for rounding
+        [
+            "controller.collision.radius=2.5",
+            "robots.two.target=[93, 94]",
+            "robots.two.start=[1,90]",
+        ],
+        ["controller.collision.radius=0", "robots.two.target=[90, 90]"],  # points
+        # one's target is where another starts, and a way-point of a third that it has left by then
+        ["controller.collision.radius=1.5", "robots.three.target=[10, 10]"],
+        [
+            "controller.collision.radius=1.5",
+            "robots.one.via=[[30, 30]]",
+            "robots.two.via=[[60, 60]]",
+            "robots.three.via=[[90, 90]]",
+        ],
+        # plans keep more from each other than bodies need
+        ["controller.collision.radius=1.5", "controller.collision.separation=20"],
+    ],
+)
+def test_bodies_may_touch_at_targets_and_come_to_one_place_one_after_the_other(sets):
+    parse_spec(APART, "s", sets)
+
+
+BODIES = ("controller.collision={radius: 47}", "controller.period=0.05")
+"""Robots of 94 mm that drive up to 10 mm in a control period: 94 + 2 x 0.75 x 10 = 109 mm."""
+
+
+@pytest.mark.parametrize(
+    ("y", "told"), [(594.5, True), (608.9, True), (609.1, False), (1500, False)]
+)
+def test_targets_where_bodies_might_touch_are_told(y, told):
+    sets = (*BODIES, f"robots.blue.target=[1700, {y}]")
+    warnings = [w for w in found(THREE, *sets).values() if "might touch" in w.message]
+    assert [w.field for w in warnings] == ["robots.1.target"] * told
+    assert all(" led to places 109 mm apart" in w.message for w in warnings)
+
+
+@pytest.mark.parametrize("fixed", ["adaptive=false", "separation=0"])
+def test_robots_that_are_led_there_all_the_same_are_not_told(fixed):
+    sets = (*BODIES, "robots.blue.target=[1700, 600]", f"controller.collision.{fixed}")
+    assert not any("might touch" in w.message for w in found(THREE, *sets).values())
 
 
 @pytest.mark.parametrize(("x", "fits"), [(1419, False), (1420, True)])

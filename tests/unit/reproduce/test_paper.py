@@ -123,6 +123,14 @@ def test_what_is_computed_gets_the_root_seed_and_a_number(tmp_path):
     assert [result["sum"] for result in results["computed"]] == [seed, seed + 1]
 
 
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ou", "khalil-2013"])
+def test_one_trial_of_each_arm_of_a_paper_is_run(tmp_path, name):
+    """Of pichel-2018, whose films take long: test_pichel_2018.py of the emulator."""
+    assert command.reproduce([name], trials=1, out=tmp_path) in (Exit.DONE, Exit.FAILED)
+
+
 def rows_of_page():
     """The rows of the page's tables: figure, published, asked, ours, n, interval, verdict, why."""
     lines = PAGE.read_text(encoding="utf-8").partition("<!-- figures: begin -->")[2]

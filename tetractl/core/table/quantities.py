@@ -4,12 +4,14 @@ or `x [um]`, and numbers are returned in the unit that is asked for.
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from tetractl.core.errors import UsageError, printable
-from tetractl.core.poses import turn_problem
+from tetractl.core.poses import Floats, turn_problem
 from tetractl.core.table.csv_rows import DECIMAL_COMMA, CsvRow, has_decimal_comma
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
@@ -59,6 +61,8 @@ _UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 _TRUTH = {"true": True, "1": True, "yes": True, "": True, "false": False, "0": False, "no": False}
 NUMBER_MAX = 1e9
 """Largest number but a time, of which only differences matter."""
+WRAPS_DEG = 300.0
+"""A direction that falls by more, and by a turn at most, has gone from 360 to 0 degrees [deg]."""
 TIME_MAX = 1e19
 """Largest time, in any unit: that of nanoseconds since 1970 is 1.8e18."""
 
@@ -139,20 +143,29 @@ def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
     return find_column(path, headers, TIME_NAMES, SECONDS)
 
 
-def direction(path: Path, row: CsvRow, column: NumberColumn, before: float) -> float:
-    """Return a direction [rad], that in the row before being `before`, 0 in the first row.
+def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angles: Floats) -> None:
+    """Raise UsageError for directions (R,) [rad] on some lines that are probably in degrees.
 
-    UsageError for more than a turn, which is probably in degrees, unless the field has turned there
-    by steps of at most half a turn.
+    Directions beyond a whole turn are judged by their steps, since a field that turns on counts its
+    turns: degrees step by more than 2 pi, or, where they are those of a field that rotates, by a
+    turn less a step. Of a single direction its size is all that is known.
     """
-    value = column.number(path, row)
-    problem = turn_problem(value)
-    if column.factor == 1 and problem is not None and abs(value - before) > math.pi:
-        said, hint = problem
-        name = name_and_unit(column.key)[0]
-        where = f"{path}, line {row.line}: {printable(column.key)}"
-        raise UsageError(f"{where}: {value:g} {said}", f"{hint}, or name the column {name}_deg")
-    return value
+    beyond = np.flatnonzero(np.abs(angles) > 2 * math.pi)
+    if column.factor != 1 or not len(beyond):
+        return
+    steps = np.abs(np.diff(angles))
+    steps = steps[steps > 0]
+    jumps = steps[steps > 2 * math.pi]
+    may_wrap = len(jumps) > 0 and jumps.min() > WRAPS_DEG and jumps.max() <= 360
+    if len(steps) and np.median(steps) <= 2 * math.pi and not may_wrap:
+        return
+    first = int(beyond[0])
+    problem = turn_problem(float(angles[first]))
+    assert problem is not None
+    said, hint = problem
+    name = name_and_unit(column.key)[0]
+    where = f"{path}, line {lines[first]}: {printable(column.key)}"
+    raise UsageError(f"{where}: {angles[first]:g} {said}", f"{hint}, or name the column {name}_deg")
 
 
 def earlier(path: Path, row: CsvRow) -> UsageError:

@@ -20,11 +20,11 @@ from tetractl.core.table.quantities import (
     RADIANS_S,
     SECONDS,
     NumberColumn,
-    direction,
     earlier,
     find_column,
     find_time,
     name_and_unit,
+    refuse_degrees,
     truth,
 )
 from tetractl.replay.identification.clocks import Span, clock_remark
@@ -68,16 +68,17 @@ Series = tuple[str, str]
 @dataclass(slots=True)
 class _Numbers:
     """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
-    direction and time of observation of each command; the time constant of the wheels [s], 0 if
-    none is stated; time, speed and turning rate of each of the `twists` of a robot, "" for all. NaN
-    is an unknown number. `newest` are the newest times [s] of what is in the files, by its column
-    and robot. The paths are of the files.
+    direction, time of observation and line of each command, and the column of directions; the time
+    constant of the wheels [s], 0 if none is stated; time, speed and turning rate of each of the
+    `twists` of a robot, "" for all. NaN is an unknown number. `newest` are the newest times [s] of
+    what is in the files, by its column and robot. The paths are of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
     poses: "array[float]" = field(default_factory=lambda: array("d"))
     poses_path: Path | None = None
     commands: "array[float]" = field(default_factory=lambda: array("d"))
+    direction: NumberColumn | None = None
     lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
     commands_path: Path | None = None
@@ -128,11 +129,12 @@ class _DirectionColumns:
         if math.isnan(self.direction.optional(self.path, row)):
             return
         observed = self.observed.optional(self.path, row) if self.observed else math.nan
-        before = numbers.commands[-2] if numbers.commands else 0.0
         time = numbers.take_time(self.path, row, self.time, ("directions", ""))
         numbers.commands.append(time)
-        numbers.commands.append(direction(self.path, row, self.direction, before))
+        numbers.commands.append(self.direction.number(self.path, row))
         numbers.commands.append(observed)
+        numbers.commands.append(row.line)
+        numbers.direction = self.direction
         if self.lag is not None:
             numbers.lag_s = self.lag.number(self.path, row)
             if numbers.lag_s < 0:
@@ -484,10 +486,13 @@ class _Sent:
 
 def _directions(numbers: _Numbers, begin: float) -> _Sent:
     """Return the directions in order, their times counted from `begin`."""
-    commands = np.array(numbers.commands).reshape(-1, 3)
+    commands = np.array(numbers.commands).reshape(-1, 4)
     ages = (commands[:, 0] - commands[:, 2])[1:]
     ages = ages[np.isfinite(ages)]
-    when, u, _ = commands.T  # a table whose times fall is refused
+    when, u, _, lines = commands.T  # a table whose times fall is refused
+    if numbers.direction is not None and numbers.commands_path is not None:
+        rows = lines.astype(int).tolist()
+        refuse_degrees(numbers.commands_path, numbers.direction, rows, u)
     age = max(0.0, float(np.median(ages))) if ages.size else None
     return _Sent(when - begin, u, frame_age=age)
 

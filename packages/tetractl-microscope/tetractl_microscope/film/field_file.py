@@ -15,10 +15,10 @@ from tetractl.core.table.csv_rows import columns_of, read_csv
 from tetractl.core.table.quantities import (
     RADIANS,
     NumberColumn,
-    direction,
     earlier,
     find_column,
     find_time,
+    refuse_degrees,
 )
 from tetractl.replay.identification.clocks import Span, clock_remark
 from tetractl.replay.identification.sent_directions import SentDirections
@@ -103,9 +103,10 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     if time is None or angle is None:
         raise no_column(path, "time_s" if time is None else "direction_rad", headers)
     strong = NumberColumn(STRENGTH) if STRENGTH in headers else None
+    lines: list[int] = []
     times: list[float] = []
-    fields: list[tuple[float, float]] = []
-    towards = 0.0
+    angles: list[float] = []
+    strengths: list[float] = []
     for row in read_csv(path):
         times.append(time.number(path, row))
         if len(times) > 1 and times[-1] < times[-2]:
@@ -115,7 +116,11 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
         if abs(strength) > STRONGEST:
             said = f"{path}, line {row.line}: {STRENGTH}: {strength:g} is too large"
             raise UsageError(said, f"it is relative to the reference field, at most {STRONGEST:g}")
-        towards = direction(path, row, angle, towards)
-        fields.append((strength * math.cos(towards), strength * math.sin(towards)))
-    x, y = np.array(fields).T
+        strengths.append(strength)
+        angles.append(angle.number(path, row))
+        lines.append(row.line)
+    directions = np.array(angles)
+    refuse_degrees(path, angle, lines, directions)
+    x = np.array(strengths) * np.cos(directions)
+    y = np.array(strengths) * np.sin(directions)
     return FieldRecord(np.array(times), x, -y if upside_down else y)

@@ -7,6 +7,8 @@ import pytest
 from tetractl_emulator.pictures import pichel_2018
 from tetractl_emulator.pictures.pichel_2018 import PAPER, fitted
 
+from tetractl.cli.reproduce import reproduce
+from tetractl.core.errors import Exit
 from tetractl.reproduce.claim import Fate, assess
 
 SPREAD = 0.15  # of the slopes of cells: the standard deviation of their logarithm
@@ -45,13 +47,27 @@ def test_a_set_that_misses_the_slope_is_marked():
     assert missed.verdict is Fate.MISSED
 
 
+def make_films_small(monkeypatch):
+    """Two strengths and six cells, in a quarter of a picture."""
+    monkeypatch.setattr(pichel_2018, "STRENGTHS_MT", (6.0, 9.0))
+    monkeypatch.setattr(pichel_2018, "CELLS", 6)
+    monkeypatch.setattr(pichel_2018, "LOOK", replace(pichel_2018.LOOK, width=512, height=512))
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_paper_is_run_as_by_the_command(monkeypatch, tmp_path):
+    """Regression: no test did, and its field was refused for counting its half turns."""
+    make_films_small(monkeypatch)
+    assert reproduce(["pichel-2018"], trials=1, out=tmp_path) in (Exit.DONE, Exit.FAILED)
+
+
 @pytest.mark.long
 @pytest.mark.slow
 def test_a_film_gives_the_slope_put_in(monkeypatch):
+    make_films_small(monkeypatch)
     monkeypatch.setattr(pichel_2018, "STRENGTHS_MT", (6.0,))
     monkeypatch.setattr(pichel_2018, "REVERSALS", 2)
-    monkeypatch.setattr(pichel_2018, "CELLS", 6)
-    monkeypatch.setattr(pichel_2018, "LOOK", replace(pichel_2018.LOOK, width=512, height=512))
     film_set = pichel_2018.films(1, 0)
     assert len(film_set["slopes"]) >= 3
     assert np.median(film_set["slopes"]) == pytest.approx(film_set["put in"], rel=0.3)

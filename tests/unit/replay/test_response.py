@@ -1,10 +1,12 @@
 """What robots on two wheels make of their commands, found in motions whose truth is known."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tetractl.core.errors import UsageError
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl.replay.identification.response import respond, response_table
 from tetractl.replay.identification.tracks import Track
@@ -129,3 +131,95 @@ def test_a_lag_for_a_spec_is_said_if_it_fits_all_robots(other_lag_s, note):
     lag = SampleInterval(other_lag_s, other_lag_s - 0.01, other_lag_s + 0.01)
     of_other_robot = replace(response, turning_lag=lag)
     assert note in response_table([response, of_other_robot], "", "mm").note
+
+
+# ---- Do the commands explain the motion? ----
+
+
+def with_twists(track, twists):
+    return replace(track, twists=twists)
+
+
+def of_another(track):
+    return track_of_one_robot(8).twists
+
+
+WRONG_COMMANDS = {
+    "of another robot": (of_another, r"a test: the commands explain \d+% of the turns of one"),
+    "w in degrees": (
+        lambda track: track.twists * (1, 57.3),
+        "turning gain .* name its column w_deg_s",
+    ),
+    "w per hour": (lambda track: track.twists * (1, 3600), "turning gain .* divide it by 3600"),
+    "v in um": (lambda track: track.twists * (1e3, 1), "speed gain .* divide v by 1000"),
+    "v in m": (lambda track: track.twists / (1e3, 1), "speed gain .* multiply v by 1000"),
+    "w clockwise": (lambda track: track.twists * (1, -1), "one turns right where it is sent left"),
+    "v reversed": (lambda track: track.twists * (-1, 1), "one moves against its heading"),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", WRONG_COMMANDS)
+def test_commands_that_do_not_explain_the_motion_are_refused(case):
+    """Regression: turning gains of 0.20 (0.09 to 0.31), 0.0165, -0.925, without a word."""
+    twists_of, says = WRONG_COMMANDS[case]
+    track = track_of_one_robot(7)
+    with pytest.raises(UsageError) as error:
+        respond([with_twists(track, twists_of(track))])
+    for part in says.split(" .* "):
+        assert re.search(part, str(error.value))
+
+
+def obeyed_by_half(track):
+    """Gains of 0.47 and 0.52 are no other unit."""
+    gains = {"turning_gain": TRUE["turning_gain"] / 2, "speed_gain": TRUE["speed_gain"] / 2}
+    return with_twists(track, track.twists * 2), gains
+
+
+def half_the_poses_missing(track):
+    seen = np.random.default_rng(9).uniform(size=track.valid.shape) < 0.5
+    return replace(track, valid=seen), {"turning_gain": TRUE["turning_gain"]}
+
+
+def backwards(track):
+    poses = track.poses * (-1, -1, 1)
+    return replace(track, poses=poses, twists=track.twists * (-1, 1)), {
+        "speed_gain": TRUE["speed_gain"]
+    }
+
+
+def in_metres(track):
+    return (
+        replace(track, poses=track.poses * (1e-3, 1e-3, 1), twists=track.twists * (1e-3, 1)),
+        {"speed_gain": TRUE["speed_gain"]},
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "change",
+    [obeyed_by_half, half_the_poses_missing, backwards, in_metres],
+    ids=lambda f: f.__name__,
+)
+def test_right_commands_that_come_nearest_to_wrong_ones_are_accepted(change):
+    track, gains = change(track_of_one_robot(7))
+    (response,) = respond([track])
+    for name, gain in gains.items():
+        assert response.quantities[name].value == pytest.approx(gain, rel=0.03)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("late_s", [0.2, 0.5, -2.0, 7.0])
+def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
+    """Regression: of commands 0.5 s late, a dead time of -0.268 (-0.277 to -0.260) s for -0.405, a
+    gain of 0.908 for 0.95; 0.2 s late, 0.869 for 0.917."""
+    track = track_of_one_robot(7)
+    (response,) = respond([track])
+    (moved,) = respond([replace(track, sent=track.sent + late_s)])
+    by_one_clock = response.dead_time.value
+    assert moved.dead_time.value == pytest.approx(by_one_clock - late_s, abs=2e-3)
+    for name in ("turning_gain", "speed_gain", "turning_lag"):
+        value = response.quantities[name].value
+        assert moved.quantities[name].value == pytest.approx(value, rel=0.01)
+    note = response_table([moved], "", "mm").note
+    assert ("of two clocks" in note) == (late_s > by_one_clock)

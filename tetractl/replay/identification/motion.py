@@ -30,7 +30,7 @@ REPEATS_MIN = 2
 """Least number of repeats in a row that are no measurement."""
 RELEASE = 2.5
 """Usual ways or turns between two poses, above which a robot has moved while its pose repeated."""
-LEAP = 20.0
+LEAP = 10.0
 """Usual speeds, above which a way between two poses is a jump."""
 TURN = 0.5
 TURN_RATE = 4.0

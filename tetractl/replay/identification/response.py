@@ -30,7 +30,7 @@ Pairs of a motion's two integrals stand in columns: of p, then of q.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
@@ -90,6 +90,8 @@ LAG_LEAST_S = 1e-3
 """Shorter lags are taken for this one [s]."""
 ROUNDS = 60
 """Newton steps at most."""
+INTEGRALS_KEPT = 64
+"""Number of integrals that are not computed again: most parameters do not change them."""
 DAMPED = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 """Tried dampings of a step: curvatures added to those of the likelihood."""
 SETTLED = 0.02
@@ -268,7 +270,7 @@ def _driven_track(track: Track, robot: int) -> _DrivenTrack:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Steps:
     """The M steps of a robot that the fit uses: `rows` (M,) of those of all `tracks`.
 
@@ -292,6 +294,7 @@ class _Steps:
         """The median speed [length unit/s]."""
         return float(np.median(np.abs(self.way) / self.duration_s))
 
+    @lru_cache(INTEGRALS_KEPT)  # noqa: B019 few are kept
     def integrals(self, dead_time: float, lag: float) -> Floats:
         """Return the integrals over each step (M, 2)."""
         return _integrals(self.tracks, dead_time, lag)[self.rows]

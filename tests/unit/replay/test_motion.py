@@ -1,0 +1,206 @@
+"""Which poses are no measurement, and at what angle to their headings robots move."""
+
+import numpy as np
+import pytest
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import wrap
+from tetractl.replay.identification.motion import PoseSteps, check_angle, measured
+
+RATE_HZ = 20
+SPEED_MM_S = 100.0
+DRIVE_S = 60
+
+
+def drive(seed=0, rate_hz=RATE_HZ, speed=SPEED_MM_S, noise=1.0):
+    """Times and poses (M, 3) of a robot that turns at a new rate each second."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(DRIVE_S * rate_hz) / rate_hz
+    turn_rate = np.repeat(rng.uniform(-1.2, 1.2, DRIVE_S), rate_hz)
+    heading = np.cumsum(turn_rate) / rate_hz
+    way = speed / rate_hz * np.exp(1j * heading)
+    place = np.cumsum(way)
+    poses = np.column_stack([2000 + place.real, place.imag, heading])
+    return times, poses + noise * rng.normal(size=poses.shape) * (0.2, 0.2, 0.003)
+
+
+# ---- Poses that are no measurement ----
+
+
+def repeat_last(poses, begin, count):
+    poses[begin : begin + count] = poses[begin - 1]
+
+
+def zeros_of_lost(poses, begin, count):
+    poses[begin : begin + count] = 0.0
+
+
+def turned(angle):
+    def turn(poses, begin, count):
+        poses[begin : begin + count, 2] += angle
+
+    return turn
+
+
+def elsewhere(poses, begin, count):
+    poses[begin : begin + count, :2] += (900.0, 400.0)
+
+
+WRONG = {
+    "frozen for 0.2 s": (repeat_last, 4),
+    "frozen for a second": (repeat_last, 20),
+    "frozen for 2 s": (repeat_last, 40),
+    "a zero": (zeros_of_lost, 1),
+    "zeros for a second": (zeros_of_lost, 20),
+    "half a turn": (turned(np.pi), 1),
+    "half a turn, thrice": (turned(np.pi), 3),
+    "a quarter turn": (turned(np.pi / 2), 2),
+    "a third of a turn": (turned(-2 * np.pi / 3), 1),
+    "another body": (elsewhere, 10),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_poses_that_are_no_measurement_are_left_out(case):
+    spoil, count = WRONG[case]
+    times, poses = drive()
+    begins = np.arange(100, len(times) - 100, 200)
+    wrong = np.zeros(len(times), dtype=bool)
+    for begin in begins:
+        spoil(poses, begin, count)
+        wrong[begin : begin + count] = True
+    kept = measured(times, poses)
+    assert not kept[wrong].any()
+    assert kept[~wrong].mean() > 0.99
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize("rate_hz", [10, 20, 60])
+def test_headings_that_flip_at_random_are_left_out(share, rate_hz):
+    """Regression: np.unwrap turned the robot for good, turning gain -3.31 for 0.95."""
+    times, poses = drive(rate_hz=rate_hz)
+    flipped = np.random.default_rng(1).uniform(size=len(times)) < share
+    poses[flipped, 2] = wrap(poses[flipped, 2] + np.pi)
+    kept = measured(times, poses)
+    assert (kept & flipped).sum() <= 0.02 * flipped.sum()
+    assert kept[~flipped].mean() > 0.98
+
+
+def test_a_tracker_that_has_lost_the_robot_for_good_repeats_its_last_pose():
+    times, poses = drive()
+    poses[900:] = poses[900]
+    kept = measured(times, poses)
+    assert kept[:900].all()
+    assert not kept[901:].any()
+
+
+def stop_and_go(poses):
+    """The robot stands for a second and drives on, its pose the same to the last digit."""
+    poses[220:, :] = np.vstack([np.tile(poses[220], (20, 1)), poses[220:-20]])
+    return poses
+
+
+def in_half_mm(poses):
+    return np.round(poses / (0.5, 0.5, 0.01)) * (0.5, 0.5, 0.01)
+
+
+def each_five_times(poses):
+    """A camera of 20 Hz in a table of 100 Hz."""
+    return np.repeat(poses[::5], 5, axis=0)
+
+
+RIGHT = {
+    "as it is": {},
+    "without noise": {"noise": 0.0},
+    "stop and go, without noise": {"noise": 0.0, "change": stop_and_go},
+    "rounded, at 200 Hz": {"rate_hz": 200, "change": in_half_mm},
+    "each pose five times": {"rate_hz": 100, "change": each_five_times},
+    "slow, much noise": {"speed": 3.0, "noise": 3.0},
+    "fast, at 5 Hz": {"rate_hz": 5, "speed": 400.0},
+}
+
+
+@pytest.mark.parametrize("case", RIGHT)
+def test_right_poses_are_kept(case):
+    how = dict(RIGHT[case])
+    change = how.pop("change", lambda poses: poses)
+    times, poses = drive(**how)
+    assert measured(times, change(poses)).mean() >= 0.99
+
+
+def test_a_robot_that_seldom_spins_is_kept():
+    """5 rad/s for half a second of each ten."""
+    times = np.arange(DRIVE_S * RATE_HZ) / RATE_HZ
+    heading = np.cumsum(np.where(times % 10 < 0.5, 5.0, 0.0)) / RATE_HZ
+    place = np.cumsum(SPEED_MM_S / RATE_HZ * np.exp(1j * heading))
+    poses = np.column_stack([place.real, place.imag, heading])
+    assert measured(times, poses).all()
+
+
+# ---- The angle ----
+
+
+def check(times, poses, speed=SPEED_MM_S):
+    steps = PoseSteps.of(times, poses)
+    check_angle("p.csv", "r1", steps, speed * steps.duration_s)
+
+
+OFF = {
+    "a quarter turn more": ((1, 1, 1), np.pi / 2, "90 degrees to the right .* take 1.57"),
+    "a quarter turn less": ((1, 1, 1), -np.pi / 2, "90 degrees to the left .* add 1.57"),
+    "20 degrees more": ((1, 1, 1), 0.35, "20 degrees to the right .* take 0.3"),
+    "20 degrees less": ((1, 1, 1), -0.35, "20 degrees to the left .* add 0.3"),
+    "half a turn": ((1, 1, 1), np.pi, "against its heading .* half a turn"),
+    "y reversed": ((1, -1, 1), 0.0, "only with y reversed"),
+    "x reversed": ((-1, 1, 1), 0.0, "only with x reversed"),
+    "clockwise headings": ((1, 1, -1), 0.0, "only with y reversed .* or the headings"),
+}
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("case", OFF)
+def test_headings_off_the_motion_are_refused_with_the_remedy(case, noise):
+    signs, more, says = OFF[case]
+    times, poses = drive(noise=noise)
+    with pytest.raises(UsageError) as error:
+        check(times, poses * signs + (0, 0, more))
+    assert_matches(says, str(error.value))
+
+
+def assert_matches(says, text):
+    for part in says.split(" .* "):
+        assert part in text
+
+
+def test_a_robot_that_moves_across_its_heading_is_none_on_two_wheels():
+    times, poses = drive()
+    aside = np.repeat(np.random.default_rng(3).uniform(-80, 80, DRIVE_S), RATE_HZ) / RATE_HZ
+    moved = np.cumsum(aside * 1j * np.exp(1j * poses[:, 2]))
+    poses[:, 0] += moved.real
+    poses[:, 1] += moved.imag
+    with pytest.raises(UsageError, match="r1 moves across its heading in"):
+        check(times, poses)
+
+
+def ahead_of_the_axle(poses):
+    """The tracked point is 60 mm ahead of the wheels' axle, and the robot turns left only."""
+    heading = poses[:, 2]
+    return poses + 60 * np.column_stack([np.cos(heading), np.sin(heading), 0 * heading])
+
+
+def test_right_headings_are_accepted():
+    check(*drive())
+    check(*drive(noise=0.0))
+    check(*drive(speed=3.0, noise=3.0), speed=3.0)
+    times, poses = drive()
+    check(times, ahead_of_the_axle(poses))
+    check(times, poses + np.array([0, 0, 0.05]))  # as markers stuck by hand
+    check(times, poses + np.array([0, 0, 6 * np.pi]))
+
+
+def test_a_robot_that_drives_backwards_moves_along_its_heading():
+    """Regression: "only with y reversed"."""
+    times, poses = drive(speed=-SPEED_MM_S)
+    check(times, poses, speed=-SPEED_MM_S)
+    with pytest.raises(UsageError, match="against its heading"):
+        check(times, poses)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from traceback import extract_tb
+from typing import TextIO
 
 from tetractl.core.errors import UNIX_MODULES, TetractlError, WrongValueError, printable, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
@@ -83,10 +84,23 @@ def plugin_fault(
 def _of_computer(error: BaseException) -> bool:
     """Return whether an error is of the computer or its system, in whichever code it occurs."""
     match error:
+        case SystemExit(__context__=BrokenPipeError()):
+            return True  # of rich, whose output has no reader any more
+        case BrokenPipeError():
+            return _has_no_reader(sys.stdout)
         case OSError(errno=number):
             return number in COMPUTERS
         case ModuleNotFoundError(name=name):
             return name in UNIX_MODULES
+    return False
+
+
+def _has_no_reader(stream: TextIO) -> bool:
+    """Return whether what is written to a stream has no reader any more."""
+    try:
+        stream.flush()
+    except BrokenPipeError:
+        return True
     return False
 
 

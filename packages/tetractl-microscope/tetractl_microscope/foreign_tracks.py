@@ -1,4 +1,6 @@
-"""Tracks of other programs as poses: the tables of napari and trackpy, and GEFF graphs."""
+"""Tracks of other programs: the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's Manual
+Tracking and Imaris, and GEFF graphs.
+"""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,15 +21,24 @@ from tetractl.core.table.quantities import (
     factor,
     name_and_unit,
 )
-from tetractl.replay.identification.csv_tracks import POSES_MAX
+from tetractl.replay.identification.csv_tracks import COLUMNS_SAID, POSES_MAX
 from tetractl_microscope.film.field_file import STRENGTH
 from tetractl_microscope.film.track_log import CELL
 from tetractl_microscope.number_columns import read_numbers
 
-NUMBERS = ("particle", "track_id", "track id", "id")  # names of the column of a track's number
-FRAMES = ("frame", "t")
+NUMBERS = ("particle", "track_id", "trackid", "track", "tid", "track_n°", "trajectory", "id")
+"""Names of the column of a track's number, with _ for a blank; the first that a table has counts:
+spots have an id of their own, too."""
+FRAMES = ("frame", "slice_n°", "slice", "t", "time")
+"""Names of the column of the numbers of pictures."""
+PLACES = (("x", "position_x"), ("y", "position_y"))
+"""Names of the columns of places, before their units."""
+PIXELS = ("", "px", "pixel", "pixels")
+"""Units of places that need a scale."""
 AXES = (("t", "time", "frame"), ("x",), ("y",))
 """Names of the axes of a graph of which no types are stated."""
+SPARSE = 10
+"""Least common step of the numbers of all pictures that is said: times in ms have such a one."""
 SAID_MAX = 200
 """Most characters of an error of the library geff that are shown."""
 TRACKMATE = ("track_id", "position_x", "position_y", "frame")
@@ -37,12 +48,6 @@ and units; `position_t` has times."""
 
 MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
 """Units of lengths [um]."""
-POSE_COLUMNS = ("time_s", "x_um", "y_um", "heading_rad")
-HEADING_S = 0.3
-"""Time over which a direction of motion is taken for a heading [s]. In 24 tracks of emulated cells
-a was 0.96 times the true one in the mean, and in 24 intervals; over 0.4 s, a turn of the helix,
-0.88, and in 8; over 0.2 s the helix made it 0.8 to 1.7 times."""
-ROUNDING = 1e-6  # share of a window by which a time within it may seem outside
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,19 +74,33 @@ class SpotTable:
     tall: float = 1.0
 
 
-def pose_rows(
+@dataclass(frozen=True, slots=True)
+class SpotTrack:
+    """A track of another program: rows (K, 3) of time [s], x and y [um], y upwards, in order."""
+
+    number: float
+    rows: Floats
+
+
+def spot_tracks(
     path: Path, um_px: float | None, rate_hz: float | None, remarks: list[str]
-) -> Iterator[CsvRow]:
-    """Yield the rows of a table of poses or of the field; cells as robots, tracks of other programs
-    as rows of poses; add what is to be said of them.
+) -> list[SpotTrack]:
+    """Return the tracks in a table or graph of another program; add what is to be said of them.
 
     These are given in pixels, y downwards, and pictures, so that they need a scale `um_px` and a
-    rate, unless the table states them; headings are the directions of motion.
+    rate, unless the table states them.
     """
     spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
-    if spots is not None:
-        yield from _poses(path, spots, um_px, rate_hz)
-        return
+    return _scaled_tracks(path, spots, um_px, rate_hz)
+
+
+def has_poses(path: Path) -> bool:
+    """Return whether a file is a table of poses, as `track` writes it: with headings."""
+    return not path.is_dir() and any(name_and_unit(h)[0] == "heading" for h in columns_of(path))
+
+
+def pose_rows(path: Path) -> Iterator[CsvRow]:
+    """Yield the rows of a table of poses or of the field; cells as robots."""
     for row in read_csv(path):
         _require_full_field(path, row)
         cell = row.cells.get("cell")
@@ -97,8 +116,8 @@ def _require_full_field(path: Path, row: CsvRow) -> None:
         raise UsageError(f"{said} in a field of strength 1 only", "give the film itself")
 
 
-def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable | None:
-    """Return the spots of a table of napari, trackpy or TrackMate; None if it is another table.
+def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
+    """Return the spots of a table of tracks; UsageError if a column of it is missing.
 
     Their times are those of a column with a unit of time, or else the numbers of pictures from the
     first one on, which a rate that is given makes of any table.
@@ -107,27 +126,66 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     names = {name.lower(): name for name in headers}
     if set(TRACKMATE) <= set(names):
         return _trackmate(path, names, rate_hz, remarks)
-    number = next((names[name] for name in NUMBERS if name in names), None)
-    frame = next((names[name] for name in FRAMES if name in names), None)
-    timed = next((header for header in headers if _is_time(header)), None)
-    if number is None or not (frame or timed) or not {"x", "y"} <= set(names):
-        return None
-    tracks, x, y = read_numbers(path, (number, names["x"], names["y"])).T
-    if timed is None and frame is not None:
+    by_name = {name.lower().replace(" ", "_"): name for name in headers}
+    number = next((by_name[name] for name in NUMBERS if name in by_name), "")
+    frame = next((by_name[name] for name in FRAMES if name in by_name), "")
+    timed = next((header for header in headers if _is_time(header)), "")
+    places = [_place_column(headers, axis_names) for axis_names in PLACES]
+    missing = list[str]()
+    if not number:
+        missing.append("particle, track_id or id")
+    if not frame and not timed:
+        missing.append("frame, t or time_s")
+    missing += [
+        axis_names[0] for axis_names, place in zip(PLACES, places, strict=True) if not place
+    ]
+    if missing:
+        has = ", ".join(printable(header) for header in headers[:COLUMNS_SAID])
+        said = f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {has}"
+        raise UsageError(said, "tracks have the columns particle, frame, x, y")
+    across = [_size_of_place(place) for place in places]
+    tracks, x, y = read_numbers(path, (number, *places)).T
+    tall = across[1].size / across[0].size if across[0].size and across[1].size else 1.0
+    if not timed:
         frames = read_numbers(path, (frame,))[:, 0]
         _require_whole(path, frame, frames)
         frames = _from_first_picture(path, frames, remarks)
-        return SpotTable(np.column_stack([tracks, frames, x, y]))
-    assert timed is not None
+        _note_sparse(path, frame, frames, remarks)
+        return SpotTable(np.column_stack([tracks, frames, x, y]), across[0], tall=tall)
     column = NumberColumn(timed, SECONDS[name_and_unit(timed)[1]], TIME_MAX)
     times = np.array([column.number(path, row) for row in read_csv(path)])
-    if frame is None:
-        return SpotTable(np.column_stack([tracks, times, x, y]), time=AxisStep(1.0, False))
+    if not frame:
+        rows = np.column_stack([tracks, times, x, y])
+        return SpotTable(rows, across[0], AxisStep(1.0, False), tall)
     frames = read_numbers(path, (frame,))[:, 0]
     if rate_hz is not None:
         frames = _from_first_picture(path, frames, remarks)
-    counted = SpotTable(np.column_stack([tracks, frames, x, y]))
+    counted = SpotTable(np.column_stack([tracks, frames, x, y]), across[0], tall=tall)
     return _timed(path, counted, times, rate_hz, remarks)
+
+
+def _place_column(headers: Sequence[str], names: Sequence[str]) -> str:
+    """Return the column of places with one of some names, "" if there is none."""
+    for header in headers:
+        name, unit = _place_and_unit(header)
+        if name in names and (unit in PIXELS or factor(unit, MICROMETRES) is not None):
+            return header
+    return ""
+
+
+def _place_and_unit(header: str) -> tuple[str, str]:
+    """Return the name of a column of places and its unit, "" if it states none."""
+    name, unit = name_and_unit(header)
+    for pixels in PIXELS[1:]:
+        if not unit and name.endswith(f"_{pixels}"):
+            return name.removesuffix(f"_{pixels}"), pixels
+    return name, unit
+
+
+def _size_of_place(header: str) -> AxisStep:
+    """Return what 1 stands for in a column of places."""
+    size = factor(_place_and_unit(header)[1], MICROMETRES)
+    return AxisStep(size, size is None)
 
 
 def _is_time(header: str) -> bool:
@@ -155,6 +213,17 @@ def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Float
         return frames
     remarks.append(f"warning: {path}: {FROM_ONE}")
     return frames - 1
+
+
+def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) -> None:
+    """Say if all numbers of pictures are multiples of one that is large."""
+    step = int(np.gcd.reduce((frames - frames.min()).astype(np.int64)))
+    if step >= SPARSE:
+        name = printable(column)
+        remarks.append(
+            f"warning: {path}: column {name} counts in steps of {step}: if these are milliseconds, "
+            f"name it {name}_ms"
+        )
 
 
 def _timed(
@@ -201,10 +270,10 @@ def _trackmate(
     return spots if seconds is None else _timed(path, spots, times * seconds, rate_hz, remarks)
 
 
-def _poses(
+def _scaled_tracks(
     path: Path, spots: SpotTable, um_px: float | None, rate_hz: float | None
-) -> Iterator[CsvRow]:
-    """Yield the poses of the spots of tracks."""
+) -> list[SpotTrack]:
+    """Return the tracks of spots in seconds and micrometres."""
     um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
     period = None if rate_hz is None else 1 / rate_hz
     seconds = _size(path, "--rate", "it states times", period, spots.time)
@@ -218,16 +287,25 @@ def _poses(
         raise UsageError(said, "give --scale UM_PER_PIXEL and --rate PICTURES_PER_SECOND")
     if not np.isfinite(spots.rows).all():
         raise UsageError(f"{path}: has a value that is not finite")
-    for number in np.unique(spots.rows[:, 0]):
+    tracks = list[SpotTrack]()
+    for number in np.unique(spots.rows[:, 0]).tolist():
         is_on_track = spots.rows[:, 0] == number
-        track = spots.rows[is_on_track]
-        _, frame, x, y = track[np.argsort(track[:, 1], kind="stable")].T
-        time = frame * seconds
-        up = -spots.tall * y
-        columns = (time, um * x, um * up, _courses(time, x, up))
-        for line, numbers in enumerate(zip(*(c.tolist() for c in columns), strict=True), 1):
-            cells = dict(zip(POSE_COLUMNS, map(repr, numbers), strict=True))
-            yield CsvRow(line, {"robot": f"{CELL}{number:g}"} | cells)
+        track = np.unique(spots.rows[is_on_track, 1:], axis=0)  # by time; a row twice counts once
+        rows = track * (seconds, um, -spots.tall * um)
+        _require_one_place(path, number, rows[:, 0])
+        tracks.append(SpotTrack(number, rows))
+    return tracks
+
+
+def _require_one_place(path: Path, number: float, times: Floats) -> None:
+    """Raise UsageError if a track is at two places at one time (K,) [s]."""
+    is_twice = np.diff(times) == 0
+    if is_twice.any():
+        when = times[:-1][is_twice][0]
+        raise UsageError(
+            f"{path}: cell {number:g} is at two places at {when:.6g} s",
+            "are these several tracks, or times that are rounded?",
+        )
 
 
 def _size(
@@ -241,17 +319,6 @@ def _size(
         said = f"{path}: {states}, so that {option} has no meaning"
         raise UsageError(said, f"leave out {option}")
     return stated
-
-
-def _courses(time: Floats, x: Floats, y: Floats) -> Floats:
-    """Return the directions of motion (K,) [rad] over HEADING_S around each time (K,) [s], or from
-    the place before to the next one if these are farther apart."""
-    index = np.arange(len(time))
-    reach = HEADING_S / 2 * (1 + ROUNDING)
-    begin = np.minimum(np.searchsorted(time, time - reach), np.maximum(index - 1, 0))
-    last = np.searchsorted(time, time + reach, side="right") - 1
-    end = np.maximum(last, np.minimum(index + 1, len(time) - 1))
-    return np.unwrap(np.arctan2(y[end] - y[begin], x[end] - x[begin]))
 
 
 def _graph(path: Path) -> SpotTable:
@@ -280,9 +347,9 @@ def _graph(path: Path) -> SpotTable:
                 "release, and geff does not read it",
                 "write it again with a newer version of the program that wrote it, or as CSV",
             ) from error
-        said = " ".join(f"{type(error).__name__}: {error}".split())
         raise UsageError(
-            f"{path}: cannot be read as a GEFF graph of t, x, y: {printable(said, SAID_MAX)}"
+            f"{path}: cannot be read as a GEFF graph of t, x, y: {_said(error)}",
+            "write it again with the program that made it, or as CSV",
         ) from error
     ids = graph["node_ids"]
     edges = graph["edge_ids"]
@@ -302,6 +369,16 @@ def _graph(path: Path) -> SpotTable:
     down = _step(y, MICROMETRES)
     tall = down.size / across.size if across.size and down.size else 1.0
     return SpotTable(np.column_stack([track + 1, *nodes]), across, _step(time, SECONDS), tall)
+
+
+def _said(error: Exception) -> str:
+    """Return what is wrong with a graph, of a library's many lines what says so."""
+    problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
+    if callable(problems):
+        first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]
+        place = ".".join(map(str, first["loc"]))
+        return printable(f"{place}: {first['msg']}" if place else str(first["msg"]), SAID_MAX)
+    return printable(" ".join(f"{type(error).__name__}: {error}".split()), SAID_MAX)
 
 
 def _geff_version(path: Path) -> str:

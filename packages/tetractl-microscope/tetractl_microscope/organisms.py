@@ -135,6 +135,21 @@ MAGNETOSPIRILLUM = Organism(
         "Pichel et al., doi:10.48550/arXiv.1710.00405; ends of the ranges, width and helix: guess"
     ),
 )
+SPERM = Organism(
+    name="sperm",
+    long_um=(4.0, 8.5),
+    wide_um=(2.4, 5.0),
+    speed_um_s=(15.0, 150.0),
+    helix_hz=(10.0, 5.0),
+    helix_um=(2.5, 1.5),
+    source=(
+        "heads of human sperm are 3.7 to 4.7 um long and 2.5 to 3.2 um wide, those of bulls and "
+        "rams up to 9 by 5 um; curvilinear velocity of human sperm some 20 to 140 um/s, beats of "
+        "the head at 5 to 20 Hz, 2 to 5 um wide: WHO laboratory manual, 6th edition, 2021, and "
+        "BOSO-Micro, doi:10.1371/journal.pone.0252291; ends of the ranges: guess. The tail is not "
+        "followed"
+    ),
+)
 
 
 def named(name: str) -> Organism:

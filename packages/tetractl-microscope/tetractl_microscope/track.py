@@ -2,13 +2,18 @@
 
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
+
+if TYPE_CHECKING:
+    from tetractl_microscope.organisms import Organism
+
+TABLES = (".csv", ".tsv", ".txt", ".geff", ".zarr")
+"""Endings of the names of tables and graphs of tracks."""
 
 
 def track(
@@ -70,11 +75,11 @@ def track(
     Of a folder that it wrote, or of the log in it, it prints the tables again, and -o draws all
     figures.
 
-    Of tracks of another program, in GEFF or in a CSV file with the columns of TrackMate, napari or
-    trackpy (particle or track_id, frame or t, y and x in pixels), or of the poses.csv of `track`,
-    it identifies the cells as `tetractl identify` does robots; -o names the YAML file of their
-    values.
-    Headings of such tracks are directions of motion over 0.3 s, which lowers a by some 5 %.
+    Of tracks of another program, in GEFF or in a CSV file with the columns of TrackMate, napari,
+    trackpy (particle or track_id, frame or t, y and x in pixels), MTrackJ, Manual Tracking or
+    Imaris, it prints the same of each cell; -o names the folder of cells.csv. Of the
+    poses.csv of `track` and --field, it identifies the cells as `tetractl identify` does robots; -o
+    names the YAML file of their values.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
     bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film,
@@ -101,19 +106,23 @@ def track(
     from tetractl_microscope.film.pictures import open_film
     from tetractl_microscope.film.track_log import track_log_of
     from tetractl_microscope.film_files import write_results
+    from tetractl_microscope.foreign_tracks import has_poses
     from tetractl_microscope.organisms import named
     from tetractl_microscope.results.cell_tables import cell_tables
 
-    if film.suffix.lower() in (".csv", ".geff", ".zarr"):
-        if field is None or organism or y_down:
-            raise UsageError(f"{film}: tracks need --field, and only --scale and --rate besides")
-        return _identify(film, field, scale, rate, out, as_json)
+    if y_down and field is None:
+        raise UsageError("--y-down needs --field")
+    if film.suffix.lower() in TABLES:
+        if has_poses(film):
+            if field is None or scale or rate or organism or y_down:
+                raise UsageError(f"{film}: poses need --field, and no other option")
+            return _identify(film, field, out, as_json)
+        kind = None if organism is None else named(organism)
+        return _show_tracks(film, field, scale, rate, kind, y_down, out, as_json)
     if log := track_log_of(film):
         if field or scale or rate or organism or y_down:
             raise UsageError(f"{film}: was analysed already", "options go with the film itself")
         return _show(log, out, as_json)
-    if y_down and field is None:
-        raise UsageError("--y-down needs --field")
     kind = None if organism is None else named(organism)
     ui.refuse_existing(out, folder=True)
     directions = None if field is None else read_field(field, y_down)
@@ -174,15 +183,65 @@ def _show(log: Path, out: Path | None, as_json: bool) -> int:
     return Exit.FAILED if track.damage else Exit.DONE
 
 
-def _identify(
-    tracks: Path,
-    field: Path,
+def _show_tracks(
+    source: Path,
+    field: Path | None,
     scale: float | None,
     rate: float | None,
+    kind: "Organism | None",
+    y_down: bool,
     out: Path | None,
     as_json: bool,
 ) -> int:
-    """Identify cells from their tracks and the field's direction, and print what was found."""
+    """Print the cells of the tracks of another program, and write their tables into `out`."""
+    import numpy as np
+
+    from tetractl.core.table.table_files import table_files
+    from tetractl.replay.identification.sent_directions import (
+        AT_ONCE_S,
+        check_directions,
+        courses,
+        image,
+        other_times,
+    )
+    from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
+    from tetractl_microscope.film.track_cells import (
+        organism_by_speed,
+        swimming_tracks,
+        track_record,
+    )
+    from tetractl_microscope.foreign_tracks import spot_tracks
+    from tetractl_microscope.results.cell_tables import cell_data, cell_tables
+
+    ui.refuse_existing(out, folder=True)
+    directions = None if field is None else read_field(field, y_down)
+    remarks: list[str] = []
+    tracks = spot_tracks(source, scale, rate, remarks)
+    cells = swimming_tracks(source, tracks, directions is not None)
+    ui.tell(*remarks, *cells.remarks)
+    if directions is not None and field is not None:
+        times = cells.timing.stated or [0.0]
+        ui.tell(*clock_remarks(directions, str(field), str(source), times[0], times[-1]))
+        paths = [np.column_stack([path.times, path.places]) for path in cells.paths]
+        period_s = 1 / cells.timing.rate_hz
+        readings = other_times(str(field), directions.sent, period_s)
+        readings.append(image(str(source), str(field), directions.sent))
+        check_directions(courses(paths), directions.sent, AT_ONCE_S, readings)
+        ui.tell(*side_remarks(directions, paths))
+    organism = organism_by_speed(cells.paths) if kind is None else kind
+    with ui.progress("Fitting"):
+        record = track_record(source, cells, organism, directions)
+    ui.show(as_json, record, cell_tables(record))
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        with table_files({"cells": out / "cells.csv"}) as add:
+            add("cells", cell_data(record), "")
+        ui.tell(printable(f"wrote {out}: cells.csv"))
+    return Exit.DONE
+
+
+def _identify(poses: Path, field: Path, out: Path | None, as_json: bool) -> int:
+    """Identify cells from their poses and the field's direction, and print what was found."""
     from tetractl.cli.identify import show_found, tell_remarks
     from tetractl.replay.identification.csv_tracks import csv_tracks
     from tetractl.replay.identification.identify import identify
@@ -190,10 +249,7 @@ def _identify(
     from tetractl_microscope.foreign_tracks import pose_rows
 
     ui.refuse_existing(out)
-    remarks: list[str] = []
-    rows_of = partial(pose_rows, um_px=scale, rate_hz=rate, remarks=remarks)
-    identified = csv_tracks([tracks, field], rows_of, SHORTEST_S, on_wheels=False)
-    ui.tell(*remarks)
+    identified = csv_tracks([poses, field], pose_rows, SHORTEST_S, on_wheels=False)
     left_out = [name for track in identified for name in track.left_out]
     if left_out:
         ui.tell(f"seen for less than {SHORTEST_S:g} s, so left out: {', '.join(left_out)}")

@@ -1,6 +1,9 @@
 """`tetractl track`: cells from tracks of other programs, in pixels and pictures."""
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -46,12 +49,14 @@ def test_tracks_of_others_are_identified(dish, header):
     name = written(folder, "theirs.csv", header, rows)
     words = ("track", name, "--field", "field.csv", "--scale", UM_PX, "--rate", RATE_HZ, "--json")
     done = tetractl(folder, *words).ok()
-    printed = json.loads(done.stdout)["robots"]
-    assert [robot["name"] for robot in printed] == ["cell 7", "cell 8"]
+    printed = json.loads(done.stdout)["cells"]
+    assert [cell["cell"] for cell in printed] == [7, 8]
     assert "left out: cell 9" in done.stderr
-    for robot, a in zip(printed, A, strict=True):
-        assert robot["a"]["value"] == pytest.approx(a, rel=0.1)
-        assert robot["speed"]["value"] == pytest.approx(SPEED, rel=0.02)
+    for cell, a in zip(printed, A, strict=True):
+        assert cell["a_rad_s"]["value"] == pytest.approx(a, rel=0.02)
+        assert cell["a_rad_s"]["ci95"][0] < a < cell["a_rad_s"]["ci95"][1]
+        assert cell["speed_um_s"]["value"] == pytest.approx(SPEED, rel=0.02)
+    assert "does not fit" not in done.stdout
 
 
 TRACKMATE = """\
@@ -71,9 +76,10 @@ def test_a_table_of_trackmate_states_its_scale_and_rate(dish):
     spot_of_no_track = "ID0,,1.5,10,10,0.0,0.0,0\n"
     (folder / "spots.csv").write_text("".join([TRACKMATE, spot_of_no_track, *lines]))
     done = tetractl(folder, "track", "spots.csv", "--field", "field.csv", "--json").ok()
-    printed = json.loads(done.stdout)["robots"]
-    assert [robot["a"]["value"] for robot in printed] == pytest.approx(A, rel=0.1)
-    assert [robot["speed"]["value"] for robot in printed] == pytest.approx([SPEED, SPEED], rel=0.02)
+    printed = json.loads(done.stdout)["cells"]
+    assert [cell["a_rad_s"]["value"] for cell in printed] == pytest.approx(A, rel=0.02)
+    speeds = [cell["speed_um_s"]["value"] for cell in printed]
+    assert speeds == pytest.approx([SPEED, SPEED], rel=0.02)
 
 
 @pytest.mark.parametrize("names", [("t", "y", "x"), ("time", "POSITION_Y", "POSITION_X")])
@@ -99,15 +105,15 @@ def test_a_graph_states_its_scale_and_rate(dish, names):
         GeffMetadata(directed=True, axes=axes, node_props_metadata={}, edge_props_metadata={}),
     )
     done = tetractl(folder, "track", path.name, "--field", "field.csv", "--json").ok()
-    printed = json.loads(done.stdout)["robots"]
-    assert [robot["a"]["value"] for robot in printed] == pytest.approx(A, rel=0.1)
+    printed = json.loads(done.stdout)["cells"]
+    assert [cell["a_rad_s"]["value"] for cell in printed] == pytest.approx(A, rel=0.02)
 
 
 @pytest.mark.parametrize(
     ("header", "options", "says"),
     [
         ("particle,frame,y,x", (), "its tracks do not state"),
-        ("particle,frame,y,z", (), "contains neither poses nor commands"),
+        ("particle,frame,y,z", (), "no column of tracks: x missing"),
         ("particle,frame,y,x", ("--scale", 2), "its tracks do not state"),
     ],
 )
@@ -121,3 +127,64 @@ def test_what_is_missing_is_one_line(dish, header, options, says):
     graph = tetractl(folder, "track", "no.geff", "--field", "field.csv")
     assert graph.returncode in (2, AbortError.exit) and "geff" in graph.stderr.lower()
     assert tetractl(folder, "track", "bad.csv", "--scale", 2).returncode == 2
+
+
+def test_without_a_field_tracks_have_speeds_and_no_a(dish):
+    """Regression: "tracks need --field", so that speeds of trackpy's links could not be had."""
+    folder, rows = dish
+    name = written(folder, "theirs.csv", "particle,frame,y,x", rows)
+    words = ("track", name, "--scale", UM_PX, "--rate", RATE_HZ)
+    done = tetractl(folder, *words, "-o", "cells", "--json").ok()
+    for cell in json.loads(done.stdout)["cells"]:
+        assert cell["a_rad_s"] is None
+        assert cell["speed_um_s"]["value"] == pytest.approx(SPEED, rel=0.03)
+        assert cell["vsl_um_s"] > 0
+    assert (folder / "cells" / "cells.csv").read_text().startswith("cell,since_s")
+
+
+def test_rare_pictures_show_no_turning_but_ways(dish):
+    """Regression: "robot cell 0 drives in only 0 intervals": give more logs."""
+    folder, rows = dish
+    rare = rows[rows[:, 1] % 15 == 0]
+    rare[:, 1] /= 15
+    name = written(folder, "rare.csv", "particle,frame,y,x", rare)
+    words = ("track", name, "--scale", UM_PX, "--rate", RATE_HZ / 15)
+    refused = tetractl(folder, *words, "--field", "field.csv")
+    assert refused.returncode == 2
+    assert "pictures are 0.5 s apart, but a heading is the direction of motion" in refused.stderr
+    assert "film at 7 pictures/s or more" in refused.stderr
+    done = tetractl(folder, *words, "--json").ok()
+    assert [cell["speed_um_s"] for cell in json.loads(done.stdout)["cells"]] == [None, None]
+
+
+def test_particles_that_diffuse_have_no_a(dish):
+    """Regression: an a of 12.18 (11.85 to 12.52)."""
+    folder, _ = dish
+    random = np.random.default_rng(5)
+    steps = random.normal(0.0, 1.0, (4, 400, 2))
+    rows = [
+        (cell, k, *place)
+        for cell, places in enumerate(np.cumsum(steps, axis=1))
+        for k, place in enumerate(places.tolist())
+    ]
+    name = written(folder, "brown.csv", "particle,frame,y,x", np.array(rows))
+    words = ("track", name, "--field", "field.csv", "--scale", 2.5, "--rate", 20)
+    done = tetractl(folder, *words)
+    assert done.returncode == 1
+    assert "goes to and fro, as beads do: nothing swims" in done.stderr
+
+
+def test_a_reader_that_ends_early_is_no_fault_of_a_plugin(dish):
+    """Regression: "plug-in command 'track' raised SystemExit: 1"."""
+    folder, rows = dish
+    name = written(folder, "theirs.csv", "particle,frame,y,x", rows[rows[:, 0] == 7])
+    reading, writing = os.pipe()
+    os.close(reading)
+    program = (sys.executable, "-m", "tetractl")
+    words = ("track", name, "--scale", f"{UM_PX}", "--rate", f"{RATE_HZ}")
+    for more in ((), ("--json",)):
+        done = subprocess.run(
+            [*program, *words, *more], cwd=folder, stdout=writing, stderr=subprocess.PIPE, text=True
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+    os.close(writing)

@@ -149,6 +149,7 @@ def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):
     table = pandas.read_csv(tracks[0] / "tracks.csv")
     assert list(table.columns[:4]) == ["id", "t", "y", "x"]  # napari's
     assert {"particle", "frame", "x", "y"} <= set(table.columns)  # trackpy's
+    assert table["sure"].dtype == bool and table["found"].dtype == bool
     assert table.id.dtype.kind == table.frame.dtype.kind == "i"
     assert not table.duplicated(["particle", "frame"]).any()
     poses = pandas.read_csv(tracks[0] / "poses.csv")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.foreign_tracks import FROM_ONE, pose_rows
+from tetractl_microscope.foreign_tracks import FROM_ONE, pose_rows, spot_tracks
 
 from tetractl.core.errors import UsageError
 
@@ -20,11 +20,9 @@ SPACE = {"type": "space", **PIXEL}
 
 
 def poses(path, um=None, hz=None, said=None):
-    rows = [row.cells for row in pose_rows(path, um, hz, [] if said is None else said)]
-    assert len({cells["robot"] for cells in rows}) == 2
-    return sorted(
-        (float(cells["time_s"]), float(cells["x_um"]), float(cells["y_um"])) for cells in rows
-    )
+    tracks = spot_tracks(path, um, hz, [] if said is None else said)
+    assert len(tracks) == 2
+    return sorted(tuple(row) for track in tracks for row in track.rows.tolist())
 
 
 def graph(path, axes, values):
@@ -86,13 +84,13 @@ def test_a_field_of_another_strength_is_not_taken_for_the_whole(strength, tmp_pa
     path = tmp_path / "field.csv"
     path.write_text(f"time_s,direction_rad,strength\n0,1,1\n2,0,\n4,1,{strength}\n")
     with pytest.raises(UsageError, match=r"line 4: strength .* in a field of strength 1 only"):
-        list(pose_rows(path, UM, HZ, []))
+        list(pose_rows(path))
 
 
 def test_a_table_that_is_not_there_is_named(tmp_path):
     """Regression: "plug-in camera ... raised FileNotFoundError"."""
     with pytest.raises(UsageError, match=r"a\.csv: no such file"):
-        list(pose_rows(tmp_path / "a.csv", UM, HZ, []))
+        poses(tmp_path / "a.csv", UM, HZ)
 
 
 def test_a_graph_without_edges_has_no_tracks(tmp_path, monkeypatch):
@@ -214,3 +212,83 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
     )
     (tmp_path / "spots.csv").write_text(SPOTS.format(um=um, s=s) + rows)
     assert np.allclose(poses(tmp_path / "spots.csv"), POSES)
+
+
+def placed(path, header, *columns):
+    """Write a table of spots with a header of commas."""
+    table = np.column_stack(columns)
+    np.savetxt(path, table, delimiter=",", header=header, comments="", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "columns"),
+    [
+        ("Nr,TID,PID,x [um],y [um],t [sec]", (K, NUMBER, K, UM * X, UM * Y, K / HZ)),
+        ("Nr,TID,PID,x [mm],y [mm],t [ms]", (K, NUMBER, K, X / 500, Y / 500, 1000 * K / HZ)),
+        ("Nr,TID,PID,x [pixel],y [pixel],t [sec]", (K, NUMBER, K, X, Y, K / HZ)),
+        ("Index,Track n°,Slice n°,X,Y,Distance,Velocity", (K, NUMBER, K + 1, X, Y, K, K)),
+        ("Position X,Position Y,Position Z,Time,TrackID,ID", (X, Y, K, K + 1, NUMBER, K)),
+        ("TRACK_ID,POSITION_X,POSITION_Y,FRAME", (NUMBER, X, Y, K)),
+        ("ID,t,x,y,z,parent,root,state,generation,dummy", (NUMBER, K, X, Y, *[K] * 6)),
+        ("y,x,mass,size,ecc,frame,particle", (Y, X, K, K, K, K, NUMBER)),
+        ("trajectory,frame,x_px,y_px", (NUMBER, K, X, Y)),
+        ("track_id;t;y;x".replace(";", ","), (NUMBER, K, Y, X)),
+        ("id,t,y,x,frame,particle,sure,found", (NUMBER, K, Y, X, K, NUMBER, K, K)),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_tables_of_other_programs_are_read_by_their_own_columns(header, columns, tmp_path):
+    """Regression: MTrackJ's were "neither poses nor commands"."""
+    path = placed(tmp_path / "a.csv", header, *columns)
+    has_length = "[um]" in header or "[mm]" in header
+    has_time = "[sec]" in header or "[ms]" in header
+    read = poses(path, None if has_length else UM, None if has_time else HZ)
+    assert np.allclose(read, POSES)
+
+
+@pytest.mark.parametrize(
+    ("header", "missing"),
+    [
+        ("number,frame,y,x", "particle, track_id or id missing"),
+        ("particle,picture,y,x", "frame, t or time_s missing"),
+        ("particle,frame,y,z", "x missing"),
+        ("particle,frame,row,col", "x; y missing"),
+    ],
+)
+def test_a_missing_column_is_named(header, missing, tmp_path):
+    """Regression: the hint named the columns of `identify`."""
+    path = placed(tmp_path / "a.csv", header, NUMBER, K, Y, X)
+    with pytest.raises(UsageError, match=f"no column of tracks: {missing}; its columns are"):
+        poses(path, UM, HZ)
+
+
+def test_a_track_at_two_places_at_once_is_refused_and_a_row_twice_is_not(tmp_path):
+    twice = np.column_stack([NUMBER, K, Y, X])
+    path = placed(tmp_path / "a.csv", "particle,frame,y,x", np.vstack([twice, twice[:3]]))
+    assert np.allclose(poses(path, UM, HZ), POSES)
+    moved = np.add(twice[:3], (0, 0, 1, 0))
+    path = placed(tmp_path / "b.csv", "particle,frame,y,x", np.vstack([twice, moved]))
+    with pytest.raises(UsageError, match="cell 1 is at two places at 0 s"):
+        poses(path, UM, HZ)
+
+
+@pytest.mark.parametrize(("step", "is_said"), [(40, True), (10, True), (9, False), (1, False)])
+def test_numbers_of_pictures_that_may_be_milliseconds_are_said(step, is_said, tmp_path):
+    path = placed(tmp_path / "a.csv", "particle,t,y,x", NUMBER, step * K, Y, X)
+    said = []
+    poses(path, UM, HZ, said)
+    assert any("if these are milliseconds, name it t_ms" in line for line in said) == is_said
+
+
+def test_a_broken_graph_is_one_line_without_an_address_of_a_library(tmp_path):
+    """Regression: pydantic's text named its web page."""
+    zarr = pytest.importorskip("zarr", reason="geff is not installed")
+    axes = {"t": TIME, "y": SPACE, "x": SPACE}
+    path = graph(tmp_path / "tracks.geff", axes, {"t": K, "y": Y, "x": X})
+    group = zarr.open_group(path)
+    group.attrs.update({"geff": group.attrs["geff"] | {"directed": "perhaps"}})
+    with pytest.raises(UsageError, match="cannot be read as a GEFF graph of t, x, y: ") as error:
+        poses(path)
+    assert "http" not in error.value.message and "directed" in error.value.message
+    assert "\n" not in error.value.message

@@ -19,7 +19,7 @@ POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}
 """Columns of the table of poses, with their units."""
 LISTED = 5  # most meetings with an uncertain end that are listed one by one
 NOT_FOLLOWED_SAID = 0.1  # share of what moves from which on the table says that it is not followed
-TRACKS = ("id", "t", "y", "x", "frame", "particle")
+TRACKS = ("id", "t", "y", "x", "frame", "particle", "sure", "found")
 
 
 def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
@@ -81,7 +81,7 @@ def as_items(
         "contrast": followed.contrast,
         "noise": followed.noise,
         "cells": [
-            _cell(cell, path, followed.guessed_scale)
+            cell_items(cell, path, followed.guessed_scale)
             for cell, path in zip(cells, followed.paths, strict=True)
         ],
         "indistinguishable": followed.doubtful,
@@ -94,7 +94,7 @@ def as_items(
     return plain(record)
 
 
-def _cell(cell: CellSummary, path: CellPath, guessed_scale: bool) -> dict:
+def cell_items(cell: CellSummary, path: CellPath, guessed_scale: bool) -> dict:
     """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`.
 
     With a guessed scale the speed has no interval: it would hold the guess's error only by chance.
@@ -127,7 +127,8 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
     `tetractl identify` reads, and `tracks` in pixels, y downwards.
 
     In `tracks` the first four columns are those of napari's tracks, and `particle`, `frame`, `y`
-    and `x` are trackpy's; (0, 0) is the middle of the upper left pixel.
+    and `x` are trackpy's; `sure` and `found` are those of `poses`; (0, 0) is the
+    middle of the upper left pixel.
     """
     rows = sorted(
         (
@@ -138,8 +139,10 @@ def pose_tables(followed: Followed) -> tuple[Table, Table]:
         for time, picture, cell in path.pictures()
     )
     picture, cell, time, *states = zip(*rows, strict=True) if rows else [()] * 10
+    sure = states[4]
+    has_blob = states[5]
     places = np.transpose(states[:2]).reshape(-1, 2)
     x, y = pixels_of(places, followed.um_px, followed.size[1]).T.tolist()
     pose_columns = tuple(map(Column, POSES, (time, picture, cell, *states), POSES.values()))
-    track_columns = tuple(map(Column, TRACKS, (cell, picture, y, x, picture, cell)))
+    track_columns = tuple(map(Column, TRACKS, (cell, picture, y, x, picture, cell, sure, has_blob)))
     return Table("Poses", pose_columns), Table("Tracks", track_columns)

@@ -44,6 +44,7 @@ from tetractl_microscope.film.kinematics import way_um
 from tetractl_microscope.film.pairs import MEDIAN_OF_NORMAL
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
+from tetractl_microscope.organisms import Organism
 
 START_S = 0.5  # time that gives the first heading
 START = 5  # least number of pictures that do
@@ -69,6 +70,9 @@ SPREAD = 1.0  # standard deviation of ln of the noise among cells
 ROUNDS = 3
 FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
 ORDER = 6  # differences of so many successive places leave little of a path but its noise
+DIFFERENCED = math.comb(2 * ORDER, ORDER)  # their variance, over that of independent places
+RATE_MIN = 6.9  # rate of pictures of tracks below which a turn of a helix is too short [Hz]
+EXACTEST = 1e-3  # least deviation of a place in a table [lengths of the cell]: it is rounded
 BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]
 USUAL_BLOCKS = 4.0  # weight of the usual misfit of a film's cells, in blocks
 FAR = 3.0  # deviations of a measurement from a smoothed pose at which the measurement is right
@@ -113,22 +117,49 @@ def fit_cells(
     """
     measured = [_Measured.of(path, followed, field) for path in followed.paths]
     exact = _exact([table for table in measured if table is not None])
+    paths, cells = _fitted(followed.paths, measured, exact, field, followed.timing)
+    return replace(followed, paths=paths), cells
+
+
+def fit_tracks(
+    paths: Sequence[CellPath],
+    organism: Organism,
+    field: FieldRecord | None,
+    timing: PictureTimes,
+) -> tuple[CellSummary, ...]:
+    """Return the results for each cell of the tracks of another program, which show no bodies; no
+    speed and helix if pictures are rarer than RATE_MIN."""
+    measured: list[_Measured | None] = [None] * len(paths)
+    if timing.nominal_hz >= RATE_MIN:
+        measured = [_Measured.of_track(path, organism, field) for path in paths]
+    return _fitted(paths, measured, np.ones(3), field, timing)[1]
+
+
+def _fitted(
+    seen_paths: Sequence[CellPath],
+    measured: "Sequence[_Measured | None]",
+    exact: Floats,
+    field: FieldRecord | None,
+    timing: PictureTimes,
+) -> tuple[tuple[CellPath, ...], tuple[CellSummary, ...]]:
+    """Return smoothed paths and results of cells that are measured `exact` (3,) times as well as
+    stated."""
     fits = [None if table is None else _Fit.of(table, exact) for table in measured]
     known_fits = [fit for fit in fits if fit is not None]
     squares = sum(min(fit.misfit, MISFIT_MOST * fit.parts) for fit in known_fits)
     usual = max(1.0, squares / max(sum(fit.parts for fit in known_fits), 1))
     paths = [
         path if fit is None else fit.smoothed(path)
-        for path, fit in zip(followed.paths, fits, strict=True)
+        for path, fit in zip(seen_paths, fits, strict=True)
     ]
     among = (
         float(np.std([fit.states[:, SPEED].mean() for fit in known_fits])) if known_fits else 0.0
     )
     cells = [
-        _summary(path, fit, field is not None, usual, among, followed.timing)
+        _summary(path, fit, field is not None, usual, among, timing)
         for path, fit in zip(paths, fits, strict=True)
     ]
-    return replace(followed, paths=tuple(paths)), tuple(cells)
+    return tuple(paths), tuple(cells)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,18 +198,48 @@ class _Measured:
         is_own = is_own & ~cut
         if not _shows_axis(path.times, measured, is_own):
             measured[:, 5] = NO_AXIS
+        return cls._of_values(path.times, measured, is_own, followed.organism, field)
+
+    @classmethod
+    def of_track(cls, path: CellPath, organism: Organism, field: FieldRecord | None) -> Self | None:
+        """Return the measurements of a path of places alone; None if there are too few.
+
+        Their deviation is that by which they scatter about a smooth path.
+        """
+        if len(path.times) <= ORDER:
+            return None
+        least = EXACTEST * organism.body_um[0]
+        differences = np.diff(path.places, ORDER, axis=0)
+        scatter = np.median(np.abs(differences)) / MEDIAN_OF_NORMAL / math.sqrt(DIFFERENCED)
+        places_sd = max(float(scatter), least)
+        count = len(path.times)
+        deviations = np.tile((places_sd, places_sd, NO_AXIS), (count, 1))
+        measured = np.column_stack([path.places, np.zeros(count), deviations])
+        return cls._of_values(path.times, measured, np.ones(count, bool), organism, field)
+
+    @classmethod
+    def _of_values(
+        cls,
+        seconds: Floats,
+        measured: Floats,
+        is_own: np.ndarray,
+        organism: Organism,
+        field: FieldRecord | None,
+    ) -> Self | None:
+        """Return what was measured (K, 6) at times (K,) [s], with the filter's start; None if there
+        are too few blobs of the cell's own."""
         own_rows = np.flatnonzero(is_own)
         if len(own_rows) < START:
             return None
-        times = path.times - path.times[0]
+        times = seconds - seconds[0]
         early = own_rows[: max(START, int((times[own_rows] <= times[own_rows[0]] + START_S).sum()))]
         (vx, vy), (x, y) = np.polyfit(times[early], measured[early, :2], 1)
-        mean, covariance, model = new_cell(followed.organism, field is not None)
+        mean, covariance, model = new_cell(organism, field is not None)
         mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
         pieces_of = no_field if field is None else field.pieces
         pieces = list[Piece]()
         first = [0, 0]
-        for start, end in pairwise(path.times.tolist()):
+        for start, end in pairwise(seconds.tolist()):
             pieces += pieces_of(start, end)
             first.append(len(pieces))
         values, deviations = map(np.ascontiguousarray, np.hsplit(measured, 2))
@@ -286,9 +347,7 @@ def _exact(measured: Sequence[_Measured]) -> Floats:
         values[:, 2] = np.unwrap(np.nan_to_num(values[:, 2]), period=math.pi)
         values[~table.is_own | (table.deviations[:, 2] == NO_AXIS)] = np.nan
         differences.append(np.diff(values, ORDER, axis=0) / table.deviations[ORDER:])
-    # the differences of independent values have this variance, relative to that of the values
-    variance = math.comb(2 * ORDER, ORDER)
-    off = np.abs(np.concatenate(differences)) / math.sqrt(variance)
+    off = np.abs(np.concatenate(differences)) / math.sqrt(DIFFERENCED)
     off = off[np.isfinite(off).all(axis=1)]
     if not len(off):
         return np.ones(3)

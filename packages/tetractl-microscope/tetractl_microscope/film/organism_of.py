@@ -13,6 +13,14 @@ from tetractl.core.poses import Bools, Floats, Grey
 from tetractl_microscope.cells.cells_health import SMALL_PX
 from tetractl_microscope.cells.detect_cells import BlobFinder
 from tetractl_microscope.cells.specks import straight
+from tetractl_microscope.film.onward import (
+    TO_AND_FRO,
+    WAYS_MIN,
+    Onward,
+    go_to_and_fro,
+    hardly_any_goes_on,
+    onward,
+)
 from tetractl_microscope.film.pictures import ONE_PICTURE, ONE_PICTURE_HINT, FilmPictures
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
@@ -35,11 +43,8 @@ BACKGROUND_S = 20.0  # length of the film's first part, which gives the backgrou
 FAST = 1.5  # factor by which an object may be faster than an organism is
 FAR = 2.0  # way of the fastest cells between pictures, in lengths, above which links are uncertain
 KNOWN = 0.25  # least share of what swims that an organism must be like (beads in water 3 of 81)
-# mean cosine between successive parts of ways, below which what moves goes to and fro (beads in
-# water .23; Euglena .78, Paramecium .92), and fewest objects of which it is computed
-ONWARD = 0.5
-WAYS_MIN = 10
-TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
+
+SOME_TO_AND_FRO = "most of what moves goes to and fro, as beads do; the rest is followed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +78,15 @@ def recognised(
     scale = um_px
     why = ()
     still = ()
-    if _to_and_fro(ways):
-        if organism is None:
+    objects = _objects(ways)
+    if len(objects) >= WAYS_MIN and go_to_and_fro(objects):
+        still = (f"warning: {SOME_TO_AND_FRO}",)
+        if organism is None and hardly_any_goes_on(objects):
             raise TetractlError(
                 f"{film.path}: {TO_AND_FRO}", "--organism NAME looks for one all the same"
             )
-        still = (f"warning: {TO_AND_FRO}",)
+        if hardly_any_goes_on(objects):
+            still = (f"warning: {TO_AND_FRO}",)
     if scale is None:
         if not len(moving):
             raise TetractlError(
@@ -181,26 +189,15 @@ def _moving(ways: Sequence[Floats]) -> Floats:
     return np.array([motion for motion in motions if motion]).reshape(-1, 4)
 
 
-def _to_and_fro(ways: Sequence[Floats]) -> bool:
-    """Return whether objects that move go on in another direction than they went before.
-
-    Compared are displacements over successive times of equal length, in which the object usually
-    gets MOVED lengths away, and the long ones count most. Of a swimmer they are alike, also of one
-    that turns in a field; of a bead in Brownian motion they are independent.
-    """
-    alike = 0.0
-    most = 0.0
-    objects = 0
+def _objects(ways: Sequence[Floats]) -> list[Onward]:
+    """Return how objects that move go on, over the time in which each usually gets MOVED lengths
+    away."""
+    objects = list[Onward]()
     for rows in ways:
         apart = _pictures_apart(rows)
         if apart:
-            moved = rows[apart:, 1:3] - rows[:-apart, 1:3]
-            before = moved[:-apart]
-            after = moved[apart:]
-            alike += float(np.vdot(before, after))
-            most += float(np.linalg.norm(before, axis=1) @ np.linalg.norm(after, axis=1))
-            objects += 1
-    return objects >= WAYS_MIN and alike < ONWARD * most
+            objects.append(onward(rows[:, 1:3], apart))
+    return objects
 
 
 def _pictures_apart(rows: Floats) -> int:

@@ -1,0 +1,149 @@
+"""The cells of tracks of other programs: what is followed of a film, without its pictures."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.poses import Floats
+from tetractl.core.table.table_files import plain
+from tetractl_microscope.cells.cell import SeenCell
+from tetractl_microscope.film.field_file import FieldRecord
+from tetractl_microscope.film.film_tables import cell_items
+from tetractl_microscope.film.fit_cell import RATE_MIN, SHORTEST_S, fit_tracks
+from tetractl_microscope.film.onward import TO_AND_FRO, hardly_any_goes_on, onward_of_track
+from tetractl_microscope.film.picture_times import PictureTimes
+from tetractl_microscope.film.who import UNKNOWN, CellPath
+from tetractl_microscope.foreign_tracks import SpotTrack
+from tetractl_microscope.organisms import Organism
+from tetractl_microscope.registries import ORGANISMS
+
+COURSE_S = 0.3
+"""Time over which a direction of motion is known [s]: less is a part of a turn of the helix."""
+SPEED_S = 1.0
+"""Time over which a speed is measured by which the organism is chosen [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellTracks:
+    """The tracks of a table that are of swimming cells: their paths, the times of its pictures, and
+    lines for the user on the others."""
+
+    paths: tuple[CellPath, ...]
+    timing: PictureTimes
+    remarks: tuple[str, ...]
+
+
+def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool) -> CellTracks:
+    """Return the tracks of cells that swim, of some that are seen for SHORTEST_S.
+
+    UsageError if none is, or, with a field, if pictures are too rare; TetractlError if hardly any
+    cell goes on as it went.
+    """
+    long_tracks = [track for track in tracks if np.ptp(track.rows[:, 0]) >= SHORTEST_S]
+    brief = [f"{track.number:g}" for track in tracks if np.ptp(track.rows[:, 0]) < SHORTEST_S]
+    if not long_tracks:
+        raise UsageError(f"{source}: has no cell that is seen for {SHORTEST_S:g} s")
+    remarks = list[str]()
+    if brief:
+        remarks.append(f"seen for less than {SHORTEST_S:g} s, so left out: {_cells(brief)}")
+    times = np.unique(np.concatenate([track.rows[:, 0] for track in long_tracks]))
+    gaps_s = np.concatenate([np.diff(track.rows[:, 0]) for track in long_tracks])
+    period_s = float(np.median(gaps_s))
+    if with_field and period_s * RATE_MIN > 1:
+        raise UsageError(
+            f"{source}: pictures are {period_s:.3g} s apart, but a heading is the direction of "
+            f"motion over {COURSE_S:g} s",
+            f"film at {math.ceil(RATE_MIN)} pictures/s or more; are the times right?",
+        )
+    onwards = [onward_of_track(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
+    if hardly_any_goes_on(onwards):
+        raise TetractlError(f"{source}: {TO_AND_FRO}", "give the tracks of cells that swim")
+    to_and_fro = [
+        f"{track.number:g}"
+        for track, way in zip(long_tracks, onwards, strict=True)
+        if not way.goes_on
+    ]
+    if to_and_fro:
+        remarks.append(f"warning: to and fro, as beads do, go, so left out: {_cells(to_and_fro)}")
+    swimming = [track for track, way in zip(long_tracks, onwards, strict=True) if way.goes_on]
+    paths = tuple(_path(track, times) for track in swimming)
+    return CellTracks(paths, PictureTimes(1 / period_s, times.tolist()), tuple(remarks))
+
+
+def _cells(names: Sequence[str]) -> str:
+    return ", ".join(f"cell {name}" for name in names)
+
+
+def _path(track: SpotTrack, times: Floats) -> CellPath:
+    """Return the path of a track, of which pictures at some times show the place alone."""
+    number = round(track.number)
+    sightings = tuple(_seen(number, x, y) for _, x, y in track.rows.tolist())
+    frames = np.searchsorted(times, track.rows[:, 0])
+    return CellPath(number, track.rows[:, 0], frames, sightings)
+
+
+def _seen(number: int, x: float, y: float) -> SeenCell:
+    """Return what is known of a cell in a picture by its place [um]."""
+    return SeenCell(
+        identity=number,
+        x=x,
+        y=y,
+        axis=math.nan,
+        heading=math.nan,
+        mean=UNKNOWN,
+        sd=UNKNOWN,
+        probability=1.0,
+        has_blob=True,
+        merged=False,
+        long_um=math.nan,
+        wide_um=math.nan,
+        track=number,
+        measured=None,
+        blob_um=None,
+    )
+
+
+def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
+    """Return the organism whose speeds are most like the median one of cells."""
+    speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
+    kinds = list(ORGANISMS.usable().values())
+    return min(kinds, key=lambda kind: abs(math.log(speed_um_s / _usual_um_s(kind))))
+
+
+def _usual_um_s(kind: Organism) -> float:
+    return math.sqrt(math.prod(kind.speed_um_s))
+
+
+def _speed_um_s(path: CellPath) -> float:
+    """Return the median speed of a cell over SPEED_S [um/s]."""
+    steps = max(1, round(SPEED_S / float(np.median(np.diff(path.times)))))
+    steps = min(steps, len(path.times) - 1)
+    ways = np.linalg.norm(path.places[steps:] - path.places[:-steps], axis=1)
+    return max(float(np.median(ways / (path.times[steps:] - path.times[:-steps]))), 1e-9)
+
+
+def track_record(
+    source: Path, cells: CellTracks, organism: Organism, field: FieldRecord | None
+) -> dict:
+    """Return the record of the cells of tracks, of the form of that of a film."""
+    summaries = fit_tracks(cells.paths, organism, field, cells.timing)
+    note = f"cells are followed as {organism.name}; --organism names another"
+    if cells.timing.nominal_hz < RATE_MIN:
+        note = f"at fewer than {math.ceil(RATE_MIN)} pictures/s, cells have no speed along a helix"
+    return plain(
+        {
+            "film": source.name,
+            "rate_hz": cells.timing.rate_hz,
+            "organism": organism.name,
+            "cells": [
+                cell_items(cell, path, False)
+                for cell, path in zip(summaries, cells.paths, strict=True)
+            ],
+            "notes": [note],
+            "field": field and {"time_s": field.times, "x": field.x, "y": field.y},
+        }
+    )

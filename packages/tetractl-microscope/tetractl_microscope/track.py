@@ -205,13 +205,13 @@ def _show_tracks(
         other_times,
     )
     from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
-    from tetractl_microscope.film.track_cells import (
+    from tetractl_microscope.foreign_tracks import spot_tracks
+    from tetractl_microscope.results.cell_tables import cell_data, cell_tables
+    from tetractl_microscope.track_cells import (
         organism_by_speed,
         swimming_tracks,
         track_record,
     )
-    from tetractl_microscope.foreign_tracks import spot_tracks
-    from tetractl_microscope.results.cell_tables import cell_data, cell_tables
 
     ui.refuse_existing(out, folder=True)
     directions = None if field is None else read_field(field, y_down)

@@ -153,7 +153,7 @@ def stepped(spec: Spec) -> LoadedSpec:
 
 def write_weights(path: str | Path, modules: Iterable[Any]) -> None:
     """Write the file of weights that the controller `policy` reads, of a network given as its
-    modules in order, as torch's are.
+    modules in order, as torch's are, or as pairs (W, b) of arrays: y = W x + b.
 
     Modules with `weight` and `bias`, such as `torch.nn.Linear`, are its layers; others stand
     between them and are not written: the spec's `activation` says which they are. Raises UsageError
@@ -456,6 +456,11 @@ def verify(path: str | Path) -> "Verification":
     from tetractl.replay import verify
 
     demand(path, str | Path, "verify reads the file of a log")
+    if Path(path).is_dir():
+        raise UsageError(
+            f"{path}: is a folder, and verify reads one log",
+            f"[verify(trial.log) for trial in read_batch({str(path)!r}).trials]",
+        )
     return verify.verify(Path(path))
 
 

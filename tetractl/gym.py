@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from tetractl import api
 from tetractl.control.policy import features, features_of
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import UsageError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
@@ -117,7 +117,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
 
         At the end of an episode, `info` has the `outcome` and the `total_error` e [length unit].
         """
-        along_x, along_y = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        along_x, along_y = np.clip(_vector(action), -1.0, 1.0)
         observation = self.trial.step(math.atan2(along_y, along_x))
         self._ways.append(observation.poses.xy)
         if self.trial.failed and self.trial.result is None:
@@ -158,6 +158,20 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         space = self.observation_space
         assert isinstance(space, spaces.Box)
         return np.clip(unbounded.astype(np.float32), space.low, space.high)
+
+
+def _vector(action: object) -> Floats:
+    """Return an action as a vector (2,); UsageError for anything else."""
+    try:
+        vector = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (2,) or not np.isfinite(vector).all():
+        raise UsageError(
+            f"an action is a vector of 2 finite numbers, not {printable(repr(action), 60)}",
+            "cos u and sin u of the direction u that is sent",
+        )
+    return vector
 
 
 def greatest_error(setup: Setup) -> float:

@@ -44,6 +44,7 @@ run spec.yaml --seed -1 | Invalid value for '--seed': Input should be greater th
 run spec.yaml --seed x | Invalid value for '--seed': Input should be a valid integer | try
 run spec.yaml --jobs 0 | Invalid value for '--jobs': Input should be greater | try
 run spec.yaml --set controler.period=1 | did you mean 'controller'?
+run spec.yaml --set trials.count 5 | unexpected extra argument | write --set trials.count=5
 run spec.yaml --set robots.x.a=1 | has no entry 'x'
 run spec.yaml --set controller.period=1e-9 | controller.period: 1e-9: must be at least 0.001
 run spec.yaml --set robots.0.name=Kä | robots.0.name: Kä: must be letters without accents

@@ -349,3 +349,9 @@ def test_importing_the_face_imports_next_to_nothing():
 
 def test_the_package_has_no_names_but_its_own():
     assert not hasattr(tetractl, "TYPE_CHECKING")
+
+
+def test_a_folder_is_not_verified_as_one_log(tmp_path):
+    with pytest.raises(UsageError, match="is a folder, and verify reads one log") as refused:
+        tetractl.verify(tmp_path)
+    assert "read_batch" in refused.value.hint

@@ -1,5 +1,6 @@
 """A trial as an environment of Gymnasium."""
 
+import math
 import warnings
 
 import numpy as np
@@ -143,6 +144,14 @@ def test_a_seed_and_a_number_open_the_trial_of_the_benchmark():
 def test_a_trial_that_is_no_number_is_refused():
     with pytest.raises(UsageError, match="a trial is a whole number from 0, but this is first"):
         TrialEnv(SPEC).reset(seed=1, options={"trial": "first"})
+
+
+@pytest.mark.parametrize("action", [0.5, [1.0], [1, 0, 0], [[1, 0]], "east", [math.nan, 0]])
+def test_an_action_of_another_shape_is_refused_in_one_line(action):
+    env = TrialEnv(SPEC)
+    env.reset(seed=1)
+    with pytest.raises(UsageError, match="an action is a vector of 2 finite numbers, not"):
+        env.step(action)
 
 
 def test_an_option_that_a_reset_does_not_have_is_refused():

@@ -32,6 +32,16 @@ EXTRAS = {
 }
 """For each optional module, the package's name and the extra of tetractl that installs it."""
 
+PANELS = {
+    "The first hour": ("init", "run", "replay", "stats"),
+    "More trials": ("validate", "rerun", "study", "analyze", "reproduce", "warm"),
+    "Logs": ("plot", "report", "open", "export", "info", "verify", "recover"),
+    "Robots and cells": ("identify", "track", "lab"),
+    "This program": ("schema", "kinds"),
+}
+"""The groups of commands in the help; a command that is in none is another package's."""
+OTHERS = "Of other packages"
+
 _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")
 """A break of a docstring inside a paragraph, and not before a line of a list."""
 
@@ -81,11 +91,13 @@ class _Group(TyperGroup):
 def _command(registry: Registry, name: str) -> Any:
     """Return the command of a registry's function, or, if the function of another package cannot
     be used, a command that says why."""
+    panels = [panel for panel, names in PANELS.items() if name in names]
+    panel = None if registry is LAB_COMMANDS else (*panels, OTHERS)[0]
     try:
         function = registry.load(name)
         try:
             text = _BREAK.sub(" ", cleandoc(function.__doc__ or ""))
-            return _typer_command(name, function, help=text)
+            return _typer_command(name, function, panel, help=text)
         except Exception as error:  # typer cannot make a command of it
             if name in registry.builtin:
                 raise
@@ -100,13 +112,17 @@ def _command(registry: Registry, name: str) -> Any:
 
     anything = {"allow_extra_args": True, "ignore_unknown_options": True}
     text = f"Cannot be used: {escape(broken.message)}"
-    return _typer_command(name, fail, help=text, context_settings=anything, add_help_option=False)
+    return _typer_command(
+        name, fail, panel, help=text, context_settings=anything, add_help_option=False
+    )
 
 
-def _typer_command(name: str, function: Callable[..., object], **settings: Any) -> Any:
-    """Return typer's command of a function."""
+def _typer_command(
+    name: str, function: Callable[..., object], panel: str | None, **settings: Any
+) -> Any:
+    """Return typer's command of a function, listed in a panel of the help."""
     app_of_one = typer.Typer(add_completion=False)
-    app_of_one.command(name, cls=_Command, **settings)(function)
+    app_of_one.command(name, cls=_Command, rich_help_panel=panel, **settings)(function)
     return typer.main.get_command(app_of_one)
 
 
@@ -140,7 +156,8 @@ def _root(
 
 
 lab_help = "Check, calibrate, survey, stop or emulate the lab of a spec."
-app.add_typer(typer.Typer(name="lab", no_args_is_help=True, help=lab_help, cls=_Group))
+lab = typer.Typer(name="lab", no_args_is_help=True, help=lab_help, cls=_Group)
+app.add_typer(lab, rich_help_panel="Robots and cells")
 
 
 def run_app() -> int:
@@ -213,7 +230,16 @@ def _usage_hint(error: TyperException) -> str | None:
     if context is None:
         return None
     retired = INSTEAD.get((context.info_name, getattr(error, "option_name", "")))
-    return retired or f"try '{context.command_path} --help'"
+    return retired or _without_equals_sign() or f"try '{context.command_path} --help'"
+
+
+def _without_equals_sign() -> str | None:
+    """Return how a `--set PATH VALUE` among the arguments is written, None if there is none."""
+    words = sys.argv[1:]
+    for option, path, value in zip(words, words[1:], words[2:], strict=False):
+        if option == "--set" and "=" not in path:
+            return f"write --set {path}={value}"
+    return None
 
 
 def complain(code: Exit, message: str, hint: str | None = None) -> Exit:

@@ -4,6 +4,7 @@ from collections.abc import Container
 from enum import Enum
 from os.path import commonpath
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Annotated
 
 from tetractl.cli import ui
@@ -117,12 +118,15 @@ def report(
 
 def open_(
     logs: Logs,
-    out: Page = Path("report.html"),
+    out: Annotated[
+        Path | None, out_option("FILE", "HTML file to keep. [one in the folder of temporary files]")
+    ] = None,
 ) -> int:
-    """Write the page of `tetractl report`, report.html by default, and open it in the browser.
+    """Write the page of `tetractl report` to a temporary file, and open it in the browser.
 
     Example: tetractl open trial-000.mcap
     """
+    out = out or Path(mkdtemp(prefix="tetractl-")) / "report.html"
     code = report(logs, out)
     if not open_in_browser(out.resolve().as_uri()):
         ui.tell("notice: no browser was found here; open the file in one")

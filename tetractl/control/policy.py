@@ -25,6 +25,7 @@ from pydantic import Field
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection, PlainStep
 from tetractl.core.commands import Command
+from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
@@ -128,6 +129,10 @@ class PolicyController(PlainController):
             self._activation,
             features(self._setup, observation, self._last_direction),
         )
+        if not np.isfinite(outputs).all():
+            raise UsageError(
+                "the policy's outputs are not finite numbers", "its weights are too large"
+            )
         along_x, along_y = np.clip(outputs, -1.0, 1.0)
         direction = math.atan2(along_y, along_x)
         return given_plan(problem, np.array([direction]), step_key)
@@ -139,8 +144,9 @@ def forward(
     """Return the network's outputs for `inputs`; each layer is its W (outputs, inputs) and its b
     (outputs,)."""
     values = inputs
-    for number, (weights, bias) in enumerate(layers):
-        if number > 0:
-            values = activation(values)
-        values = weights @ values + bias
+    with np.errstate(over="ignore", invalid="ignore"):  # who asks looks at the outputs
+        for number, (weights, bias) in enumerate(layers):
+            if number > 0:
+                values = activation(values)
+            values = weights @ values + bias
     return values

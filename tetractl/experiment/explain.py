@@ -53,6 +53,8 @@ MESSAGES = {
 }
 
 
+LISTED = {"number": "numbers", "integer": "whole numbers", "string": "texts"}
+"""What the entries of a list are called, by their type in a schema."""
 ERRORS_MAX = 1000
 """Largest number of pydantic's errors that are explained."""
 
@@ -223,7 +225,21 @@ def _words(mistake: Mistake) -> str:
     if mistake.kind == "string_pattern_mismatch":
         text = about.get("description", mistake.context["pattern"])
         return f"must be {_sentence(text.partition(': ')[2] or text)}"
-    return words(mistake.details, mistake.value)
+    if mistake.kind == "tuple_type":
+        return f"must be {_list_of(about)}"
+    message = words(mistake.details, mistake.value)
+    if mistake.kind == "too_long" and mistake.loc[-1] == "start":
+        return f"{message}; a heading is a field of its own, heading: {mistake.value[2]}"
+    return message
+
+
+def _list_of(about: Schema) -> str:
+    """Return which list a schema asks for: "a list of 2 numbers" and what it is."""
+    entries = about.get("prefixItems") or [about.get("items") or {}]
+    count = f"{len(entries)} " if "prefixItems" in about else ""
+    kind = LISTED.get(str(entries[0].get("type")), "entries")
+    description = about.get("description")
+    return f"a list of {count}{kind}" + (f": {_sentence(description)}" if description else "")
 
 
 def words(details: ErrorDetails, value: Any) -> str:

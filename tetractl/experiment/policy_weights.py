@@ -78,6 +78,8 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
         contents = json.loads(text)
     except ValueError as error:
         raise refusal(f"is not JSON: {printable(str(error), 200)}") from None
+    except RecursionError:
+        raise refusal("is not a file of weights: its lists are nested too deep") from None
     layers = contents.get("layers") if isinstance(contents, dict) else None
     if not isinstance(layers, list) or not layers:
         raise refusal('must be {"layers": [{"weights": [[...], ...], "bias": [...]}, ...]}')
@@ -93,25 +95,38 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
 
 
 def write_weights(path: Path, modules: Iterable[Any]) -> None:
-    """Write the file of weights of a network, given as its modules in order; those without a
-    `weight` are left out. Raises UsageError for a module that is no layer of a policy."""
+    """Write the file of weights of a network, given as its layers in order: pairs (W, b) of arrays,
+    or modules, of which those without a `weight` are left out. Raises UsageError for what is no
+    layer of a policy."""
     layers = []
     for module in modules:
-        weight = getattr(module, "weight", None)
-        bias = getattr(module, "bias", None)
+        if isinstance(module, tuple | list) and len(module) == 2:
+            weight, bias = module
+            name = "pair (W, b)"
+        else:
+            weight = getattr(module, "weight", None)
+            bias = getattr(module, "bias", None)
+            name = type(module).__name__
         if weight is None:
             continue
-        layer = {"weights": weight.tolist(), "bias": [] if bias is None else bias.tolist()}
         try:
+            layer = {"weights": _listed(weight), "bias": _listed(bias)}
             _packed(layer)
-        except ValueError:
+        except (TypeError, ValueError, OverflowError):
             raise UsageError(
-                f"a {type(module).__name__} is no layer of a policy: it has no matrix with a bias"
+                f"a {name} is no layer of a policy: it has no matrix with a bias",
+                "W is (outputs, inputs), and b (outputs,)",
             ) from None
         layers.append(layer)
     if not layers:
-        raise UsageError("no layer is given", "give the modules of the network in order")
+        hint = "give the network's modules in order, or pairs (W, b) of arrays"
+        raise UsageError("no layer is given", hint)
     path.write_text(json.dumps({"layers": layers}), encoding="utf-8")
+
+
+def _listed(numbers: Any) -> Any:
+    """Return an array, torch's or NumPy's, as lists."""
+    return numbers.tolist() if hasattr(numbers, "tolist") else numbers
 
 
 def _packed(layer: Any) -> dict[str, Any]:

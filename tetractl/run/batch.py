@@ -1,5 +1,6 @@
 """Runs the trials of a batch or a study, with any store, executor and observer."""
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -16,13 +17,11 @@ from tetractl.run.task import Finished, OtherCodeError, Task
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a trial ended, and the estimated time [s] of the remaining trials, from the mean time of
-    those before.
+    """How a trial ended, and the estimated time [s] of the remaining trials.
 
     `result` is None if the trial has no outcome. `failure` is the reason, in one line, why it was
     aborted or has no result. `left_s` is None until a trial has been timed. `every_arm` is True if
-    as many trials have been timed as there are arms: arms take turns, and trials of some take far
-    longer than those of others.
+    a trial of each arm has been timed: those of some take far longer than those of others.
     """
 
     task: Task
@@ -64,6 +63,39 @@ class Report:
         return {key: r for key, r in self.results.items() if r.outcome is Outcome.ABORTED}
 
 
+class TrialTimes:
+    """The wall time of the trials that have ended, and the number of those left, by arm."""
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self._left = Counter(task.arm for task in tasks)
+        self._timed = Counter[str]()
+        self._spent_s = dict.fromkeys(self._left, 0.0)
+
+    def ended(self, arm: str, wall_s: float | None) -> None:
+        """Count a trial of an arm, and its time [s]; None for one without a result."""
+        self._left[arm] -= 1
+        if wall_s is not None:
+            self._timed[arm] += 1
+            self._spent_s[arm] += wall_s
+
+    @property
+    def of_every_arm(self) -> bool:
+        """Whether a trial of each arm has been timed."""
+        return all(self._timed[arm] for arm in self._left)
+
+    def left_s(self, workers: int) -> float | None:
+        """Return how long the trials left take: each the mean of its arm or, where none of the arm
+        has been timed, of all. None before any was."""
+        if not self._timed:
+            return None
+        mean_s = sum(self._spent_s.values()) / self._timed.total()
+        left_s = 0.0
+        for arm, count in self._left.items():
+            of_arm_s = self._spent_s[arm] / self._timed[arm] if self._timed[arm] else mean_s
+            left_s += count * of_arm_s
+        return left_s / workers
+
+
 def run_batch(
     tasks: Sequence[Task],
     store: Store,
@@ -77,9 +109,7 @@ def run_batch(
     OtherCodeError if the code on a worker differs from that of this process.
     """
     report = Report(left=len(tasks))
-    arms = len({task.arm for task in tasks})
-    spent_s = 0.0
-    timed = 0
+    times = TrialTimes(tasks)
 
     def ready(task: Task) -> Path:
         observer.trial_started(task)
@@ -95,8 +125,6 @@ def run_batch(
             if isinstance(ended_by, Finished):
                 store.add(*task.key)
                 report.results[task.key] = result = ended_by.result
-                spent_s += ended_by.wall_s
-                timed += 1
                 if result.outcome is Outcome.ABORTED:
                     failure = f"aborted: {result.reason}"
             else:
@@ -104,8 +132,9 @@ def run_batch(
                 failure = _one_line(ended_by)
             if failure is not None and fail_fast:
                 executor.end()
-            left_s = spent_s / timed * report.left / executor.workers if timed else None
-            observer.trial_ended(Ending(task, result, failure, left_s, timed >= arms))
+            times.ended(task.arm, ended_by.wall_s if isinstance(ended_by, Finished) else None)
+            left_s = times.left_s(executor.workers)
+            observer.trial_ended(Ending(task, result, failure, left_s, times.of_every_arm))
     return report
 
 

@@ -148,6 +148,33 @@ def test_the_modules_of_a_network_are_written_as_its_file_of_weights(tmp_path):
     assert layers[0].arrays()[1].tolist() == [0, 0.5]
 
 
+def test_pairs_of_arrays_are_layers(tmp_path):
+    path = spec_file(tmp_path, [TOWARDS_TARGET])
+    weights = np.array(TOWARDS_TARGET["weights"], dtype=np.float32)
+    pairs = [(weights, np.zeros(2)), ([[2, 0], [0, 2]], [0, 1])]
+    api.write_weights(tmp_path / "weights.json", pairs)
+    first, last = api.load_spec(path).experiment.controller.layers
+    assert first.arrays()[0].tolist() == TOWARDS_TARGET["weights"]
+    assert last.arrays()[1].tolist() == [0, 1]
+
+
+def test_weights_nested_without_end_are_refused_by_name(tmp_path):
+    path = spec_file(tmp_path, [TOWARDS_TARGET])
+    (tmp_path / "weights.json").write_text("[" * 100_000)
+    with pytest.raises(InvalidSpecError, match=r"weights.json: .* nested too deep"):
+        api.load_spec(path)
+
+
+def test_a_policy_that_overflows_says_so_and_warns_of_nothing(tmp_path, recwarn):
+    large = {"weights": np.zeros((2, 6)).tolist(), "bias": [1e308, 1e308]}
+    layers = [large, {"weights": [[10, -10]] * 2, "bias": [0, 0]}]  # inf - inf
+    path = spec_file(tmp_path, layers, activation="relu")
+    result = api.run_trial(path).result
+    assert result.outcome == "aborted"
+    assert result.reason == "the policy's outputs are not finite numbers"
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize(
     ("modules", "words"),
     [
@@ -155,6 +182,8 @@ def test_the_modules_of_a_network_are_written_as_its_file_of_weights(tmp_path):
         ([Module()], "no layer is given"),
         ([Module(weight=[[1, 2]])], "a Module is no layer of a policy"),
         ([Module(weight=[1, 2], bias=[1, 2])], "a Module is no layer of a policy"),
+        ([([[1, 2]], [1, 2])], "a pair .* is no layer of a policy"),
+        ([([[1, 2]], None)], "a pair .* is no layer of a policy"),
     ],
 )
 def test_a_module_that_is_no_layer_is_refused(modules, words, tmp_path):

@@ -155,6 +155,10 @@ def test_html_escapes_and_links_cells_of_the_first_column():
     text = html([TABLE], {"green": "#trial-1"})
     assert '<a href="#trial-1">green</a>' in text
     assert "&lt;b&gt;" in text and "<b>" not in text
+    trials = html(
+        [Table("", (Column("pair", ["a - b"]), Column("trials", ["20 and 20"], words=True)))]
+    )
+    assert '<td class="short">20 and 20</td>' in trials
 
 
 def test_json_is_plain_and_strict():

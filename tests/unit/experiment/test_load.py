@@ -103,8 +103,10 @@ particles: 5 -> particles: 0
   s.yaml:4:24: robots.0.start: [10]: must have 2 entries
 [10, 10] -> [1, 2, 3]
   robots.0.start: [1, 2, 3]: must have at most 2 entries, not 3
+[10, 10] -> [10, 10, 0.5]
+  has a point, not a comma; a heading is a field of its own, heading: 0.5
 [10, 10] -> 10
-  s.yaml:4:24: robots.0.start: 10: must be a list
+  s.yaml:4:24: robots.0.start: 10: must be a list of 2 numbers: start position [x, y] [length unit]
 [10, 10] -> [10, ten]
   s.yaml:4:29: robots.0.start.1: ten: must be a number
 name: good -> name: 5

@@ -90,6 +90,7 @@ def test_the_summary_says_what_is_not_usual_and_where():
     assert rows["left the arena"].startswith("19 of 20 (95 % interval")
     assert "; trial-003: blue left the arena, read from a damaged log" in rows["flagged"]
     assert "; trial-004: excluded, pulled" in rows["flagged"]
+    assert lines[0].endswith("19 of 20 trials valid, 1 of these from a damaged log")
 
 
 def test_the_summary_of_two_batches_names_the_unusual_one():
@@ -231,6 +232,11 @@ def test_latex_has_units_minus_signs_and_a_width():
     assert re.search(r"difference from published & \$-\$\d", text)
     assert r" & -- & --" in text
     assert r"arrived & -- (no arrival\_tolerance)" in text
+    assert not [row for row in rows if " - " in row]
+    brief = in_latex(described(name="ours"), described(ERRORS[:9], name="theirs"), layout=summary)
+    (note,) = [line for line in brief.splitlines() if line.startswith(r"\par\medskip")]
+    assert "ours $-$ theirs: " in note
+    assert not re.search(r"\. [a-z]", note)  # no small letter after a stop
     assert text.count(r"\begin{tabular}") == text.count(r"\resizebox{\ifdim\width>\linewidth")
     assert text.count(r"\begin{tabularx}{\linewidth}") == 3
 

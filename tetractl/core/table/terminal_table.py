@@ -19,6 +19,9 @@ LISTED_MAX = 20
 WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 
+SHORT = 12
+"""Longest entry of a page's table that is not broken [characters]."""
+
 _FITTED = r"\noindent\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _WORDS = r">{\raggedright\arraybackslash}X"  # a LaTeX column with wrapped text
 _SPECIAL = str.maketrans(
@@ -32,7 +35,7 @@ _SPECIAL = str.maketrans(
     }
 )
 _UM = re.compile(r"\bum\b")
-_MINUS = re.compile(r"(?<![\w.])-(?=\d)")
+_MINUS = re.compile(r"(?<![\w.])-(?=\d)|(?<= )-(?= )")
 
 
 def open_console(stderr: bool = False, quiet: bool = False) -> "Console":
@@ -158,9 +161,9 @@ def latex(tables: Sequence[Table]) -> str:
             begin = rf"\noindent\begin{{tabularx}}{{\linewidth}}{{{_WORDS * width}}}"
             parts += [begin, *body, r"\end{tabularx}", ""]
         else:
-            note = _escaped(". ".join(filter(None, notes)))
+            note = _escaped("; ".join(filter(None, notes)))
             begin = rf"\begin{{tabular}}{{l{'r' * (width - 1)}}}"
-            below = rf"\par\smallskip{{\footnotesize\raggedright {note}.\par}}"
+            below = rf"\par\medskip{{\footnotesize\raggedright {note}.\par}}"
             parts += [_FITTED, begin, *body, r"\end{tabular}}", below, ""]
     return "\n".join(parts)
 
@@ -196,7 +199,7 @@ def _html(table: Table, links: Mapping[str, str]) -> str:
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
     rows = ""
     for first, *entries in table.rows:
-        cells = "".join(f"<td>{escape(entry)}</td>" for entry in entries)
+        cells = "".join(f"<td{_unbroken(entry)}>{escape(entry)}</td>" for entry in entries)
         rows += f'<tr><th scope="row">{named(first)}</th>{cells}</tr>'
     kind = ' class="words"' if table.words else ""
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
@@ -206,6 +209,11 @@ def _html(table: Table, links: Mapping[str, str]) -> str:
         f'<div class="scroll"><table{kind}>{caption}'
         f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}</div>"
     )
+
+
+def _unbroken(entry: str) -> str:
+    """Return the class of an entry that is too short to be broken, such as "20 and 20"."""
+    return ' class="short"' if len(entry) <= SHORT else ""
 
 
 TEXTS: Mapping[str, Callable[[Sequence[Table]], str]] = {

@@ -243,6 +243,8 @@ def read_file(path: Path) -> bytes:
     """
     try:
         size = path.stat().st_size
+        if path.is_dir():
+            raise LogError(f"{path}: is a folder, not a log")
         if not path.is_file():  # reading a FIFO may never end
             raise LogError(f"{path}: is not a regular file")
         if size > file_limit():

@@ -15,7 +15,7 @@ and lines of the terminal.
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -26,13 +26,21 @@ from rich.text import Text
 
 from tetractl.core.clock import milliseconds
 from tetractl.core.colors import robot_colors
-from tetractl.core.plan import Outcome
+from tetractl.core.plan import Outcome, StopReason
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Result
 from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
+ENDED: Mapping[str, str] = {
+    StopReason.CRITERION: "by its criterion",
+    StopReason.ITERATIONS: "at this limit",
+    StopReason.TARGET: "good enough",
+    StopReason.EVALUATIONS: "out of evaluations",
+    StopReason.DEADLINE: "out of time",
+}
+"""Why the search of the newest plan ended, after the number of its iterations."""
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 """Style of an event by its level."""
 SHORT_LABELS_BELOW = 30
@@ -301,11 +309,19 @@ class Dashboard:
         last = _number(step.plan.cost)
         change = f"{first} {glyphs.to} {last}"
         iterations = f"{done} of {most}"
+        ended = ENDED.get(str(search.stopped), search.ended)
         line_width = min(width, SPARKLINE_MOST)
         return [
             _row(width, "plan cost J", "J", f"{change} {setup.unit}", change, last),
             sparkline(glyphs, search.history, line_width, total=most + 1, log=True),
-            _row(width, "iterations", "z", f"{iterations}, {search.ended}", iterations),
+            _row(
+                width,
+                "iterations",
+                "z",
+                f"{iterations}, search ended {ended}",
+                f"{iterations}, {ended}",
+                iterations,
+            ),
         ]
 
     def _effort(self, width: int) -> list[Text]:

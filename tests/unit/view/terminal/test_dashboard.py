@@ -64,7 +64,7 @@ def test_an_80_by_24_terminal_shows_everything(recording):
         "green",
         "total error",
         "plan cost J",
-        f"of 60, {step.plan.search.ended}",
+        "of 60, by its criterion",
         "solve time",
         "evaluations",
         "space play",

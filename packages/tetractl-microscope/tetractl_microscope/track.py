@@ -209,6 +209,7 @@ def _show_tracks(
     from tetractl_microscope.results.cell_tables import cell_data, cell_tables
     from tetractl_microscope.track_cells import (
         organism_by_speed,
+        stage_remarks,
         swimming_tracks,
         track_record,
     )
@@ -228,6 +229,8 @@ def _show_tracks(
         readings.append(image(str(source), str(field), directions.sent))
         check_directions(courses(paths), directions.sent, AT_ONCE_S, readings)
         ui.tell(*side_remarks(directions, paths))
+    else:
+        ui.tell(*stage_remarks(cells.paths))
     organism = organism_by_speed(cells.paths) if kind is None else kind
     with ui.progress("Fitting"):
         record = track_record(source, cells, organism, directions)

@@ -160,6 +160,23 @@ def test_beads_that_go_to_and_fro_do_not_swim():
     assert any("nothing swims" in line for line in said)
 
 
+@pytest.mark.long
+def test_swimmers_among_beads_are_followed_with_a_warning():
+    """Regression: 36 swimming sperm were refused as beads, with a mean cosine of 0.463 for 0.5."""
+    swimmers = Circles(12.0, 6.0, 30.0)
+    beads = Beads(12.0, 12.0, 2.5)
+
+    class SwimmersAndBeads(Ellipses):
+        """A film whose left half shows swimmers, and the right one beads."""
+
+        def __iter__(self):
+            for (number, left), (_, right) in zip(swimmers, beads, strict=True):
+                yield number, np.hstack([left[:, :160], right[:, 160:]])
+
+    said = recognised(SwimmersAndBeads(0, 0, 0), 0.5).remarks
+    assert any("most of what moves goes to and fro" in line for line in said)
+
+
 def test_pictures_too_rare_to_tell_cells_apart_are_said():
     film = swimming(TETRAHYMENA, 2.3)
     film.rate_hz = 5.0

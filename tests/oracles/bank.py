@@ -78,5 +78,7 @@ def estimate(filters: FilterBank) -> Estimate:
         stands=weights[:, -1] / weights.sum(axis=1),
         dead_time=float(tau.mean()),
         dead_time_std=math.sqrt(np.mean((tau_std * more) ** 2) + np.var(tau)),
+        own_dead_time=tau,
+        own_dead_time_std=tau_std,
         misfit=squares / (blocks * (1 - part + ASSUMED.quantile * np.sqrt(part)) ** 3),
     )

@@ -246,6 +246,8 @@ class FilterBank:
             side_std=outlook.side_std,
             saturation=outlook.saturation,
             stands=outlook.stands,
+            own_dead_time=self.shared.mean_s,
+            own_dead_time_std=self.shared.std_s,
         )
         return Forecast(
             poses=Poses(outlook.x, outlook.y, outlook.heading),

@@ -175,7 +175,8 @@ class Estimate:
     a robot that turns by a exp(k) to the left and a exp(-k) to the right, and `saturation`
     (N,) its greatest turning rate over the greater of these. `stands` (N,) is the probability that
     a robot stands although it is sent a direction: it is stuck, or a cell rests, or backs off and
-    turns. None if they are not estimated.
+    turns. `own_dead_time` (N,) [s] is the dead time of each robot, which no log has. None if they
+    are not estimated.
     """
 
     a: Floats
@@ -191,6 +192,8 @@ class Estimate:
     side_std: Floats | None = None
     saturation: Floats | None = None
     stands: Floats | None = None
+    own_dead_time: Floats | None = field(default=None, compare=False)
+    own_dead_time_std: Floats | None = field(default=None, compare=False)
 
     def standing(self, names: Sequence[str]) -> list[str]:
         """Return the robots, of these `names`, that surely stand although they are to drive."""

@@ -114,9 +114,10 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
 
 
 def _items(record: Any) -> Mapping[str, Any]:
-    """Return the parts of a record by name."""
+    """Return the parts of a record by name, without those that do not count in a comparison."""
     if is_dataclass(record):
-        return {field.name: getattr(record, field.name) for field in fields(record)}
+        compared = [field.name for field in fields(record) if field.compare]
+        return {name: getattr(record, name) for name in compared}
     if isinstance(record, Message):
         return {field.name: value for field, value in record.ListFields()}
     return record

@@ -2,7 +2,7 @@
 stands."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
@@ -15,6 +15,10 @@ from tetractl.experiment.section_abilities import Accepting
 FITS_S = 5.0  # time without a misfit after which the model fits again [s]
 SURE_STDS = 3.0  # least change of an estimate that is news, in standard deviations
 DELAY_S = 0.01  # least error of a stated dead time that is news [s]
+LATER_S = 0.05
+"""Least difference of two robots' dead times that is news [s]: docs/decisions/filter.md."""
+LATER_FOR_S = 2.0
+"""Time for which it has lasted then [s]: while a bank is opened again, dead times differ."""
 NOISE_UNSTATED = (
     "headings are not as predicted, and the camera's noise is not stated: "
     "controller.prior.position_noise, heading_noise"
@@ -138,6 +142,21 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
             yield f"{name} {turns}"
 
 
+def later(estimate: Estimate, names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the name of each robot on which commands surely act later than on the quickest one, and
+    this in words."""
+    own = estimate.own_dead_time
+    stds = estimate.own_dead_time_std
+    if own is None or stds is None:
+        return
+    quickest = int(own.argmin())
+    for i, name in enumerate(names):
+        difference_s = own[i] - own[quickest]
+        if difference_s > max(LATER_S, SURE_STDS * math.hypot(stds[i], stds[quickest])):
+            text = f"commands act on {name} some {difference_s:.2f} s later than on "
+            yield name, f"{text}{names[quickest]}, or more: its radio or its wheels are slow"
+
+
 @dataclass(slots=True)
 class ModelNews:
     """Tells changes of how a controller's model fits: each heading that does not fit once, until
@@ -151,6 +170,8 @@ class ModelNews:
     _unfit_ns: int = 0  # time at which something last did not fit
     _dead_time_questioned: bool = False  # whether the stated one was said to differ
     _said_once: set[str] = field(default_factory=set)  # texts that are not said again
+    _later_since_ns: dict[str, int] = field(default_factory=dict)  # of robots that are later now
+    _said_later: set[str] = field(default_factory=set)  # robots that were said to be later
 
     def of(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield level and text of what is news in an estimate."""
@@ -158,6 +179,7 @@ class ModelNews:
             yield from self._once("info", f"{name} stands although it is sent a direction")
         for part in sorted(estimate.strays(setup.names)):
             yield from self._once("info", f"{part} is not as predicted, which says nothing of a")
+        yield from self._later(estimate, setup, now_ns)
         unfit = estimate.unfit(setup.names)
         if self.stated is not None and self.stated.lacks_noise:
             if unfit:
@@ -170,6 +192,16 @@ class ModelNews:
         if text not in self._said_once:
             self._said_once.add(text)
             yield level, text
+
+    def _later(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
+        """Yield level and text, once a trial, of each robot on which commands have acted later than
+        on another one for LATER_FOR_S."""
+        texts = dict(later(estimate, setup.names))
+        self._later_since_ns = {name: self._later_since_ns.get(name, now_ns) for name in texts}
+        for name, since_ns in self._later_since_ns.items():
+            if now_ns - since_ns >= LATER_FOR_S * SECOND and name not in self._said_later:
+                self._said_later.add(name)
+                yield "warning", texts[name]
 
     def _question_dead_time(self, estimate: Estimate) -> Iterator[tuple[str, str]]:
         """Yield level and text, once a trial, that commands act at another time than is stated."""

@@ -89,6 +89,7 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_news import ModelNews, StatedModel
+from tetractl.run.rest_news import RestNews
 from tetractl.run.trial_limits import directions
 
 AT_ONCE = "stopped at once by a second interruption"
@@ -316,6 +317,7 @@ class TrialCourse:
         self._frames = FrameIntake(trial.plant)
         self._measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
         self._model = ModelNews(trial.stated)
+        self._rests = RestNews(setup)
         self._counts = StepCounts()
         self._motion = RobotMotion.NOT_BEGUN
         self._dead = 0  # number of robots that do not move while others drive
@@ -373,6 +375,8 @@ class TrialCourse:
             before = observation
             observation = trial.plant.observe()
             between = self._frames.take_between(before, observation)
+            for text in self._rests.of(decision, [*between, observation]):
+                self._report(observation.sampled_ns, text, "warning")
             decision, solve_ns = yield from ask(DecisionRequest(observation, command, between))
         raise AssertionError("unreachable: the loop ends by returning")
 

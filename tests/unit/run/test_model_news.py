@@ -7,7 +7,14 @@ import pytest
 from support.trials import experiment
 
 from tetractl.core.plan import Estimate
-from tetractl.run.model_news import FITS_S, NOISE_UNSTATED, ModelNews, StatedModel, stated_model
+from tetractl.run.model_news import (
+    FITS_S,
+    LATER_FOR_S,
+    NOISE_UNSTATED,
+    ModelNews,
+    StatedModel,
+    stated_model,
+)
 
 SETUP = experiment().setup
 ROBOTS = len(SETUP.names)
@@ -146,3 +153,45 @@ def test_robots_that_stand_are_named_in_the_order_of_the_spec():
     """Regression: the order was that of a set, which differs between processes."""
     texts = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
     assert texts == [f"{name} stands although it is sent a direction" for name in SETUP.names]
+
+
+def with_dead_times(*dead_times_s, std_s=0.002):
+    """What fits, of robots with dead times of their own [s]."""
+    return replace(
+        FITS,
+        own_dead_time=np.array(dead_times_s),
+        own_dead_time_std=np.full(ROBOTS, std_s),
+    )
+
+
+LATE = with_dead_times(0.11, 0.26, 0.11)
+ALIKE = with_dead_times(0.11, 0.11, 0.11)
+
+
+def test_a_robot_on_which_commands_act_later_is_said_once_after_two_seconds():
+    """Regression: 0.15 s were not said, and 0.4 s as a robot that stands."""
+    late_s = 2 + LATER_FOR_S
+    told = said((2, LATE), (late_s - 0.1, LATE), (late_s, LATE), (late_s + 1, ALIKE), (9, LATE))
+    assert told == [
+        f"commands act on {SETUP.names[1]} some 0.15 s later than on {NAME}, or more: its radio or "
+        "its wheels are slow"
+    ]
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        FITS,  # dead times are not estimated
+        ALIKE,
+        with_dead_times(0.11, 0.155, 0.11),  # by less than is usual
+        with_dead_times(0.11, 0.26, 0.11, std_s=0.04),  # not known for sure
+    ],
+)
+def test_robots_on_which_commands_hardly_act_later_are_not_said(estimate):
+    assert said((0, estimate), (1, estimate), (9, estimate)) == []
+
+
+def test_a_robot_that_is_later_for_a_moment_is_not_said():
+    """While a bank is opened again, dead times differ."""
+    short_s = LATER_FOR_S - 0.1
+    assert said((0, LATE), (short_s, LATE), (short_s, ALIKE), (short_s + 0.1, LATE)) == []

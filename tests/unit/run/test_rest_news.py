@@ -1,0 +1,88 @@
+"""What is said of robots that move while all should stand."""
+
+import numpy as np
+import pytest
+from support.trials import experiment
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Stop, Turn
+from tetractl.core.plan import Plan, State
+from tetractl.core.poses import Observation, Poses
+from tetractl.run.rest_news import LOOK_S, RestNews, speeds_at_rest
+
+SETUP = experiment().setup
+GREEN = SETUP.names[0]
+RATE_HZ = 100
+NOISE_MM = 0.3
+
+
+def frames(speed_mm_s, noise_mm=NOISE_MM, seconds=0.55, seed=0, rate_hz=RATE_HZ):
+    """Frames of a rest in which the first robot moves along x."""
+    random = np.random.default_rng(seed)
+    number = round(seconds * rate_hz)
+    at_s = np.arange(number) / rate_hz
+    xy = np.repeat(SETUP.starts.xy[None], number, axis=0)
+    xy += random.normal(0, noise_mm, xy.shape)
+    xy[:, 0, 0] += speed_mm_s * at_s
+    heading = np.zeros(len(SETUP.names))
+    valid = np.ones(len(SETUP.names), dtype=np.bool_)
+    times_ns = [round(s * SECOND) for s in at_s.tolist()]
+    return [
+        Observation(k, t, t, Poses(x, y, heading), valid)
+        for k, (t, (x, y)) in enumerate(zip(times_ns, np.moveaxis(xy, 1, 2), strict=True))
+    ]
+
+
+def plan(instead):
+    """A plan in place of whose first signal something else was sent."""
+    path = np.zeros((2, len(SETUP.names), 3))
+    return Plan(np.zeros(1), path, 0.0, 0.0, 0.0, (), 0, 0, None, instead, State.RESTING)
+
+
+def test_the_speed_of_a_robot_that_creeps_is_measured_to_a_few_millimetres_a_second():
+    """0.3 mm of noise, seven or eight frames in each half, whose means are 75 ms apart: the
+    deviation of the speed is 0.3 sqrt(2 / 7.5) / 0.075 = 2 mm/s."""
+    speeds = speeds_at_rest(frames(60.0))
+    assert speeds[0] == pytest.approx(60, abs=6)
+    np.testing.assert_array_equal(speeds[1:], 0)
+
+
+@pytest.mark.parametrize(("speed_mm_s", "told"), [(30.0, 1), (5.0, 0), (0.0, 0)])
+def test_a_robot_that_moves_in_rests_is_said_once(speed_mm_s, told):
+    news = RestNews(SETUP)
+    stop = plan(Stop())
+    texts = [text for seed in range(4) for text in news.of(stop, frames(speed_mm_s, seed=seed))]
+    assert len(texts) == told
+    assert all(f"{GREEN} moves by " in text and "while it should stand" in text for text in texts)
+
+
+def test_a_robot_that_missed_the_stop_and_was_stopped_by_its_watchdog_is_not_said():
+    """It moved until the last LOOK_S of the rest."""
+    news = RestNews(SETUP)
+    moving = frames(200.0, seconds=0.55 - LOOK_S)
+    standing = frames(0.0, seconds=0.55)[len(moving) :]
+    assert news.of(plan(Stop()), [*moving, *standing]) == []
+
+
+@pytest.mark.parametrize("instead", [None, Turn(0.0)])
+def test_robots_that_are_not_to_stand_are_not_said(instead):
+    news = RestNews(SETUP)
+    assert [news.of(plan(instead), frames(100.0)) for _ in range(3)] == [[]] * 3
+
+
+def test_few_frames_or_a_lost_robot_say_nothing():
+    few = frames(100.0, rate_hz=round(5 / LOOK_S))
+    assert not speeds_at_rest(few).any()
+    assert not speeds_at_rest(few[-1:]).any()
+
+
+def test_robots_that_stand_hardly_ever_seem_to_move_by_noise():
+    """Also with a camera of 2 mm of noise: 5 standard deviations, of 14 frames, in 900 cases."""
+    least = 0.05 * SETUP.speed
+    assert (
+        sum(
+            (speeds_at_rest(frames(0.0, noise_mm=2.0, seed=seed)) > least).sum()
+            for seed in range(300)
+        )
+        <= 2
+    )

@@ -5,7 +5,8 @@ list COMPARISONS. Most apply to every log. Of the others `_Case.kind` says which
 
     kind of log         what its result is compared with
     INCOMPLETE          nothing: it is damaged, has no result, or another plant than its spec
-    LAB                 what follows from its frames and commands (`lab_result`)
+    LAB                 what follows from its frames and commands (`lab_result`); its commands,
+                        run and messages are checked, too (`lab_commands`, `run_and_messages`)
     RUN_AGAIN           the log of the simulation run again, record by record (`run_again`), where
                         the host and the code are those that wrote the log
     NOT_RUN_AGAIN       the errors that follow from its final poses
@@ -30,8 +31,14 @@ from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
 from tetractl.replay import run_again
 from tetractl.replay.comparison import Difference
+from tetractl.replay.lab_commands import command_differences
 from tetractl.replay.lab_result import error_differences, lab_differences
 from tetractl.replay.recompute import TOLERANCE, Recomputed, recompute
+from tetractl.replay.run_and_messages import (
+    frame_differences,
+    message_differences,
+    run_differences,
+)
 
 DECIDES_BITS = (
     "cpu",
@@ -206,6 +213,16 @@ def _lab(case: _Case) -> Iterator[Difference]:
     """The result of a lab follows from its frames and commands."""
     if case.kind is _Kind.LAB:
         yield from lab_differences(case.log, case.result)
+        yield from command_differences(case.log, case.result)
+        yield from frame_differences(case.raw, case.log)
+
+
+def _stated(case: _Case) -> Iterator[Difference]:
+    """Run and messages of a log that is not run again follow from spec and records."""
+    if case.kind in (_Kind.LAB, _Kind.NOT_RUN_AGAIN):
+        yield from run_differences(case.raw, case.log)
+        if not case.raw.brief:
+            yield from message_differences(case.raw, case.log, case.result)
 
 
 def _errors(case: _Case) -> Iterator[Difference]:
@@ -258,6 +275,7 @@ COMPARISONS: tuple[Callable[[_Case], Iterator[Difference]], ...] = (
     _plant,
     _end,
     _lab,
+    _stated,
     _errors,
     _repetition,
     _frames,

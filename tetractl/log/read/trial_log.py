@@ -6,7 +6,7 @@ from enum import StrEnum
 from itertools import islice, pairwise
 
 from tetractl.core.clock import SECOND, seconds
-from tetractl.core.commands import EMULATED_DEVICES, Command, PlantInfo
+from tetractl.core.commands import EMULATED_DEVICES, EMULATED_PLANT, Command, PlantInfo
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
@@ -24,11 +24,12 @@ class Origin(StrEnum):
     def of(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
         """Return the origin of a trial, from its spec and its plant's facts.
 
-        A lab is emulated if a device reported so, whatever its address is.
+        A lab is emulated if its spec says so or a device reported so, whatever its address is.
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
-        return cls.EMULATED if plant.facts.get(EMULATED_DEVICES) else cls.LAB
+        is_emulated = experiment.plant.type == EMULATED_PLANT or plant.facts.get(EMULATED_DEVICES)
+        return cls.EMULATED if is_emulated else cls.LAB
 
     @property
     def simulated(self) -> bool:

@@ -14,7 +14,7 @@ Records count time from the trial's start [ns]; messages have Unix times [ns]. C
 simulation are collected until their chunk ends, those of a lab are added as they come.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -226,9 +226,8 @@ class Encoder:
             plan = self._trial.scene.plan(path, self._trial.start_ns + sent_ns)
             self._add_bytes(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
         self._add(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
-        for name, delivered in zip(self._trial.names, step.command.delivered, strict=True):
-            if not delivered:
-                self._say(sent_ns, "warning", f"{name} did not get the command of step {step.k}")
+        for text in undelivered_texts(self._trial.names, step):
+            self._say(sent_ns, "warning", text)
         self._end_chunk(sent_ns)
 
     def on_stop(self, stop: Command, result: Result) -> None:
@@ -239,8 +238,7 @@ class Encoder:
         t_ns = stop.sent_ns
         warnings = self.warnings  # without the message on the end
         self._add(channels.COMMANDS, codec.encode_command(stop), t_ns)
-        level = "error" if result.outcome is Outcome.ABORTED else "info"
-        self._say(t_ns, level, result.summary.replace(result.outcome, result.outcome.logged, 1))
+        self._say(t_ns, *end_text(result))
         self._sink.flush()
         if self._hosted:
             end = HostEnd(
@@ -258,11 +256,8 @@ class Encoder:
         tracked = observation.valid.tobytes()
         if tracked == self._tracked:
             return
-        for name, before, now in zip(self._trial.names, self._tracked, tracked, strict=True):
-            if now and not before:
-                self._say(observation.received_ns, "info", f"{name} is tracked again")
-            elif before and not now:
-                self._say(observation.received_ns, "warning", f"{name} is lost")
+        for level, text in tracking_texts(self._trial.names, self._tracked, tracked):
+            self._say(observation.received_ns, level, text)
         self._tracked = tracked
 
     def _end_chunk(self, trial_ns: int) -> None:
@@ -291,3 +286,31 @@ class Encoder:
         """Add a message with times of the trial [ns]."""
         begin_ns = self._trial.start_ns
         self._sink.messages([Entry(topic, begin_ns + log_ns, begin_ns + publish_ns, data)])
+
+
+# ---- messages that follow from other records ----
+
+
+def tracking_texts(
+    names: Sequence[str], before: Sequence[int], now: Sequence[int]
+) -> Iterator[tuple[str, str]]:
+    """Yield level and text on each robot that was tracked in one of two frames only; `before` and
+    `now` (N,) say whether each was tracked in them."""
+    for name, was_tracked, is_tracked in zip(names, before, now, strict=True):
+        if is_tracked and not was_tracked:
+            yield "info", f"{name} is tracked again"
+        elif was_tracked and not is_tracked:
+            yield "warning", f"{name} is lost"
+
+
+def undelivered_texts(names: Sequence[str], step: Step) -> Iterator[str]:
+    """Yield a warning on each robot that did not receive the command of a step."""
+    for name, delivered in zip(names, step.command.delivered, strict=True):
+        if not delivered:
+            yield f"{name} did not get the command of step {step.k}"
+
+
+def end_text(result: Result) -> tuple[str, str]:
+    """Return level and text of the message on the end of a trial."""
+    level = "error" if result.outcome is Outcome.ABORTED else "info"
+    return level, result.summary.replace(result.outcome, result.outcome.logged, 1)

@@ -1,0 +1,191 @@
+"""Checks the commands on /commands of a lab's log: those of the control steps and those between.
+
+    a control step    its command is on /commands as it is in the step
+    between steps     the action of the last step again, or a stop
+    wheels            they stand after a stop, and of a robot that is held still; else its speed and
+                      turning rate are s (v, a sin(u - theta)) by (24)-(25), within the tolerances
+                      below: the host rounds them, predicts the heading theta from a late frame,
+                      and scales both by s < 1 if a wheel would be too fast
+    times             an action is sent again at the actuator's rate, as `lab.inner_loop` does: the
+                      next transmission is due a period after the last was, but not before half a
+                      period after it was sent
+
+A stop is sent STOPS times. Before the first step robots may drive squares, in directions that no
+log states.
+"""
+
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+
+from tetractl.core.clock import MILLISECOND, SECOND, MonotonicClock
+from tetractl.core.commands import HALTS, Command, Steer, Stop, Turn
+from tetractl.core.plan import Outcome
+from tetractl.core.trial import Result
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, UNTRACKED_STOP_S, LabSection
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.wheels import body_velocity
+from tetractl.replay.comparison import Difference, first_difference
+
+SPEED_SHARE = 0.3
+"""Largest difference between a robot's commanded speed and its own, as a share of its own: up to
+0.04 in 14 emulated trials of m3pi robots, whose wheels have counts of 8 mm/s, and 0.21 in 4 of
+cubes."""
+TURN_SHARE = 0.3
+"""Largest difference between a commanded turning rate and those for the possible headings, as a
+share of a, for the same reason."""
+AHEAD_S = 0.1
+"""Longest time over which the host predicts headings [s], besides the wheels' lag."""
+FASTEST_SHARE = 0.9
+"""A robot's speed may be reduced if a wheel has this share of the greatest speed in the log."""
+LATE_NS = 15 * MILLISECOND
+"""Longest time that a transmission may be late [ns]: it waits for a step of the inner loop, up to
+10 ms; it was late by up to 7 ms in the same trials."""
+LATE_SHARE = 0.1
+"""Largest share of transmissions that may be later in real time, where a computer may be busy."""
+EARLY_SHARE = 0.4
+"""Least time between a transmission and its repetition, as a share of the actuator's period: 0.5 by
+the inner loop's rule, with time for writing to a port."""
+
+
+def command_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """Yield the first contradiction of each kind in the commands of an undamaged log of a lab."""
+    lab = log.experiment.plant
+    if not isinstance(lab, LabSection):
+        return
+    actuator = lab.actuator.build(log.start.setup, MonotonicClock())
+    halts = "yes" if actuator.halts else "no"
+    if log.start.plant.facts.get(HALTS, halts) != halts:
+        yield Difference(None, f"run.facts.{HALTS}", f"must be {halts!r} for this actuator")
+    sent = sorted(log.commands, key=lambda command: command.sent_ns)
+    kinds = (
+        _of_steps(log, sent),
+        _actions(log, sent, result),
+        _wheels(log, sent),
+        _times(log, sent, actuator.period_ns, lab.real_time),
+        _stops(log, sent, result),
+    )
+    for kind in kinds:
+        yield from islice(kind, 1)
+
+
+def _of_steps(log: TrialLog, sent: list[Command]) -> Iterator[Difference]:
+    """Yield each command of a control step that /commands has otherwise, or not at all."""
+    by_time = {command.sent_ns: command for command in sent}
+    for step in log.steps:
+        on_commands = by_time.get(step.command.sent_ns)
+        difference = first_difference(step.command, on_commands, name="command")
+        if difference is not None:
+            yield difference.in_step(step.k)
+
+
+def _actions(log: TrialLog, sent: list[Command], result: Result) -> Iterator[Difference]:
+    """Yield each command after the first step that is neither the last step's nor a stop. In a
+    trial that was aborted, the last direction may be of a step that was not ended."""
+    steps = {step.command.sent_ns: step for step in log.steps}
+    last_ns = max((command.sent_ns for command in sent if not command.stops), default=0)
+    last = None
+    for command in sent:
+        last = steps.get(command.sent_ns, last)
+        if last is None or isinstance(command.action, Stop):
+            continue
+        is_unfinished = command.sent_ns == last_ns and result.outcome is Outcome.ABORTED
+        if command.action != last.command.action and not is_unfinished:
+            text = f"{command.action} is sent after it, at {command.sent_ns} ns"
+            yield Difference(last.k, "command", text)
+
+
+def _wheels(log: TrialLog, sent: list[Command]) -> Iterator[Difference]:
+    """Yield each command whose wheel speeds are not those of its action. The guard may have refused
+    a robot's poses for up to UNTRACKED_STOP_S, so that an earlier heading was used."""
+    setup = log.start.setup
+    if setup.wheel_radius is None:
+        return
+    ahead = np.linspace(-1, 1, 9)[:, None] * setup.a * (AHEAD_S + setup.lag_s)
+    wheels = {
+        command.sent_ns: np.array([command.left, command.right])
+        for command in sent
+        if command.left is not None and command.right is not None
+    }
+    fastest = np.max([np.abs(speeds) for speeds in wheels.values()], axis=(0, 1), initial=0.0)
+    for command in sent:
+        if command.sent_ns not in wheels:
+            continue
+        speeds = wheels[command.sent_ns]
+        is_wrong = (speeds != 0).any(axis=0)
+        if isinstance(command.action, Steer | Turn):
+            speed, turning = body_velocity(*speeds, setup.wheel_radius)
+            share = speed / setup.speed
+            if isinstance(command.action, Steer):
+                direction = command.action.direction
+                is_reduced = np.abs(speeds).max(axis=0) >= FASTEST_SHARE * fastest
+                is_off = (np.abs(share - 1) > SPEED_SHARE) & ~is_reduced
+                scale = np.where(is_reduced, np.clip(share, 0, 1), 1)
+            else:
+                direction = command.action.facing
+                is_off = np.abs(share) > SPEED_SHARE
+                scale = np.ones_like(share)
+            since_ns = command.sent_ns - round(UNTRACKED_STOP_S * SECOND)
+            is_used = (log.received_ns >= since_ns) & (log.received_ns <= command.sent_ns)
+            headings = log.mocap[is_used][:, None, :, 2] + ahead
+            rates = np.sin(direction - headings).reshape(-1, len(setup.names)) * scale
+            if len(rates):
+                turns = turning / setup.a
+                is_off |= turns < rates.min(axis=0) - TURN_SHARE
+                is_off |= turns > rates.max(axis=0) + TURN_SHARE
+            is_wrong = np.where(command.delivered, is_off, is_wrong)
+        if is_wrong.any():
+            name = setup.names[int(np.argmax(is_wrong))]
+            text = f"wheels of {name} do not follow what is sent at {command.sent_ns} ns"
+            yield Difference(None, "commands", text)
+
+
+def _times(
+    log: TrialLog, sent: list[Command], period_ns: int, real_time: bool
+) -> Iterator[Difference]:
+    """Yield that an action was sent again too early, or too seldom."""
+    decided = {step.command.sent_ns for step in log.steps}
+    late_ns: list[int] = []
+    count = 0
+    before: Command | None = None
+    due_ns = 0
+    for command in sent:
+        now_ns = command.sent_ns
+        if before is not None and not before.stops:
+            count += 1
+            is_again = now_ns not in decided and command.action == before.action
+            if is_again and command.delivered == before.delivered:
+                if now_ns - before.sent_ns < EARLY_SHARE * period_ns:
+                    text = f"sent again after {(now_ns - before.sent_ns) / MILLISECOND:g} ms"
+                    yield Difference(None, "commands", text)
+                due_ns = min(due_ns, now_ns)  # it was due, and may have been so before
+            if now_ns > due_ns + LATE_NS:
+                late_ns.append(now_ns)
+        elif not command.stops:
+            due_ns = now_ns + period_ns  # at the latest
+        due_ns = max(due_ns + period_ns, now_ns + period_ns // 2)
+        before = command
+    if len(late_ns) > (LATE_SHARE * count if real_time else 0):
+        text = f"{len(late_ns)} of {count} come later than the actuator's rate, the first at"
+        yield Difference(None, "commands", f"{text} {late_ns[0]} ns")
+
+
+def _stops(log: TrialLog, sent: list[Command], result: Result) -> Iterator[Difference]:
+    """Yield that fewer stops were sent in a row than there must be; robots in one field are held
+    still by single stops, and after an abort an actuator may have failed."""
+    if log.start.setup.wheel_radius is None or not result.outcome.complete:
+        return
+    series: list[int] = []
+    since_ns: int | None = None  # the last stop, None after another action
+    for command in sent:
+        if not isinstance(command.action, Stop):
+            since_ns = None
+            continue
+        if since_ns is None or command.sent_ns - since_ns > STOPS * STOP_GAP_NS:
+            series.append(0)
+        series[-1] += 1
+        since_ns = command.sent_ns
+    for count in series:
+        if count < STOPS:
+            yield Difference(None, "commands", f"{count} stops in a row, not {STOPS}")

@@ -403,6 +403,18 @@ def test_spans_that_hardly_meet_are_said(tmp_path, rows, says):
     assert re.search(says, remark)
 
 
+def test_robots_that_stand_after_their_last_command_need_none(tmp_path):
+    """Regression: each export of a right trial was said to cover 13.2 s of 14.9 s."""
+    poses, commands = write_drive(tmp_path)
+    *_, last = poses.read_text().splitlines()
+    _, place = last.split(",", 1)
+    standing = [f"{DRIVE_S + k / FRAME_RATE_HZ},{place}" for k in range(90)]
+    with poses.open("a") as file:
+        file.write("\n".join([*standing, ""]))
+    (track,) = csv_tracks([poses, commands])
+    assert not any("covers" in remark for remark in track.remarks)
+
+
 def exchange_two_rows(path):
     """Write the second row of a table before the first."""
     header, first, second, *others = path.read_text().splitlines()

@@ -13,7 +13,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification.fit import FittedRobot, SampleInterval
+from tetractl.replay.identification.fit import WANDERS, FittedRobot, SampleInterval
 from tetractl.replay.identification.identify import (
     IdentifiedRobots,
     identified,
@@ -21,7 +21,7 @@ from tetractl.replay.identification.identify import (
     stated,
     tables,
 )
-from tetractl.replay.identification.passes import TrackFrames
+from tetractl.replay.identification.passes import TrackFrames, speed_wander
 from tetractl.replay.identification.tracks import SETTLED_S, Track, track_of
 
 pytestmark = pytest.mark.slow
@@ -428,6 +428,25 @@ def test_a_model_that_does_not_fit_is_said_not_to():
     identification = identify([track], A_RAD_S)
     assert "heading" in identification.robots[1].misfits
     assert "the model does not fit" in tables(identification)[0].note
+
+
+def slips(track, robot):
+    """From the middle of the track on the robot drives 20 % slower."""
+    middle = len(track.poses) // 2
+    at_middle = track.poses[middle, robot, :2]
+    poses = track.poses.copy()
+    poses[middle:, robot, :2] = at_middle + 0.8 * (poses[middle:, robot, :2] - at_middle)
+    return replace(track, poses=poses)
+
+
+@pytest.mark.parametrize("sets", [(), NOISY, LAGGING_WHEELS], ids=["exact", "noisy", "lagging"])
+def test_only_the_speed_of_a_robot_that_slips_wanders(sets):
+    """Regression: a random walk of the positions stood for the slip, and the model fitted."""
+    track = drive(5, *sets).track
+    assert (speed_wander([TrackFrames.of(track)]) < WANDERS / 2).all()
+    wander = speed_wander([TrackFrames.of(slips(track, 1))])
+    assert wander[1] > 3 * WANDERS
+    assert (wander[[0, 2]] < WANDERS / 2).all()
 
 
 @pytest.mark.long

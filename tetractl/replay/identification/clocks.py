@@ -8,7 +8,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 
 COVERED = 0.9
-"""Share of the time seen in which commands act, below which it is said."""
+"""Share of the robots' way while commands act, below which it is said."""
 WITHIN = 2
 """Number of commands in the time seen, below which it is said: the direction hardly changes."""
 
@@ -25,9 +25,10 @@ class Span:
         return f"{self.source}, {self.begin:.12g} to {self.end:.12g} s"
 
 
-def clock_remark(poses: Span, sent: Floats, commands: Span) -> str | None:
-    """Return what to say of commands that do not act in most of the time of the poses, or most of
-    which do not; `sent` (C,) are their times [s], in order. UsageError if none acts in it.
+def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> str | None:
+    """Return what to say of commands that act while robots drive a share `of_way` of their way, or
+    most of which act at other times; `sent` (C,) are their times [s], in order. UsageError if none
+    acts in the time of the poses.
     """
     covered = min(poses.end, commands.end) - max(poses.begin, commands.begin)
     if covered <= 0:
@@ -38,7 +39,7 @@ def clock_remark(poses: Span, sent: Floats, commands: Span) -> str | None:
         )
     length = poses.end - poses.begin
     within = int(np.count_nonzero((sent >= poses.begin) & (sent < poses.end)))
-    if covered < COVERED * length:
+    if of_way < COVERED:
         return f"{commands.source} covers {covered:.3g} s of the {length:.3g} s of {poses.source}"
     if within < WITHIN < len(sent):
         return (

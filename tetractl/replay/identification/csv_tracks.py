@@ -51,8 +51,10 @@ ALONG = 0.5
 """Share of their ways that an angle to the headings explains at least."""
 NO_MEASUREMENT = 0.01
 """Share of a robot's poses that are no measurement, above which it is said."""
+WAY_STEP_S = 0.5
+"""Duration of the steps by which the robots' way is measured [s]: noise adds little to it."""
 POSES_MIN = 20
-"""Least number of poses by which the angle between motion and heading is judged."""
+"""Least number of poses by which the angle between motion and heading is evaluated."""
 JUMP = 100.0
 """Median ways between two poses, above which a way is no motion but a wrong place; chosen."""
 COLUMNS_SAID = 8
@@ -325,7 +327,8 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float, on_whee
     until = float(sent.when[-1]) + _usual_gap(sent.when)
     poses_span = Span(str(poses_path), begin, begin + float(time[-1]))
     commands_span = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
-    remark = clock_remark(poses_span, begin + sent.when, commands_span)
+    of_way = _share_of_way(time, poses, float(sent.when[0]), until)
+    remark = clock_remark(poses_span, begin + sent.when, commands_span, of_way)
     if remark is not None:
         remarks.append(remark)
     if not numbers.twists:
@@ -401,6 +404,17 @@ def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools
     poses = np.full((len(time), count, 3), np.nan)
     poses[frames, robots] = rows[:, 2:]
     return time, poses, np.logical_not(np.isnan(poses[..., 0] + poses[..., 1] + poses[..., 2]))
+
+
+def _share_of_way(time: Floats, poses: Floats, begin_s: float, end_s: float) -> float:
+    """Return the share of their way that robots drive from `begin_s` to `end_s` [s], in steps of
+    WAY_STEP_S: robots that stand before their first command and after their last need none."""
+    rows = np.unique(np.searchsorted(time, np.arange(0.0, time[-1] + WAY_STEP_S, WAY_STEP_S)))
+    rows = rows[rows < len(time)]
+    moved = np.diff(poses[rows, :, :2], axis=0)
+    way = np.nansum(np.hypot(moved[..., 0], moved[..., 1]), axis=1)
+    acts = (time[rows[1:]] > begin_s) & (time[rows[:-1]] < end_s)
+    return float(way[acts].sum() / way.sum()) if way.any() else 1.0
 
 
 def _check_degrees(path: Path, poses: Floats, valid: Bools) -> None:

@@ -210,8 +210,8 @@ def _fits(result: IdentifiedRobots) -> str:
         f"{robot.name} ({', '.join(robot.misfits)})" for robot in result.robots if robot.misfits
     ]
     if not misfits:
-        return "the model fits: residuals are not correlated in time"
-    text = f"the model does not fit {'; '.join(misfits)}: residuals are correlated in time"
+        return "the model fits"
+    text = f"the model does not fit {'; '.join(misfits)}: speed or turning wanders over seconds"
     if _may_lag(result):
         text += f"\n{NO_INTERVAL}"
     return text

@@ -39,6 +39,9 @@ UNSEEN_S = 0.3
 """Time without a pose after which a row restarts from the camera's next pose."""
 AT_REST_S = 0.3
 """Time before it drives at which a robot with lagging wheels certainly stands."""
+WANDER_S = 1.0
+FULL = 0.6
+"""Duration of the blocks whose speeds are compared [s], and the share in which a robot is seen."""
 POINTS = np.arange(-2.0, 3.0)
 """Dead times of a parabola, in standard deviations."""
 MIDDLE = len(POINTS) // 2
@@ -167,6 +170,27 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
         pace = np.hypot(way[..., 0], way[..., 1]) / np.where(apart > 0, apart, 1.0)
         paces.append(np.where(measured, pace, np.nan))
     return _usual(np.concatenate(paces))
+
+
+def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
+    """Return the standard deviation of the speed of each robot (N,) between blocks of WANDER_S,
+    over its mean speed: 0 if it is seen in one block only."""
+    wanders = []
+    for robot in range(tracks[0].used.shape[1]):
+        paces: list[float] = []
+        for track in tracks:
+            x, y, heading = track.poses[:, robot].T
+            turned = np.asarray(wrap(np.diff(heading)))
+            way = np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))
+            apart_s = np.diff(track.time[:, robot])
+            seen = track.used[1:, robot] & track.used[:-1, robot]
+            block = ((track.time[1:, robot] - track.time[0, robot]) / WANDER_S).astype(np.int64)
+            ways = np.bincount(block[seen], way.real[seen])
+            durations_s = np.bincount(block[seen], apart_s[seen])
+            is_full = durations_s > FULL * WANDER_S
+            paces += (ways[is_full] / durations_s[is_full]).tolist()
+        wanders.append(np.std(paces) / abs(np.mean(paces)) if len(paces) > 1 else 0.0)
+    return np.array(wanders)
 
 
 def _usual(pace: Floats) -> Floats:

@@ -41,7 +41,6 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.core.table.table import Column, Table
 from tetractl.replay.identification.fit import (
-    DIFFERENCE,
     NORMAL,
     UNLIKELY,
     SampleInterval,
@@ -616,43 +615,44 @@ def _check_unit(source: str, what: str, gain: float, units: dict[float, str]) ->
 
 def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> Floats:
     """Return the standard deviations (11,) of the likeliest vector, with the gains of turns and of
-    ways behind it: the greater of the curvature's and of those of blocks.
+    ways behind it: the greater of the curvature's and of the jackknife's of blocks.
 
-    With s the slopes of ln of the likelihood of each of B blocks, and H its curvature, the
-    covariance is H^-1 (sum of s s') H^-1 B / (B - 1): blocks differ by more than the model says.
+    With s_b and H_b the slope and curvature of ln of the likelihood of each of B blocks, and H that
+    of all, the vector without a block is nearly the likeliest less (H - H_b)^-1 s_b.
     """
     at_best = units.at(likeliest[:SEARCHED])
     unit = np.ones(len(likeliest))
-    turns_x = _turns(steps, at_best).x
-    ways_x = _ways(steps, at_best).x
-    of_gains = [np.diag(np.linalg.inv(x.T @ x)) for x in (turns_x, ways_x)]
+    regressions = (_turns(steps, at_best), _ways(steps, at_best))
+    of_gains = [np.diag(np.linalg.inv(whitened.x.T @ whitened.x)) for whitened in regressions]
     unit[SEARCHED:] = np.sqrt(np.concatenate(of_gains))
 
-    def of_steps(change: Floats) -> Floats:
-        """Return ln of the likelihood of each step (M,) after a change (11,) in these units."""
-        values = likeliest + unit * change
-        parameters = units.at(values[:SEARCHED])
-        turns = _turns(steps, parameters).likelihoods(values[SEARCHED : SEARCHED + 2])
-        ways = _ways(steps, parameters).likelihoods(values[SEARCHED + 2 :])
-        prior = np.square(values[:SEARCHED]).sum() / (2 * PRIOR_STD**2)
-        return turns + ways - prior / len(turns)
+    def of_blocks(changes: Floats) -> Floats:
+        """Return ln of the likelihood of each block (B, V) after changes (1, V, 11) in units."""
+        of_changes = []
+        for values in likeliest + unit * changes[0]:
+            parameters = units.at(values[:SEARCHED])
+            turns = _turns(steps, parameters).likelihoods(values[SEARCHED : SEARCHED + 2])
+            ways = _ways(steps, parameters).likelihoods(values[SEARCHED + 2 :])
+            of_changes.append(np.bincount(steps.block, turns + ways))
+        return np.column_stack(of_changes)
 
-    def scores(changes: Floats) -> Floats:
-        """Return ln of the posterior (1, V) after each of V changes (1, V, 11)."""
-        return np.array([[of_steps(change).sum() for change in changes[0]]])
-
-    _, curvature = derivatives(scores, len(likeliest))
-    value, vector = np.linalg.eigh(curvature[0])
-    inverse = (vector / np.maximum(np.abs(value), PRIOR_STD**-2)) @ vector.T
-    slopes = []
-    for change in DIFFERENCE * np.eye(len(likeliest)):
-        slope = (of_steps(change) - of_steps(-change)) / (2 * DIFFERENCE)
-        slopes.append(np.bincount(steps.block, slope))
-    of_blocks = np.array(slopes)
-    blocks = of_blocks.shape[1]
-    spread = inverse @ np.cov(of_blocks) @ inverse * blocks
+    slopes, curvatures = derivatives(of_blocks, len(likeliest))
+    curvature = curvatures.sum(axis=0)
+    without = [
+        _inverse(curvature - of_block) @ slope
+        for slope, of_block in zip(slopes, curvatures, strict=True)
+    ]
+    blocks = len(without)
+    spread = (blocks - 1) * np.var(without, axis=0)
     wider = stdtrit(blocks - 1, 0.975) / NORMAL
-    return unit * np.sqrt(np.maximum(np.diag(inverse), wider**2 * np.diag(spread)))
+    variance = np.diag(_inverse(curvature))
+    return unit * np.sqrt(np.maximum(variance, wider**2 * spread))
+
+
+def _inverse(curvature: Floats) -> Floats:
+    """Return the inverse of a curvature (K, K), uphill where it is hollow, and with the prior."""
+    value, axes = np.linalg.eigh(curvature)
+    return (axes / np.maximum(np.abs(value), PRIOR_STD**-2)) @ axes.T
 
 
 def _normal(value: float, std: float) -> SampleInterval:

@@ -121,7 +121,8 @@ class Verdict:
     `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
     obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
     obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` is a text on the
-    robots that did not stand still after the stop, "" if all stood still. `edge` (N,) is the least
+    robots that did not stand still after the stop, "" if all stood still; `unrest` names those that
+    may still drive when the trial has ended. `edge` (N,) is the least
     distance of each robot to the edge of the arena, negative outside the arena, and `apart` (N,)
     the least distance of each robot to another robot, inf for a single robot; both are empty in
     older logs. All distances are measured from the robots' centres; the methods count bodies of a
@@ -138,6 +139,7 @@ class Verdict:
     apart: tuple[float, ...] = ()
     turn: tuple[float, ...] = ()
     turn_std: tuple[float, ...] = ()
+    unrest: str = ""
 
     @classmethod
     def unknown(cls, robots: int) -> Self:

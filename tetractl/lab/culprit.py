@@ -45,7 +45,10 @@ SHARE = np.array([0.08, 0.04, 0.1])
 """Share of the way, or the angle, by which it may be wrong in addition."""
 CLEAR = 9.0
 """Difference of two sums of squares by which one explanation is better."""
-CAMERA = "all robots are seen to move as no command does: has the camera or its origin moved?"
+CAMERA = (
+    "all robots are seen to move as no command does: has the camera or its origin moved, or does "
+    "another program drive the robots?"
+)
 RADIO = "all robots move as they were commanded {:.1f} s before: is the radio slow?"
 SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
 

@@ -172,7 +172,8 @@ class Guard:
 
     @property
     def emergency(self) -> bool:
-        """Whether the operator has stopped the robots, for good."""
+        """Whether robots are to latch the stops: the operator has stopped them for good, or plain
+        stops did not hold them."""
         return self._status.emergency
 
     @property

@@ -6,8 +6,8 @@ from tetractl.lab.guard_records import GuardState
 
 
 class GuardStatus:
-    """The guard's `state`, after an abort its `reason`, and whether the operator has stopped all
-    robots for good: an `emergency`.
+    """The guard's `state`, after an abort its `reason`, and whether all robots are stopped
+    for good, by the operator or as plain stops did not hold them: an `emergency`.
 
     An abort is final, also if another thread enters a state at the same moment.
     """

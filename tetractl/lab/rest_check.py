@@ -11,10 +11,15 @@ of DOUBT: q s, with q = 4 for many poses and more for few (Student's distributio
 more than STILL, as with a slow or coarse camera, nothing is said, and the line is fitted to a time
 twice and four times as long. A jump would pass for noise: of a robot at rest the first and the last
 pose of the last REST_NS differ by JUMP_MM at most.
+
+After a trial (`wait_for_rest`) stops are repeated while a robot is seen to move. After STANDSTILL_S
+the trial does not count. As plain stops did not hold the robots then, or PLAIN_S after an abort,
+since another program drives them or they hear late, the stop that robots latch is sent until all
+stand, for UNREST_S at most. After an abort the robots are watched for WATCHED_S, though they stand.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +28,19 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
 from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.guard_records import GuardState
 from tetractl.lab.rig import Rig
 
 STANDSTILL_S = 2.0
 """Longest time after a stop until the camera sees the robots stand still [s]."""
+WATCHED_S = 3.0
+"""Shortest time for which robots are watched after an abort [s]: some have obeyed 2 s late."""
+PLAIN_S = 1.25
+"""Time after an abort for which plain stops have to hold [s]: wheels roll on for 0.55 s, and half a
+second of poses is examined."""
+UNREST_S = 5.0
+"""Longest time for which the latched stop is repeated, since the first stop [s]: twice what a robot
+that is 2 s late needs, and a half."""
 REST_NS = SECOND // 4
 """Shortest time for which the camera must see robots stand still."""
 LONGER = (1, 2, 4)
@@ -41,6 +55,10 @@ DOUBT = 3e-5
 """Probability that noise alone exceeds a limit, in each direction."""
 LOOK_NS = SECOND // 20
 """Time between two looks at robots that come to rest."""
+LATCHED = (
+    "only an emergency stop held the robots: end the program that drives them, and switch them off "
+    "and on"
+)
 ALIKE = "all robots are seen to move alike ({}), though stopped: do the camera or its origin move?"
 
 
@@ -55,6 +73,33 @@ class RestFinding:
 
 
 STANDS_STILL = RestFinding()
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """How robots came to rest after a trial: the `fault` why it does not count, "" if all stood
+    within STANDSTILL_S; and which robots still do not, as text: those that are seen to move, or for
+    whom a latched stop was needed, and what is to be done; and those that are not seen.
+    """
+
+    fault: str = ""
+    moving: str = ""
+    unseen: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Why the trial does not count, with the robots that move; the fault names unseen ones."""
+        return joined(self.fault, self.moving)
+
+    @property
+    def unrest(self) -> str:
+        """What a person has to know of robots that may still drive, "" for nothing."""
+        return joined(self.moving, self.unseen)
+
+
+def joined(*texts: str) -> str:
+    """Return the texts that are not empty, in one."""
+    return "; ".join(text for text in texts if text)
 
 
 def moving_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
@@ -79,25 +124,78 @@ def drifting_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
     return _moving_alike(findings) or lines
 
 
-def wait_for_rest(rig: Rig) -> str:
-    """Wait until the camera sees every robot stand still; repeat the stop while any robot moves.
-    Robots that cannot stand only have to be tracked.
+def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest:
+    """Wait until the camera sees every robot stand still; repeat the stop while any robot moves, as
+    the head of this module says. Robots that cannot stand only have to be tracked.
 
-    Returns a text that names the robots not at rest or not tracked within STANDSTILL_S, ""
-    if there are none.
+    Once `hurried` is true, it ends STANDSTILL_S after the stop, with one latched stop.
     """
     halts = rig.actuator.halts
     began_ns = rig.clock.now()
+    fault = ""
+    latched = False
     while True:
         lines = _stream_lost(rig) or (moving_robots(rig) if halts else _untracked(rig))
-        waited_ns = rig.clock.now() - began_ns
-        if not lines and (not halts or _watched_since(rig, began_ns)):
-            return ""
-        if waited_ns >= STANDSTILL_S * SECOND:
-            return f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
-        if halts and waited_ns >= 2 * REST_NS and moving_robots(rig, LONGER[:1]):
+        waited_s = (rig.clock.now() - began_ns) / SECOND
+        aborted = rig.guard.state is GuardState.ABORT
+        watched = waited_s >= WATCHED_S or not (halts and aborted) or hurried()
+        if not lines and watched and (not halts or _watched_since(rig, began_ns)):
+            return Rest(fault, _told_moving([], latched))
+        if lines and waited_s >= STANDSTILL_S:
+            fault = fault or f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
+        if lines and waited_s >= (PLAIN_S if aborted else STANDSTILL_S):
+            moving, unseen = _restless(rig) if halts else ([], [])
+            if moving and not rig.guard.emergency:
+                rig.guard.abort(fault, emergency=True)
+                latched = True
+                rig.loop.stop()
+            ends = hurried() or waited_s >= UNREST_S or not moving
+            if fault and watched and ends:
+                return Rest(fault, _told_moving(moving, latched), _told_unseen(unseen))
+        if halts and waited_s >= 2 * REST_NS / SECOND and moving_robots(rig, LONGER[:1]):
             rig.loop.stop()
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+
+
+def _restless(rig: Rig) -> tuple[list[str], list[str]]:
+    """Return the names of the robots that the camera shows moving, also by poses that the guard
+    refuses, none if all move alike, as then the camera does; and of those that it does not show."""
+    window = rig.frames.last(LONGER[1] * REST_NS)
+    if not window or _stream_lost(rig):
+        return [], [rig.setup.names[i] for i in rig.left]
+    shown = [_as_shown(frame) for frame in window]
+    findings = [_at_rest(rig, i, shown, LONGER[:2]) for i in rig.left]
+    moving: list[str] = []
+    unseen: list[str] = []
+    for i, finding in zip(rig.left, findings, strict=True):
+        if finding.motion is not None or _jump_mm(rig, i, shown) > JUMP_MM:
+            moving.append(rig.setup.names[i])
+        elif finding.text:
+            unseen.append(rig.setup.names[i])
+    return [] if _moving_alike(findings) else moving, unseen
+
+
+def _as_shown(frame: AcceptedFrame) -> AcceptedFrame:
+    """Return a frame as if the guard had accepted every pose in it."""
+    poses = frame.frame.poses
+    fresh = tuple(pose is not None for pose in poses)
+    return AcceptedFrame(frame.frame, poses, fresh, frame.frame.exposed_ns)
+
+
+def _told_moving(names: Sequence[str], latched: bool) -> str:
+    """Return what is said of robots that still move, or once all stand by a latched stop."""
+    if names:
+        return f"still moves: {', '.join(names)}: switch {_them(names)} off"
+    return LATCHED if latched else ""
+
+
+def _told_unseen(names: Sequence[str]) -> str:
+    """Return what is said of robots that are not seen to stand, "" for none."""
+    return f"not seen to stand: {', '.join(names)}: look at {_them(names)}" if names else ""
+
+
+def _them(names: Sequence[str]) -> str:
+    return "it" if len(names) == 1 else "them"
 
 
 def _watched_since(rig: Rig, began_ns: int) -> bool:
@@ -177,29 +275,34 @@ def _timed_poses(window: Sequence[AcceptedFrame], i: int) -> dict[int, Pose]:
 
 def _jumped(rig: Rig, window: Sequence[AcceptedFrame]) -> list[str]:
     """Return one line for each robot whose pose has jumped within the last `REST_NS`."""
-    since_ns = window[-1].frame.sampled_ns - REST_NS
     lines: list[str] = []
     for i in rig.left:
-        timed = _timed_poses(window, i)
-        poses = [pose for exposed_ns, pose in timed.items() if exposed_ns >= since_ns]
-        if not poses:
-            continue
-        first = poses[0]
-        last = poses[-1]
-        jump_mm = math.hypot(last.x - first.x, last.y - first.y) * rig.mm
+        jump_mm = _jump_mm(rig, i, window)
         if jump_mm > JUMP_MM:
             name = rig.setup.names[i]
             lines.append(f"{name} still moves (by {jump_mm:.0f} mm in a quarter second)")
     return lines
 
 
+def _jump_mm(rig: Rig, i: int, window: Sequence[AcceptedFrame]) -> float:
+    """Return how far apart the first and the last pose of robot i within the last `REST_NS` are,
+    0 without poses."""
+    since_ns = window[-1].frame.sampled_ns - REST_NS
+    timed = _timed_poses(window, i)
+    poses = [pose for exposed_ns, pose in timed.items() if exposed_ns >= since_ns]
+    if not poses:
+        return 0.0
+    return math.hypot(poses[-1].x - poses[0].x, poses[-1].y - poses[0].y) * rig.mm
+
+
 def _moving_alike(findings: Sequence[RestFinding]) -> list[str]:
-    """Return a line that all robots move in the same way; [] if they do not."""
+    """Return a line that all robots move in the same way; [] if they do not, or if all turn on the
+    spot: a picture that turned would move them differently."""
     motions = [finding.motion for finding in findings if finding.motion is not None]
     if len(motions) < len(findings) or len(findings) < 2:
         return []
     array = np.array(motions)
-    if np.any(np.ptp(array, axis=0) > 2 * STILL):
+    if np.any(np.ptp(array, axis=0) > 2 * STILL) or np.all(abs(array[:, 2]) > 2 * STILL[2]):
         return []
     return [ALIKE.format(_rates(array.mean(axis=0)))]
 

@@ -32,7 +32,7 @@ from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import RobotWatch, WatchesRobots
 from tetractl.lab.guard_records import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
-from tetractl.lab.rest_check import LONGER, REST_NS, drifting_robots, wait_for_rest
+from tetractl.lab.rest_check import LONGER, REST_NS, Rest, drifting_robots, wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.plant.lab_frames import LabFrames
 
@@ -211,8 +211,11 @@ class LabPlant:
         as not at rest.
         """
         guard = self.rig.guard
-        not_at_rest = wait_for_rest(self.rig) if self.rig.frames.newest else ""
+        rest = Rest()
+        if self.rig.frames.newest:
+            rest = wait_for_rest(self.rig, self._supervision.cancelled)
         self._check_pause("after the stop")
+        not_at_rest = rest.reason
         if not_at_rest:
             self._note("error", not_at_rest)
         if guard.dropped:
@@ -226,7 +229,7 @@ class LabPlant:
         self._settled = True
         turn, turn_std = guard.drift.turning()
         verdict = self._frames.verdict(self._final(), not_at_rest)
-        return replace(verdict, turn=turn, turn_std=turn_std)
+        return replace(verdict, unrest=rest.unrest, turn=turn, turn_std=turn_std)
 
     def close(self) -> None:
         """Release camera and actuator."""

@@ -296,7 +296,9 @@ def how_it_ended(
     plug-in's part in the first error, `dead` which robots do not move, "" for none."""
     error = loop.error or halt.error
     if error is not None:
-        return Outcome.ABORTED, fault.message if fault else message_of(error)
+        why = fault.message if fault else message_of(error)
+        unrest = halt.verdict.unrest
+        return Outcome.ABORTED, f"{why}; {unrest}" if unrest else why
     if halt.verdict.not_at_rest:
         return Outcome.ABORTED, halt.verdict.not_at_rest
     return loop.outcome, loop.reason or dead

@@ -64,7 +64,7 @@ def at_rest(camera, rates=STILL, who=(), seed=1):
         show_drift(lab, rates, who, camera.noise, seed)
         with lab.plant.rig as rig:
             lab.clock.sleep_until(SECOND // 2)
-            return wait_for_rest(rig)
+            return wait_for_rest(rig).fault
 
 
 @pytest.mark.parametrize("camera", [MOTIVE, COARSE], ids=["120 Hz", "20 Hz, coarse"])
@@ -144,3 +144,87 @@ def test_a_robot_whose_pose_has_just_jumped_is_not_at_rest(ago_s):
         lab.clock.sleep_until(SECOND)
         (line,) = moving_robots(rig)
     assert line.startswith("green still moves (")
+
+
+def moving_until(lab, ends_s, who=GREEN, begins_s=0.0):
+    """Let a lab's camera show robots `who` driving at 100 mm/s from a time to another."""
+
+    def poses_of(frame):
+        driven_s = min(frame.sampled_ns / SECOND, ends_s) - begins_s
+        x_mm = 100.0 * max(0.0, driven_s)
+        poses = enumerate(frame.poses)
+        return tuple(Pose(p.x + x_mm * (i in who), p.y, p.heading) for i, p in poses)
+
+    show(lab, poses_of)
+
+
+def rest_of(lab, hurried=False, aborted=False):
+    """What is found of the robots of a lab after a trial, which stops were sent, and the time."""
+    emergencies = []
+    stop = lab.actuator.stop
+
+    def noted(emergency=False):
+        emergencies.append(emergency)
+        return stop(emergency=emergency)
+
+    lab.actuator.stop = noted
+    with lab.plant.rig as rig:
+        lab.clock.sleep_until(SECOND // 2)
+        if aborted:
+            rig.guard.abort("green moves along its heading as no command does")
+        rest = wait_for_rest(rig, lambda: hurried)
+        return rest, emergencies, lab.clock.now() / SECOND
+
+
+def test_robots_that_plain_stops_do_not_hold_are_sent_one_that_they_latch_and_are_named():
+    lab = fake_lab(SETUP)
+    moving_until(lab, 100.0, (0, 2))
+    rest, emergencies, now_s = rest_of(lab)
+    assert rest.fault.startswith("2 s after the stop: green still moves (100 mm/s")
+    assert rest.unrest == "still moves: green, red: switch them off"
+    first_latched = emergencies.index(True)
+    assert first_latched >= 10
+    assert all(emergencies[first_latched:])
+    assert 5.4 <= now_s <= 6.0  # the trial ended at 0.5 s
+
+
+def test_robots_that_only_a_latched_stop_holds_are_said_to_be_so():
+    lab = fake_lab(SETUP)
+    moving_until(lab, 3.0)
+    rest, emergencies, _ = rest_of(lab)
+    assert emergencies[-1]
+    assert "only an emergency stop held the robots" in rest.unrest
+
+
+def test_a_robot_that_drives_on_two_seconds_after_an_abort_is_stopped_again():
+    """It stands when the trial is aborted, and obeys from 2 s to 2.5 s after."""
+    lab = fake_lab(SETUP)
+    moving_until(lab, 3.0, GREEN, begins_s=2.5)
+    rest, emergencies, now_s = rest_of(lab, aborted=True)
+    assert emergencies
+    assert now_s >= 3.0
+    assert "green" in rest.fault
+
+
+def test_a_robot_that_stands_is_watched_no_longer_than_a_signal_allows():
+    """`lab stop` kills a run after 4 s."""
+    rest, emergencies, now_s = rest_of(fake_lab(SETUP), hurried=True, aborted=True)
+    assert rest.unrest == ""
+    assert emergencies == [False] * len(emergencies)
+    assert now_s < 1.5
+
+
+def test_a_robot_that_is_not_seen_to_stand_is_named():
+    lab = fake_lab(SETUP)
+    show(lab, lambda frame: (*frame.poses[:2], None))
+    rest, _, _ = rest_of(lab, aborted=True)
+    assert rest.unrest == "not seen to stand: red: look at it"
+    assert "red" in rest.fault
+
+
+def test_robots_are_not_latched_if_only_the_camera_moves():
+    lab = fake_lab(SETUP)
+    show_drift(lab, (6.0, -8.0, 0.0), ALL)
+    rest, emergencies, _ = rest_of(lab)
+    assert rest.unrest == ""
+    assert not any(emergencies)

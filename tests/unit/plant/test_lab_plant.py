@@ -297,7 +297,10 @@ def test_a_robot_that_turns_on_the_spot_does_not_stand():
 
     lab.world.advance = spinning
     not_at_rest = lab.plant.settle().not_at_rest
-    assert not_at_rest == "2 s after the stop: blue still moves (0 mm/s, +3.00 rad/s)"
+    assert not_at_rest == (
+        "2 s after the stop: blue still moves (0 mm/s, +3.00 rad/s); "
+        "still moves: blue: switch it off"
+    )
 
 
 def test_a_pose_that_turns_in_a_pause_aborts():

@@ -23,6 +23,7 @@ from tetractl.lab.actuators.xbee.frames import (
 )
 from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
 from tetractl.lab.cobs import Flag
+from tetractl.model.wheels import Counts
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.port import PseudoPort, RobotRadio, uart_ns
@@ -92,6 +93,11 @@ class EmulatedRadio(RobotRadio):
     def stop_elsewhere(self, sequence: int) -> None:
         """Transmit an emergency stop that no program of ours has sent."""
         self._transmit(encode_command(BroadcastCommand(sequence, Flag.EMERGENCY_STOP)))
+
+    def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
+        """Transmit a command of another program, that all robots drive by these counts."""
+        numbers = 1 + max(robot.index for robot in self.robots)
+        self._transmit(encode_command(BroadcastCommand(sequence, Flag.RUN, (counts,) * numbers)))
 
     def poll_answers(self) -> None:
         """Send the answers that robots have ready; to be called about every millisecond."""

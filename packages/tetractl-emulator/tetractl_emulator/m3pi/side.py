@@ -9,13 +9,15 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
-from tetractl_emulator.faults import Fault, Share, fault_kind, settings
+from tetractl.model.wheels import Counts
+from tetractl_emulator.faults import Fault, Share, Undo, fault_kind, settings
 from tetractl_emulator.firmware import RobotCore
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
@@ -31,6 +33,7 @@ from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 Count = Annotated[int, Field(ge=-127, le=127)]
+ELSEWHERE_NS = SECOND // 100  # between two commands of another program
 SERIES_1 = (0x1744, 0x10EC)  # HV and VR of a module with 802.15.4
 SERIES_2 = (0x1944, 0x21A7)  # HV and VR of one with Zigbee
 
@@ -82,6 +85,12 @@ FAULTS = (
         settings(robot_of, index=attrgetter("id"), core=lambda f: RobotCore(f.id)),
         fields={"robot": Name, "id": Annotated[int, Field(ge=0, le=31)]},
     ),
+    fault_kind(
+        "driven_elsewhere",
+        "Another program on the radio sends all robots these counts, 100 times a second.",
+        lambda fault, device: device.drive_elsewhere(fault.counts),
+        fields={"counts": tuple[Count, Count]},
+    ),
     *WHEELED_FAULTS,
 )
 
@@ -131,6 +140,22 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
             stage.note,
         )
         self.radios = [self.radio]
+
+    def drive_elsewhere(self, counts: Counts) -> Undo:
+        """Let robots hear another program that drives them, until the fault ends."""
+        ends_ns = NEVER
+
+        def send(sequence: int) -> None:
+            if self.timeline.now_ns < ends_ns:
+                self.radio.drive_elsewhere(sequence % 256, counts)
+                self.timeline.at(self.timeline.now_ns + ELSEWHERE_NS, lambda: send(sequence + 1))
+
+        def end() -> None:
+            nonlocal ends_ns
+            ends_ns = self.timeline.now_ns
+
+        send(0)
+        return end
 
 
 def _of_wheels(true: TrueRobot) -> dict[str, Any]:

@@ -39,7 +39,7 @@ class Outcome(StrEnum):
             Outcome.NO_BETTER_PLAN: "stopped, as no plan found was worth its time",
             Outcome.STEPS_MAX: "the largest number of control steps was reached",
             Outcome.TIME_LIMIT: "the trial's time was over",
-            Outcome.INTERRUPTED: "the user ended the trial",
+            Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",
             Outcome.ABORTED: "a fault or an error ended the trial",
         }[self]
 

@@ -153,8 +153,9 @@ class InnerLoop:
             yield self.guard
 
     def restart(self, guard: Guard) -> None:
-        """Continue with the guard of newly found robots; forget the frames so far."""
-        with self._lock:
+        """Continue with the guard of newly found robots; forget the frames so far. AbortError if
+        the loop is within a step for too long."""
+        with self.between_steps():
             self.guard = guard
             self.frames = FrameBuffer()
             self._stops.after_abort = False  # this guard has not aborted

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.table.table import NONE
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import listing
@@ -108,8 +107,8 @@ def _of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
 def _too_few(trial: ResultSummary) -> str:
     hidden = _hidden_rad_s(trial)
     return (
-        f"{NONE} (one camera does not tell a pose that turns by up to {hidden:.1f} "
-        f"rad/s while its robot drives from unequal wheels; {LEAST} trials are compared)"
+        f"in fewer than {LEAST} trials it is not noticed if a marker turns on its robot, by up to "
+        f"{hidden:.1f} rad/s, and errors are wrong"
     )
 
 

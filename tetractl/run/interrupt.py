@@ -55,9 +55,12 @@ class Interrupt:
         If `robots` move, the process must not be suspended, since it could not stop them then: so
         Ctrl-Z is a request too, and using the terminal from the background suspends nothing.
         """
-        more = {signal.SIGTSTP: self._on_signal} if robots else {}
-        deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}
-        before = _install({**dict.fromkeys(STOP_SIGNALS, self._on_signal), **more, **deaf})
+        handlers: dict[int, Handler] = dict.fromkeys(STOP_SIGNALS, self._on_signal)
+        if robots and hasattr(signal, "SIGTSTP"):  # Windows suspends nothing
+            handlers[signal.SIGTSTP] = self._on_signal
+            handlers[signal.SIGTTIN] = signal.SIG_IGN
+            handlers[signal.SIGTTOU] = signal.SIG_IGN
+        before = _install(handlers)
         unraisable = sys.unraisablehook
         sys.unraisablehook = self.on_unraisable
         try:

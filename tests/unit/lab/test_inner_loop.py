@@ -71,6 +71,12 @@ def test_the_controller_loses_no_robot_while_the_loop_is_within_a_step(hung):
         hung.plant.observe()
 
 
+def test_a_guard_of_newly_found_robots_does_not_wait_for_a_loop_that_hangs(hung):
+    """Regression: it waited without a limit."""
+    with pytest.raises(AbortError, match="the inner loop did not answer"):
+        hung.plant.rig.loop.restart(hung.plant.rig.guard)
+
+
 def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
     before = len(hung.actuator.sent)
     first = hung.plant.rig.loop.stop()

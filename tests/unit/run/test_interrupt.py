@@ -159,3 +159,13 @@ def test_a_signal_ends_a_process_in_compiled_code(number):
         finally:
             process.kill()
         assert process.stderr.read() == "error: interrupted\n"
+
+
+def test_signals_that_a_system_lacks_are_not_asked_for(monkeypatch):
+    """Regression: a run with robots named SIGTSTP, which Windows does not have."""
+    for name in ("SIGTSTP", "SIGTTIN", "SIGTTOU"):
+        monkeypatch.delattr(signal, name)
+    interrupt = Interrupt()
+    with interrupt.watch(robots=True):
+        signal.raise_signal(signal.SIGINT)
+    assert interrupt.requested

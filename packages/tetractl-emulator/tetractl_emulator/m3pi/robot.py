@@ -321,14 +321,42 @@ class EmulatedRobots:
         if not steps.ends_ns:
             return wheeled
         seconds = (steps.now_ns - steps.settled_ns) / SECOND
+        loads = self._loads(seconds)
         if wheeled.targets.any() or wheeled.wheels.any():
             wheeled.drive(steps.settled_ns, np.array(steps.ends_ns))
         steps.settle()
-        for robot, left_mm_s, right_mm_s in zip(self.robots, *wheeled.wheels.tolist(), strict=True):
-            robot.battery.draw(
-                min((abs(left_mm_s) + abs(right_mm_s)) / FULL_LOAD_MM_S, 1.0), seconds
-            )
+        for robot, load in zip(self.robots, loads, strict=True):
+            robot.battery.draw(load, seconds)
         return wheeled
+
+    def _loads(self, seconds: float) -> list[float]:
+        """Return the mean load of each robot's battery in a time from now on, in which its wheels
+        follow the same speeds: however often it is asked for, the same charge is drawn."""
+        body = self._wheeled.body
+        return [
+            (
+                _turned(left, left_target, lag_s, seconds)
+                + _turned(right, right_target, lag_s, seconds)
+            )
+            / (FULL_LOAD_MM_S * seconds)
+            for left, right, left_target, right_target, lag_s in zip(
+                *body[3:7].tolist(), body[LAG].tolist(), strict=True
+            )
+        ]
+
+
+def _turned(mm_s: float, target_mm_s: float, lag_s: float, seconds: float) -> float:
+    """Return how far a wheel of a speed turns, to and fro, in a time in which it follows another
+    speed."""
+    if lag_s <= 0:
+        return abs(target_mm_s) * seconds
+    if mm_s * target_mm_s < 0:  # it turns one way until it stands, then the other
+        stands_s = lag_s * math.log(1 - mm_s / target_mm_s)
+        if stands_s < seconds:
+            first_mm = _turned(mm_s, target_mm_s, lag_s, stands_s)
+            return first_mm + _turned(0.0, target_mm_s, lag_s, seconds - stands_s)
+    followed_s = lag_s * -math.expm1(-seconds / lag_s)
+    return abs(target_mm_s * seconds + (mm_s - target_mm_s) * followed_s)
 
 
 def _stands(ahead_s: float, wheels: RollingWheels) -> bool:

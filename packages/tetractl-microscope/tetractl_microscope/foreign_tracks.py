@@ -123,6 +123,8 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     first one on, which a rate that is given makes of any table.
     """
     headers = columns_of(path)
+    if not headers:
+        raise UsageError(f"{path}: has no rows")
     names = {name.lower(): name for name in headers}
     if set(TRACKMATE) <= set(names):
         return _trackmate(path, names, rate_hz, remarks)
@@ -142,7 +144,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     if missing:
         has = ", ".join(printable(header) for header in headers[:COLUMNS_SAID])
         said = f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {has}"
-        raise UsageError(said, "tracks have the columns particle, frame, x, y")
+        raise UsageError(said, "tracks have the columns particle, frame, x, y, in the first line")
     across = [_size_of_place(place) for place in places]
     tracks, x, y = read_numbers(path, (number, *places)).T
     tall = across[1].size / across[0].size if across[0].size and across[1].size else 1.0

@@ -218,8 +218,9 @@ def _show_tracks(
     directions = None if field is None else read_field(field, y_down)
     remarks: list[str] = []
     tracks = spot_tracks(source, scale, rate, remarks)
+    ui.tell(*remarks)
     cells = swimming_tracks(source, tracks, directions is not None)
-    ui.tell(*remarks, *cells.remarks)
+    ui.tell(*cells.remarks)
     if directions is not None and field is not None:
         times = cells.timing.stated or [0.0]
         ui.tell(*clock_remarks(directions, str(field), str(source), times[0], times[-1]))

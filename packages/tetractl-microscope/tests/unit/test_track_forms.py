@@ -292,3 +292,17 @@ def test_a_broken_graph_is_one_line_without_an_address_of_a_library(tmp_path):
         poses(path)
     assert "http" not in error.value.message and "directed" in error.value.message
     assert "\n" not in error.value.message
+
+
+def test_a_table_without_rows_is_named(tmp_path):
+    (tmp_path / "a.csv").write_text("particle,frame,y,x\n")
+    with pytest.raises(UsageError, match=r"a\.csv: has no rows"):
+        poses(tmp_path / "a.csv", UM, HZ)
+
+
+def test_lines_above_the_header_as_of_imaris_are_said(tmp_path):
+    header = "Position X,Position Y,Position Z,Time,TrackID,ID"
+    (tmp_path / "a.csv").write_text(f"Position\n========\n{header}\n1,2,0,1,1,0\n")
+    with pytest.raises(UsageError, match="its columns are Position") as error:
+        poses(tmp_path / "a.csv", UM, HZ)
+    assert "in the first line" in str(error.value.hint)

@@ -62,7 +62,8 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
         raise UsageError(
             f"{source}: pictures are {period_s:.3g} s apart, but a heading is the direction of "
             f"motion over {COURSE_S:g} s",
-            f"film at {math.ceil(RATE_MIN)} pictures/s or more; if times are in ms, name their column time_ms",
+            f"film at {math.ceil(RATE_MIN)} pictures/s or more; if times are in ms, name their "
+            "column time_ms",
         )
     onwards = [onward_of_track(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
     if hardly_any_goes_on(onwards):

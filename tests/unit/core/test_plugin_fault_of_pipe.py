@@ -1,0 +1,37 @@
+"""A reader of the output that ends early is no fault of the plug-in that prints."""
+
+import io
+
+import pytest
+
+from tetractl.core.plugin_fault import plugin_fault
+
+
+class UnreadStream(io.StringIO):
+    """A stream whose reader has ended."""
+
+    def flush(self):
+        raise BrokenPipeError
+
+
+PACKAGES = {"plug-in": "1.0"}
+
+
+def exit_of_rich():
+    """Return what rich raises if nothing reads what it prints."""
+    error = SystemExit(1)
+    error.__context__ = BrokenPipeError()
+    return error
+
+
+def test_an_output_without_a_reader_blames_no_plugin(monkeypatch):
+    """Regression: `track | true`: "plug-in command 'track' raised SystemExit: 1"."""
+    assert plugin_fault(exit_of_rich(), PACKAGES) is None
+    monkeypatch.setattr("sys.stdout", UnreadStream())
+    assert plugin_fault(BrokenPipeError(), PACKAGES) is None
+
+
+@pytest.mark.parametrize("error", [SystemExit(1), BrokenPipeError(), ValueError("x")])
+def test_other_ends_are_still_of_the_plugin(error):
+    """A pipe of a device that breaks is one: stdout has a reader."""
+    assert plugin_fault(error, PACKAGES) is not None

@@ -8,7 +8,8 @@ standard deviations. Of the explanations
     the camera:   its picture shifts, turns and grows, least sum of |z_j - G_j g|^2 + |g|^2
     the radio:    all follow their commands later,     sum of |z_j|^2 with delayed commands
 
-one of the last two must be better than the first by CLEAR. G_j g is the motion of pose j if the
+one of the last two must be better than the first by CLEAR, and that of the radio below CLEAR a
+robot, as one that is carried moves as it never was commanded. G_j g is the motion of pose j if the
 picture moves at g, over LIKELY_RATES. For the camera, motion is compared as in `drift_check`; for
 the radio, commands are integrated with each delay up to LATEST_NS, and the first explanation may
 have any delay up to DELAY_NS.
@@ -119,7 +120,10 @@ class Culprit:
         others = np.array(robots) != suspect
         camera = self._camera(robots, others)
         radio = self._radio(robots, others)
-        if radio.common + CLEAR < max(radio.one_robot, min(camera.common, camera.one_robot)):
+        late = radio.common < CLEAR * len(robots)
+        if late and radio.common + CLEAR < max(
+            radio.one_robot, min(camera.common, camera.one_robot)
+        ):
             return RADIO.format(radio.delay_ns / SECOND)
         return CAMERA if camera.common + CLEAR < camera.one_robot else ""
 

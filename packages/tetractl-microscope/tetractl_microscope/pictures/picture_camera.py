@@ -14,7 +14,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Grey, Pose
 from tetractl.core.worker import LOOK_S, WAITING_MAX, drained
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
@@ -80,6 +80,7 @@ class PictureCamera(ABC, Generic[S]):
         self._newest: Grey | None = None
         self._number = self._skipped = 0
         self._ended = ""
+        self._failure: Exception | None = None  # that of the thread that searches
         self._changed = threading.Condition()
         self._closing = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -103,7 +104,9 @@ class PictureCamera(ABC, Generic[S]):
         return self._feed is not None and self._feed.emulated
 
     def frames(self) -> list[CameraFrame]:
-        """Return the frames since the last call, oldest first."""
+        """Return the frames since the last call, oldest first; raise what ended the search."""
+        if self._failure is not None:
+            raise self._failure
         return [fresh.frame for fresh in drained(self._fresh) if self._is_current(fresh.seen)]
 
     def _is_current(self, seen: S) -> bool:
@@ -203,10 +206,17 @@ class PictureCamera(ABC, Generic[S]):
                         self._skipped += 1
 
     def _find(self) -> None:
-        while not self._closing.is_set():
-            with suppress(queue.Empty):
-                number, picture = self._next.get(timeout=LOOK_S)
-                self._search(number, picture)
+        try:
+            while not self._closing.is_set():
+                with suppress(queue.Empty):
+                    number, picture = self._next.get(timeout=LOOK_S)
+                    self._search(number, picture)
+        except Exception as error:  # the thread that asks for frames raises it
+            self._failure = error
+            self._ended = f"the search of pictures has ended: {text_of(error)}"
+            with self._changed:
+                self._changed.notify_all()
+            self._wake()
 
     def _search(self, number: int, picture: Picture) -> None:
         began = self._clock.now()

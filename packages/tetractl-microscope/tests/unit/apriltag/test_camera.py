@@ -78,6 +78,25 @@ def test_every_picture_of_a_film_is_a_frame(tmp_path):
     assert camera.damaged == 0
 
 
+def test_an_error_of_the_search_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):
+    """Regression: it ended the thread that searches, and nothing said why no frames came."""
+    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 2)))
+    see = camera._see
+
+    def fail_at_second(grey, exposed):
+        if woken.count == 1:
+            raise ValueError("no such tag")
+        return see(grey, exposed)
+
+    monkeypatch.setattr(camera, "_see", fail_at_second)
+    with camera:
+        woken.wait(lambda: woken.count == 2)
+        with pytest.raises(ValueError, match="no such tag"):
+            camera.frames()
+        (problem, *_) = camera.check().problems
+    assert problem == "the search of pictures has ended: ValueError: no such tag"
+
+
 def test_the_health_of_a_good_camera_tells_its_facts(tmp_path):
     shots = pictures(rendered(), 8)
     camera, woken = built(film(tmp_path / "film.avi", shots))

@@ -1,9 +1,13 @@
 """A cell in one picture, and what is said of it: its name, and where it appeared."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from tetractl.core.poses import Floats
+
+POINT_UM = 1e-6  # length and width that stand for those of a blob without a size
 
 
 class PathBlob(NamedTuple):
@@ -64,6 +68,29 @@ class SeenCell:
     measured: tuple[float, ...] | None
     blob_um: Floats | None
     sure: bool = True
+
+    def on_blob(self) -> "SeenCell":
+        """Return the cell with its middle moved straight to the edge of the ellipse of its blob if
+        it was outside; one that the picture's edge cuts off has no size, and is at the middle.
+        """
+        if self.blob_um is None:
+            return self
+        middle = self.blob_um[:2]
+        off = np.array((self.x, self.y)) - middle
+        away = float(to_edge(off, *np.nan_to_num(self.blob_um[2:], nan=POINT_UM)))
+        if away <= 1.0:
+            return self
+        x, y = (middle + off / away).tolist()
+        return replace(self, x=x, y=y)
+
+
+def to_edge(off: Floats, axis: Floats, long: Floats, wide: Floats) -> Floats:
+    """Return distances (...) of points from the middles of ellipses, by their offsets (..., 2), as
+    shares of the distances of the ellipses' edges in the same directions.
+    """
+    along = off[..., 0] * np.cos(axis) + off[..., 1] * np.sin(axis)
+    across = off[..., 1] * np.cos(axis) - off[..., 0] * np.sin(axis)
+    return np.hypot(2 * along / long, 2 * across / wide)
 
 
 @dataclass(frozen=True, slots=True)

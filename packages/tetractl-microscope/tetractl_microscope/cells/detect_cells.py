@@ -19,7 +19,6 @@ from tetractl_microscope.cells.knocks import moved, shift_of
 
 STRIPES = 16  # number of stripes of the background; each picture updates one
 LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
-RELEARNING = 0.5  # the weight where the picture keeps differing from the background
 SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
 ROWS_PX = 300_000  # most pixels of each picture that a median takes at a time
 BOX = 1.2  # side of the averaged squares, relative to a square of the least area
@@ -32,7 +31,9 @@ NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
 BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
 CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
 EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
-GHOST = 2.0  # least ratio of grey levels' deviations where a body is only in the background
+# least ratio of differences from what is around, in the background and in the picture, where a body
+# is only in the background
+GHOST = 2.0
 RAMP = 0.2, 0.6  # differences between which a weight rises, relative to the body's greatest mean
 BODIES = 4  # bodies in a region
 NEXT = 0.5  # least peak of each, relative to the first's
@@ -105,15 +106,18 @@ class Light:
 
 
 class Background:
-    """The learned picture without cells, in fractions of grey levels and in whole ones."""
+    """The picture without cells, in fractions of grey levels and in whole ones, and as it was when
+    it was `learned`."""
 
     def __init__(self, fine: NDArray[np.float32]) -> None:
         self.fine = fine
+        self.learned = fine.copy()
         self.grey = _grey(cv2.convertScaleAbs(fine))
 
     def move(self, shift_px: tuple[float, float]) -> None:
         """Move it with the picture's content: columns to the right, rows down."""
         self.fine = np.asarray(moved(self.fine, shift_px), np.float32)
+        self.learned = np.asarray(moved(self.learned, shift_px), np.float32)
         self.grey = _grey(cv2.convertScaleAbs(self.fine))
 
     def follow_knock(self, smooth: Grey, gain: float) -> tuple[float, float]:
@@ -131,12 +135,10 @@ class Background:
         self.fine[part][wrong] = levels[wrong]
         self.grey[part][wrong] = np.clip(self.fine[part][wrong], 0, 255)
 
-    def update(self, rows: slice, levels: NDArray[np.float32], calm: Grey, still: Grey) -> None:
-        """Let rows approach `levels`, slowly where a mask `calm` says so and quickly where `still`
-        does."""
+    def update(self, rows: slice, levels: NDArray[np.float32], calm: Grey) -> None:
+        """Let rows approach `levels` slowly where a mask `calm` says so."""
         fine = self.fine[rows]
         cv2.accumulateWeighted(levels, fine, LEARNING, calm)
-        cv2.accumulateWeighted(levels, fine, RELEARNING, still)
         self.grey[rows] = cv2.convertScaleAbs(fine)
 
 
@@ -164,8 +166,8 @@ class SearchArrays:
     """The newest picture, and what differs in it from the background; of pictures of one shape.
 
     `smooth` is the blurred picture, `difference` that from the background, `mean` its averages over
-    squares, `mask` those above the lower of `limits`. `followed_mask` is the mask of each row when
-    the background was updated by it last, `stripe` the stripe that is next.
+    squares, `mask` those above the lower of `limits`. `stripe` is the stripe of the background that
+    is updated next.
     """
 
     def __init__(self, picture: Grey) -> None:
@@ -174,7 +176,6 @@ class SearchArrays:
         self.difference: Grey = np.zeros_like(picture)
         self.mean = np.empty(picture.shape, np.float32)
         self.mask: Grey = np.zeros_like(picture)
-        self.followed_mask: Grey = np.zeros_like(picture)
         self.stripe = 0
 
     def next_stripe(self) -> slice:
@@ -339,15 +340,24 @@ class BlobFinder:
     def _without_ghosts(
         self, candidates: Sequence[Blob], gain: float, background: Background
     ) -> list[Blob]:
-        """Return the blobs that are in the picture, and correct the background where one is only
-        there. One after the other, since blobs may share a rectangle.
+        """Return the blobs that show bodies, and correct the background where they do not: the
+        picture is there as it was when the background was learned, or a body is only in the
+        background. One after the other, since blobs may share a rectangle.
         """
         blobs: list[Blob] = []
         for blob in candidates:
-            now = self._newest.smooth[blob.part]
-            if _is_ghost(now, background.grey[blob.part], gain):
-                wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
-                background.correct(blob.part, wrong, now / gain)
+            part = blob.part
+            now = self._newest.smooth[part].astype(np.float32) / gain
+            body = blob.body > 0
+            around = cv2.dilate(blob.body, _square(self.least_px2)) > 0
+            ring = around & (self._newest.mask[part] == 0)
+            fine = background.fine[part]
+            off_learned = gain * float(np.abs(now - background.learned[part])[body].mean())
+            if off_learned < self._newest.limits.low:
+                background.correct(part, around, now)
+            elif _is_ghost(now, fine, body, ring):
+                background.correct(part, around, now)
+                background.learned[part][around] = now[around]
             else:
                 blobs.append(blob)
         return blobs
@@ -362,17 +372,12 @@ class BlobFinder:
         top = rows_of_stripe.start
         if top == rows_of_stripe.stop:  # a picture with fewer rows than stripes
             return
-        mask = newest.mask[rows_of_stripe]
-        mask_before = newest.followed_mask[rows_of_stripe]
-        still = mask & mask_before
-        calm = 1 - mask
-        mask_before[:] = mask
+        calm = 1 - newest.mask[rows_of_stripe]
         for left, upper, right, lower in keep:
             rows = slice(max(0, upper - top), max(0, lower - top))
-            for updated in (still, calm):
-                updated[rows, max(0, left) : max(0, right)] = 0
+            calm[rows, max(0, left) : max(0, right)] = 0
         scaled = newest.smooth[rows_of_stripe].astype(np.float32) / self.light.gain
-        self._background.update(rows_of_stripe, scaled, calm, still)
+        self._background.update(rows_of_stripe, scaled, calm)
         self._relearn_if_lost()
 
     def _relearn_if_lost(self) -> None:
@@ -384,11 +389,15 @@ class BlobFinder:
                 self.learn(self._lost.sample)
 
 
-def _is_ghost(now: Grey, background: Grey, gain: float) -> bool:
-    """Return whether a part of a picture is even, and the same part of the background is not."""
-    sd_now = cv2.meanStdDev(now)[1].item()
-    sd_before = cv2.meanStdDev(background)[1].item()
-    return gain * sd_before >= GHOST * max(sd_now, 1.0)
+def _is_ghost(
+    now: NDArray[np.float32], background: NDArray[np.float32], body: Bools, ring: Bools
+) -> bool:
+    """Return whether a body is only in a part of the background: it differs GHOST times less from
+    the unchanged ring around it in the same part of a picture.
+    """
+    level = background[ring].mean() if ring.any() else np.median(background)
+    off_now = float(np.abs(now - level)[body].mean())
+    return float(np.abs(background - level)[body].mean()) >= GHOST * max(off_now, 1.0)
 
 
 class Box(NamedTuple):

@@ -12,7 +12,7 @@ cell that it most probably shows, its *certainty* the probability of that number
   assignment of cells to tracks.
 - A question ends once one assignment is certain, or after a time (`Names.answer`).
 - A *doubt* multiplies the certainty of a track by a share about which nothing can be asked later.
-  In a film's table, a track of a certainty below PASSED_ON gets a new number.
+  In a film's table, a track of a certainty below ASSERTED gets a new number.
 
 Each row of the filter has one owner, which frees it: a track without an open question, a cell of a
 meeting, a lost cell, or an open question; a track's `row` then is one of its question's.
@@ -40,8 +40,8 @@ from tetractl_microscope.cells.lost_cells import LostCell, LostCells
 from tetractl_microscope.cells.meetings import ORDERED_MOST, PLACE_SD, Meetings
 
 LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
-ASSERTED = 0.99  # probability above which no question is asked, and a name is called sure
-PASSED_ON = 0.9  # least probability with which a film goes on with a name
+# probability above which no question is asked, a name goes on in a film, and is called sure
+ASSERTED = 0.99
 FIRST_SD = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 REMEMBERED_S = 0.5  # time for which a meeting with something unknown is remembered
@@ -194,7 +194,7 @@ class Names:
     def _come_back(self, track: CellTrack, place: Floats, since_s: float, expected: float) -> None:
         """Give a new track the name and the filter row of a lost cell, if it probably is one."""
         back = self._lost.likeliest(track, place, since_s, expected)
-        least = PASSED_ON if self._splits else LIKELIER
+        least = ASSERTED if self._splits else LIKELIER
         if back is None or back.probability <= least:
             return
         x, y, axis = place.tolist()
@@ -332,7 +332,7 @@ class Names:
             track.question = None
             track.size = cell.size
             certainty = float(shares[t]) * cell.certainty
-            if self._splits and certainty < PASSED_ON:
+            if self._splits and certainty < ASSERTED:
                 # the new number's cell is any of those asked about
                 self._bank.mix(track.row, question.rows[t], question.on_track(t))
             self._set_certainty(track, certainty)
@@ -353,7 +353,7 @@ class Names:
     def _set_certainty(self, track: CellTrack, certainty: float) -> None:
         """Set the certainty of a track's name; if a film's is too low, give it a new name."""
         track.certainty = certainty
-        if self._splits and certainty < PASSED_ON:
+        if self._splits and certainty < ASSERTED:
             track.identity = self.take_number()
             track.certainty = 1.0
 

@@ -154,7 +154,9 @@ class CellTracker:
         """Find the blobs of a picture, and move all objects if it was shifted by a knock."""
         blobs = self.finder.find(picture)
         light = self.finder.light
-        self.blobs = [] if light.lost else blobs
+        (shortest_um, _), _ = self.bank.organism.outline_um
+        bodies = [blob for blob in blobs if blob.at_edge or blob.long * self.um_px > shortest_um]
+        self.blobs = [] if light.lost else bodies
         columns, rows = light.shift_px
         if columns or rows:
             self._shift(columns * self.um_px, -rows * self.um_px)
@@ -403,6 +405,6 @@ class CellTracker:
                     track=cell.number,
                     measured=None if newest is None else newest.measured,
                     blob_um=None if newest is None else newest.place,
-                )
+                ).on_blob()
             )
         return said

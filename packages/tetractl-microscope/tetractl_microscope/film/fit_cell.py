@@ -415,7 +415,7 @@ class _Fit:
         poses = self.bodies + np.nan_to_num(off - np.clip(off, -reach, reach))
         rows = np.column_stack([poses, self.states[:, HEADING]]).tolist()
         cells = tuple(
-            replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
+            replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state).on_blob()
             for cell, (x, y, axis, heading), state in zip(
                 path.sightings, rows, self.states, strict=True
             )

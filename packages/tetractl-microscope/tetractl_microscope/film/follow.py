@@ -116,6 +116,7 @@ def follow(
         where.answer(answer)
     pairs = fill_pairs(where, seen_as.organism.body_um[0])
     where.split()
+    where.end_at_gaps()
     contrasts = [light.contrast for light in lights if light.contrast is not None]
     contrast = float(np.median(contrasts)) if contrasts else None
     limit, noise = np.median([(light.limit, light.noise) for light in lights], axis=0).tolist()

@@ -2,8 +2,8 @@
 
 A blob moves if its middle differs, by more than half of its contrast and than noise, from the same
 place both before and after it, in the same sense, by the time in which followed cells swim AWAY. It
-is followed if a cell is shown within half of its length. Blobs that the picture's edge cuts off do
-not count.
+is followed if a cell that has a blob is shown on it. Blobs that the picture's edge cuts off do not
+count.
 """
 
 import math
@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tetractl.core.poses import Floats, Grey
+from tetractl_microscope.cells.cell import to_edge
 from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.cells.picture_now import pixels_of
 from tetractl_microscope.film.kinematics import way_um
@@ -23,6 +24,9 @@ EVERY = 3  # every third picture is examined
 AWAY = 0.75  # way that followed cells swim between the pictures that are compared [lengths]
 CORE = 0.25  # radius of a blob's middle that is compared, in its widths
 DIFFERS = 0.5  # share of a blob's contrast by which a place differs if the blob has left it
+# distance of a cell's place from the middle of its blob, as a share of that of the blob's edge, up
+# to which it is on the blob: a smoothed place is at its edge at most
+BESIDE = 1.01
 BLOBS_MIN = 20  # fewest moving blobs of which a share is stated
 
 BEFORE, NOW, AFTER = range(3)
@@ -31,13 +35,16 @@ BEFORE, NOW, AFTER = range(3)
 @dataclass(slots=True)
 class _Examined:
     """The B blobs of one picture: columns and rows of their middles (B, 2), radii of these (B,)
-    [px], lengths (B,) [px], differences (B,) by which a place differs if its blob has left it, and
-    the grey levels (3, B) there, less those of their surroundings, before, now and after.
+    [px], axes (B,) [rad], lengths and widths (B,) [px], differences (B,) by which a place differs
+    if its blob has left it, and the grey levels (3, B) there, less those of their surroundings,
+    before, now and after.
     """
 
     middles: Floats
     radii: Floats
+    axes: Floats
     lengths: Floats
+    widths: Floats
     differences: Floats
     levels: Floats
 
@@ -58,12 +65,14 @@ class Unfollowed:
         inside = [blob for blob in blobs if not blob.at_edge]
         if len(self._times) % EVERY or not inside:
             return
-        rows = np.array([(b.x, b.y, b.wide, b.long, b.strength) for b in inside])
+        rows = np.array([(b.x, b.y, b.axis, b.long, b.wide, b.strength) for b in inside])
         self._blobs[number] = _Examined(
             middles=rows[:, :2],
-            radii=CORE * rows[:, 2],
+            radii=CORE * rows[:, 4],
+            axes=rows[:, 2],
             lengths=rows[:, 3],
-            differences=np.maximum(DIFFERS * np.abs(rows[:, 4]), limit),  # more than noise
+            widths=rows[:, 4],
+            differences=np.maximum(DIFFERS * np.abs(rows[:, 5]), limit),  # more than noise
             levels=np.full((3, len(inside)), np.nan),
         )
 
@@ -82,7 +91,8 @@ class Unfollowed:
         self._measure(film, AWAY * body_um / usual_um_s)
         places_in = defaultdict[int, list[tuple[float, float]]](list)
         for path in paths:
-            for _, number, cell in path.pictures():
+            followed = (row for row in path.pictures() if row[2].has_blob)
+            for _, number, cell in followed:
                 places_in[number].append((cell.x, cell.y))
         moving = 0
         missed = 0
@@ -97,8 +107,9 @@ class Unfollowed:
             near = np.zeros(len(moves), bool)
             if places_in[number]:
                 places = pixels_of(np.array(places_in[number]), um_px, self._height)
-                away = np.linalg.norm(blobs.middles[:, None] - places[None], axis=-1).min(axis=1)
-                near = away < np.maximum(blobs.lengths, body_um / um_px) / 2
+                off = places[:, None] - blobs.middles
+                away = to_edge(off, blobs.axes, blobs.lengths, blobs.widths)
+                near = away.min(axis=0) < BESIDE
             moving += int(moves.sum())
             missed += int((moves & ~near).sum())
         return missed / moving if moving >= BLOBS_MIN else None

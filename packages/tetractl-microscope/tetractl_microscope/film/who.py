@@ -19,7 +19,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, CellAnswer, SeenCell
 from tetractl_microscope.cells.helix import STATES
-from tetractl_microscope.cells.names import ASSERTED, LIKELIER, PASSED_ON
+from tetractl_microscope.cells.names import ASSERTED, LIKELIER
 from tetractl_microscope.cells.newcomers import MUST_SWIM
 from tetractl_microscope.cells.readings import AXIS, POSITION_UM
 from tetractl_microscope.cells.tracking import CellTracker
@@ -196,6 +196,20 @@ class Whereabouts:
             row.name = name
             was_merged = row.cell.merged
 
+    def end_at_gaps(self) -> None:
+        """Give the rows of a name after pictures that do not show it another name: they may show
+        another cell.
+        """
+        names = self.new_names()
+        rows = [row for track_rows in self.tracks.values() for row in track_rows]
+        rows.sort(key=lambda row: (row.name, row.picture))
+        for named in [list(group) for _, group in groupby(rows, key=lambda row: row.name)]:
+            name = named[0].name
+            for before, row in pairwise(named):
+                if row.picture > before.picture + 1:
+                    name = next(names)
+                row.name = name
+
     def paths(self, organism: Organism) -> Iterator[CellPath]:
         """Yield the cells in the order of their numbers, except those whose path is too short, that
         move more slowly than the organism for most of the time, or to and fro, or that are hardly
@@ -265,10 +279,10 @@ def _uncertain_parts(rows: list[TrackRow]) -> Iterator[UncertainPart]:
     """Yield each part of a track in which its name is uncertain, but no part whose name is the same
     before and after, nor that with which the track begins.
     """
-    runs = groupby(rows, lambda row: row.likely > PASSED_ON)
+    runs = groupby(rows, lambda row: row.likely > ASSERTED)
     before = None
     for run, later in pairwise([*(list(run) for _, run in runs), list[TrackRow]()]):
-        if run[0].likely > PASSED_ON:
+        if run[0].likely > ASSERTED:
             before = run[-1].name
             continue
         after = later[0].name if later else None

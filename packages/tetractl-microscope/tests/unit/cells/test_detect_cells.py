@@ -221,3 +221,27 @@ def test_nothing_exceeds_the_limits_before_a_picture_was_searched():
     search_arrays = SearchArrays(np.zeros((SIDE, SIDE), np.uint8))
     assert search_arrays.limits.low > brightest
     assert search_arrays.limits.high > brightest
+
+
+def test_ground_that_a_body_covered_for_long_is_no_body_afterwards():
+    """A body stands over a grain for 2 s, away from all that is followed, and leaves."""
+    dish = Dish(-0.25, noise=3.0)
+    x, y, _ = dish.specks[0]
+    blob_finder = finder(dish)
+    stands = (x + 8, y, 0.4)
+    picture = dish.picture([stands])
+    for _ in range(60):
+        blobs = blob_finder.find(picture)
+        blob_finder.follow([])
+    assert matched(blobs, [stands]) != [None]
+    assert blob_finder.find(dish.picture([])) == []
+
+
+def test_what_left_the_background_beside_a_swimmer_leaves_no_ghost():
+    dish = Dish(-0.4, noise=3.0)
+    blob_finder = BlobFinder(90, 2800)
+    gone = (160.0, 160.0, 0.0)
+    swims = (160.0, 178.0, 0.0)
+    blob_finder.learn([dish.picture([gone])] * 9)
+    blobs = blob_finder.find(dish.picture([swims]))
+    assert [math.dist((b.x, b.y), swims[:2]) < 2 for b in blobs] == [True]

@@ -466,15 +466,17 @@ def test_an_uncertain_part_goes_on_after_a_picture_that_does_not_show_its_track(
     assert [row.name for row in where.tracks[7]] == names
 
 
-def test_a_track_goes_on_with_a_likely_number_that_is_not_called_sure():
+def test_a_number_likelier_than_nine_in_ten_ends_as_any_that_is_not_sure():
     cells = [
         seen_cell(3 if k < 60 else 4, 4.0 * k, 0.0, 7, 1.0 if k < 30 else 0.95) for k in range(90)
     ]
     where = recorded([{7: cell} for cell in cells], np.arange(90) / 30.0)
     where.split()
+    where.end_at_gaps()
     paths = list(where.paths(TETRAHYMENA))
-    assert [path.identity for path in paths] == [3, 4]
-    assert [cell.sure for cell in paths[0].sightings] == [True] * 30 + [False] * 30
+    sure_of = {path.identity: {cell.sure for cell in path.sightings} for path in paths}
+    assert sure_of[3] == {True}
+    assert 4 not in sure_of
 
 
 @pytest.mark.parametrize(
@@ -511,3 +513,13 @@ def test_a_file_that_is_no_film_says_what_it_is(tmp_path, head, says):
     (tmp_path / "tracks").write_bytes(head)
     with pytest.raises(UsageError, match=says):
         open_film(tmp_path / "tracks", 30.0)
+
+
+def test_a_number_ends_where_pictures_do_not_show_it():
+    pictures = [
+        {1: seen_cell(1, 10.0 * k, 50.0, track=1)} if k not in (8, 9) else {} for k in range(20)
+    ]
+    where = recorded(pictures, np.arange(20) / 10)
+    where.end_at_gaps()
+    names = [row.name for row in where.tracks[1]]
+    assert names == [1] * 8 + [2] * 10

@@ -1,5 +1,7 @@
 """How much of what moves is not followed, in films whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.dish_films import film, followed
@@ -88,3 +90,19 @@ def test_a_film_says_that_half_of_its_cells_are_not_followed(monkeypatch):
     share = rows_of(few) / rows_of(tracked)
     assert few.not_followed == pytest.approx(1 - share, abs=0.08)
     assert any("of what moves, " in line for line in notes(few, ()))
+
+
+def test_a_number_without_a_blob_and_one_beside_a_body_follow_nothing():
+    counted = Unfollowed()
+    for number in range(COUNT):
+        places = [middle(lane, number) for lane in range(3)]
+        body = np.ones((1, 1), np.uint8)
+        blobs = [Blob(x, y, 0.0, LONG, WIDE, 80.0, body, (0, 0), False) for x, y in places]
+        counted.add(number, number / 30, LIMIT, blobs)
+    pictures = [(number, picture(number)) for number in range(COUNT)]
+    ghost = path(0)
+    unseen = tuple(replace(cell, has_blob=False) for cell in ghost.sightings)
+    beside_um = 0.4 * LONG * UM_PX  # nearer than half of a body's length, and further than its edge
+    beside = tuple(replace(cell, y=cell.y + beside_um) for cell in path(1).sightings)
+    paths = [replace(ghost, sightings=unseen), replace(path(1), sightings=beside)]
+    assert counted.share(pictures, paths, UM_PX, BODY_UM) == pytest.approx(1.0, abs=0.02)

@@ -6,13 +6,15 @@
     python benchmarks/films.py kept      the rows of earlier runs with --keep NAME
     python benchmarks/films.py time      processor time a picture, of each part
     python benchmarks/films.py real      what is said of a given film, at several scales
+    python benchmarks/films.py reversed  bodies under positions of a given film, links that the film
+                                         run backwards contradicts, bodies followed; trackpy's, too
 
 `score` gives each film in four ways: with the field's record and without, at the film's 30 Hz, and
 every third picture alone, at 10 Hz.
 
-Every film is synthetic, except those given to `real`. Both renderers were made by the hands that
-made the tracker. Seeds from 9000 on are those of the published figures; smaller ones were used in
-development. Films stay in the folder --cache, and are not rendered twice.
+Every film is synthetic, except those given to `real` and `reversed`. Both renderers were made by
+the hands that made the tracker. Seeds from 9000 on are those of the published figures; smaller ones
+were used in development. Films stay in the folder --cache, and are not rendered twice.
 """
 
 import argparse
@@ -194,10 +196,26 @@ def times(chosen: argparse.Namespace) -> None:
                 print(f"| {name} | median {p50:.1f}, p99 {p99:.1f}, n {len(values)} |", flush=True)
 
 
+def of_film(chosen: argparse.Namespace) -> None:
+    """Print what is known of a film without a truth."""
+    if chosen.part == "real":
+        from filmworld.real import report as say
+
+        say(chosen.film, chosen.scale, chosen.rate)
+        return
+    from filmworld.without_truth import report
+
+    scale = chosen.scale[0] or None
+    report(chosen.film, chosen.organism, chosen.rate, scale, chosen.darker)
+
+
+PARTS = {"render": render, "score": score, "peers": peers, "kept": kept, "time": times}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("part", choices=("render", "score", "peers", "kept", "time", "real"))
-    parser.add_argument("film", type=Path, nargs="?", help="the film of `real`")
+    parser.add_argument("part", choices=(*PARTS, "real", "reversed"))
+    parser.add_argument("film", type=Path, nargs="?", help="the film of `real` and `reversed`")
     parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
     parser.add_argument("--setting", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
@@ -208,19 +226,23 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--scale", type=float, nargs="+", default=[0.0], help="of `real`; 0: none")
     parser.add_argument("--rate", type=float, help="of `real`, if it states none")
+    parser.add_argument("--organism", default="euglena", help="of `reversed`")
+    parser.add_argument(
+        "--darker",
+        type=float,
+        default=8.0,
+        help="of `reversed`: grey levels of a body; < 0: lighter",
+    )
     chosen = parser.parse_args()
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
-    if chosen.part == "real":
-        from filmworld.real import report
-
+    if chosen.part not in PARTS:
         if chosen.film is None:
-            parser.error("real needs a film")
-        report(chosen.film, chosen.scale, chosen.rate)
+            parser.error(f"{chosen.part} needs a film")
+        of_film(chosen)
         return
-    parts = {"render": render, "score": score, "peers": peers, "kept": kept, "time": times}
     with tempfile.TemporaryDirectory() as folder:
         chosen.cache = chosen.cache or Path(folder)
-        parts[chosen.part](chosen)
+        PARTS[chosen.part](chosen)
 
 
 if __name__ == "__main__":

@@ -228,3 +228,10 @@ def test_robots_are_not_latched_if_only_the_camera_moves():
     rest, emergencies, _ = rest_of(lab)
     assert rest.unrest == ""
     assert not any(emergencies)
+
+
+@pytest.mark.parametrize("camera", [MOTIVE, COARSE], ids=["120 Hz", "20 Hz, coarse"])
+@pytest.mark.parametrize("speed", [20.0, 60.0])
+def test_a_robot_that_creeps_while_it_should_stand_is_named(speed, camera):
+    said = at_rest(camera, (speed, 0.0, 0.0), GREEN)
+    assert said.startswith(f"2 s after the stop: green still moves ({speed:.0f} mm/s")

@@ -98,7 +98,8 @@ dist: $(STAMP)
 	@$(BIN)/python tools/dist.py $(DIST)
 
 # All pages as a site, to be opened without a network: build/docs/docs/site/index.html.
-docs: $(STAMP)
+docs: $(RUNTIME)
+	@$(PIP) -e '.[docs]'
 	@$(BIN)/python -m sphinx -W --keep-going -q -c docs/site . build/docs
 	@echo "Open build/docs/docs/site/index.html in a browser"
 

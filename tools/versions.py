@@ -17,7 +17,8 @@ def lowest() -> dict[str, str]:
     for file in (ROOT / "pyproject.toml", *ROOT.glob("packages/*/pyproject.toml")):
         project = tomllib.loads(file.read_text())["project"]
         extras = project.get("optional-dependencies", {})
-        for requirement in [*project["dependencies"], *extras.get("dev", [])]:
+        of_tests = [*extras.get("dev", []), *extras.get("docs", [])]
+        for requirement in [*project["dependencies"], *of_tests]:
             if match := re.fullmatch(r"([\w.-]+)>=([\w.]+)", requirement):
                 name, version = match.groups()
                 if found.setdefault(name, version) != version:

@@ -395,7 +395,7 @@ def of_groups(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> 
     if not any(group.counted for group in groups):
         return ""
     links = {path: f"#trial-{number}" for path, number in numbers.items()}
-    drawing = svg(batch_figure(groups, links)).decode()
+    drawing = svg(batch_figure(groups, links, narrow=True)).decode()
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
     drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)

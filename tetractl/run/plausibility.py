@@ -43,6 +43,12 @@ COARSE = 2.0
 """Largest product of turning rate a and time per signal T: above it, headings computed by the
 paper's equation (6) oscillate with a growing amplitude.
 """
+A_MAX = 60.0
+"""Turning rate above which a robot is doubted [rad/s]: the fastest published here, a microjet,
+has 25 rad/s."""
+WHEELS_M = (0.005, 0.3)
+"""Distances of a wheel from the centre that are accepted [m]: toio cubes 0.013, m3pi 0.04, iRobot
+Create 0.13, the largest robots of laboratories 0.27."""
 OVERSHOOTING = ("euler", "arc")
 """The motions whose heading advances by the paper's equation (6)."""
 ROBOTS_ALIKE = 0.05
@@ -177,6 +183,26 @@ def angles_of_many_turns(context: CheckContext) -> Findings:
         if problem is not None:
             text, hint = problem
             yield warning(where, text, hint)
+
+
+def turns_faster_than_robots(context: CheckContext) -> Findings:
+    """Turning rates above A_MAX, which are probably in degrees a second."""
+    for i, rate in enumerate(context.setup.a.tolist()):
+        if rate > A_MAX:
+            text = f"is {rate:g} rad/s: the robot turns to any direction within {3 / rate:.2g} s"
+            hint = f"if these are degrees a second, write {math.radians(rate):.4g}"
+            yield warning(("robots", i, "a"), text, hint)
+
+
+def robots_of_another_size(context: CheckContext) -> Findings:
+    """Wheels so far from the centre, or so near, that the unit of length is probably wrong."""
+    setup = context.setup
+    if setup.wheel_radius is None:
+        return
+    radius_m = setup.wheel_radius * setup.metres
+    if not WHEELS_M[0] <= radius_m <= WHEELS_M[1]:
+        text = f"makes robots with {2 * radius_m:.3g} m from wheel to wheel"
+        yield warning(("wheels", "radius"), text, f"is units.length, {setup.unit}, right?")
 
 
 def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
@@ -498,6 +524,8 @@ def hold_too_tight(context: CheckContext) -> Findings:
 
 RULES: tuple[Callable[[CheckContext], Findings], ...] = (
     angles_of_many_turns,
+    turns_faster_than_robots,
+    robots_of_another_size,
     plan_outlasts_trial,
     coarse_period,
     unknown_dead_time,

@@ -39,6 +39,10 @@ robots.2.heading <- robots.red.heading=90
   6.283 rad | write 1.571
 robots.2.heading <- robots.red.heading=-7
   6.283 rad | write -0.1222
+robots.0.a <- robots.green.a=360
+  360 rad/s: .* within 0.0083 s | write 6.283
+wheels.radius <- units.length=cm
+  0.8 m from wheel to wheel | is units.length, cm, right
 robots.1.a <- robots.blue.a=6
   is that of green, .* error of the 2 is 575.6 mm | different a
 robots.1.a <- robots.blue.a=5.9
@@ -338,3 +342,33 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     assert len(solved) > 5
     assert len(warned) > 3
     assert not solved & warned
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "robots.green.a=25.1",  # a microjet at 2 mT, the fastest published
+        "robots.green.a=60",
+        "wheels.radius=13.3",  # toio
+        "wheels.radius=130",  # iRobot Create
+        "wheels.radius=270",  # the largest robots of laboratories
+    ],
+)
+def test_fast_robots_and_wheels_of_real_robots_are_believed(change):
+    assert not {"robots.0.a", "wheels.radius"} & set(found(THREE, change))
+
+
+def test_the_same_robots_in_metres_are_believed():
+    spec = parse_spec(IN_METRES, "metres")
+    assert "wheels.radius" not in {warning.field for warning in find_warnings(spec)}
+
+
+IN_METRES = """
+name: metres
+units: {length: m}
+arena: {left: 0, bottom: 0, width: 2, height: 2}
+robots:
+  - {name: green, start: [0.3, 0.4], target: [1.3, 0.5], a: 6, speed: 0.18}
+wheels: {radius: 0.04}
+plant: {type: sim}
+"""

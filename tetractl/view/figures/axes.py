@@ -229,7 +229,7 @@ class ErrorScale:
 
     @property
     def logarithmic(self) -> bool:
-        """Whether small errors could not be told apart beside the greatest one."""
+        """Whether small errors could not be distinguished next to the greatest one."""
         return 0 < LOG_FROM * self.least <= self.greatest
 
     def columns(self, errors: Floats) -> Floats:

@@ -14,7 +14,6 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
 
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
@@ -51,8 +50,8 @@ ROOM = 0.05
 """Room beyond the errors of a logarithmic axis, as a fraction of their range."""
 BEYOND = 1.02
 """Limits of the axes of a distribution, over the largest values."""
-DOTS_WIDTH_IN = 0.4 * style.PAGE_IN
-"""Width of the panel of the dots [in], about."""
+NARROW_IN = 4.2
+"""Width of the figure with its panels one above the other, for a page that a phone shows [in]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ class BatchErrors:
 def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
     """Draw the final total errors of each folder's trials; only complete trials count."""
     batches = [_of_folder(name, trials) for name, trials in by_folder(logs).items()]
-    return _drawn(batches, logs[0].experiment, {})
+    return _drawn(batches, logs[0].experiment, {}, narrow=False)
 
 
 def _of_folder(name: str, logs: Sequence[TrialLog]) -> BatchErrors:
@@ -92,14 +91,17 @@ def _of_folder(name: str, logs: Sequence[TrialLog]) -> BatchErrors:
 
 
 def batch_figure(
-    groups: Sequence[BatchStatistics], links: Mapping[str, str] | None = None
+    groups: Sequence[BatchStatistics],
+    links: Mapping[str, str] | None = None,
+    narrow: bool = False,
 ) -> Figure:
     """Draw the total errors of the counted trials of every batch; a headline names the plants.
 
-    `links` maps the path of a trial to the address that its dot links to in an SVG.
+    `links` maps the path of a trial to the address that its dot links to in an SVG. If `narrow`,
+    one panel is above the other.
     """
     batches = [_of_group(group) for group in groups]
-    figure = _drawn(batches, groups[0].experiment, links or {})
+    figure = _drawn(batches, groups[0].experiment, links or {}, narrow)
     drawn = [group for group in groups if group.counted]
     plants = sorted({group.origin.value for group in drawn})
     if len(plants) > 1:
@@ -116,42 +118,54 @@ def _of_group(group: BatchStatistics) -> BatchErrors:
 
 @style.styled()
 def _drawn(
-    batches: Sequence[BatchErrors], experiment: Experiment, links: Mapping[str, str]
+    batches: Sequence[BatchErrors], experiment: Experiment, links: Mapping[str, str], narrow: bool
 ) -> Figure:
     """Draw the batches that have an error; LogError if none has."""
     drawn = [batch for batch in batches if len(batch.totals)]
     if not drawn:
         raise LogError("no complete trial to plot")
-    figure = style.figure(style.PAGE_IN, 3.0)
-    dots, distributions_panel = figure.subplots(1, 2, width_ratios=[1, 1.1])
+    if narrow:
+        figure = style.figure(NARROW_IN, 6.0)
+        dots, distributions_panel = figure.subplots(2, 1)
+        dots_width_in = 0.8 * NARROW_IN
+    else:
+        figure = style.figure(style.PAGE_IN, 3.0)
+        dots, distributions_panel = figure.subplots(1, 2, width_ratios=[1, 1.1])
+        dots_width_in = 0.4 * style.PAGE_IN
     error = f"total error [{unit_of(experiment.units.length)}]"
     style.panel(dots, "a", "each trial, and the mean", y=error)
     style.panel(distributions_panel, "b", "fraction of trials with at most an error", error)
     totals = np.concatenate([batch.totals for batch in drawn])
+    reference = experiment.reference
+    if reference is not None:
+        totals = np.append(totals, reference.mean)
     scale = ErrorScale.of(totals)
     labels = _categories(dots, drawn, scale, links)
-    reference = experiment.reference
     if reference is not None:
         published = published_distribution(reference.n, reference.mean, reference.std)
         _mean(dots, len(labels), published, style.GREY)
-        totals = np.append(totals, [reference.mean, reference.mean + reference.std])
+        totals = np.append(totals, reference.mean + reference.std)
         labels.append(f"published\nn = {reference.n}")
-    name_categories(dots, labels, DOTS_WIDTH_IN)
+    name_categories(dots, labels, dots_width_in)
     _distributions(distributions_panel, drawn)
     if scale.logarithmic:
         log_axis(dots, totals, ROOM, ROOM)
         distributions_panel.set_xscale("log")
-        distributions_panel.set_xlim(left=dots.get_ylim()[0])
-        distributions_panel.xaxis.set_major_formatter(FuncFormatter(lambda error, _: f"{error:g}"))
+        low, _ = dots.get_ylim()
+        _, end = distributions_panel.get_xlim()
+        ticks = [tick for tick in dots.get_yticks() if low <= tick <= end]
+        distributions_panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        distributions_panel.set_xticks([], minor=True)
+        distributions_panel.set_xlim(left=low)
     else:
         dots.set_ylim(bottom=0)
     style.grid_of_heights(dots)
     curves, _ = distributions_panel.get_legend_handles_labels()
-    _legend(figure, curves if len(drawn) > 1 else [])
+    _legend(figure, curves if len(drawn) > 1 else [], 2 if narrow else 4)
     return figure
 
 
-def _legend(figure: Figure, curves: Sequence[Artist]) -> None:
+def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
     """Say what the signs of both panels mean, and which curve is which batch's."""
     signs = [
         style.sign("one trial", marker="o", ms=4, alpha=0.7),
@@ -159,7 +173,7 @@ def _legend(figure: Figure, curves: Sequence[Artist]) -> None:
         style.sign("standard deviation", ls="-", lw=1),
         Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve"),
     ]
-    style.legend(figure, [*signs, *curves], 4)
+    style.legend(figure, [*signs, *curves], columns)
 
 
 def _categories(

@@ -81,7 +81,8 @@ def clock_remarks(
     UsageError if none is."""
     shown_span = Span(film, begin, end)
     sent = Span(source, float(field.times[0]), math.inf)
-    remark = clock_remark(shown_span, field.times, sent)
+    covered = (end - max(begin, sent.begin)) / max(end - begin, 1e-9)  # cells swim all the time
+    remark = clock_remark(shown_span, field.times, sent, covered)
     return () if remark is None else (f"warning: {remark}",)
 
 

@@ -28,7 +28,7 @@ from tetractl.core.table.quantities import (
     truth,
 )
 from tetractl.replay.identification.clocks import Span, clock_remark
-from tetractl.replay.identification.motion import PoseSteps, check_angle, measured
+from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
     SentDirections,

@@ -17,8 +17,9 @@ which commands explain most of the motion, whatever the clocks' difference; from
 and logarithms of the others, and as wide as the differences of blocks of BLOCK_S ask: gains of real
 robots wander over seconds, which no model of white noise and random walks knows.
 
-**Checks.** Robots move along their headings (`motion.check_angle`), and the commands explain their
-turns and ways, with the right sign and in the right units; else the fit would be of something else.
+**Checks.** Robots move along their headings (`measured_motion.check_angle`), and the commands
+explain their turns and ways, with the right sign and in the right units; else the fit would be of
+something else.
 
 **Data.** Steps last at least STEP_S. Left out are steps without a command, since a robot that has
 none stands, and steps FAR times further off than usual: a tracker that takes a body for another.
@@ -47,7 +48,7 @@ from tetractl.replay.identification.fit import (
     derivatives,
 )
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell
-from tetractl.replay.identification.motion import PoseSteps, check_angle, robust_gains
+from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.tracks import Track
 
 STEP_S = 0.1
@@ -118,7 +119,7 @@ SPEED_UNITS = {
 """By what gains are to be multiplied if commands are of another unit, and what to do."""
 SEARCHED = 7
 """Number of the parameters that are searched; behind them in a vector come the gains."""
-BLOCK_S = 10.0
+BLOCK_S = 20.0
 BLOCKS_LEAST = 10
 """Duration of the blocks whose differences give the intervals [s]; and how many there are at least,
 shorter ones."""

@@ -5,7 +5,7 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import wrap
-from tetractl.replay.identification.motion import PoseSteps, check_angle, measured
+from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
 
 RATE_HZ = 20
 SPEED_MM_S = 100.0

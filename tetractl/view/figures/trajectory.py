@@ -471,7 +471,7 @@ def _name_signs(figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: b
         style.sign("end", marker="D", ms=4),
     ]
     if alone:
-        signs.append(style.sign("error", **DOTTED))
+        signs.append(style.sign("error: end to target", **DOTTED))
     if setup.obstacles:
         signs.append(Patch(label="obstacle", **style.OBSTACLE))
     times_s = _marked_times(logs[0]) if alone and len(setup.names) >= NUMBERED else []

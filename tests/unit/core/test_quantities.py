@@ -1,4 +1,4 @@
-"""Directions in degrees are told from directions that count whole turns, by their steps."""
+"""Directions in degrees are distinguished from directions that count turns, by their steps."""
 
 from pathlib import Path
 

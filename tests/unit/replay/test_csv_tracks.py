@@ -503,3 +503,166 @@ def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path)
         file.write("11.5,\n")
     (track,) = csv_tracks([poses, commands])
     assert track.sent.tolist() == drive().commands[:, 0].tolist()
+
+
+# ---- Units, names, one robot, two recordings ----
+
+
+SPEEDS = ["v_mm_s", "v_cm_s", "v [m/s]", "v (mm/s)", "v_um_s", "V_mm_per_s"]
+PER_METRE = [1e3, 1e2, 1.0, 1e3, 1e6, 1e3]
+
+
+@pytest.mark.parametrize(("column", "per_metre"), list(zip(SPEEDS, PER_METRE, strict=True)))
+def test_speeds_are_in_the_unit_of_their_column(tmp_path, column, per_metre):
+    """Regression: the unit was read and dropped, and a speed gain was 0.000951 for 0.951."""
+    poses = POSES.replace("_mm", "_m").replace(",False", ",True")
+    commands = f"time_s,{column},w_rad_s\n0,{0.1 * per_metre},1\n0.2,{0.2 * per_metre},2\n"
+    (track,) = tracks_of(tmp_path, poses, commands)
+    assert track.twists[:, 0] == pytest.approx(np.array([(0.1, 1.0), (0.2, 2.0)]))
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "radius", "row"),
+    [
+        ("left_mm_s", "right_mm_s", "radius_mm", "100,200,50"),
+        ("left_mm_s", "right_mm_s", "radius_m", "100,200,0.05"),
+        ("left_m_s", "right_m_s", "radius_cm", "0.1,0.2,5"),
+        ("left_cm_s", "right_mm_s", "radius_m", "10,200,0.05"),
+        ("left (mm/s)", "right (m/s)", "radius (mm)", "100,0.2,50"),
+    ],
+)
+def test_wheels_are_in_the_units_of_their_columns(tmp_path, left, right, radius, row):
+    poses = POSES.replace(",False", ",True")
+    commands = f"time_s,{left},{right},{radius}\n0,{row}\n0.2,{row}\n"
+    (track,) = tracks_of(tmp_path, poses, commands)
+    assert track.twists[0, 0] == pytest.approx([150.0, 1.0])  # mm/s, as the poses
+
+
+TWO_POSES = "time_s,robot,x_mm,y_mm,heading_rad\n" + "".join(
+    f"{t / 10},{name},{t * 9},{aside},0.1\n"
+    for t in range(8)
+    for name, aside in (("a", 0), ("b", 50))
+)
+ONE_POSES = "time_s,x_mm,y_mm,heading_rad\n" + "".join(
+    f"{t / 10},{t * 9},0,0.1\n" for t in range(8)
+)
+NO_NAME = "time_s,v_mm_s,w_rad_s\n" + "".join(f"{t / 10},90,{t}\n" for t in range(8))
+
+
+def sent_to(*names):
+    """Speeds for some robots."""
+    rows = [f"{t / 10},{name},90,{t}\n" for t in range(8) for name in names]
+    return "time_s,robot,v_mm_s,w_rad_s\n" + "".join(rows)
+
+
+@pytest.mark.parametrize(
+    ("poses", "commands", "names"),
+    [
+        (ONE_POSES, NO_NAME, ("robot",)),
+        (ONE_POSES, sent_to("a"), ("robot",)),
+        (TWO_POSES, NO_NAME, ("a", "b")),
+        (TWO_POSES, sent_to("a", "b"), ("a", "b")),
+        (TWO_POSES, sent_to("a", "b", "c"), ("a", "b")),
+        (TWO_POSES, sent_to("b"), ("b",)),  # a is said to be sent nothing
+    ],
+)
+def test_robots_are_those_of_the_commands(tmp_path, poses, commands, names):
+    (track,) = tracks_of(tmp_path, poses, commands)
+    assert track.names == names
+    assert track.twists[:, :, 1] == pytest.approx(np.tile(np.arange(8.0), (len(names), 1)).T)
+    assert [text for text in track.remarks if "no command is for a" in text] == [
+        text for text in track.remarks if names == ("b",)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("poses", "commands", "says"),
+    [
+        (TWO_POSES, sent_to("1", "2"), "no command is for a, b; commands are for 1, 2"),
+        (TWO_POSES, sent_to("A", "B"), "no command is for a, b; commands are for A, B"),
+        (ONE_POSES, sent_to("a", "b"), "has no column robot, and commands are for a, b"),
+        (TWO_POSES.replace("robot", "body"), NO_NAME, "is at two places at 0 s"),
+    ],
+)
+def test_robots_that_nothing_is_sent_to_are_told(tmp_path, poses, commands, says):
+    """Regression: "robot Robot1 drives in only 0 steps"."""
+    with pytest.raises(UsageError, match=says):
+        tracks_of(tmp_path, poses, commands)
+
+
+def twice(table, later_s=0.0):
+    """A table whose rows follow once more, from their first time or a little later on."""
+    header, *rows = table.splitlines()
+    again = [f"{float(row.split(',')[0]) + later_s},{row.partition(',')[2]}" for row in rows]
+    return "\n".join([header, *rows, *again, ""])
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.05])
+@pytest.mark.parametrize("poses", [ONE_POSES, TWO_POSES])
+def test_two_recordings_in_one_table_are_told(tmp_path, poses, later_s):
+    """Regression: they were to be sorted by time, which mixes them."""
+    with pytest.raises(UsageError, match=r"the time starts again\nhint: .*column trial"):
+        tracks_of(tmp_path, twice(poses, later_s), NO_NAME)
+    with pytest.raises(UsageError, match=r"c\.csv.*the time starts again\nhint: .*column trial"):
+        tracks_of(tmp_path, poses, twice(NO_NAME, later_s))
+
+
+def numbered(table):
+    """Two recordings in one table, with a column trial."""
+    header, *rows = table.splitlines()
+    return "\n".join(["trial," + header, *("1," + r for r in rows), *("2," + r for r in rows), ""])
+
+
+def test_two_recordings_that_are_numbered_are_read(tmp_path):
+    tracks = tracks_of(tmp_path, numbered(ONE_POSES), numbered(NO_NAME))
+    assert [len(track.time) for track in tracks] == [8, 8]
+
+
+def test_rows_sorted_by_robot_are_one_recording(tmp_path):
+    header, *rows = TWO_POSES.splitlines()
+    by_robot = sorted(rows, key=lambda row: row.split(",")[1])
+    (track,) = tracks_of(tmp_path, "\n".join([header, *by_robot, ""]), NO_NAME)
+    assert track.poses.shape == (8, 2, 3)
+
+
+def test_a_header_amid_a_table_is_told(tmp_path):
+    with pytest.raises(UsageError, match="line 10: is the header again"):
+        tracks_of(tmp_path, ONE_POSES + ONE_POSES, NO_NAME)
+
+
+@pytest.mark.parametrize(("units_per_s", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_times_of_a_smaller_unit_are_told(tmp_path, units_per_s, unit):
+    def scaled(table):
+        header, *rows = table.splitlines()
+        times = [
+            f"{float(row.split(',')[0]) * units_per_s},{row.partition(',')[2]}" for row in rows
+        ]
+        return "\n".join([header, *times, ""])
+
+    with pytest.raises(UsageError, match=f"name the column time_{unit}"):
+        tracks_of(tmp_path, scaled(ONE_POSES), scaled(NO_NAME))
+
+
+@pytest.mark.parametrize(
+    ("poses", "commands", "lacks"),
+    [
+        (ONE_POSES.replace("heading_rad", "theta_rad"), NO_NAME, "poses without heading_rad"),
+        (ONE_POSES.replace("time_s", "frame"), NO_NAME, "poses without time_s"),
+        (ONE_POSES.replace("y_mm", "z_mm"), NO_NAME, "poses without y_mm"),
+        (ONE_POSES, NO_NAME.replace("w_rad_s", "turn"), "speeds without w_rad_s"),
+        (ONE_POSES, NO_NAME.replace("v_mm_s", "speed"), "speeds without v_mm_s"),
+        (ONE_POSES, "time_s,left_mm_s,right_mm_s\n0,1,2\n", "wheels without radius_mm"),
+        (ONE_POSES, "time_s,left_mm_s,radius_mm\n0,1,2\n", "wheels without right_mm_s"),
+        (ONE_POSES, "frame,direction_rad\n0,1\n", "directions without time_s"),
+    ],
+)
+def test_the_column_that_is_missing_is_named(tmp_path, poses, commands, lacks):
+    with pytest.raises(UsageError, match=f"contains .*{lacks}: its columns are"):
+        tracks_of(tmp_path, poses, commands)
+
+
+def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
+    header, *rows = ONE_POSES.splitlines()
+    with_speed = "\n".join([header + ",v_mm_s", *(row + ",90" for row in rows), ""])
+    (track,) = tracks_of(tmp_path, with_speed, NO_NAME)
+    assert track.names == ("robot",)

@@ -48,6 +48,14 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
 
     Raises UsageError if the file is not CSV, has no header, or is larger than the limits above.
     """
+    try:
+        yield from _rows(path, csv_lines(path))
+    except csv.Error as error:
+        raise UsageError(f"{path}: is not a CSV file: {error}", "save it as UTF-8") from None
+
+
+def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a CSV file that are not empty, with their numbers; UsageError as above."""
     if not path.is_file():
         said = "is not a regular file" if path.exists() else "no such file"
         raise UsageError(f"{path}: {said}")
@@ -56,8 +64,8 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
     _refuse_archive(path)
     try:
         with path.open(newline="", encoding=_encoding(path)) as stream:
-            yield from _rows(path, _lines(path, stream))
-    except (UnicodeError, csv.Error) as error:
+            yield from _lines(path, stream)
+    except UnicodeError as error:
         raise UsageError(f"{path}: is not a CSV file: {error}", "save it as UTF-8") from None
 
 
@@ -124,13 +132,18 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
         return
     below = list(islice(lines, 1))
     separator = stated or _separator(text, below[0][1] if below else "")
-    header = _entries(text, separator)
+    header = csv_entries(text, separator)
     if comments and any(map(is_number, header)):
         below.insert(0, top)
-        header = _entries(comments[-1], separator)
+        header = csv_entries(comments[-1], separator)
     _check_header(path, header)
     for number, line in chain(below, lines):
-        entries = _entries(line, separator)
+        entries = csv_entries(line, separator)
+        if entries == header:
+            raise UsageError(
+                f"{path}, line {number}: is the header again",
+                "two tables in one file? number them in a column trial, under one header",
+            )
         if any(entries):
             yield CsvRow(number, _cells(path, number, header, entries))
 
@@ -138,15 +151,15 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
 def _separator(header: str, row: str) -> str:
     """Return the separator that makes the most entries of a header; blanks, if none makes two of
     it and blanks make as many of the row below."""
-    best = max(SEPARATORS, key=lambda separator: len(_entries(header, separator)))
+    best = max(SEPARATORS, key=lambda separator: len(csv_entries(header, separator)))
     words = len(header.split())
-    entries = len(_entries(header, best))
+    entries = len(csv_entries(header, best))
     if entries == 1 and 1 < words == len(row.split()):
         return BLANKS
     return best
 
 
-def _entries(line: str, separator: str) -> list[str]:
+def csv_entries(line: str, separator: str) -> list[str]:
     """Return the entries of a line. A quoted entry with line breaks ends at the line's end."""
     if separator == BLANKS:
         return line.split()

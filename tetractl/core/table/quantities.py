@@ -22,8 +22,10 @@ RADIANS_S = {"rad_s": 1.0, "deg_s": math.pi / 180}
 """Units of turning rates [rad/s]."""
 TIME_NAMES = ("time", "t", "timestamp")
 """Names of columns of times, before their units."""
-LENGTHS = ("um", "mm", "cm", "m")
-"""Units of lengths, which are returned as they are."""
+METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Units of lengths [m]."""
+METRES_S = {f"{unit}_s": metres for unit, metres in METRES.items()}
+"""Units of speeds [m/s]."""
 SPELLINGS = {
     "sec": "s",
     "seconds": "s",
@@ -49,12 +51,10 @@ SPELLINGS = {
     "millimeter": "mm",
     "centimeter": "cm",
     "meter": "m",
-    "rad_per_s": "rad_s",
-    "deg_per_s": "deg_s",
 }
 """Other spellings of units."""
-_UNITS = {unit: unit for unit in (*SECONDS, *RADIANS, *RADIANS_S, *LENGTHS)} | SPELLINGS
-_UNITS |= {f"{unit}_s": f"{unit}_s" for unit in LENGTHS}
+_UNITS = {unit: unit for unit in (*SECONDS, *RADIANS, *RADIANS_S, *METRES, *METRES_S)}
+_UNITS |= SPELLINGS
 _BRACKETS = re.compile(r"(.*?)_*[\[(](.*)[\])]")
 _UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Entries that state no number."""
@@ -102,7 +102,7 @@ class NumberColumn:
 
 def name_and_unit(header: str) -> tuple[str, str]:
     """Return the name of a column in lower case and its unit, "" if it states none."""
-    text = re.sub(r"[ _]+", "_", header.strip().lower())
+    text = re.sub(r"[ _]+", "_", header.strip().lower()).replace("_per_", "_")
     match = _BRACKETS.fullmatch(text)
     if match:
         unit = match[2].replace("/", "_")
@@ -146,7 +146,7 @@ def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
 def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angles: Floats) -> None:
     """Raise UsageError for directions (R,) [rad] on some lines that are probably in degrees.
 
-    Directions beyond a whole turn are judged by their steps, since a field that turns on counts its
+    Directions beyond a whole turn are checked by their steps: a field that turns on counts its
     turns: degrees step by more than 2 pi, or, where they are those of a field that rotates, by a
     turn less a step. Of a single direction its size is all that is known.
     """
@@ -173,6 +173,14 @@ def earlier(path: Path, row: CsvRow) -> UsageError:
     return UsageError(
         f"{path}, line {row.line}: the time is earlier than before", "sort the rows by time"
     )
+
+
+def again(path: Path, row: CsvRow, has_robot: bool) -> UsageError:
+    """Return the error that at a row the time starts again."""
+    hint = "two recordings? number them in a column trial"
+    if not has_robot:
+        hint += "; two robots? name them in a column robot"
+    return UsageError(f"{path}, line {row.line}: the time starts again", hint)
 
 
 def truth(path: Path, row: CsvRow, key: str) -> bool:

@@ -12,6 +12,11 @@ COVERED = 0.9
 WITHIN = 2
 """Number of commands in the time seen, below which it is said: the direction hardly changes."""
 
+APART_MAX_S = 0.5
+"""Most time between two poses of robots on wheels that are of use [s]."""
+SMALLER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units in which times may be counted [s]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Span:
@@ -47,3 +52,14 @@ def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> st
             f"{length:.3g} s of {poses.source}: are they in s, as they say?"
         )
     return None
+
+
+def refuse_sparse(source: str, apart_s: float) -> None:
+    """Raise UsageError if poses are too far apart, as of times that are in a smaller unit."""
+    if apart_s <= APART_MAX_S:
+        return
+    units = [unit for unit, seconds in SMALLER.items() if apart_s * seconds <= APART_MAX_S]
+    hint = f"poses must be {APART_MAX_S:g} s apart at most"
+    if units:
+        hint += f"; if its times are in {units[0]}, name the column time_{units[0]}"
+    raise UsageError(f"{source}: the poses of a robot are {apart_s:.3g} s apart", hint)

@@ -4,7 +4,7 @@ directions or speeds that robots were sent in another.
 
 import math
 from array import array
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -14,12 +14,16 @@ import numpy as np
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, turn_problem
 from tetractl.core.table.csv_rows import CsvRow, read_csv
+from tetractl.core.table.motive import is_motive, motive_rows
 from tetractl.core.table.quantities import (
-    LENGTHS,
+    METRES,
+    METRES_S,
     RADIANS,
     RADIANS_S,
     SECONDS,
+    TIME_NAMES,
     NumberColumn,
+    again,
     earlier,
     find_column,
     find_time,
@@ -27,7 +31,7 @@ from tetractl.core.table.quantities import (
     refuse_degrees,
     truth,
 )
-from tetractl.replay.identification.clocks import Span, clock_remark
+from tetractl.replay.identification.clocks import Span, clock_remark, refuse_sparse
 from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
@@ -45,8 +49,17 @@ ROBOTS_MAX = 1000
 TRIALS_MAX = 10_000
 """Largest numbers of robots and trials in CSV files."""
 ORIGIN = "CSV"
-WHEELS = ("v", "left", "right", "radius")
-"""Names of the columns of speeds, before their units."""
+ONE_ROBOT = "robot"
+"""The name of the robot of a table that names none."""
+FORMS = {
+    "poses": ("x_mm", "y_mm", "heading_rad"),
+    "directions": ("direction_rad",),
+    "speeds": ("v_mm_s", "w_rad_s"),
+    "speeds of wheels": ("left_mm_s", "right_mm_s", "radius_mm"),
+}
+"""The columns of each kind of table, besides the time."""
+AGAIN = 0.1
+"""Share of the time so far, from its begin, within which a time that falls starts again."""
 ALONG = 0.5
 """Share of their ways that an angle to the headings explains at least."""
 NO_MEASUREMENT = 0.01
@@ -72,8 +85,8 @@ class _Numbers:
     """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
     direction, time of observation and line of each command, and the column of directions; the time
     constant of the wheels [s], 0 if none is stated; time, speed and turning rate of each of the
-    `twists` of a robot, "" for all. NaN is an unknown number. `newest` are the newest times [s] of
-    what is in the files, by its column and robot. The paths are of the files.
+    `twists` of a robot, "" for all. NaN is an unknown number. `first` and `newest` are the
+    times [s] of what is in the files, by its column and robot. The paths are of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
@@ -84,13 +97,18 @@ class _Numbers:
     lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
     commands_path: Path | None = None
+    first: dict[Series, float] = field(default_factory=dict)
     newest: dict[Series, float] = field(default_factory=dict)
 
     def take_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
         """Return the time of a row, which is not earlier than the row before it of its series;
         UsageError if it is."""
         time = column.number(path, row)
-        if time < self.newest.get(series, -math.inf):
+        first = self.first.setdefault(series, time)
+        newest = self.newest.get(series, time)
+        if time < newest and abs(time - first) <= AGAIN * (newest - first):
+            raise again(path, row, has_robot=bool(series[1]))
+        if time < newest:
             raise earlier(path, row)
         self.newest[series] = time
         return time
@@ -108,7 +126,7 @@ class _PoseColumns:
     def add(self, numbers: _Numbers, row: CsvRow) -> None:
         """Add the pose in a row; it is unknown if it is not valid, or a number is missing."""
         numbers.poses_path = self.path
-        name = row.cells["robot"]
+        name = row.cells.get("robot", "")
         robot = numbers.robots.setdefault(name, len(numbers.robots))
         valid = truth(self.path, row, "valid")
         time = numbers.take_time(self.path, row, self.time, ("poses", name))
@@ -189,7 +207,7 @@ _Columns = _PoseColumns | _DirectionColumns | _TwistColumns | _WheelColumns
 
 def csv_tracks(
     paths: list[Path],
-    rows_of: Callable[[Path], Iterator[CsvRow]] = read_csv,
+    rows_of: Callable[[Path], Iterator[CsvRow]] | None = None,
     shortest_s: float = 0.0,
     on_wheels: bool = True,
 ) -> list[Track]:
@@ -199,15 +217,16 @@ def csv_tracks(
     time_s, direction_rad and perhaps observed_s and lag_s, or of time_s, v_UNIT_s and w_rad_s, or
     of time_s, left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Times may be in other
     units and count from anywhere, angles may be in degrees. Columns log and trial, if present,
-    assign poses and commands to tracks. `rows_of` reads the rows of a file; robots that are seen
-    for less than `shortest_s` [s] are left out. `on_wheels` is False for cells. Raises UsageError
-    if data are missing, very many, or of clocks that do not meet.
+    assign poses and commands to tracks. A table without robot is of one. `rows_of` reads the rows
+    of a file, by default of a table or of Motive. Robots that are seen for less than `shortest_s`
+    [s], or are not sent any speed where others are, are left out. `on_wheels` is False for cells.
+    Raises UsageError if data are missing, very many, or of clocks that do not meet.
     """
     _refuse_twice(paths)
     trials: dict[Trial, _Numbers] = {}
     unit = ""
     for path in paths:
-        rows = rows_of(path)
+        rows = _rows(path) if rows_of is None else rows_of(path)
         first = next(rows, None)
         if first is None:
             raise UsageError(f"{path}: has no rows")
@@ -224,10 +243,43 @@ def csv_tracks(
                 raise UsageError(
                     f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
+    idle = _idle_robots(list(trials.values()))
     tracks = [
-        _track(numbers, unit, trial, shortest_s, on_wheels) for trial, numbers in trials.items()
+        _track(numbers, unit, trial, shortest_s, on_wheels, idle)
+        for trial, numbers in trials.items()
     ]
     return [replace(track, on_wheels=on_wheels) for track in tracks]
+
+
+def _idle_robots(trials: list[_Numbers]) -> set[str]:
+    """Return the robots to which no trial sends a speed; UsageError if there is no other, or if it
+    is not known which robot is sent one."""
+    paths = next((numbers for numbers in trials if numbers.poses_path), _Numbers())
+    seen = {robot for numbers in trials for robot in numbers.robots}
+    sent_to = {robot for numbers in trials for robot in numbers.twists}
+    if "" in sent_to or not sent_to or not seen:
+        return set()
+    receivers = ", ".join(printable(robot) for robot in sorted(sent_to))
+    if seen == {""}:
+        if len(sent_to) == 1:
+            return set()
+        raise UsageError(
+            f"{paths.poses_path}: has no column robot, and commands are for {receivers}",
+            "name the robot of each pose in a column robot",
+        )
+    idle = seen - sent_to
+    if idle == seen:
+        names = ", ".join(printable(robot) for robot in sorted(seen))
+        raise UsageError(
+            f"{paths.commands_path}: no command is for {names}; commands are for {receivers}",
+            "name robots alike in both files",
+        )
+    return idle
+
+
+def _rows(path: Path) -> Iterator[CsvRow]:
+    """Return the rows of a file, which Motive may have exported."""
+    return motive_rows(path) if is_motive(path) else read_csv(path)
 
 
 def _refuse_twice(paths: list[Path]) -> None:
@@ -242,47 +294,68 @@ def _refuse_twice(paths: list[Path]) -> None:
 
 def _columns(path: Path, headers: Collection[str]) -> _Columns:
     """Return the columns of a file of poses or of commands; UsageError if it is neither."""
+    named = {name_and_unit(header)[0] for header in headers}
     time = find_time(path, headers)
-    if time is not None:
-        sent = find_column(path, headers, ("direction",), RADIANS)
-        if sent is not None:
-            observed = find_column(path, headers, ("observed",), SECONDS)
-            lag = find_column(path, headers, ("lag",), SECONDS)
-            return _DirectionColumns(path, time, sent, observed, lag)
-        speeds = {_speed_name(header): header for header in headers}
-        speeds.pop("", None)  # columns that state no speed
-        if speeds:
-            return _speed_columns(path, headers, time, speeds)
+    present: dict[str, int] = {}
+    for form, columns in FORMS.items():
+        names = {name_and_unit(column)[0] for column in columns}
+        if names <= named and time is not None and form != "poses":
+            return _command_columns(path, form, headers, time)
+        present[form] = len(names & named)
+    if present["poses"] == len(FORMS["poses"]) and time is not None:
         heading = find_column(path, headers, ("heading",), RADIANS)
-        if heading is not None and "robot" in headers:
-            unit, x, y = _position_columns(path, headers)
-            return _PoseColumns(path, unit, time, x, y, heading)
+        assert heading is not None
+        unit, x, y = _position_columns(path, headers)
+        return _PoseColumns(path, unit, time, x, y, heading)
+    raise _incomplete(path, headers, present)
+
+
+def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -> UsageError:
+    """Return the error that a table lacks columns of the form of which it has most, `present`."""
     has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SAID])
-    raise UsageError(
-        f"{path}: contains neither poses nor commands: its columns are {has}",
+    likeliest = max(present, key=lambda form: present[form])
+    said = "contains neither poses nor commands"
+    if present[likeliest]:
+        named = {name_and_unit(header)[0] for header in headers}
+        lacks = [] if named & set(TIME_NAMES) else ["time_s"]
+        lacks += [column for column in FORMS[likeliest] if name_and_unit(column)[0] not in named]
+        said = f"contains {likeliest} without {' and '.join(lacks)}"
+    return UsageError(
+        f"{path}: {said}: its columns are {has}",
         "poses have the columns time_s, robot, x_mm, y_mm, heading_rad; commands time_s and "
-        "direction_rad, or time_s, v_mm_s and w_rad_s",
+        "direction_rad, or time_s, v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm",
     )
 
 
-def _speed_name(header: str) -> str:
-    """Return what a column of speeds of wheels states, "" if it is none."""
-    name, unit = name_and_unit(header)
-    return name if name in WHEELS and unit.removesuffix("_s") in LENGTHS else ""
+def _command_columns(
+    path: Path, form: str, headers: Collection[str], time: NumberColumn
+) -> _DirectionColumns | _TwistColumns | _WheelColumns:
+    """Return the columns of commands of a form, with speeds in m/s."""
+    if form == "directions":
+        observed = find_column(path, headers, ("observed",), SECONDS)
+        lag = find_column(path, headers, ("lag",), SECONDS)
+        return _DirectionColumns(
+            path, time, _required(path, headers, "direction", RADIANS), observed, lag
+        )
+    if form == "speeds":
+        speed = _required(path, headers, "v", METRES_S)
+        return _TwistColumns(path, time, speed, _required(path, headers, "w", RADIANS_S))
+    return _WheelColumns(
+        path,
+        time,
+        left=_required(path, headers, "left", METRES_S),
+        right=_required(path, headers, "right", METRES_S),
+        radius=_required(path, headers, "radius", METRES),
+    )
 
 
-def _speed_columns(
-    path: Path, headers: Collection[str], time: NumberColumn, speeds: dict[str, str]
-) -> _TwistColumns | _WheelColumns:
-    """Return the columns of speeds, by what they state; UsageError if one is missing."""
-    rate = find_column(path, headers, ("w",), RADIANS_S)
-    if "v" in speeds and rate is not None:
-        return _TwistColumns(path, time, NumberColumn(speeds["v"]), rate)
-    if {"left", "right", "radius"} <= set(speeds):
-        wheels = [NumberColumn(speeds[name]) for name in ("left", "right", "radius")]
-        return _WheelColumns(path, time, *wheels)
-    hint = "commands have v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm"
-    raise UsageError(f"{path}: a column of the wheels is missing", hint)
+def _required(
+    path: Path, headers: Collection[str], name: str, units: Mapping[str, float]
+) -> NumberColumn:
+    """Return the column of a name that some header has; UsageError if its unit is another."""
+    column = find_column(path, headers, (name,), units)
+    assert column is not None
+    return column
 
 
 def _position_columns(
@@ -290,13 +363,20 @@ def _position_columns(
 ) -> tuple[str, NumberColumn, NumberColumn]:
     """Return the unit of positions, and the columns of x and y in it."""
     named = {name_and_unit(header): header for header in headers}
-    for unit in LENGTHS:
+    for unit in METRES:
         if ("x", unit) in named and ("y", unit) in named:
             return unit, NumberColumn(named["x", unit]), NumberColumn(named["y", unit])
     raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
 
 
-def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float, on_wheels: bool) -> Track:
+def _track(
+    numbers: _Numbers,
+    unit: str,
+    name: Trial,
+    shortest_s: float,
+    on_wheels: bool,
+    idle: set[str],
+) -> Track:
     """Return the track of a trial, its times counted from its first pose."""
     poses_path = numbers.poses_path
     commands_path = numbers.commands_path
@@ -310,18 +390,27 @@ def _track(numbers: _Numbers, unit: str, name: Trial, shortest_s: float, on_whee
     begin = float(rows[:, 0].min())
     rows[:, 0] -= begin
     brief = _brief_robots(numbers, rows, shortest_s)
-    rows = rows[~np.isin(rows[:, 1], list(brief.values()))]
-    names = tuple(robot for robot in numbers.robots if robot not in brief)
-    if not names:
+    robots = {robot: k for robot, k in numbers.robots.items() if robot not in {*brief, *idle}}
+    rows = rows[np.isin(rows[:, 1], list(robots.values()))]
+    if not robots:
         raise UsageError(f"{poses_path}: has no robot that is seen for {shortest_s:g} s")
+    names = tuple(robot or ONE_ROBOT for robot in robots)
     time, poses, valid = _frames(poses_path, rows, len(names))
     _check_degrees(poses_path, poses, valid)
     remarks: list[str] = []
     if on_wheels:
+        refuse_sparse(str(poses_path), min(_usual_gap(of_robot) for of_robot in _seen_at(rows)))
         valid, remarks = _measured(poses_path, names, time, poses, valid)
     if not numbers.twists:
         _check_angles(poses_path, names, time, poses, valid)
-    sent = _twists(numbers, names, begin) if numbers.twists else _directions(numbers, begin)
+    unsent = sorted(idle & set(numbers.robots))
+    if unsent:
+        remarks.append(f"{commands_path}: no command is for {', '.join(map(printable, unsent))}")
+    sent = (
+        _twists(numbers, list(robots), unit, begin)
+        if numbers.twists
+        else _directions(numbers, begin)
+    )
     if not len(sent.when):
         raise UsageError(f"{commands_path}: states no direction")
     until = float(sent.when[-1]) + _usual_gap(sent.when)
@@ -366,11 +455,11 @@ def _refuse_two_places(path: Path, rows: Floats, names: list[str]) -> None:
     twice = np.flatnonzero(at_once & apart)
     if len(twice):
         time, robot = after[twice[0], :2]
-        name = printable(names[int(robot)])
-        raise UsageError(
-            f"{path}: {name} is at two places at {time:.6g} s",
-            "are these poses of several robots, or times that are rounded?",
-        )
+        name = printable(names[int(robot)] or ONE_ROBOT)
+        hint = "are these poses of several robots, or times that are rounded?"
+        if not names[int(robot)]:
+            hint = "several robots? name them in a column robot"
+        raise UsageError(f"{path}: {name} is at two places at {time:.6g} s", hint)
 
 
 def _brief_robots(numbers: _Numbers, rows: Floats, shortest_s: float) -> dict[str, int]:
@@ -383,6 +472,11 @@ def _brief_robots(numbers: _Numbers, rows: Floats, shortest_s: float) -> dict[st
         if np.ptp(rows[of_robot, 0]) < shortest_s:
             brief[robot] = number
     return brief
+
+
+def _seen_at(rows: Floats) -> list[Floats]:
+    """Return the times of each robot [s] in rows (R, 5) of time, robot, x, y and heading."""
+    return [rows[rows[:, 1] == robot, 0] for robot in np.unique(rows[:, 1])]
 
 
 def _usual_gap(times: Floats) -> float:
@@ -511,12 +605,16 @@ def _directions(numbers: _Numbers, begin: float) -> _Sent:
     return _Sent(when - begin, u, frame_age=age)
 
 
-def _twists(numbers: _Numbers, names: tuple[str, ...], begin: float) -> _Sent:
-    """Return the speeds and turning rates in order, their times counted from `begin`."""
+def _twists(numbers: _Numbers, robots: list[str], unit: str, begin: float) -> _Sent:
+    """Return the speeds and turning rates in order, their times counted from `begin`, with speeds
+    in the unit of the poses."""
     of_robot = {robot: np.array(rows).reshape(-1, 3) for robot, rows in numbers.twists.items()}
+    for_all = of_robot.get("", np.zeros((0, 3)))
+    if robots == [""] and len(of_robot) == 1:
+        (for_all,) = of_robot.values()
     when = np.unique(np.concatenate([rows[:, 0] for rows in of_robot.values()]))
-    twists = np.full((len(when), len(names), 2), np.nan)
-    for i, robot in enumerate(names):
-        rows = of_robot.get(robot, of_robot.get("", np.zeros((0, 3))))
-        twists[np.searchsorted(when, rows[:, 0]), i] = rows[:, 1:]
+    twists = np.full((len(when), len(robots), 2), np.nan)
+    for i, robot in enumerate(robots):
+        rows = of_robot.get(robot, for_all)
+        twists[np.searchsorted(when, rows[:, 0]), i] = rows[:, 1:] / (METRES[unit], 1.0)
     return _Sent(when - begin, np.full(len(when), np.nan), twists)

@@ -1,0 +1,207 @@
+"""Files that Motive exports are read as poses: all versions, both vertical axes, both rotations."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from tetractl.core.errors import UsageError
+from tetractl.core.table.motive import is_motive, motive_rows
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
+from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+
+TIMES_S = np.arange(40) / 20
+
+
+def circle(body):
+    """The place (x, y) [m] and heading [rad] of a body on a circle, at TIMES_S, as (M, 3)."""
+    angle = (0.4 + 0.3 * body) * TIMES_S + body
+    radius = 0.2 + 0.1 * body
+    x = radius * np.sin(angle) + 0.5 * body
+    return np.column_stack([x, -radius * np.cos(angle), angle])
+
+
+@dataclass(frozen=True)
+class Export:
+    """How Motive writes three bodies that drive on circles, on a floor 0.1 m above 0."""
+
+    version: str = "1.23"
+    up: str = "y"
+    rotation: str = "Quaternion"
+    units: str = "Meters"
+    markers: bool = True
+    labels: tuple[str, ...] = ("Type", "Name", "ID")
+    bodies: tuple[str, ...] = ("green", "blue", "red")
+    lost: tuple[int, ...] = ()
+    """Frames in which the first body is not tracked."""
+
+    def columns(self, body, name):
+        """The columns of a body: type, name, quantity, axis, and numbers (M,)."""
+        angles = "XYZW" if self.rotation == "Quaternion" else "XYZ"
+        per_metre = {"Meters": 1.0, "Millimeters": 1e3, "Centimeters": 1e2}[self.units]
+        place, turned = self.numbers(circle(body))
+        columns = [
+            ("Rigid Body", name, "Rotation", a, n) for a, n in zip(angles, turned, strict=True)
+        ]
+        columns += [
+            ("Rigid Body", name, "Position", a, per_metre * n)
+            for a, n in zip("XYZ", place, strict=True)
+        ]
+        columns.append(("Rigid Body", name, "Mean Marker Error", "", 0.0002 + 0 * TIMES_S))
+        if self.markers:
+            columns += [
+                ("Rigid Body Marker", f"{name}:Marker1", "Position", a, per_metre * n + 0.03)
+                for a, n in zip("XYZ", place, strict=True)
+            ]
+            columns.append(("Rigid Body Marker", f"{name}:Marker1", "Marker Quality", "", 1.0))
+            columns += [
+                ("Marker", f"{name}:1", "Position", a, per_metre * n)
+                for a, n in zip("XYZ", place, strict=True)
+            ]
+        return columns
+
+    def numbers(self, poses):
+        """Positions (3, M) and rotations (4 or 3, M) along Motive's axes."""
+        x, y, heading = poses.T
+        half = heading / 2
+        none = 0 * x
+        height = none + 0.1
+        if self.up == "y":
+            place = (x, height, -y)
+            quaternion = (none, np.sin(half), none, np.cos(half))
+        else:
+            place = (x, y, height)
+            quaternion = (none, none, np.sin(half), np.cos(half))
+        if self.rotation == "Quaternion":
+            return place, quaternion
+        degrees = np.degrees(heading)
+        if self.up == "z":
+            return place, (none, none, degrees)
+        # of XYZ, Motive states Y from -90 to 90 degrees, and turns by X and Z for the others
+        beyond = np.cos(heading) < 0
+        about_y = np.degrees(np.arcsin(np.sin(heading)))
+        return place, (180.0 * beyond, about_y, 180.0 * beyond)
+
+    def text(self):
+        """The file."""
+        columns = [
+            column for body, name in enumerate(self.bodies) for column in self.columns(body, name)
+        ]
+        rows = [list(row) for row in zip(*[column[:4] for column in columns], strict=True)]
+        types, names, quantities, axes = rows
+        head = [["", label] for label in self.labels] or [["", ""]] * 3
+        above = [head[0] + types, head[1] + names, head[2] + ['"9E20"'] * len(names)]
+        if "Parent" in self.labels:
+            above.append(["", "Parent"] + [""] * len(names))
+        above.append(["", "", *quantities])
+        above.append(["Frame", "Time (Seconds)", *axes])
+        lines = [
+            f"Format Version,{self.version},Take Name,drive,Take Notes,,Capture Frame Rate,"
+            f"20.000000,Rotation Type,{self.rotation},Length Units,{self.units},"
+            "Coordinate Space,Global",
+            "",
+            *map(",".join, above),
+        ]
+        for frame, time_s in enumerate(TIMES_S):
+            cells = [f"{np.broadcast_to(c[4], TIMES_S.shape)[frame]:.6f}" for c in columns]
+            if frame in self.lost:
+                cells = [
+                    "" if c[1].startswith(self.bodies[0]) else t
+                    for c, t in zip(columns, cells, strict=True)
+                ]
+            lines.append(",".join([str(frame), f"{time_s:.6f}", *cells]))
+        return "\n".join(lines) + "\n"
+
+
+EXPORTS = {
+    "1.23, y up": Export(),
+    "1.21, without words in front": Export("1.21", labels=()),
+    "1.25, with parents": Export("1.25", labels=("Type", "Name", "ID", "Parent")),
+    "z up": Export(up="z"),
+    "Euler angles, y up": Export(rotation="XYZ"),
+    "Euler angles, z up": Export(rotation="XYZ", up="z"),
+    "millimetres": Export("1.24", units="Millimeters"),
+    "centimetres": Export("1.24", units="Centimeters"),
+    "no markers": Export(markers=False),
+    "one body": Export(bodies=("green",)),
+    "not tracked at times": Export(lost=(3, 4, 5)),
+}
+
+
+def write(folder, text):
+    path = folder / "take.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_what_motive_exports_is_read(tmp_path, name):
+    export = EXPORTS[name]
+    path = write(tmp_path, export.text())
+    assert is_motive(path)
+    rows = list(motive_rows(path))
+    unit = {"Meters": "m", "Millimeters": "mm", "Centimeters": "cm"}[export.units]
+    per_metre = {"m": 1.0, "mm": 1e3, "cm": 1e2}[unit]
+    for body, robot in enumerate(export.bodies):
+        of_body = [row.cells for row in rows if row.cells["robot"] == robot]
+        assert len(of_body) == len(TIMES_S)
+        for frame, cells in enumerate(of_body):
+            x, y, heading = circle(body)[frame]
+            assert float(cells["time_s"]) == pytest.approx(TIMES_S[frame])
+            if frame in export.lost and body == 0:
+                assert math.isnan(float(cells[f"x_{unit}"]))
+                continue
+            assert float(cells[f"x_{unit}"]) == pytest.approx(per_metre * x, abs=1e-5)
+            assert float(cells[f"y_{unit}"]) == pytest.approx(per_metre * y, abs=1e-5)
+            off = math.remainder(float(cells["heading_rad"]) - heading, math.tau)
+            assert off == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_poses_are_those_of_the_camera(tmp_path, up):
+    """A tilted body: the heading is that of `planar_pose`."""
+    rng = np.random.default_rng(4)
+    export = Export(up=up, bodies=("green",), markers=False)
+    head = export.text().splitlines()[:7]
+    expected = []
+    for frame in range(30):
+        quaternion = rng.normal(0, 1, 4) * (0.1, 1, 0.1, 1) if up == "y" else rng.normal(0, 1, 4)
+        quaternion /= np.linalg.norm(quaternion)
+        place = rng.normal(0, 1, 3) * ((1, 0.01, 1) if up == "y" else (1, 1, 0.01))
+        numbers = [f"{number:.9f}" for number in (*quaternion, *place)]
+        head.append(",".join([str(frame), f"{frame / 20}", *numbers, "0"]))
+        body = RigidBody(1, tuple(place), tuple(quaternion), tracking_valid=True)
+        expected.append(planar_pose(body, UpAxis.Y if up == "y" else UpAxis.Z))
+    rows = list(motive_rows(write(tmp_path, "\n".join([*head, ""]))))
+    for row, pose in zip(rows, expected, strict=True):
+        assert float(row.cells["x_m"]) == pytest.approx(pose.x, abs=1e-6)
+        assert float(row.cells["y_m"]) == pytest.approx(pose.y, abs=1e-6)
+        off = math.remainder(float(row.cells["heading_rad"]) - pose.heading, math.tau)
+        assert off == pytest.approx(0.0, abs=1e-5)
+
+
+PLAIN = Export().text()
+REFUSED = {
+    "feet": (PLAIN.replace("Meters", "Feet"), "Length Units Feet"),
+    "another rotation": (PLAIN.replace("Quaternion", "Matrix"), "Rotation Type Matrix"),
+    "markers alone": (PLAIN.replace("Rigid Body", "Marker"), "has no rigid body"),
+    "no rotations": (PLAIN.replace("Rotation,", "Position,"), "lacks rotations or positions"),
+    "cut off in the header": ("\n".join(PLAIN.splitlines()[:4]), "no row begins with Frame"),
+    "no numbers": ("\n".join(PLAIN.splitlines()[:7]), "has no rows"),
+    "a word": (PLAIN.replace("\n3,", "\nthree,"), "line 11: three is not a number"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_refused(tmp_path, name):
+    text, says = REFUSED[name]
+    with pytest.raises(UsageError, match=says):
+        list(motive_rows(write(tmp_path, text)))
+
+
+def test_semicolons_of_a_spreadsheet_are_read(tmp_path):
+    rows = list(
+        motive_rows(write(tmp_path, replace(Export(), markers=False).text().replace(",", ";")))
+    )
+    assert len(rows) == 3 * len(TIMES_S)

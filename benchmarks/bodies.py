@@ -90,7 +90,6 @@ def run(spec: Experiment, trial: int) -> Row:
         start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
         plant=spec.plant.build(spec.setup, clock, seed, LabSupervision()),
         controller=build_controller(spec, key),
-        first_plan=spec.controller.first_plan,
         clock=clock,
         observers=[samples_of_trial],
         interrupt=Interrupt(),

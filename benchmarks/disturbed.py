@@ -213,7 +213,6 @@ def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Resu
                 start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
                 plant=plant,
                 controller=build(spec, key, plant),
-                first_plan=spec.controller.first_plan,
                 clock=clock,
                 observers=(),
                 interrupt=Interrupt(),

@@ -137,8 +137,7 @@ def real_time(spec: LoadedSpec, observers: Sequence[Observer]) -> tuple[np.ndarr
     planning = Planning(build_controller(spec.experiment, key))
     start = start_of(spec, 0, PlantInfo("", True, 0, {}), EPOCH_NS)
     plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
-    stand = spec.experiment.controller.first_plan
-    result = Trial(start, plant, planning, stand, clock, observers, Interrupt()).run()
+    result = Trial(start, plant, planning, clock, observers, Interrupt()).run()
     busy = np.array(clock.busy_ns[1 : result.steps]) - np.array(planning.ns[1 : result.steps])
     return busy, result.steps
 

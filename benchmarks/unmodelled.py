@@ -111,7 +111,6 @@ def play(spec: Experiment, trial: int) -> Played:
         start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
         plant=plant,
         controller=controller,
-        first_plan=spec.controller.first_plan,
         clock=clock,
         observers=[noted],
         interrupt=Interrupt(),

@@ -467,14 +467,12 @@ def verify(path: str | Path) -> "Verification":
 def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
     """Check that a spec can be simulated, and compile its kernels, as `warm_up` announces."""
     from tetractl.control.build import warm_up
-    from tetractl.run.trial_limits import check
 
     experiment = spec.experiment
     if experiment.plant.real_time:
         raise UsageError(
             "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
         )
-    check(experiment)
     warm_up(experiment, announce)
 
 

@@ -86,7 +86,6 @@ def run(experiment: Experiment, trials: int) -> Batch:
                 start=start_of(LoadedSpec(experiment, "", ""), trial, nowhere, EPOCH_NS),
                 plant=experiment.plant.build(experiment.setup, clock, seed, LabSupervision()),
                 controller=_Timed(build_controller(experiment, key), times),
-                first_plan=experiment.controller.first_plan,
                 clock=clock,
                 observers=(),
                 interrupt=Interrupt(),

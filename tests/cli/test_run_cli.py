@@ -166,11 +166,10 @@ def test_a_dry_run_sends_a_terminal_nothing_that_it_obeys(batch, tmp_path):
 
 
 def test_a_dry_run_refuses_what_a_run_would(work):
-    square = "controller.first_plan={type: square, side: 10}"
-    args = ["quick.yaml", "--set", square, "--out", "new"]
+    args = ["quick.yaml", "--set", "robots.0.target=[-1, 0]", "--out", "new"]
     dry, wet = (run(*args, *more, cwd=work) for more in (["--dry-run"], []))
     assert dry.returncode == wet.returncode == 2
-    assert "controller.first_plan: robot r would leave the arena" in dry.stderr
+    assert "outside the arena" in dry.stderr
     assert dry.stderr == wet.stderr
     assert not (work / "new").exists()
 
@@ -283,3 +282,10 @@ def test_help_imports_nothing_heavy(tmp_path, args):
     if args[0] == "run":
         heavy.remove("pydantic")  # typer's own, to read a command's options
     assert heavy & imported == set()
+
+
+def test_a_dry_run_says_what_a_trial_can_do_at_most(work):
+    dry = run("quick.yaml", "--dry-run", "--set", "controller.time_limit=2", cwd=work).ok()
+    limits = dry.stdout.partition("# Limits")[2]
+    assert "duration of a trial: at most 2 s" in limits
+    assert "cameras" not in limits

@@ -43,8 +43,7 @@ with interrupt.watch(), writer:
     start = start_of(spec, 0, PlantInfo("", True, 0.0, {}), EPOCH_NS)
     plant = spec.experiment.plant.build(spec.experiment.setup, clock, seed, LabSupervision())
     controller = build_controller(spec.experiment, key)
-    stand = spec.experiment.controller.first_plan
-    result = Trial(start, plant, controller, stand, clock, [writer], interrupt).run()
+    result = Trial(start, plant, controller, clock, [writer], interrupt).run()
 print(result.outcome.value, "|", result.reason, "|", result.steps, flush=True)
 """
 """A trial in real time, its log written as in the lab, but of simulated robots."""

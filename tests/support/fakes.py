@@ -180,6 +180,5 @@ def bench(
     watchers = [FakeObserver(happenings, name) for name in observers]
     nothing_yet = PlantInfo("", simulated, 0.0, {})
     start = start_of(LoadedSpec(spec, "", "spec.yaml"), 4, nothing_yet, EPOCH_NS)
-    first_plan = spec.controller.first_plan
-    trial = Trial(start, plant, controller, first_plan, clock, watchers, interrupt)
+    trial = Trial(start, plant, controller, clock, watchers, interrupt)
     return Bench(trial, happenings, plant, controller, watchers, interrupt)

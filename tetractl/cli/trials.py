@@ -74,7 +74,6 @@ def run_command(
     Trials that have a log already are not run again (with `resume`; else such a folder is refused).
     """
     from tetractl.run.store import Store, default_folder
-    from tetractl.run.trial_limits import check
 
     experiment = loaded.experiment
     lab = experiment.plant.real_time
@@ -82,7 +81,6 @@ def run_command(
         raise UsageError("--jobs is for virtual time: the lab runs one trial at a time")
     if options.unattended and not (lab and options.yes):
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
-    check(experiment)
 
     folder = options.out or default_folder(experiment.name, datetime.now(UTC))
     store = Store.of_batch(folder, experiment)
@@ -114,13 +112,12 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
     """
     from tetractl.experiment.load import resolved_yaml
     from tetractl.run.spec_trial import log_path
-    from tetractl.run.trial_limits import limits
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")
     for line in resolved_yaml(loaded.experiment).removesuffix("\n").split("\n"):
         print(printable(line))
     print("# Limits")
-    for name, value in limits(loaded.experiment).items():
+    for name, value in _limits(loaded.experiment).items():
         print(f"#   {name}: {value}")
     print(f"# Trials to run: {len(planned)} of {loaded.experiment.trials.count}")
     if len(planned) == 1:
@@ -129,6 +126,20 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
         first = log_path(folder, planned[0])
         last = log_path(folder, planned[-1])
         print(f"# Logs to write: {first} ... {last}")
+
+
+def _limits(experiment: "Experiment") -> dict[str, str]:
+    """Return the limits of a trial by name, as text."""
+    control = experiment.controller
+    unit = experiment.units.length
+    longest = control.time_limit
+    fastest = max(robot.speed for robot in experiment.robots)
+    of_any_trial = {
+        "control period": f"{control.period:g} s",
+        "duration of a trial": f"at most {longest:g} s after the first command",
+        "path of a robot": f"at most {fastest * longest:g} {unit}",
+    }
+    return of_any_trial | control.bounds() | experiment.plant.bounds()
 
 
 # ---- While trials run ----

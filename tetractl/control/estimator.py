@@ -26,9 +26,8 @@ class StateEstimator:
     """Estimates the state and motion of the robots in one trial.
 
     `problem` has the spec's values of turning rate a and speed; with an uncertain `prior` both are
-    identified. With `drive_first`, robots drive a square before the first plan, and identification
-    starts when the first direction acts. Robots that the `loss` rule counts as lost
-    (`losses.lost`) are left out of every result.
+    identified. Robots that the `loss` rule counts as lost (`losses.lost`) are left out of every
+    result.
     """
 
     def __init__(
@@ -36,14 +35,13 @@ class StateEstimator:
         problem: Problem,
         period_s: float,
         prior: Prior,
-        drive_first: bool = False,
         loss: LossRule | None = None,
     ) -> None:
         self.problem = problem
         self.losses = Losses(loss, problem.speed)
         self.robots_changed = False  # whether robots were lost or replaced since the step before
         self.period = round(period_s * SECOND)
-        self.filter = FilterBank(prior, drive_first)
+        self.filter = FilterBank(prior)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent: int | None = None
         self._newest_ns = 0

@@ -174,12 +174,9 @@ class FilterBank:
     known; a command counts from its own time on. `forecast` changes nothing: it can be called after
     the first frame, any number of times. `restart` is for robots that were replaced by others,
     after the frames in which these are seen first.
-
-    With `drive_first`, robots drive a square before the first plan, and the filters start when the
-    first direction acts.
     """
 
-    def __init__(self, prior: Prior, drive_first: bool = False) -> None:
+    def __init__(self, prior: Prior) -> None:
         self.prior = prior
         self.body = body_model(prior)
         self.model = filter_model(prior, self.body)
@@ -192,7 +189,6 @@ class FilterBank:
         """The last frame used: the filters are at its time. None before the first."""
         self.reopened_ns: int | None = None
         """Time at which the bank was last opened again [ns], None if it never was."""
-        self._drive_first = drive_first
         self._noisy = False
         """Whether robots that were not sent anything were measured at different poses."""
         self._go_on_with(first_bank(prior, self.body), self._first_steps())
@@ -337,34 +333,21 @@ class FilterBank:
     def _follow_frames(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the last frame used before through some more.
 
-        If the poses of one of them are taken as they are, what was before does not matter: the
-        robots are placed there, and followed from there on. A trial's first frame is such a one.
+        The poses of a trial's first frame are taken as they are, and so are those of the newest
+        where there is nothing to identify, or where robots turn on the spot, of which the filters
+        have no model.
         """
-        taken_as_is = [k for k, frame in enumerate(frames) if self._is_taken_as_is(frame)]
-        if self.last_frame is None and not taken_as_is:
-            taken_as_is = [0]
-        if taken_as_is:
-            last_taken = taken_as_is[-1]
-            self._place(frames[last_taken], self._all_robots())
-            self.last_frame = frames[last_taken]
-            frames = frames[last_taken + 1 :]
-        if frames:
-            assert self.last_frame is not None
-            self._follow([self.last_frame, *frames])
-            self.last_frame = frames[-1]
-
-    def _is_taken_as_is(self, frame: Observation) -> bool:
-        """Return whether a frame's poses are taken as they are: there is nothing to identify, or
-        robots turn on the spot, of which the filters have no model, or robots do not yet drive the
-        first square for certain."""
+        if not frames:
+            return
         if self.prior.certain or self.commands.turning:
-            return True
-        if not self._drive_first:
-            return False
-        if self.commands.first_ns is None:
-            return True
-        longest_s = self.prior.dead_time + GRID.reach * self.prior.dead_time_std
-        return frame.sampled_ns < self.commands.first_ns + round(longest_s * SECOND)
+            self._place(frames[-1], self._all_robots())
+        elif self.last_frame is None:
+            self._place(frames[0], self._all_robots())
+            if len(frames) > 1:
+                self._follow(frames)
+        else:
+            self._follow([self.last_frame, *frames])
+        self.last_frame = frames[-1]
 
     def _place(self, frame: Observation, placed: Bools) -> None:
         """Place the robots `placed` (N,) at their poses of a frame, in all their filters; they

@@ -113,7 +113,7 @@ from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
 from tetractl.core.tour import told_dead
-from tetractl.experiment.controller import Host, Square
+from tetractl.experiment.controller import Host
 from tetractl.experiment.lab_section import REACTION_S
 
 RESTED_S = 2.0
@@ -278,9 +278,8 @@ class Mpc:
         self.timer = host.timer
         self.optimizer = host.wrap(section.optimizer)
         self.circler = host.wrap(CircleSearch())
-        square = isinstance(section.first_plan, Square)
         self.estimator = StateEstimator(
-            section.problem(setup), section.period, section.known(setup), square, setup.loss
+            section.problem(setup), section.period, section.known(setup), setup.loss
         )
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)

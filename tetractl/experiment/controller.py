@@ -8,7 +8,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
@@ -16,26 +16,8 @@ from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, NonNegative, Positive
+from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.yaml.problems import Loc
-
-
-class NoWait(Model):
-    """The robots stand still while the first plan is computed."""
-
-    type: Literal["stand"]
-
-
-class Square(Model):
-    """The robots drive a square while the first plan is computed and return to their start (the
-    paper's section IV-B.1); in the lab, further squares until the plan is known."""
-
-    type: Literal["square"]
-    side: Positive = 2.0
-    """Time for each side [s]: several times 1 over the turning rate, so that the square closes."""
-
-
-FirstPlan = Annotated[NoWait | Square, Field(discriminator="type")]
 
 
 class OptimizerSection(Model):
@@ -113,8 +95,6 @@ class ControllerSection(Model):
     arrival_tolerance: NonNegative = 0.0
     """The robots have arrived when each is within this distance of its target [length unit]; with
     0, no trial ends early for this reason."""
-    first_plan: FirstPlan = NoWait(type="stand")
-    """What the robots do while the first plan is computed."""
 
     switches_field: ClassVar[bool] = False
     """Whether the controller ever switches the field off, which not every plant supports."""
@@ -186,13 +166,18 @@ def retired_hint(key: str, section: Any) -> str | None:
     """Return what to write for a retired key of a section, None for any other key."""
     if key == "intensity":
         return "a controller chooses a direction only; write strength: [mT], and a: {per_mT: ...}"
+    if key == "first_plan":
+        return "robots stand while the first plan is computed; leave it out"
     limit = earlier_limit(section) if key == "steps_max" else None
     return None if limit is None else f"a trial's limit is a time now; write time_limit: {limit:g}"
 
 
 def without_retired(data: dict[str, Any]) -> None:
-    """Replace the retired keys in the spec of an earlier log, whose limit was `steps_max`."""
+    """Replace the retired keys in the spec of an earlier log: its limit was `steps_max`, and while
+    the first plan was computed its robots stood, unless `first_plan` said that they drive."""
     control = data.get("controller", {})
+    if isinstance(control, dict) and control.get("first_plan") == {"type": "stand"}:
+        del control["first_plan"]
     limit = earlier_limit(control)
     if limit is not None:
         del control["steps_max"]

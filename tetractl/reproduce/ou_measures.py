@@ -57,11 +57,9 @@ def warm_gain(log: TrialLog) -> float:
 
 
 def off_start(log: TrialLog) -> float:
-    """Return how far robots are from where they began when step 0 is sent, the mean of them."""
+    """Return how far robots are from where they began when they come to rest, the mean of them."""
     assert log.truth is not None, "the trials are simulated"
-    sent_ns = log.steps[0].command.sent_ns
-    frame = int(np.searchsorted(log.mocap_ns, sent_ns)) - 1  # the last one before
-    moved = (log.truth[frame] - log.truth[0])[:, :2]
+    moved = (log.truth[-1] - log.truth[0])[:, :2]
     distances = np.hypot(moved[:, 0], moved[:, 1])
     return float(distances.mean())
 

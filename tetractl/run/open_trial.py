@@ -3,11 +3,19 @@
 The trial is that of the controller `sequence` with the directions sent so far: the same plant, the
 same random draws, the same end. So what a script does is logged, verified and compared as any
 trial: `save` runs the same directions by `sequence`, and checks that the result is the same.
+
+Threads. The trial runs in a thread of its own. That thread and the script's take turns: the trial
+waits in `plan` while the script decides, the script waits in `step` while the trial runs. What one
+hands to the other goes through a queue; they share nothing else.
 """
 
 import math
+import threading
+import weakref
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -25,22 +33,19 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.run import spec_trial
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Answer, DecisionRequest, TimedDecision, Trial
+from tetractl.run.run_trial import Trial
 
 SIMULATED = PlantInfo("", True, 0.0, {})
 """What is known of the plant before it is open."""
 FIRST_SENT = 0.0
 """A direction of the section of `sequence`, which needs one; the script's take its place [rad]."""
-THINKING_NS = 0
-"""Time that a script needs for a decision [ns]: virtual time stands still meanwhile."""
 
 
 def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
     """Return a spec with the controller `sequence`, whose directions a script gives.
 
-    Period, dead time, limit of time, first plan and `arrival_tolerance` are those of the spec's
-    controller. Raises SpecError for what `sequence` cannot do, such as a hold, and UsageError for a
-    lab.
+    Period, dead time, limit of time and `arrival_tolerance` are those of the spec's controller.
+    Raises SpecError for what `sequence` cannot do, such as a hold, and UsageError for a lab.
     """
     experiment = spec.experiment
     if experiment.plant.real_time:
@@ -55,7 +60,6 @@ def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
         dead_time=control.dead_time,
         time_limit=control.time_limit,
         arrival_tolerance=control.arrival_tolerance,
-        first_plan=control.first_plan,
         directions=(FIRST_SENT,),
     )
     return parse_spec(with_controller(spec, section).text, spec.name)
@@ -107,6 +111,53 @@ class TruthWatch:
         """Do nothing."""
 
 
+class DroppedError(BaseException):
+    """The script has dropped the trial: its result is not wanted."""
+
+
+class AskingController:
+    """The controller of a stepped trial: in `plan`, its thread waits for the script's decision.
+
+    The trial ends where `sequence` ends it: on arrival, at the limit of time, by an error.
+    """
+
+    def __init__(self, sequence: SequenceController) -> None:
+        self._sequence = sequence
+        self.asked = SimpleQueue[Observation | Result | BaseException]()
+        """Of which frame a decision is wanted; at last how the trial has ended."""
+        self.answers = SimpleQueue[Plan | Outcome | None]()
+        """The decisions, None if the trial is dropped."""
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome:
+        """Return what the script decides, unless the trial is over."""
+        state = self._sequence.step(observation, last_command)
+        if isinstance(state, Outcome):
+            return state
+        self.asked.put(observation)
+        answer = self.answers.get()
+        if answer is None:
+            raise DroppedError
+        return answer
+
+    def run(self, trial: Trial) -> None:
+        """Run the trial that this is the controller of, and hand its end to the script."""
+        try:
+            self.asked.put(trial.run())
+        except BaseException as error:  # the script raises it
+            self.asked.put(error)
+
+
+def drop(answers: SimpleQueue[Plan | Outcome | None], thread: threading.Thread) -> None:
+    """Let the trial end that waits for an answer, and wait until it has."""
+    answers.put(None)
+    thread.join()
+
+
 class OpenTrial:
     """A simulated trial that waits for a direction at each control step.
 
@@ -125,20 +176,22 @@ class OpenTrial:
         self._directions: list[float] = []
         self._truth = TruthWatch(experiment.setup)
         key, plant_seed = spec_trial.trial_seeds(self._seed, self._trial)
-        self._controller = SequenceController(section, experiment.setup, key)
+        self._controller = AskingController(SequenceController(section, experiment.setup, key))
         clock = experiment.plant.clock()
-        self._course = Trial(
+        ready = Trial(
             start=replace(start_of(spec, self._trial, SIMULATED, EPOCH_NS), seed=self._seed),
             plant=experiment.plant.build(experiment.setup, clock, plant_seed, LabSupervision()),
             controller=self._controller,
-            first_plan=section.first_plan,
             clock=clock,
             observers=[self._truth],
             interrupt=Interrupt(),
-        ).course()
+        )
+        thread = threading.Thread(target=self._controller.run, args=(ready,), daemon=True)
+        self._drop = weakref.finalize(self, drop, self._controller.answers, thread)
         self._result: Result | None = None
         self._observation: Observation
-        self._advance(None)
+        thread.start()
+        self._wait()
 
     @property
     def setup(self) -> Setup:
@@ -187,7 +240,8 @@ class OpenTrial:
         if not math.isfinite(direction):
             raise UsageError("a direction is a finite number of radians")
         self._directions.append(direction)
-        self._advance(TimedDecision(self._plan(direction), THINKING_NS))
+        self._controller.answers.put(self._plan(direction))
+        self._wait()
         return self.observation
 
     def stop(self) -> Result:
@@ -198,7 +252,8 @@ class OpenTrial:
         self._demand_open()
         if not self._directions:
             raise UsageError("a trial has at least one direction", "step it before it is stopped")
-        self._advance(TimedDecision(Outcome.SEQUENCE_COMPLETED, THINKING_NS))
+        self._controller.answers.put(Outcome.SEQUENCE_COMPLETED)
+        self._wait()
         assert self._result is not None
         return self._result
 
@@ -230,6 +285,8 @@ class OpenTrial:
 
     def _demand_open(self) -> None:
         """Raise UsageError if the trial has ended."""
+        if not self._drop.alive:
+            raise UsageError("the trial was broken off", "open another trial")
         if self._result is not None:
             outcome = self._result.outcome.value
             raise UsageError(f"the trial has ended: {outcome}", "open another trial")
@@ -248,26 +305,21 @@ class OpenTrial:
             generator=0,
         )
 
-    def _advance(self, answer: Answer | None) -> None:
-        """Answer what the trial has asked, None to begin it; take what it asks next, or its
-        result."""
+    def _wait(self) -> None:
+        """Wait until the trial asks for the next decision or has ended. What breaks the wait off,
+        such as Ctrl-C, ends the trial without a result."""
         try:
-            request = next(self._course) if answer is None else self._course.send(answer)
-        except StopIteration as end:
-            self._result = end.value
+            said = self._controller.asked.get()
+            if isinstance(said, BaseException):
+                raise said
+        except BaseException:
+            self._drop()
+            raise
+        if isinstance(said, Observation):
+            self._observation = said
             return
-        self._observation = request.observation
-        self._end_if_over(request)
-
-    def _end_if_over(self, request: DecisionRequest) -> None:
-        """End the trial where `sequence` ends it: on arrival, at the limit of time, by an error."""
-        try:
-            state = self._controller.step(request.observation, request.last)
-        except TetractlError as error:
-            self._advance(error)  # the robots are stopped first
-            return
-        if isinstance(state, Outcome):
-            self._advance(TimedDecision(state, THINKING_NS))
+        # virtual time stands still while a script thinks: it is never late
+        self._result = replace(said, solve_ns=(0,) * said.steps, deadline_misses=0)
 
 
 def _outcome_of(result: Result) -> tuple[object, ...]:

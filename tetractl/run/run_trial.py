@@ -2,19 +2,13 @@
 
 What calls what:
 
-    Trial.run                   answers each request of the course by its controller
-      Trial.course              a new TrialCourse
-        run                     opens the plant, runs the loop, ends
-          _loop                 asks for a decision, carries it out, waits for the next step
-            _carry_out          one control step k: sends, and notifies the observers
-            _drive_square       before step 0, if the spec asks for it
-          _end
-            _halt               stops the robots, waits until they rest, takes the last frames
-            how_it_ended        outcome and reason, in the order below
-            _notify_of_the_end  the observers' last calls
-
-Who decides. `Trial.run` asks the trial's controller. `Trial.course` hands each request to its
-caller, and is sent the answer: so environments for learners run the same trial step by step.
+    Trial.run                 opens the plant, runs the loop, ends
+      _loop                   asks the controller, carries its plan out, waits for the next step
+        _carry_out            one control step k: sends, and notifies the observers
+      _end
+        _halt                 stops the robots, waits until they rest, takes the last frames
+        how_it_ended          outcome and reason, in the order below
+        _notify_of_the_end    the observers' last calls
 
 What happens next, if
 
@@ -40,19 +34,17 @@ What happens next, if
 
 Threads. Plant and observers are called by the thread that runs the trial; observers that may be
 slow are relays to threads of their own. It calls the controller, too, but for the first plan in
-real time, which has a thread of its own, so that frames are logged and squares driven meanwhile.
+real time, which has a thread of its own, so that frames are logged meanwhile.
 
 Interruptions are counted by `Interrupt`, in the handlers of signals:
 
     count     meaning                      in the loop                       planning, sleeping
     0                                      goes on                           go on
-    1         `requested`: end the trial   the step, or the period of a      go on
-                                           square, is finished first
+    1         `requested`: end the trial   the step is finished first        go on
     2 or more end it at once               as for 1                          KeyboardInterrupt
 
 Nothing else is broken off: what sends, stops or writes is not `breakable`. A plan that is broken
-off is no step. Squares come before the first step: a first request ends them by a KeyboardInterrupt
-of our own, as there is no step to finish.
+off is no step.
 
 How a trial ends. The robots are stopped first, whatever happened. Then the first of these counts:
 
@@ -70,15 +62,15 @@ not, for the caller; the log of each other observer is whole.
 
 import itertools
 import time
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import NamedTuple
 
 from tetractl.core.clock import SECOND, Clock, seconds
-from tetractl.core.commands import Action, Command, Note, Sample, Steer, Stop, Turn, Verdict
+from tetractl.core.commands import Action, Command, Note, Sample, Stop, Turn, Verdict
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.plugin_fault import FaultyPluginError, plugin_fault
@@ -86,14 +78,11 @@ from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure, told_dead
 from tetractl.core.trial import Result, Start, Step
-from tetractl.experiment.controller import FirstPlan, Square
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_news import ModelNews, StatedModel
 from tetractl.run.rest_news import RestNews
-from tetractl.run.trial_limits import directions
 
 AT_ONCE = "stopped at once by a second interruption"
-BEFORE_STEPS = "interrupted before the first step"
 STEP_FINISHED = "interrupted; the step was finished"
 TURNING_TEXT = "all robots turn on the spot: they have no safe way ahead"
 PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial ends"
@@ -106,67 +95,6 @@ class TimedDecision(NamedTuple):
 
     decision: Decision
     solve_ns: int
-
-
-Answer = TimedDecision | BaseException
-"""A decision, or what was raised instead."""
-
-
-@dataclass(frozen=True, slots=True)
-class DecisionRequest:
-    """What is asked for the decision of one control step: the newest frame, the command before it,
-    None at the first step, and the frames exposed between the two, oldest first."""
-
-    observation: Observation
-    last: Command | None
-    earlier: Sequence[Observation]
-
-
-class ClosedError(BaseException):
-    """The course was closed by its caller: its result is not wanted."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """What one trial is made of; either `run` or `course` may be called, once.
-
-    The plant's description is added to `start` when the plant is opened. `delay` is the dead time
-    that the spec states, None if a wrong one is not to be reported.
-    """
-
-    start: Start
-    plant: Plant
-    controller: Controller
-    first_plan: FirstPlan
-    clock: Clock
-    observers: Sequence[Observer]
-    interrupt: Interrupt
-    stated: StatedModel | None = None
-
-    def run(self) -> Result:
-        """Run the trial by the decisions of its controller, and return its result.
-
-        After any end or error, the robots are stopped first. A TetractlError or an interruption
-        becomes the outcome, and so does any exception of a plug-in, even one that would end Python;
-        another exception is raised again after the observers were called with the result.
-        """
-        course = TrialCourse(self)
-        requests = course.run()
-        try:
-            request = next(requests)
-            while True:
-                request = requests.send(course.answer(request))
-        except StopIteration as end:
-            result: Result = end.value
-            return result
-
-    def course(self) -> Generator[DecisionRequest, Answer, Result]:
-        """Run the trial, and ask for each decision.
-
-        An exception that is sent ends the trial, like one of the controller. `close` stops the
-        robots, and no observer is called any more.
-        """
-        return TrialCourse(self).run()
 
 
 class StepPacing:
@@ -309,77 +237,89 @@ def message_of(error: BaseException) -> str:
     return error.message if isinstance(error, TetractlError) else text_of(error)
 
 
-class TrialCourse:
-    """A trial that runs once: `run` asks for each decision, `answer` lets the controller decide."""
+class Trial:
+    """One trial, which runs once.
 
-    def __init__(self, trial: Trial) -> None:
-        setup = trial.start.setup
-        self._trial = trial
-        self._pacing = StepPacing(trial.clock, setup.period_s)
-        self._frames = FrameIntake(trial.plant)
+    The plant's description is added to `start` when the plant is opened. `stated` is what the spec
+    states of the robots, None if a wrong value is not to be reported.
+    """
+
+    def __init__(
+        self,
+        start: Start,
+        plant: Plant,
+        controller: Controller,
+        clock: Clock,
+        observers: Sequence[Observer],
+        interrupt: Interrupt,
+        stated: StatedModel | None = None,
+    ) -> None:
+        setup = start.setup
+        self._start = start
+        self._plant = plant
+        self._controller = controller
+        self._clock = clock
+        self._observers = observers
+        self._interrupt = interrupt
+        self._pacing = StepPacing(clock, setup.period_s)
+        self._frames = FrameIntake(plant)
         self._measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
-        self._model = ModelNews(trial.stated)
+        self._model = ModelNews(stated)
         self._rests = RestNews(setup)
         self._counts = StepCounts()
         self._motion = RobotMotion.NOT_BEGUN
         self._dead = 0  # number of robots that do not move while others drive
-        self._virtual = False  # whether time passes only where the plant's clock is slept on
 
     # ---- the trial ----
 
-    def run(self) -> Generator[DecisionRequest, Answer, Result]:
-        """Run the trial: ask for each decision, be sent it, and return the result."""
-        trial = self._trial
+    def run(self) -> Result:
+        """Run the trial by the decisions of its controller, and return its result.
+
+        After any end or error, the robots are stopped first. A TetractlError or an interruption
+        becomes the outcome, and so does any exception of a plug-in, even one that would end Python;
+        another exception is raised again after the observers were called with the result.
+        """
         try:
-            info = trial.plant.open()
+            info = self._plant.open()
         except BaseException:
-            abandon(trial.plant)
+            abandon(self._plant)
             raise
-        opened_ns = trial.clock.now()
-        self._virtual = info.virtual
+        opened_ns = self._clock.now()
         try:
-            start = replace(trial.start, plant=info)
-            for observer in trial.observers:
+            start = replace(self._start, plant=info)
+            for observer in self._observers:
                 observer.on_start(start)
-            loop = yield from self._loop()
-        except ClosedError:
-            with closing(trial.plant):
-                trial.plant.stop()
-            raise GeneratorExit from None
-        except KeyboardInterrupt:  # raised by a second request, or by `_drive_side`
-            reason = AT_ONCE if trial.interrupt.count > 1 else BEFORE_STEPS
-            loop = LoopEnd(Outcome.INTERRUPTED, reason)
+            loop = self._loop(virtual=info.virtual)
+        except KeyboardInterrupt:  # by a second request
+            loop = LoopEnd(Outcome.INTERRUPTED, AT_ONCE)
         except BaseException as error:
             loop = LoopEnd(Outcome.ABORTED, error=error)
         return self._end(loop, opened_ns)
 
-    def _loop(self) -> Generator[DecisionRequest, Answer, LoopEnd]:
-        """Run the control loop of Algorithm 2."""
-        trial = self._trial
-        observation = trial.plant.observe()
-        decision, solve_ns = yield from ask(DecisionRequest(observation, None, ()))
-        if self._virtual and isinstance(trial.first_plan, Square):
-            # planning took no time in which to drive one (`_first_in_real_time`)
-            self._drive_square(trial.first_plan, observation)
+    def _loop(self, virtual: bool) -> LoopEnd:
+        """Run the control loop of Algorithm 2. In `virtual` time, planning takes none."""
+        observation = self._plant.observe()
+        first_plan = self._plan if virtual else self._plan_meanwhile
+        decision, solve_ns = first_plan(observation, None, ())
         self._pacing.start()
         for k in itertools.count():
             if isinstance(decision, Outcome):
                 return LoopEnd(decision)
             if isinstance(decision, End):
-                self._sleep_until(trial.clock.now() + decision.delay_ns)
+                self._sleep_until(self._clock.now() + decision.delay_ns)
                 return LoopEnd(decision.outcome)
             command = self._carry_out(k, observation, decision, solve_ns)
             due_ns = self._pacing.finish(k, decision.pauses)
-            if not trial.interrupt.requested:
+            if not self._interrupt.requested:
                 self._sleep_until(due_ns)
-            if trial.interrupt.requested:
+            if self._interrupt.requested:
                 return LoopEnd(Outcome.INTERRUPTED, STEP_FINISHED)
             before = observation
-            observation = trial.plant.observe()
+            observation = self._plant.observe()
             between = self._frames.take_between(before, observation)
             for text in self._rests.of(decision, [*between, observation]):
                 self._report(observation.sampled_ns, text, "warning")
-            decision, solve_ns = yield from ask(DecisionRequest(observation, command, between))
+            decision, solve_ns = self._plan(observation, command, between)
         raise AssertionError("unreachable: the loop ends by returning")
 
     def _carry_out(self, k: int, observation: Observation, plan: Plan, solve_ns: int) -> Command:
@@ -391,7 +331,7 @@ class TrialCourse:
         """
         begun_leg = self._measure.step(plan.leg, observation)
         if plan.pauses:
-            self._sleep_until(self._trial.clock.now() + plan.delay_ns)
+            self._sleep_until(self._clock.now() + plan.delay_ns)
             self._pacing.delay(plan.delay_ns)
         command = self._send(plan.action)
         before = self._motion
@@ -406,98 +346,71 @@ class TrialCourse:
         self._report_frames()
         self._report_dead(command.sent_ns)
         step = Step(k, observation, plan, command, solve_ns, missed)
-        for observer in self._trial.observers:
+        for observer in self._observers:
             observer.on_step(step)
         self._report_model(plan, command.sent_ns)
         return command
 
-    # ---- decisions, and squares before step 0 ----
+    # ---- decisions ----
 
-    def answer(self, request: DecisionRequest) -> Answer:
-        """Return the controller's decision, or what it raised."""
-        try:
-            if request.last is None and not self._virtual:
-                return self._first_in_real_time(request)
-            with self._trial.interrupt.breakable():
-                return self._plan(request)
-        except BaseException as error:  # the trial ends by it, robots first
-            return error
+    def _plan(
+        self, observation: Observation, last: Command | None, between: Sequence[Observation]
+    ) -> TimedDecision:
+        """Return the controller's decision of one step: by the newest frame, the command before it,
+        None at the first step, and the frames exposed between the two, oldest first."""
+        with self._interrupt.breakable():
+            return self._timed_plan(observation, last, between)
 
-    def _plan(self, request: DecisionRequest) -> TimedDecision:
-        began_ns = time.perf_counter_ns()
-        decision = self._trial.controller.plan(request.observation, request.last, request.earlier)
-        return TimedDecision(decision, time.perf_counter_ns() - began_ns)
-
-    def _first_in_real_time(self, request: DecisionRequest) -> TimedDecision:
-        """Return the first decision, computed in real time: meanwhile the robots stand, and frames
-        are reported, or they drive squares (section IV-B.1 of the paper), one at least.
-        """
-        square = self._trial.first_plan
-        with self._planning(request) as planning:
-            if isinstance(square, Square):
-                self._drive_square(square, request.observation)
-                while not planning.done():
-                    self._drive_square(square, request.observation)
-            while not planning.done():
-                with self._trial.interrupt.breakable():
-                    wait([planning], timeout=self._trial.start.setup.period_s)
-                self._report_frames()
-            return planning.result()
-
-    @contextmanager
-    def _planning(self, request: DecisionRequest) -> Iterator[Future[TimedDecision]]:
-        """Compute a plan in a thread of its own."""
+    def _plan_meanwhile(
+        self, observation: Observation, last: Command | None, between: Sequence[Observation]
+    ) -> TimedDecision:
+        """Return the decision as `_plan` does, computed in real time by a thread of its own:
+        meanwhile the robots stand, and frames are reported."""
         pool = ThreadPoolExecutor(1)
         try:
-            yield pool.submit(self._plan, request)
+            planning = pool.submit(self._timed_plan, observation, last, between)
+            while not planning.done():
+                with self._interrupt.breakable():
+                    wait([planning], timeout=self._start.setup.period_s)
+                self._report_frames()
+            return planning.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
-    def _drive_square(self, square: Square, observation: Observation) -> None:
-        """Drive one square from the poses of `observation`."""
-        for direction in directions(observation.poses.heading):
-            self._drive_side(direction, self._trial.clock.now() + round(square.side * SECOND))
-
-    def _drive_side(self, direction: float, end_ns: int) -> None:
-        """Send a direction [rad] once per control period until `end_ns`."""
-        clock = self._trial.clock
-        while clock.now() < end_ns:
-            due_ns = min(clock.now() + self._pacing.period_ns, end_ns)
-            command = self._send(Steer(direction))
-            for observer in self._trial.observers:
-                observer.on_command(command)
-            self._sleep_until(due_ns)
-            self._report_frames()
-            if self._trial.interrupt.requested:
-                raise KeyboardInterrupt
+    def _timed_plan(
+        self, observation: Observation, last: Command | None, between: Sequence[Observation]
+    ) -> TimedDecision:
+        began_ns = time.perf_counter_ns()
+        decision = self._controller.plan(observation, last, between)
+        return TimedDecision(decision, time.perf_counter_ns() - began_ns)
 
     # ---- plant and clock ----
 
     def _send(self, action: Action) -> Command:
-        command = self._trial.plant.send(action)
+        command = self._plant.send(action)
         if self._counts.first_sent_ns is None and not command.stops:
             self._counts.first_sent_ns = command.sent_ns
         return command
 
     def _sleep_until(self, due_ns: int) -> None:
-        with self._trial.interrupt.breakable():
-            self._trial.clock.sleep_until(due_ns)
+        with self._interrupt.breakable():
+            self._clock.sleep_until(due_ns)
 
     # ---- what the observers are notified of ----
 
     def _report(self, t_ns: int, text: str, level: str = "info") -> None:
         """Report a text, unless it is empty."""
         if text:
-            for observer in self._trial.observers:
+            for observer in self._observers:
                 observer.on_note(Note(t_ns, level, text))
 
     def _report_frames(self) -> None:
         """Report the frames that have come, and what the plant itself has sent and noted."""
         self._frames.take()
-        events = self._trial.plant.news()
+        events = self._plant.news()
         samples = self._frames.hand_over()
         self._measure.add(samples)
-        for observer in self._trial.observers:
+        for observer in self._observers:
             observer.on_samples(samples)
             pass_on(observer, events)
 
@@ -508,14 +421,14 @@ class TrialCourse:
             return
         self._dead = dead
         goes_on = "" if self._measure.stood.any() else ": the trial goes on without"
-        text = told_dead(self._trial.start.setup.names, self._measure.dead)
+        text = told_dead(self._start.setup.names, self._measure.dead)
         self._report(t_ns, text + goes_on, "warning")
 
     def _report_model(self, plan: Plan, t_ns: int) -> None:
         """Report where the controller's model does not fit, or fits again."""
         if plan.estimate is None:
             return
-        for level, text in self._model.of(plan.estimate, self._trial.start.setup, t_ns):
+        for level, text in self._model.of(plan.estimate, self._start.setup, t_ns):
             self._report(t_ns, text, level)
 
     # ---- the end ----
@@ -524,8 +437,8 @@ class TrialCourse:
         """Stop the robots, find how the trial has ended, and notify the observers of it."""
         halt = self._halt()
         error = loop.error or halt.error
-        fault = plugin_fault(error, self._trial.start.packages) if error is not None else None
-        dead = told_dead(self._trial.start.setup.names, self._measure.stood)
+        fault = plugin_fault(error, self._start.packages) if error is not None else None
+        dead = told_dead(self._start.setup.names, self._measure.stood)
         outcome, reason = how_it_ended(loop, halt, fault, dead)
         result = self._result(outcome, reason, halt, opened_ns)
         calls = fault.calls if fault else ()
@@ -542,9 +455,9 @@ class TrialCourse:
     def _halt(self) -> Halt:
         """Stop the robots, wait until they rest, take the last frames, and close the plant; none of
         it keeps the rest from being reported if it fails."""
-        plant = self._trial.plant
-        robots = len(self._trial.start.setup.names)
-        stop = Command(Stop(), self._trial.clock.now(), (False,) * robots)
+        plant = self._plant
+        robots = len(self._start.setup.names)
+        stop = Command(Stop(), self._clock.now(), (False,) * robots)
         verdict = Verdict.unknown(robots)
         events: list[Command | Note] = []
         error: BaseException | None = None
@@ -566,7 +479,7 @@ class TrialCourse:
         if began_ns is None:
             began_ns = opened_ns
         return Result.of(
-            self._trial.start.setup,
+            self._start.setup,
             halt.verdict,
             outcome=outcome,
             reason=reason,
@@ -583,7 +496,7 @@ class TrialCourse:
         led to a plug-in's error; return what they raise."""
         traces = [Note(halt.stop.sent_ns, "debug", call) for call in calls]
         failures: list[Exception] = []
-        for observer in self._trial.observers:
+        for observer in self._observers:
             try:
                 try:
                     observer.on_samples(halt.samples)
@@ -600,17 +513,6 @@ def abandon(plant: Plant) -> None:
     no result."""
     with closing(plant), suppress(Exception, SystemExit):  # not every plant stops before it is open
         plant.stop()
-
-
-def ask(request: DecisionRequest) -> Generator[DecisionRequest, Answer, TimedDecision]:
-    """Return the decision that is asked for; raise what was raised instead."""
-    try:
-        answer = yield request
-    except GeneratorExit:
-        raise ClosedError from None
-    if isinstance(answer, BaseException):
-        raise answer
-    return answer
 
 
 def pass_on(observer: Observer, events: Sequence[Command | Note]) -> None:

@@ -128,7 +128,6 @@ def run_observed(
                 start=start_of(full_spec, trial, not_open, start_unix_ns),
                 plant=plant,
                 controller=build_controller(full_spec.experiment, key),
-                first_plan=full_spec.experiment.controller.first_plan,
                 clock=clock,
                 observers=[*writers, *calls],
                 interrupt=interrupt,

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
-from tetractl.core.errors import SpecError, printable
+from tetractl.core.errors import printable
 from tetractl.core.registries import SWEEPS
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
@@ -40,7 +40,6 @@ from tetractl.experiment.yaml.document import Document, parse_document, read_doc
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
 from tetractl.run.store import BatchFolder, Store
 from tetractl.run.task import code_of
-from tetractl.run.trial_limits import check
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
 MAX_ARMS = 100_000
@@ -351,11 +350,6 @@ def _check_runs(spec: LoadedSpec, base: Base, document: Document) -> None:
     if not spec.experiment.plant.simulated:
         text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
         raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
-    try:
-        check(spec.experiment)
-    except SpecError as error:
-        problem = document.problem_at(("base",), error.message, base.named)
-        raise InvalidSpecError([problem]) from None
 
 
 def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Document) -> SpecProblem:

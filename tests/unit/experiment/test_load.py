@@ -247,8 +247,8 @@ trials.count=!!set {}
   trials.count: the tag !!set does not fit
 trials={cnt: 3}
   trials.cnt: unknown key; did you mean 'count'?
-controller.first_plan.side=3
-  controller.first_plan.type: is missing; must be one of stand, square
+controller.first_plan={type: square}
+  controller.first_plan: unknown key
 """
 
 

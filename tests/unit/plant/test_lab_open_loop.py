@@ -45,7 +45,6 @@ def driven(dies_s=None):
         start_of(LoadedSpec(spec, "", "spec.yaml"), 0, info, EPOCH_NS),
         lab.plant,
         section.build(spec.setup, 1),
-        section.first_plan,
         lab.clock,
         [],
         Interrupt(),

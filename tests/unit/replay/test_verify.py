@@ -80,7 +80,6 @@ SETTINGS = {
         "controller.motion=arc",
     ],
     "arrives": ["controller.arrival_tolerance=60", "controller.time_limit=6.2"],
-    "a square first": ["controller.first_plan={type: square, side: 1.5}"],
     "commands lost": ["plant.lost_commands=0.3"],
     "target stop": ["controller.optimizer.stop={type: target, cost: 40}"],
 }

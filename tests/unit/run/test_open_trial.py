@@ -15,7 +15,7 @@ from tetractl.experiment.examples import examples
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest
-from tetractl.run.open_trial import OpenTrial
+from tetractl.run.open_trial import DroppedError, OpenTrial
 from tetractl.run.spec_trial import run_trial
 
 SPEC = {
@@ -177,9 +177,21 @@ def test_an_ended_trial_is_neither_stepped_nor_stopped(tmp_path):
 def test_a_dropped_trial_says_nothing(capsys):
     trial = tetractl.open_trial(SPEC)
     drive(trial, 2)
+    asked = trial._controller.asked
     del trial
     gc.collect()
+    assert isinstance(asked.get(timeout=60), DroppedError)  # its robots stand, its thread has ended
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_trial_that_is_broken_off_has_ended():
+    trial = tetractl.open_trial(SPEC)
+    trial.step(0.1)
+    trial._controller.asked.put(KeyboardInterrupt())  # as if Ctrl-C came amid the next step
+    with pytest.raises(KeyboardInterrupt):
+        trial.step(0.1)
+    with pytest.raises(UsageError, match="broken off"):
+        trial.step(0.1)
 
 
 def test_what_a_sequence_cannot_do_is_refused():

@@ -76,7 +76,7 @@ def test_the_controller_decides_when_a_trial_is_over(outcome, steps):
 def test_a_trial_lasts_from_its_first_direction():
     """Not from the moment the lab was opened: the first plan may take a while."""
     fakes = bench(2)
-    fakes.do_at("plan", 1, lambda: fakes.trial.clock.sleep_until(20 * SECOND))
+    fakes.do_at("plan", 1, lambda: fakes.plant.clock.sleep_until(20 * SECOND))
     assert fakes.run().duration_s == pytest.approx(0.4)
     assert fakes.plant.steered[0][0] == 20 * SECOND
 
@@ -213,17 +213,6 @@ def test_a_plant_that_does_not_open_says_why_even_if_it_cannot_stop():
     with pytest.raises(BugError, match="the reason"):
         fakes.run()
     assert fakes.happenings.names == ["open", "stop", "close"]
-
-
-def test_a_course_that_is_closed_closes_its_plant_even_if_robots_cannot_be_stopped():
-    """Regression: a stop that failed left the plant open."""
-    fakes = bench()
-    course = fakes.trial.course()
-    next(course)
-    fakes.fail_at("stop", 1, AbortError("the radio is gone"))
-    with pytest.raises(AbortError, match="the radio is gone"):
-        course.close()
-    assert fakes.happenings.names[-2:] == ["stop", "close"]
 
 
 class MuteError(Exception):
@@ -396,7 +385,7 @@ def test_after_an_overrun_the_steps_keep_their_distance(slow):
     Regression: after a period to the nanosecond two steps were sent at once.
     """
     fakes = bench(5)
-    clock = fakes.trial.clock
+    clock = fakes.plant.clock
     fakes.do_at("plan", 2, lambda: clock.sleep_until(clock.now() + slow))
     fakes.run()
     sent = [when for when, _ in fakes.plant.steered]
@@ -404,57 +393,7 @@ def test_after_an_overrun_the_steps_keep_their_distance(slow):
     assert gaps == [PERIOD + slow, *[PERIOD] * 3]
 
 
-# ---- Squares that are driven until the first plan is there ----
-
-SQUARE = {"type": "square", "side": 2.0}
-
-
-def test_the_square_is_driven_while_the_first_plan_is_made():
-    fakes = bench(2, first_plan=SQUARE)
-    result = fakes.run()
-    assert_ended_well(fakes, Outcome.SEQUENCE_COMPLETED)
-    driven = fakes.plant.steered[:40]  # 4 sides of 2 s, sent again each control period
-    assert [when for when, _ in driven] == [k * PERIOD for k in range(40)]
-    turns = [direction for _, direction in driven]
-    assert turns[::10] == pytest.approx([1.5707963, 3.1415927, -1.5707963, 0])
-    assert turns == [turn for turn in turns[::10] for _ in range(10)]
-    log = fakes.observers[0]
-    assert [command.direction for command in log.commands] == turns
-    assert [step.command.sent_ns for step in log.steps] == [8 * SECOND, 8 * SECOND + PERIOD]
-    assert log.steps[0].observation.sampled_ns == 0  # planned from before the square
-    assert result.steps == 2
-    frames = [sample.observation.frame for sample in log.samples]
-    assert frames == list(range(len(frames)))
-
-
-def test_in_the_lab_squares_go_on_until_the_plan_is_there():
-    fakes = bench(1, simulated=False, first_plan=SQUARE)
-    enough = threading.Event()
-    fakes.do_at("plan", 1, lambda: until(enough))
-    fakes.do_at("send", 101, enough.set)  # in the third square of 40 commands
-    fakes.run()
-    commands = len(fakes.observers[0].commands)
-    assert commands >= 120
-    assert commands % 40 == 0
-
-
-def test_one_interruption_ends_the_square_after_the_period_under_way():
-    fakes = bench(first_plan=SQUARE)
-    fakes.do_at("send", 2, fakes.interrupt.request)
-    result = fakes.run()
-    assert_ended_well(fakes, Outcome.INTERRUPTED)
-    assert result.reason == "interrupted before the first step"
-    assert (len(fakes.plant.steered), result.steps) == (2, 0)
-    assert len(fakes.observers[0].commands) == 2
-
-
-def test_two_interruptions_end_the_square_at_once():
-    fakes = bench(first_plan=SQUARE)
-    fakes.do_at("log.command", 12, lambda: twice(fakes))
-    result = fakes.run()
-    assert_ended_well(fakes, Outcome.INTERRUPTED)
-    assert result.reason == "stopped at once by a second interruption"
-    assert result.duration_s == 2.2  # the second side was not driven to its end
+# ---- The first plan in real time ----
 
 
 def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():

@@ -127,6 +127,5 @@ def lab_trial(
         path = Recorder()
         busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
         start = start_of(spec, trial, PlantInfo("", False, 0.0, {}), EPOCH_NS)
-        stand = experiment.controller.first_plan
-        Trial(start, lab.plant, busy, stand, lab.clock, [path], Interrupt()).run()
+        Trial(start, lab.plant, busy, lab.clock, [path], Interrupt()).run()
     return path.trial

@@ -1,7 +1,6 @@
 """What the host of simulated robots sends: actions, the same action again, and stops."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,17 +18,6 @@ from tetractl.plant.wheel_host import SimHost
 
 STOPS_MAX = 3000
 """Largest number of stops sent until every robot has received one: those of one minute."""
-
-
-@dataclass(frozen=True, slots=True)
-class SentSpeeds:
-    """The wheel speeds of one transmission [length unit/s]; None for robots without wheels."""
-
-    left_speed: Floats | None = None
-    """Of left wheels, as the host knows and logs them, (N,)."""
-    right_speed: Floats | None = None
-    true: Floats | None = None
-    """As the wheels run, (2, N); None if the robots receive the direction itself."""
 
 
 class CommandSender:
@@ -92,7 +80,7 @@ class CommandSender:
 
     def _transmit(self, now_ns: int, answered: Observation, is_new: bool) -> Command:
         """Send the held action."""
-        speeds = self._wheel_speeds(now_ns, answered, is_new)
+        left, right, true_speeds = self._wheel_speeds(now_ns, answered, is_new)
         chances = self._random.uniform(size=len(self._setup.names))
         command = DelayedCommand(
             sent_ns=now_ns,
@@ -100,11 +88,11 @@ class CommandSender:
             action=self._held,
             reached=chances >= self._settings.lost_commands,
             headings=answered.poses.heading,
-            wheels=speeds.true,
+            wheels=true_speeds,
         )
         received = self._transit.send(command, now_ns)
         delivered = tuple(received.reached.tolist())
-        return Command(self._held, now_ns, delivered, speeds.left_speed, speeds.right_speed)
+        return Command(self._held, now_ns, delivered, left, right)
 
     def _due_ns(self, sent_ns: int, answered: Observation) -> int:
         """Return the time [ns] at which a command acts if `dead_time` is the only delay: so long
@@ -112,19 +100,21 @@ class CommandSender:
         dead_time_ns = round(self._settings.dead_time * SECOND)
         return max(sent_ns, answered.sampled_ns + dead_time_ns)
 
-    def _wheel_speeds(self, now_ns: int, answered: Observation, is_new: bool) -> SentSpeeds:
-        """Return the wheel speeds for the held action."""
-        if self._host is not None:
-            speeds = self._host.transmit(now_ns, self._held, is_new, answered)
-            return SentSpeeds(speeds.sent[0], speeds.sent[1], speeds.true)
-        if self._setup.wheel_radius is None:
-            return SentSpeeds()
-        # the robots have wheels, but wheels are not simulated: the speeds of (24)-(25) are logged
-        return SentSpeeds(*self._equation_speeds(self._setup.wheel_radius, answered.poses.heading))
-
-    def _equation_speeds(self, radius: float, headings: Floats) -> tuple[Floats, Floats]:
-        """Return the left and right wheel speeds (N,) of (24)-(25) at the headings (N,)."""
+    def _wheel_speeds(
+        self, now_ns: int, answered: Observation, is_new: bool
+    ) -> tuple[Floats | None, Floats | None, Floats | None]:
+        """Return the wheel speeds for the held action [length unit/s]: of left and of right wheels,
+        (N,) each, as the host knows and logs them, None without wheels; and of both as they run,
+        (2, N), None if the robots receive the direction itself."""
         setup = self._setup
+        if self._host is not None:
+            sent, true_speeds = self._host.transmit(now_ns, self._held, is_new, answered)
+            return sent[0], sent[1], true_speeds
+        if setup.wheel_radius is None:
+            return None, None, None
+        # the robots have wheels, but wheels are not simulated: the speeds of (24)-(25) are logged
+        headings = answered.poses.heading
         sine = np.sin(aim(self._held, headings) - headings)
         speed = np.zeros(headings.size) if isinstance(self._held, Turn) else setup.speed
-        return wheel_speeds(sine, setup.a, speed, radius)
+        left, right = wheel_speeds(sine, setup.a, speed, setup.wheel_radius)
+        return left, right, None

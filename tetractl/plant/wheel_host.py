@@ -1,7 +1,5 @@
 """The host of simulated robots on wheels: what it sends, and how fast wheels then turn in truth."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
@@ -12,16 +10,6 @@ from tetractl.model.motion.rolling import note
 from tetractl.model.wheels import COUNT_MAX, SentRates
 from tetractl.plant.direct import aim
 from tetractl.plant.sim_section import WheelDriveSection
-
-
-@dataclass(frozen=True, slots=True)
-class WheelSpeeds:
-    """Speeds of the left and right wheels of N robots, (2, N) each [length unit/s]."""
-
-    sent: Floats
-    """As the host knows them: by calibrated gains and dead zones."""
-    true: Floats
-    """As the wheels run in truth."""
 
 
 class SimHost:
@@ -44,7 +32,8 @@ class SimHost:
         self._lag_s = 0.0 if section.lead is None else setup.lag_s
         self._lead_ns = round((section.lead or 0.0) * SECOND)
         self._sent = SentRates.none(robots)
-        self._speeds = WheelSpeeds(np.zeros((2, robots)), np.zeros((2, robots)))
+        self._speeds = np.zeros((2, 2, robots))
+        """The wheel speeds of the last transmission, as `transmit` returns them."""
         self.trains = true_trains(section, robots, random)
         """Wheels as calibrated and in truth, (TRAIN_ROWS, 2, N) of `wheel_kernel`."""
         self.gains = np.mean(self.trains[TRUE_GAIN] / self.trains[GAIN], axis=0)
@@ -62,10 +51,12 @@ class SimHost:
 
     def transmit(
         self, now_ns: int, action: Steer | Turn | FieldOff, is_new: bool, frame: Observation
-    ) -> WheelSpeeds:
+    ) -> Floats:
         """Return the wheel speeds sent `now_ns` for an action, and schedule the next transmission.
 
-        `frame` is the newest one received; `is_new` if the action has not been transmitted before.
+        They have the shape (2, 2, N) [length unit/s]: as the host knows them, by calibrated gains
+        and dead zones, and as the wheels run in truth; of each, left and right ones. `frame` is the
+        newest one received; `is_new` if the action has not been transmitted before.
         """
         self._schedule(now_ns)
         if is_new or self._section.recompute:
@@ -81,9 +72,7 @@ class SimHost:
         due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
         self.repeats_ns = max(due_ns + period_ns, now_ns + period_ns // 2)
 
-    def _compute(
-        self, now_ns: int, action: Steer | Turn | FieldOff, frame: Observation
-    ) -> WheelSpeeds:
+    def _compute(self, now_ns: int, action: Steer | Turn | FieldOff, frame: Observation) -> Floats:
         acts_ns = now_ns + self._lead_ns
         # without a lead, the measured headings are taken as those at which the speeds act
         since_ns = acts_ns if self._section.lead is None else frame.sampled_ns
@@ -103,7 +92,7 @@ class SimHost:
             self.trains,
             speeds,
         )
-        return WheelSpeeds(sent=speeds[0], true=speeds[1])
+        return speeds
 
 
 def true_trains(section: WheelDriveSection, robots: int, random: np.random.Generator) -> Floats:

@@ -63,10 +63,10 @@ Why a run is aborted. The first reason stays; in one step of the inner loop they
      4  a check finds it in the poses: they drift              check_frame, in the order of checks
      5  the operator stops all robots                          abort
      6  the actuator cannot send any more                      decide
-     7  much of what the camera sends is damaged               decide: damaged_frames of RUN_CHECKS
-     8  the controller gives no direction                      decide: silent_controller
-     9  no new frame comes                                     decide: silent_camera
-    10  a robot disobeys, is not tracked or seen too rarely    decide: untracked_robots
+     7  much of what the camera sends is damaged               decide (_check_camera_and_controller)
+     8  the controller gives no direction                      likewise
+     9  no new frame comes                                     likewise
+    10  a robot disobeys, is not tracked or seen too rarely    decide (_check_tracking)
     11  a check finds it in the places: robots come too near   decide, in the order of checks
 
 and between two steps, control steps that are late (note_step), a loss that others report
@@ -86,20 +86,23 @@ from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, Ro
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.accepted_frame import AcceptedFrame
-from tetractl.lab.accepted_poses import MotionLimits
+from tetractl.lab.accepted_poses import AcceptedPoses, MotionLimits
 from tetractl.lab.camera_stream import CameraStream, no_frame_text, with_outdated
 from tetractl.lab.culprit import Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.lab.guard_status import GuardStatus
-from tetractl.lab.motion_faults import REPEATS
-from tetractl.lab.pose_decision import PoseDecision, PoseReading, PoseStatus
+from tetractl.lab.motion_faults import DOES_NOT_MOVE, REPEATS
+from tetractl.lab.pose_decision import PoseDecision, PoseReading
 from tetractl.lab.robot_track import RobotTrack
-from tetractl.lab.run_checks import RUN_CHECKS, RobotSituation, Situation, untracked_text
 
 JUMP_HEADING = 0.7
 """A heading may differ by so much in no time [rad], as `jump_mm` says it of a position."""
+DAMAGED_MAX = 20
+"""Most pictures or datagrams of a second that may be damaged."""
+RARELY = 3.0
+"""A robot may be unseen for so many times `untracked_abort`, though not all at once."""
 
 
 @dataclass(slots=True)
@@ -154,7 +157,10 @@ class Guard:
 
     def _make_tracks_and_checks(self) -> None:
         rules = self.rules
-        self._robots = [RobotTrack.of(limits) for limits in motion_limits(rules)]
+        self._robots = [
+            RobotTrack(name, AcceptedPoses(limits))
+            for name, limits in zip(rules.names, motion_limits(rules), strict=True)
+        ]
         self._checks = self._checks_of(rules)
         self.culprit = Culprit(rules.names, self.drift, rules.mm)
 
@@ -267,7 +273,7 @@ class Guard:
             return
         self.culprit.suspect = suspect
         for robot in self._robots:
-            if robot.refused and robot.hidden(self._stream.newest_ns):
+            if robot.refused and robot.hidden:
                 robot.ghost = robot.refused
 
     def correct_reason(self, reason: str) -> None:
@@ -296,8 +302,9 @@ class Guard:
 
     def replace_robot(self, i: int) -> None:
         """Continue with another body in place of a lost robot."""
-        limits = self._robots[i].poses.limits
-        self._robots[i] = RobotTrack.of(limits, seen_ns=self._stream.newest_ns)
+        lost = self._robots[i]
+        poses = AcceptedPoses(lost.poses.limits, last_ns=lost.newest_ns)  # counts as seen now
+        self._robots[i] = RobotTrack(lost.name, poses, lost.newest_ns)
         self._checks.motion.forget(i)
 
     # ---- what controller and actuator did ----
@@ -349,6 +356,8 @@ class Guard:
         if not self._stream.advance(frame.sampled_ns, own_times=bool(frame.exposed_ns)):
             self._note_dropped()
             return None
+        for robot in self._robots:
+            robot.newest_ns = frame.sampled_ns
         in_run = self._in_run
         readings = self._readings(frame)
         times = tuple(reading.exposed_ns for reading in readings)
@@ -374,21 +383,18 @@ class Guard:
         if failure:
             self.abort(failure)
         recently_damaged = self._stream.damage.recent(now_ns, damaged)
-        robots = range(len(self._robots))
-        poses = tuple(self._pose_now(i) for i in robots)
+        poses = tuple(self._pose_now(i, robot) for i, robot in enumerate(self._robots))
         if self._in_run:
-            return self._rule_run(self._situation(now_ns, recently_damaged), poses, now_ns)
+            return self._rule_run(now_ns, recently_damaged, poses)
         return Ruling(self.state, self._nobody(), poses, self.reason, ())
 
-    def _rule_run(
-        self, situation: Situation, poses: tuple[Pose | None, ...], now_ns: int
-    ) -> Ruling:
+    def _rule_run(self, now_ns: int, damaged: int, poses: tuple[Pose | None, ...]) -> Ruling:
         """Rule on a run: check it first, and then, if nothing has ended it, let robots move.
 
         The controller's thread may end or abort it at any time: robots move only if the state is
         one of a run after all has been decided.
         """
-        self._check_run(situation, poses)
+        self._check_run(now_ns, damaged, poses)
         warnings = self._warnings.take()
         moving = self._moving(now_ns)
         if self._in_run:
@@ -428,23 +434,24 @@ class Guard:
         """Count for how long each robot was not seen, up to the newest frame of a run."""
         for robot in self._robots:
             recent_until_ns = robot.poses.last_ns + self.rules.limits.stale * SECOND
-            robot.absence.count(self._stream.newest_ns, recent_until_ns)
+            robot.absence.count(robot.newest_ns, recent_until_ns)
 
     def _lose_unseen(self) -> None:
         """Lose each robot that was not tracked until the newest frame, even if it is in it: after
         so long, what is shown there may be another body."""
         limit_ns = self.rules.limits.untracked_abort * SECOND
-        for i, robot in enumerate(self._robot_situations()):
+        for i, robot in enumerate(self._robots):
             if robot.untracked_ns >= limit_ns:
-                self.lose_robot(i, untracked_text(robot))
+                self.lose_robot(i, robot.untracked_text)
 
-    def _decide_pose(self, i: int, reading: PoseReading, in_run: bool) -> PoseDecision:
-        """Return what becomes of the pose of robot i; only its checks remember anything of it.
+    def _decide_pose(self, i: int, reading: PoseReading, in_run: bool) -> PoseDecision | None:
+        """Return what becomes of the pose of robot i, None if that was decided in a frame before;
+        only its checks remember anything of it.
 
         The first of these rows that fits decides:
 
             there is none, or the run goes on without the robot     missing
-            it is the measurement of a frame before                 unchanged
+            it is the measurement of a frame before                 None
             the robot is a ghost, or cannot have come there         refused
             it is the robot's first one, or no run has begun yet    accepted
             no run is on, but one was: it may show a motion         accepted, and checks note it
@@ -455,21 +462,21 @@ class Guard:
         pose = reading.pose
         last = robot.poses.last
         if pose is None or robot.lost:
-            return PoseDecision(PoseStatus.MISSING)
+            return PoseDecision()
         if not reading.is_new:
-            return PoseDecision(PoseStatus.UNCHANGED)
+            return None
         fault = robot.ghost or robot.poses.fault(pose, reading.exposed_ns, self._pace.driven)
         if fault:
-            return PoseDecision(PoseStatus.REFUSED, fault)
+            return PoseDecision(refused=fault)
         if last is None or not self._pace.driven:
-            return PoseDecision(PoseStatus.ACCEPTED)
+            return PoseDecision(pose)
         if not in_run:
-            return self._compare_in_pause(i, last, reading)
+            return self._compare_in_pause(i, last, pose, reading.exposed_ns)
         if pose == last:
-            return self._decide_repeat(i)
+            return self._decide_repeat(i, pose)
         return self._compare_in_run(i, last, pose)
 
-    def _decide_repeat(self, i: int) -> PoseDecision:
+    def _decide_repeat(self, i: int, pose: Pose) -> PoseDecision:
         """Return what becomes of a pose that equals the last one: it is no motion to compare.
 
         The robot may stand. But if its commands must have moved it by now, the camera shows a
@@ -478,17 +485,16 @@ class Guard:
         """
         frozen_before = self._robots[i].refused == REPEATS
         if frozen_before or self._checks.motion.must_have_moved(i):
-            return PoseDecision(PoseStatus.REFUSED, REPEATS)
-        return PoseDecision(PoseStatus.ACCEPTED)
+            return PoseDecision(refused=REPEATS)
+        return PoseDecision(pose)
 
-    def _compare_in_pause(self, i: int, last: Pose, reading: PoseReading) -> PoseDecision:
+    def _compare_in_pause(self, i: int, last: Pose, pose: Pose, exposed_ns: int) -> PoseDecision:
         """Return that a pose is accepted, and what the checks note: robots that move although no
         run is on have perhaps not heard the stop, which is then sent again."""
-        assert reading.pose is not None
         findings: list[Finding] = []
         for check in self._checks.checks:
-            findings.extend(check.pause(i, last, reading.pose, reading.exposed_ns))
-        return PoseDecision(PoseStatus.ACCEPTED, findings=tuple(findings))
+            findings.extend(check.pause(i, last, pose, exposed_ns))
+        return PoseDecision(pose, findings=tuple(findings))
 
     def _compare_in_run(self, i: int, last: Pose, pose: Pose) -> PoseDecision:
         """Return what becomes of a pose by the checks. All of them see it; the first that refuses
@@ -498,30 +504,25 @@ class Guard:
             findings.extend(check.pose(i, last, pose))
         for finding in findings:
             if isinstance(finding, Refuse):
-                return PoseDecision(
-                    PoseStatus.REFUSED, finding.text, disobeys=True, findings=tuple(findings)
-                )
-        return PoseDecision(PoseStatus.ACCEPTED, findings=tuple(findings))
+                return PoseDecision(None, finding.text, disobeys=True, findings=tuple(findings))
+        return PoseDecision(pose, findings=tuple(findings))
 
     def _record_poses(
-        self, readings: Sequence[PoseReading], decisions: Sequence[PoseDecision]
+        self, readings: Sequence[PoseReading], decisions: Sequence[PoseDecision | None]
     ) -> None:
         """Let the decisions on all robots' poses take effect, and then what checks have found."""
         for robot, reading, decision in zip(self._robots, readings, decisions, strict=True):
-            self._record_pose(robot, reading, decision)
+            if decision is None:
+                continue
+            robot.refused = decision.refused
+            robot.disobeys = decision.disobeys
+            if decision.refused:
+                self._stream.refused += 1
+            if decision.accepted is not None:
+                robot.poses.accept(decision.accepted, reading.exposed_ns)
         for decision in decisions:
-            self._record(decision.findings)
-
-    def _record_pose(self, robot: RobotTrack, reading: PoseReading, decision: PoseDecision) -> None:
-        """Let the decision on a robot's pose take effect."""
-        if decision.status is PoseStatus.UNCHANGED:
-            return
-        robot.refused = decision.refused
-        robot.disobeys = decision.disobeys
-        if decision.status is PoseStatus.REFUSED:
-            self._stream.refused += 1
-        if decision.status is PoseStatus.ACCEPTED and reading.pose is not None:
-            robot.poses.accept(reading.pose, reading.exposed_ns)
+            if decision is not None:
+                self._record(decision.findings)
 
     def _check_accepted(self, accepted: AcceptedFrame, times: tuple[int, ...]) -> None:
         """Let the checks look for what only the poses of all robots show, up to the first abort;
@@ -538,62 +539,71 @@ class Guard:
         for robot, pose in zip(self._robots, frame.poses, strict=True):
             in_frame = pose is not None and not robot.refused
             poses.append(robot.poses.last)
-            fresh.append(in_frame and not robot.lost and not robot.hidden(frame.sampled_ns))
+            fresh.append(in_frame and not robot.lost and not robot.hidden)
             times.append(robot.poses.last_ns)
         own_times = tuple(times) if frame.exposed_ns else ()
         return AcceptedFrame(frame, tuple(poses), tuple(fresh), own_times)
 
     # ---- a tick ----
 
-    def _situation(self, now_ns: int, damaged: int) -> Situation:
-        return Situation(
-            rules=self.rules,
-            undirected_ns=now_ns - self._pace.directed_ns,
-            ahead=self._pace.ahead,
-            frameless_ns=now_ns - self._stream.newest_ns,
-            outdated=self._stream.outdated,
-            damaged=damaged,
-            robots=self._robot_situations(),
-        )
-
-    def _robot_situations(self) -> tuple[RobotSituation, ...]:
-        newest_ns = self._stream.newest_ns
-        return tuple(
-            RobotSituation(
-                name=name,
-                lost=robot.lost,
-                refused=robot.refused,
-                disobeys=robot.disobeys,
-                hidden=robot.hidden(newest_ns),
-                untracked_ns=robot.untracked_ns(newest_ns),
-                unseen_ns=robot.absence.unseen_ns,
-            )
-            for name, robot in zip(self.rules.names, self._robots, strict=True)
-        )
-
-    def _check_run(self, situation: Situation, poses: Sequence[Pose | None]) -> None:
+    def _check_run(self, now_ns: int, damaged: int, poses: Sequence[Pose | None]) -> None:
         """Look for what ends the run, in the order of the table above, up to the first abort."""
-        for check in RUN_CHECKS:
-            self._record(check(situation))
-            if not self._in_run:
-                return
+        self._check_camera_and_controller(now_ns, damaged)
+        if self._in_run:
+            self._check_tracking()
+        if not self._in_run:
+            return
         places = self._places(poses)  # without the robots that were lost just now
         for check in self._checks.checks:
             self._record(check.tick(places))
             if not self._in_run:
                 return
 
-    def _pose_now(self, i: int) -> Pose | None:
+    def _check_camera_and_controller(self, now_ns: int, damaged: int) -> None:
+        """Abort if much of what the camera sends cannot be read, if robots drive ahead by an old
+        direction, or if no frame has come for `stream_lost`: no robot is then to blame."""
+        rules = self.rules
+        undirected_ns = now_ns - self._pace.directed_ns
+        frameless_ns = now_ns - self._stream.newest_ns
+        if damaged > DAMAGED_MAX:
+            self.abort(f"{damaged} damaged camera frames within a second")
+        elif self._pace.ahead and undirected_ns >= rules.silence_ns:
+            late = f"{rules.limits.late_steps} control steps in a row were late"
+            silent_s = undirected_ns / SECOND
+            self.abort(f"{late}: the controller gave no direction for {silent_s:.1f} s")
+        elif frameless_ns >= rules.limits.stream_lost * SECOND:
+            self.abort(with_outdated(no_frame_text(frameless_ns), self._stream.outdated))
+
+    def _check_tracking(self) -> None:
+        """For each robot that is not lost: abort if it disobeys for as long as stops it; lose it if
+        it is not tracked for `untracked_abort`, or if it is seen too rarely.
+
+        A run that may lose robots loses one that does not move as any other that is not tracked.
+        """
+        limit_ns = self.rules.limits.untracked_abort * SECOND
+        for i, robot in enumerate(self._robots):
+            if robot.lost:
+                continue
+            may_stand = self.rules.goes_on and robot.refused == DOES_NOT_MOVE
+            if robot.disobeys and robot.hidden and not may_stand:
+                self.abort(f"{robot.name} {robot.refused}", suspect=i)
+            elif robot.untracked_ns >= limit_ns:
+                self.lose_robot(i, robot.untracked_text)
+            elif robot.absence.unseen_ns >= RARELY * limit_ns:
+                rarely = "is seen too rarely: it, or frames, are missing too often"
+                self.lose_robot(i, f"{robot.name} {rarely}")
+            if self.state is GuardState.ABORT:
+                return
+
+    def _pose_now(self, i: int, robot: RobotTrack) -> Pose | None:
         """Return the accepted pose of robot i at the newest frame, None if it is hidden or lost; a
         pose that is older is carried on by the commands."""
-        robot = self._robots[i]
         pose = robot.poses.last
-        if pose is None or not robot.tracked(self._stream.newest_ns):
+        if pose is None or not robot.tracked:
             return None
-        late_ns = robot.untracked_ns(self._stream.newest_ns)
-        if not self._stream.own_times or late_ns <= 0:
+        if not self._stream.own_times or robot.untracked_ns <= 0:
             return pose
-        return self.drift.carried(i, pose, robot.poses.last_ns, late_ns)
+        return self.drift.carried(i, pose, robot.poses.last_ns, robot.untracked_ns)
 
     def _places(self, poses: Sequence[Pose | None]) -> tuple[RobotPlace, ...]:
         """Return where the robots are, whose `poses` (N,) are those at the newest frame."""
@@ -606,21 +616,19 @@ class Guard:
 
     def _moving(self, now_ns: int) -> tuple[bool, ...]:
         """Return which robots may move in a run (N,)."""
-        newest_ns = self._stream.newest_ns
-        fresh = now_ns - newest_ns <= self.rules.limits.stale * SECOND
+        fresh = now_ns - self._stream.newest_ns <= self.rules.limits.stale * SECOND
         # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
         turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
         directed = self._pace.ahead or now_ns - self._pace.directed_ns < turn_ns
         may = fresh and directed
         if self.together:
             return (may,) * len(self._robots)
-        return tuple(may and robot.tracked(newest_ns) for robot in self._robots)
+        return tuple(may and robot.tracked for robot in self._robots)
 
     def _must_hold(self, moving: Sequence[bool]) -> bool:
         """Return whether a robot that is not lost is stopped, or is steered while it is hidden."""
-        newest_ns = self._stream.newest_ns
         for robot, moves in zip(self._robots, moving, strict=True):
-            if not robot.lost and not (moves and robot.tracked(newest_ns)):
+            if not robot.lost and not (moves and robot.tracked):
                 return True
         return False
 

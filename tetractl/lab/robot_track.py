@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S
-from tetractl.lab.accepted_poses import AcceptedPoses, MotionLimits
+from tetractl.lab.accepted_poses import AcceptedPoses
 
 FORGIVEN = 0.25
 """Share of the time for which a robot is seen that is taken off the time for which it was not."""
@@ -36,7 +36,10 @@ class RobotTrack:
     own.
     """
 
+    name: str
     poses: AcceptedPoses
+    newest_ns: int = 0
+    """When the newest frame was exposed, 0 before the first: all that follows is as of then."""
     absence: Absence = field(default_factory=Absence)
     refused: str = ""
     """Why the newest pose was refused, "" if it was accepted or missing."""
@@ -49,28 +52,31 @@ class RobotTrack:
     strayed: str = ""
     """How it was first seen to move in a pause, "" if it was not."""
 
-    @classmethod
-    def of(cls, limits: MotionLimits, seen_ns: int = 0) -> "RobotTrack":
-        """Return the track of a robot that counts as seen at a time, without a pose."""
-        return cls(AcceptedPoses(limits, last_ns=seen_ns))
-
     @property
     def lost(self) -> bool:
         """Whether the run goes on without the robot."""
         return self.lost_ns is not None
 
-    def untracked_ns(self, newest_ns: int) -> int:
-        """Return the age of the last accepted pose at the newest frame [ns]."""
-        return newest_ns - self.poses.last_ns
+    @property
+    def untracked_ns(self) -> int:
+        """The age of the last accepted pose [ns]."""
+        return self.newest_ns - self.poses.last_ns
 
-    def tracked(self, newest_ns: int) -> bool:
-        """Return whether the robot may move, as far as its pose is concerned."""
-        has_pose = self.poses.last is not None
-        return has_pose and not self.lost and not self.hidden(newest_ns)
+    @property
+    def untracked_text(self) -> str:
+        """A text that the robot is not tracked, since when and, if known, why."""
+        why = f": {self.refused}" if self.refused else ""
+        return f"{self.name} is not tracked{why} ({self.untracked_ns / SECOND:.2f} s)"
 
-    def hidden(self, newest_ns: int) -> bool:
-        """Return whether no pose was accepted for so long that the robot must stop."""
-        return self.untracked_ns(newest_ns) > UNTRACKED_STOP_S * SECOND
+    @property
+    def hidden(self) -> bool:
+        """Whether no pose was accepted for so long that the robot must stop."""
+        return self.untracked_ns > UNTRACKED_STOP_S * SECOND
+
+    @property
+    def tracked(self) -> bool:
+        """Whether the robot may move, as far as its pose is concerned."""
+        return self.poses.last is not None and not self.lost and not self.hidden
 
     def start_run(self) -> None:
         """Forget how the robot moved before a run: it may have been carried."""

@@ -1,6 +1,5 @@
 """What is said of a model that does not fit, what was learnt once it fits again, and who stands."""
 
-
 import numpy as np
 import pytest
 from support.trials import experiment

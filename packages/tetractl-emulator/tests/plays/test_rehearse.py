@@ -11,10 +11,8 @@ from tetractl_emulator.rehearsal import day, shrink
 from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
 from tetractl.core.clock import SECOND
-from tetractl.lab import guard
 from tetractl.lab.accepted_poses import AcceptedPoses
 from tetractl.lab.guard import Guard
-from tetractl.lab.run_checks import RUN_CHECKS, untracked_robots
 
 pytestmark = pytest.mark.slow
 
@@ -37,8 +35,7 @@ def rehearse(folder, *words):
 
 def without_tracking(monkeypatch):
     """Plant a defect: no robot is lost, and no run ends, since a robot is not tracked."""
-    other_checks = tuple(check for check in RUN_CHECKS if check is not untracked_robots)
-    monkeypatch.setattr(guard, "RUN_CHECKS", other_checks)
+    monkeypatch.setattr(Guard, "_check_tracking", lambda self: None)
 
 
 def rows(folder):

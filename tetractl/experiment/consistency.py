@@ -1,17 +1,11 @@
-"""The errors of a spec whose parts are valid, but contradict each other.
+"""The errors of a spec whose parts are valid, but contradict each other: `errors_of`.
 
-`errors_of` applies every rule to a spec that is loaded. There are three kinds of rules:
-
-- of entries: `same_names`, `misplaced`. They read the valid robots and obstacles of a spec, so that
-  they find errors also in a spec of which another part is invalid.
-- of sections, the list `SECTION_RULES`. They check a lab that a command chooses again.
-- of places and memory: `too_large`, `overlapping`, `unreachable`.
-
-A spec in a log, which tetractl has written, may have places that a person's spec may not have:
-there, starts may have been measured.
+A lab that a command chooses again is checked by the rules of sections alone, SECTION_RULES. A spec
+in a log, which tetractl has written, may have places that a person's spec may not have: there,
+starts may have been measured.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,24 +31,11 @@ and do not overlap."""
 Findings = Iterator[SpecFinding]
 
 
-@dataclass(frozen=True, slots=True)
-class Entries:
-    """The valid parts of a spec; robots and obstacles by their index in its lists."""
-
-    arena: Arena | None
-    robots: Mapping[int, Robot]
-    obstacles: Mapping[int, ShapeSection]
-
-
-def errors_of(entries: Entries, experiment: Experiment | None, written: bool) -> Findings:
-    """Yield the errors of a spec; `experiment` is None if a part is invalid, and `written` is
-    whether tetractl has written the spec into a log.
-    """
-    yield from same_names(entries)
+def errors_of(experiment: Experiment, written: bool) -> Findings:
+    """Yield the errors of a spec; `written` is whether tetractl has written it into a log."""
+    yield from same_names(experiment)
     if not written:
-        yield from misplaced(entries)
-    if experiment is None:
-        return
+        yield from misplaced(experiment)
     yield from section_errors(experiment)
     yield from too_large(experiment)
     if not written:
@@ -68,44 +49,44 @@ def section_errors(experiment: Experiment) -> Findings:
         yield from rule(experiment)
 
 
-# rules of entries
+# rules of robots and obstacles
 
 
-def same_names(entries: Entries) -> Findings:
+def same_names(experiment: Experiment) -> Findings:
     """Names differ."""
     first: dict[str, int] = {}
-    for i, robot in entries.robots.items():
+    for i, robot in enumerate(experiment.robots):
         earlier = first.setdefault(robot.name, i)
         if earlier != i:
             message = f"robots.{earlier} has this name already; names must differ"
             yield error(("robots", i, "name"), message)
 
 
-def misplaced(entries: Entries) -> Findings:
+def misplaced(experiment: Experiment) -> Findings:
     """Starts, targets and way-points are in the arena and in no obstacle; no obstacle is entirely
     outside the arena.
     """
-    arena = entries.arena
-    places = _places(entries.robots)
+    arena = experiment.arena
+    places = [] if experiment.chosen else _places(experiment.robots)  # others are stand-ins
     points = np.array([point for _, point in places], dtype=float).reshape(-1, 2)
-    inside = {j: _inside(obstacle, points) for j, obstacle in entries.obstacles.items()}
+    inside = [_inside(obstacle, points) for obstacle in experiment.obstacles]
     for row, (where, point) in enumerate(places):
-        if arena is not None and not arena.bounds.contains(*point):
+        if not arena.bounds.contains(*point):
             yield error(where, f"is outside the arena; must be within {_extent(arena)}")
-        for j, obstacle in entries.obstacles.items():
+        for j, obstacle in enumerate(experiment.obstacles):
             if inside[j][row]:
                 message = f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
                 yield error(where, message)
-    for j, obstacle in entries.obstacles.items():
-        if arena is not None and not _touches(arena, obstacle):
+    for j, obstacle in enumerate(experiment.obstacles):
+        if not _touches(arena, obstacle):
             message = f"is entirely outside the arena, which is {_extent(arena)}"
             yield error(("obstacles", j), message)
 
 
-def _places(robots: Mapping[int, Robot]) -> list[tuple[Loc, Point]]:
+def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
     """Return the location in the spec of each start, target and way-point, and the point."""
     places: list[tuple[Loc, Point]] = []
-    for i, robot in robots.items():
+    for i, robot in enumerate(robots):
         places.append((("robots", i, "start"), robot.start))
         places.append((("robots", i, "target"), robot.target))
         for leg, point in enumerate(robot.via):

@@ -23,21 +23,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
 from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.base import with_tuples
-from tetractl.experiment.consistency import Entries, errors_of
+from tetractl.experiment.consistency import errors_of
 from tetractl.experiment.controller import ControllerSection, with_logged_keys, without_retired
 from tetractl.experiment.experiment import (
     DEFAULT_CONTROLLER,
-    Arena,
     Experiment,
-    Obstacle,
-    Robot,
     Trials,
 )
 from tetractl.experiment.explain import explain
@@ -307,50 +304,18 @@ def _with_weights(document: Document, folder: Path, attached: Attached) -> Attac
 
 
 def validated_experiment(document: Document, written: bool) -> Experiment:
-    """Return the experiment of a document; InvalidSpecError with all its problems at once."""
-    data = with_tuples(document.data)
-    entries = _valid_entries(data)
-    experiment = None
+    """Return the experiment of a document; InvalidSpecError with all its wrong values at once or,
+    if there are none, with all that contradicts each other."""
     try:
-        parts = _with_entries(data, entries)
-        experiment = Experiment.model_validate(parts, strict=True, context=STRICT)
+        experiment = Experiment.model_validate(
+            with_tuples(document.data), strict=True, context=STRICT
+        )
     except ValidationError as error:
         document.problems.extend(explain(error, document))
-    for error in errors_of(entries, experiment, written):
+        raise InvalidSpecError(document.all_problems) from None
+    for error in errors_of(experiment, written):
         place = document.place(error.where)
         document.problems.append(place.problem(error.where, error.text, place.text))
-    if document.all_problems or experiment is None:
+    if document.all_problems:
         raise InvalidSpecError(document.all_problems)
     return experiment
-
-
-def _with_entries(data: Mapping[str, Any], entries: Entries) -> dict[str, Any]:
-    """Return a spec's data for validation, in which valid parts are not validated again."""
-    parts = dict(data)
-    if entries.arena is not None:
-        parts["arena"] = entries.arena
-    for key, valid in (("robots", entries.robots), ("obstacles", entries.obstacles)):
-        if valid:
-            parts[key] = tuple(valid.get(i, value) for i, value in enumerate(data[key]))
-    return parts
-
-
-def _valid_entries(data: Mapping[str, Any]) -> Entries:
-    """Return the valid arena, robots and obstacles, even if other parts of the spec are invalid."""
-    return Entries(
-        arena=_valid_by_index(Arena, (data.get("arena"),)).get(0),
-        robots=_valid_by_index(Robot, data.get("robots")),
-        obstacles=_valid_by_index(Obstacle, data.get("obstacles")),
-    )
-
-
-def _valid_by_index(kind: Any, values: Any) -> dict[int, Any]:
-    """Return the valid sections of a kind, by their index in `values`; none if it is no list."""
-    adapter = TypeAdapter(kind)
-    valid: dict[int, Any] = {}
-    for i, value in enumerate(values if isinstance(values, tuple) else ()):
-        try:
-            valid[i] = adapter.validate_python(value, strict=True, context=STRICT)
-        except ValidationError:
-            continue  # the validation of the whole spec reports it
-    return valid

@@ -5,7 +5,6 @@ import itertools
 import json
 import re
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from support.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
-from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue, merge
 from tetractl.experiment.load import (
     attach,
@@ -177,7 +175,6 @@ controler: {}
     assert [line.split(": ")[:2] for line in problems(text)] == [
         ["s.yaml:2:1", "name"],
         ["s.yaml:3:17", "units.length"],
-        ["s.yaml:6:42", "robots.0.target"],
         ["s.yaml:7:55", "robots.1.a"],
         ["s.yaml:8:5", "robots.2.speed"],
         ["s.yaml:8:58", "robots.2.sped"],
@@ -484,15 +481,6 @@ def test_an_error_of_an_option_names_the_option():
     with pytest.raises(InvalidSpecError) as caught:
         parse_spec(GOOD, "s.yaml", [FieldValue("trials.seed", -1, "--seed")])
     assert caught.value.message == "--seed -1: trials.seed: -1: must be at least 0"
-
-
-def test_a_valid_robot_is_not_validated_again_with_the_whole_spec():
-    validate = mock.patch.object(Experiment, "model_validate", wraps=Experiment.model_validate)
-    with validate as of_whole_spec, pytest.raises(InvalidSpecError):
-        parse_spec(changed("a: 4", "a: -4"), "s.yaml")
-    (data,) = of_whole_spec.call_args.args
-    assert [isinstance(robot, Robot) for robot in data["robots"]] == [True, False]
-    assert [obstacle.type for obstacle in data["obstacles"]] == ["rectangle", "circle"]
 
 
 def test_an_identified_value_goes_to_its_robot_also_behind_an_entry_that_is_none():

@@ -7,7 +7,7 @@ import pytest
 from support.bounded import best_plan, spec
 from support.paths import ROOT
 
-from tetractl.experiment.consistency import Entries, same_names
+from tetractl.experiment.consistency import same_names
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.spec_finding import Severity
 from tetractl.experiment.yaml.problems import InvalidSpecError
@@ -323,7 +323,8 @@ def test_rules_of_consistency_find_errors_and_rules_of_plausibility_find_warning
     assert warning.severity is Severity.WARNING
     assert warning.hint
     robot = experiment.robots[0]
-    (error,) = same_names(Entries(arena=None, robots={0: robot, 1: robot}, obstacles={}))
+    twice = experiment.model_copy(update={"robots": (robot, robot)})
+    (error,) = same_names(twice)
     assert error.severity is Severity.ERROR
     assert error.where == ("robots", 1, "name")
 

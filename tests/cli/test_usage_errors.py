@@ -117,7 +117,7 @@ kinds --check : | :: must be MODULE:NAME | such as pivot:PIVOT
 kinds --check json:dumps --set =3 | --set =3: must be FIELD=VALUE
 kinds --check json:dumps | json:dumps: there is no check for this kind
 kinds --check tetractl.model.shapes.circle:Circle | Circle: center: is missing
-kinds --check tetractl.experiment.controller:Square | Square: there is no check for this kind
+kinds --check tetractl.control.stop:PaperStop | PaperStop: there is no check for this kind
 lab stop | give either a SPEC or --port
 lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab

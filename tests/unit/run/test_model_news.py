@@ -155,8 +155,7 @@ def test_robots_that_stand_are_named_in_the_order_of_the_spec():
 
 def with_dead_times(*dead_times_s, std_s=0.002):
     """What fits, of robots with dead times of their own [s]."""
-    return replace(
-        FITS,
+    return FITS._replace(
         own_dead_time=np.array(dead_times_s),
         own_dead_time_std=np.full(ROBOTS, std_s),
     )

@@ -317,9 +317,9 @@ def _conclude(
     unwritten = None
     if report.results or not _not_run(report, planned):
         unwritten = _print_statistics(folder, as_json, logs_may_lack=bool(report.aborted))
-    _tell_where(folder, _not_run(report, planned))
     if unwritten is not None and end is not RunEnd.COMPLETE:  # there, it is the error of the run
         ui.tell(f"error: the statistics were not written: {unwritten.strerror or unwritten}")
+    _tell_where(folder, _not_run(report, planned))
     for (_, trial), result in report.aborted.items():  # last: it may name robots that still move
         ui.tell(f"error: trial {trial + 1}: {result.reason}")
 

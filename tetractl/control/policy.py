@@ -25,7 +25,7 @@ from pydantic import Field
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection, PlainStep
 from tetractl.core.commands import Command
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import ControlError
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
@@ -130,8 +130,9 @@ class PolicyController(PlainController):
             features(self._setup, observation, self._last_direction),
         )
         if not np.isfinite(outputs).all():
-            raise UsageError(
-                "the policy's outputs are not finite numbers", "its weights are too large"
+            raise ControlError(
+                "the policy's outputs are not finite numbers",
+                "its weights are too large, or a pose is no number",
             )
         along_x, along_y = np.clip(outputs, -1.0, 1.0)
         direction = math.atan2(along_y, along_x)

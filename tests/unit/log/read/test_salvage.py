@@ -200,7 +200,7 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     for read in (read_trial, read_result, content_digest):
         with pytest.raises(LogError, match="No such file"):
             read(tmp_path / "none.mcap")
-        with pytest.raises(LogError, match="is not a regular file"):
+        with pytest.raises(LogError, match="is a folder, not a log"):
             read(tmp_path)
 
 

@@ -57,7 +57,8 @@ MICROSCOPE = (
     "untracked, cell: cell 1",
 )
 PROCESS = {get_args(kind.model_fields["fault"].annotation)[0] for kind in PROCESS_FAULTS}
-ELSEWHERE = {"unplug", "stuck_port", "pushed", "stopped_elsewhere", *PROCESS}  # nothing to undo
+ELSEWHERE = {"unplug", "stuck_port", "pushed", "stopped_elsewhere", "driven_elsewhere", *PROCESS}
+"""Faults that no device holds: there is nothing to undo."""
 
 
 def shipped_faults():

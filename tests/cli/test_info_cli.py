@@ -78,7 +78,8 @@ def test_the_last_estimate_is_told_with_its_deviations(tmp_path):
     random_trial = random_trials.trial(robots=2, steps=6)
     estimate = random_trial.steps[-1].plan.estimate
     assert estimate is not None
-    sure = estimate._replace(
+    sure = replace(
+        estimate,
         a=np.array([5.4926, 3.0]),
         a_std=np.array([0.0521, 0.0]),
         speed=np.array([201.25, 150.0]),

@@ -74,8 +74,8 @@ from tetractl.control.kernels.filter_state import (
     GRID,
     Bank,
     CommonTimes,
-    Forecast,
     NextFilters,
+    Outlook,
     PoseFrames,
     SentCommands,
     SharedScores,
@@ -85,7 +85,7 @@ from tetractl.control.prior import Prior
 from tetractl.control.reception import Reception
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
-from tetractl.core.plan import INNOVATIONS
+from tetractl.core.plan import INNOVATIONS, Estimate
 from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 
 SPACING_NS = round(0.03 * SECOND)
@@ -99,6 +99,21 @@ HEADING_MISFIT = INNOVATIONS.index("heading")
 """Column of a misfit that is about the heading."""
 COMMANDS_AT_FIRST = 64
 """Number of commands for which there is room; it is doubled when they are more."""
+
+
+class Forecast(NamedTuple):
+    """What N robots do at the moment when the next command acts on each, if it does nothing else
+    before than what it was sent."""
+
+    poses: Poses
+    turn_bias: Floats
+    """(N,) difference of the directions that robots turn to from those sent [rad]."""
+    flow: Floats
+    """(N, 2) [length unit/s]."""
+    directions: Floats
+    """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
+    estimate: Estimate
+    """What is known of the robots' motion."""
 
 
 class RunningFilters(NamedTuple):
@@ -200,26 +215,43 @@ class FilterBank:
 
     def forecast(self, sent_ns: int) -> Forecast:
         """Return the robots as each will be when a command sent at `sent_ns` [ns] acts on it."""
-        from tetractl.control.kernels.bank import forecast as fill
+        from tetractl.control.kernels.bank import forecast as fill_outlook
 
         assert self.last_frame is not None, "poses are predicted from those of a frame"
-        forecast = Forecast.room_for(len(self.prior.a))
-        dead_time_s, dead_time_std_s = fill(
+        outlook = Outlook.empty(len(self.prior.a))
+        dead_time_s, dead_time_std_s = fill_outlook(
             self.bank,
             self.model,
             self.shared,
             self.commands.all,
             self.last_frame.seconds,
             sent_ns / SECOND,
-            forecast,
+            outlook,
         )
-        estimate = forecast.estimate._replace(
+        estimate = Estimate(
+            a=outlook.a,
+            a_std=outlook.a_std,
+            speed=outlook.speed,
+            speed_std=outlook.speed_std,
+            heading_bias=outlook.heading_bias,
+            heading_bias_std=outlook.heading_bias_std,
             dead_time=dead_time_s,
             dead_time_std=dead_time_std_s,
+            misfit=outlook.misfit,
+            side=outlook.side,
+            side_std=outlook.side_std,
+            saturation=outlook.saturation,
+            stands=outlook.stands,
             own_dead_time=self.shared.mean_s,
             own_dead_time_std=self.shared.std_s,
         )
-        return forecast._replace(estimate=estimate)
+        return Forecast(
+            poses=Poses(outlook.x, outlook.y, outlook.heading),
+            turn_bias=outlook.turn_bias,
+            flow=outlook.flow,
+            directions=outlook.held_direction,
+            estimate=estimate,
+        )
 
     def add_command(self, command: Command) -> None:
         """Add a command with the time at which it was sent."""

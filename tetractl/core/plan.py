@@ -4,9 +4,9 @@ searches it was chosen from, or the end of the trial.
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from typing import NamedTuple, Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
@@ -161,7 +161,8 @@ OF_PLACES = INNOVATIONS[:2]
 """Those that a turning rate determines, and the others."""
 
 
-class Estimate(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Estimate:
     """A controller's estimates of N robots while they move, with standard deviations, named
     `..._std`.
 
@@ -176,8 +177,6 @@ class Estimate(NamedTuple):
     a robot stands although it is sent a direction: it is stuck, or a cell rests, or backs off and
     turns. `own_dead_time` (N,) [s] is the dead time of each robot, which no log has. None if they
     are not estimated.
-
-    A kernel fills its arrays, see `room_for`: so it is a tuple.
     """
 
     a: Floats
@@ -193,15 +192,8 @@ class Estimate(NamedTuple):
     side_std: Floats | None = None
     saturation: Floats | None = None
     stands: Floats | None = None
-    own_dead_time: Floats | None = None
-    own_dead_time_std: Floats | None = None
-
-    @classmethod
-    def room_for(cls, robots: int) -> Self:
-        """Return an estimate of all quantities with arrays that are to be filled."""
-        return cls._make(np.empty(robots) for _ in cls._fields)._replace(
-            misfit=np.empty((robots, len(INNOVATIONS))), dead_time=0.0, dead_time_std=0.0
-        )
+    own_dead_time: Floats | None = field(default=None, compare=False)
+    own_dead_time_std: Floats | None = field(default=None, compare=False)
 
     def standing(self, names: Sequence[str]) -> list[str]:
         """Return the robots, of these `names`, that surely stand although they are to drive."""
@@ -238,7 +230,12 @@ class Estimate(NamedTuple):
         """Return the estimates of the robots for which `chosen` (N,) is true."""
         if chosen.all():
             return self
-        return Estimate._make(v[chosen] if isinstance(v, np.ndarray) else v for v in self)
+        values = {
+            field_of_class.name: getattr(self, field_of_class.name)
+            for field_of_class in fields(self)
+        }
+        chosen_values = {name: v[chosen] for name, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **chosen_values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,8 @@ import numpy as np
 from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
 
-from tetractl.core.plan import Estimate
 from tetractl.log.format import channels
 from tetractl.log.format.channels import CHANNELS, Entry
-from tetractl.log.format.codec import ESTIMATE_FIELDS
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.raw_log import RawLog
 
@@ -98,7 +96,7 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
     elif isinstance(ours, str | bytes | int | np.generic):
         if ours != logged:
             yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
-    elif isinstance(ours, Sequence) and not isinstance(ours, Estimate):
+    elif isinstance(ours, Sequence):
         if len(ours) != len(logged):
             yield Difference(None, name, f"logged {len(logged)}, computed {len(ours)}")
         for i, (our_part, logged_part) in enumerate(zip(ours, logged, strict=False)):
@@ -116,10 +114,7 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
 
 
 def _items(record: Any) -> Mapping[str, Any]:
-    """Return the parts of a record by name, without those that do not count in a comparison; of an
-    estimate those that a log has."""
-    if isinstance(record, Estimate):
-        return {name: getattr(record, name) for name in ESTIMATE_FIELDS}
+    """Return the parts of a record by name, without those that do not count in a comparison."""
     if is_dataclass(record):
         compared = [field.name for field in fields(record) if field.compare]
         return {name: getattr(record, name) for name in compared}

@@ -691,7 +691,7 @@ def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
         assert filters.shared.score == pytest.approx(score, rel=1e-9)
         mean_and_std_s = np.array([filters.shared.mean_s, filters.shared.std_s])
         assert mean_and_std_s == pytest.approx(np.array(dead_times), rel=1e-9)
-        for name, expected in oracle.estimate(filters)._asdict().items():
+        for name, expected in asdict(oracle.estimate(filters)).items():
             value = getattr(estimator.estimate, name)
             assert value == pytest.approx(expected, rel=1e-9, abs=1e-12), name
 

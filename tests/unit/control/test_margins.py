@@ -116,8 +116,8 @@ def test_what_is_uncertain_takes_more_room():
         speed_std=np.zeros(3),
         dead_time_std=0.0,
     )
-    of_dead_time = known_well._replace(dead_time_std=0.1)
-    of_speed = known_well._replace(speed_std=np.full(3, 10.0))
+    of_dead_time = replace(known_well, dead_time_std=0.1)
+    of_speed = replace(known_well, speed_std=np.full(3, 10.0))
 
     least = off_course(speed, period, dead_time, known_well)
     assert least == off_course(speed, period, dead_time, None) > 0

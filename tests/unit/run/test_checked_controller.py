@@ -113,7 +113,7 @@ def estimated(**changed):
     """A plan of an estimate that is right, but for what is changed."""
     ones = np.ones(ROBOTS)
     estimate = Estimate(a=ones, a_std=ones, speed=ones, speed_std=ones)
-    return plan(estimate=estimate._replace(**changed))
+    return plan(estimate=replace(estimate, **changed))
 
 
 NO_DECISIONS = {

@@ -1,5 +1,7 @@
 """What is said of a model that does not fit, what was learnt once it fits again, and who stands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.trials import experiment
@@ -19,9 +21,9 @@ ROBOTS = len(SETUP.names)
 NAME = SETUP.names[0]
 EACH = np.ones(ROBOTS)
 FITS = Estimate(4 * EACH, 0.1 * EACH, 200 * EACH, EACH, dead_time=0.11, dead_time_std=0.002)
-FITS = FITS._replace(misfit=np.zeros((ROBOTS, 3)), side=0 * EACH, side_std=0.02 * EACH)
-UNFIT = FITS._replace(misfit=np.eye(ROBOTS, 3, 2) * 2)
-STRAYS = FITS._replace(misfit=np.array([[2.0, 2.0, 0.0], *np.zeros((ROBOTS - 1, 3))]))
+FITS = replace(FITS, misfit=np.zeros((ROBOTS, 3)), side=0 * EACH, side_std=0.02 * EACH)
+UNFIT = replace(FITS, misfit=np.eye(ROBOTS, 3, 2) * 2)
+STRAYS = replace(FITS, misfit=np.array([[2.0, 2.0, 0.0], *np.zeros((ROBOTS - 1, 3))]))
 
 
 def said(*estimates):
@@ -83,7 +85,7 @@ def test_what_was_learnt_is_said_with_numbers():
         f"{NAME} turns at 2 rad/s at most": {"saturation": np.where(first, 0.5, 1.0)},
     }
     for text, changed in cases.items():
-        texts = said((1, UNFIT), (1 + FITS_S, FITS._replace(**changed)))[1:]
+        texts = said((1, UNFIT), (1 + FITS_S, replace(FITS, **changed)))[1:]
         assert texts == [f"the model fits again: {text}"]
 
 
@@ -109,7 +111,7 @@ def test_what_was_learnt_is_said_with_numbers():
 def test_a_latency_that_is_wrong_is_named(dead_time, std, question):
     """Regression: a latency 50 ms wrong was only a model that does not fit."""
     news = ModelNews(StatedModel(0.03, has_latency=True))
-    estimate = UNFIT._replace(dead_time=dead_time, dead_time_std=std)
+    estimate = replace(UNFIT, dead_time=dead_time, dead_time_std=std)
     texts = [text for s in (1, 2) for _, text in news.of(estimate, SETUP, round(1e9 * s))]
     assert texts[1:] == ([f"commands act {question}"] if question else [])
 
@@ -141,7 +143,7 @@ def test_a_dead_time_is_not_questioned_while_the_model_fits():
 def test_a_robot_that_stands_is_named_once():
     probabilities = np.zeros(ROBOTS)
     probabilities[0] = 0.95
-    stands = FITS._replace(stands=probabilities)
+    stands = replace(FITS, stands=probabilities)
     assert stands.standing(SETUP.names) == [NAME]
     texts = said((1, FITS), (2, stands), (3, FITS), (4, stands))
     assert texts == [f"{NAME} stands although it is sent a direction"]
@@ -149,13 +151,14 @@ def test_a_robot_that_stands_is_named_once():
 
 def test_robots_that_stand_are_named_in_the_order_of_the_spec():
     """Regression: the order was that of a set, which differs between processes."""
-    texts = said((1, FITS._replace(stands=np.full(ROBOTS, 0.95))))
+    texts = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
     assert texts == [f"{name} stands although it is sent a direction" for name in SETUP.names]
 
 
 def with_dead_times(*dead_times_s, std_s=0.002):
     """What fits, of robots with dead times of their own [s]."""
-    return FITS._replace(
+    return replace(
+        FITS,
         own_dead_time=np.array(dead_times_s),
         own_dead_time_std=np.full(ROBOTS, std_s),
     )

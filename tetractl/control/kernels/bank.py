@@ -294,9 +294,9 @@ def _between(bank, i, chosen, group, time_s):
 
 
 @compiled(**ENTRY_FAST)
-def forecast(bank, model, shared, commands, frame_s, sent_s, room):
-    """Fill `room`, a `Forecast`, with what each robot's likeliest hypothesis says; return the mean
-    of the dead times and its standard deviation [s].
+def forecast(bank, model, shared, commands, frame_s, sent_s, outlook):
+    """Fill `outlook` with what each robot's likeliest hypothesis says; return the mean of the dead
+    times and its standard deviation [s].
 
     Poses are predicted from those at the times frame_s (N,) of the last frame [s], through all
     commands, to the moment when a command that is sent at `sent_s` acts on each robot; of lagging
@@ -312,21 +312,21 @@ def forecast(bank, model, shared, commands, frame_s, sent_s, room):
         slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
         for k in range(z.size):
             z[k] = bank.state[b, i, slot, k]
-        growth = _misfit(bank, b, i, room.estimate)
-        _describe(bank, model, b, i, slot, z, growth, room)
+        growth = _misfit(bank, b, i, outlook)
+        _describe(bank, model, b, i, slot, z, growth, outlook)
         dead_time_s = shared.mean_s[i]
         std_s = growth * shared.std_s[i]
         mean_s += dead_time_s
         variance += std_s * std_s
         begin_s = frame_s[i]
         acts_s = max(sent_s + dead_time_s, begin_s)
-        room.directions[i] = _predict(
+        outlook.held_direction[i] = _predict(
             bank, model, commands, b, i, slot, z, dead_time_s, begin_s, acts_s
         )
         _come_to_rest(model, i, z)
-        room.x[i] = z[X]
-        room.y[i] = z[Y]
-        room.heading[i] = z[HEADING]
+        outlook.x[i] = z[X]
+        outlook.y[i] = z[Y]
+        outlook.heading[i] = z[HEADING]
     mean_s /= robots
     for i in range(robots):
         variance += (shared.mean_s[i] - mean_s) ** 2
@@ -334,7 +334,7 @@ def forecast(bank, model, shared, commands, frame_s, sent_s, room):
 
 
 @compiled(**INLINE_FAST)
-def _misfit(bank, b, i, estimate):
+def _misfit(bank, b, i, outlook):
     """Fill how far the sums of the innovations are from what the model allows; return the factor by
     which standard deviations grow: the root of the largest mean square, and not below 1."""
     blocks = max(bank.blocks[b, i], ASSUMED.least_blocks)
@@ -342,32 +342,31 @@ def _misfit(bank, b, i, estimate):
     growth2 = 1.0
     for k in range(3):
         growth2 = max(growth2, bank.square_sum[b, i, k] / blocks)
-        estimate.misfit[i, k] = bank.square_sum[b, i, k] / limit
+        outlook.misfit[i, k] = bank.square_sum[b, i, k] / limit
     return math.sqrt(growth2)
 
 
 @compiled(**INLINE_FAST)
-def _describe(bank, model, b, i, slot, z, growth, room):
+def _describe(bank, model, b, i, slot, z, growth, outlook):
     """Fill what a hypothesis says of robot i's motion. The state has logarithms of a and v: their
     deviations are relative."""
     cov = bank.cov[b, i, slot]
-    estimate = room.estimate
     a, speed, side, saturation = parameters_of(model, i, z)
-    estimate.a[i] = a
-    estimate.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
-    estimate.speed[i] = speed
-    estimate.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
-    room.turn_bias[i] = z[TURN_BIAS]
-    estimate.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
+    outlook.a[i] = a
+    outlook.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
+    outlook.speed[i] = speed
+    outlook.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
+    outlook.turn_bias[i] = z[TURN_BIAS]
+    outlook.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
     variance = cov[TURN_BIAS, TURN_BIAS] + cov[MARKER_BIAS, MARKER_BIAS]
     variance += 2 * cov[TURN_BIAS, MARKER_BIAS]
-    estimate.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
-    room.flow[i, 0] = z[FLOW_X]
-    room.flow[i, 1] = z[FLOW_Y]
-    estimate.side[i] = side
-    estimate.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
-    estimate.saturation[i] = saturation
-    estimate.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
+    outlook.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
+    outlook.flow[i, 0] = z[FLOW_X]
+    outlook.flow[i, 1] = z[FLOW_Y]
+    outlook.side[i] = side
+    outlook.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
+    outlook.saturation[i] = saturation
+    outlook.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
 
 
 @compiled(**INLINE_FAST)

@@ -36,8 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.prior import Prior, Sticks
-from tetractl.core.plan import Estimate
-from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.poses import Bools, Floats
 
 # Slots of the state.
 X = 0
@@ -436,33 +435,41 @@ class NextFilters(NamedTuple):
         return chosen
 
 
-class Forecast(NamedTuple):
-    """What N robots do at the moment when the next command acts on each, if it does nothing else
-    before than what it was sent: what each one's likeliest hypothesis says."""
+class Outlook(NamedTuple):
+    """What the likeliest hypothesis of each of N robots says, (N,) each (`kernels.bank.forecast`).
+
+    x, y, heading and `held_direction` are those of the moment when the next command acts. Standard
+    deviations are named `..._std`.
+    """
 
     x: Floats
     y: Floats
     heading: Floats
     turn_bias: Floats
-    """(N,) difference of the directions that robots turn to from those sent [rad]."""
-    directions: Floats
-    """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
+    held_direction: Floats
+    """Direction that the robot follows [rad], NaN if it stands."""
+    a: Floats
+    a_std: Floats
+    speed: Floats
+    speed_std: Floats
+    heading_bias: Floats
+    """Turn bias and marker bias together [rad]."""
+    heading_bias_std: Floats
+    side: Floats
+    side_std: Floats
+    saturation: Floats
+    stands: Floats
+    """Probability that the robot is stuck."""
     flow: Floats
-    """(N, 2) [length unit/s]."""
-    estimate: Estimate
-    """What is known of the robots' motion."""
+    """(N, 2)"""
+    misfit: Floats
+    """(N, 3) sums of squares over those that the level of the test allows, as `Estimate.misfit`."""
 
     @classmethod
-    def room_for(cls, robots: int) -> Self:
-        """Return a forecast with arrays that are to be filled."""
-        x, y, heading, turn_bias, directions = np.empty((5, robots))
-        flow = np.empty((robots, 2))
-        return cls(x, y, heading, turn_bias, directions, flow, Estimate.room_for(robots))
-
-    @property
-    def poses(self) -> Poses:
-        """The poses of the robots."""
-        return Poses(self.x, self.y, self.heading)
+    def empty(cls, robots: int) -> Self:
+        """Return room for the numbers of some robots."""
+        rows = np.empty((len(cls._fields) - 2, robots))
+        return cls(*rows, flow=np.empty((robots, 2)), misfit=np.empty((robots, 3)))
 
 
 def largest_square_sum(blocks: float) -> float:

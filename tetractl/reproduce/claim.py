@@ -14,6 +14,7 @@ So a share can be missed and reached, but only by enough trials: 0 of 20 does no
 than 5 % of all trials would do the same, as its interval ends at 16 %.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -170,7 +171,7 @@ class SameMean:
         """Test the difference of the means."""
         test = stats.ttest_ind_from_stats(
             float(np.mean(values)),
-            float(np.std(values, ddof=1)),
+            _deviation(values),
             len(values),
             self.mean,
             self.std,
@@ -191,13 +192,13 @@ class SameDeviation:
 
     def number(self, values: Floats) -> OurNumber:
         """Return the standard deviation."""
-        std = float(np.std(values, ddof=1))
+        std = _deviation(values)
         low, high = chi_square_interval(std, len(values))
         return OurNumber(NumberKind.DEVIATION, std, len(values), low, high)
 
     def verdict(self, values: Floats) -> Fate:
         """Test the ratio of the variances."""
-        std = float(np.std(values, ddof=1))
+        std = _deviation(values)
         ratio = (std / self.std) ** 2
         low, high = stats.f.ppf(_ENDS, len(values) - 1, self.n - 1)
         return Fate.AGREES if low <= ratio <= high else Fate.MISSED
@@ -265,6 +266,11 @@ class AsOften:
         """Compare the interval of the share with the stated one."""
         ours = share_of(values)
         return Fate.AGREES if ours.low <= self.share <= ours.high else Fate.MISSED
+
+
+def _deviation(values: Floats) -> float:
+    """Return the standard deviation of values, NaN of a single one."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
 
 
 def chi_square_interval(std: float, n: int) -> tuple[float, float]:

@@ -4,6 +4,7 @@ The arms of a paper are batches of shipped specs with values replaced (`Runs`), 
 computes (`Work`). Its claims are a table of `claim.Claim`, whose verdicts `claim.assess` gives.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -68,12 +69,11 @@ def _texts(row: Row) -> tuple[str, ...]:
 
 def _number(number: OurNumber, unit: str) -> str:
     """Return our number as text."""
-    count = f"{round(number.value * number.n)} of {number.n}"
-    match number.kind:
-        case NumberKind.SHARE:
-            return count
-        case NumberKind.RUNS:
-            return f"{count} runs as large"
+    if number.kind in (NumberKind.SHARE, NumberKind.RUNS):
+        count = f"{round(number.value * number.n)} of {number.n}"
+        return count if number.kind is NumberKind.SHARE else f"{count} runs as large"
+    if math.isnan(number.value):  # the deviation of a single trial
+        return "unknown"
     text = f"{_length(number.value)} {unit}".strip()
     if number.means is None:
         return text
@@ -94,7 +94,7 @@ def _interval(number: OurNumber, unit: str) -> str:
         case NumberKind.RUNS:
             show = lengths(number.high)
             return f"runs: {show(number.low)} to {show(number.high)} {unit}"
-    if number.low == number.high:
+    if math.isnan(number.low) or number.low == number.high:
         return "none"
     show = lengths(number.value)
     return f"{show(number.low)} to {show(number.high)}"

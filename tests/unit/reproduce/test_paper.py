@@ -14,9 +14,9 @@ from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
 from tetractl.experiment.examples import examples
 from tetractl.reproduce import trials as reproduce_trials
-from tetractl.reproduce.claim import AtMost, Claim, Fate
+from tetractl.reproduce.claim import AtMost, Claim, Fate, SameDeviation, assess
 from tetractl.reproduce.ou_measures import spinning_time, total_error
-from tetractl.reproduce.paper import Paper, Runs, Work
+from tetractl.reproduce.paper import Paper, Runs, Work, table
 
 COMPLETE = partial(api.run_batch, resume=True)
 PAGE = Path(__file__).parents[3] / "docs/reference/reproduce.md"
@@ -121,6 +121,14 @@ def test_what_is_computed_gets_the_root_seed_and_a_number(tmp_path):
     )
     seed = reproduce_trials.SEED
     assert [result["sum"] for result in results["computed"]] == [seed, seed + 1]
+
+
+def test_the_deviation_of_one_trial_is_unknown():
+    """Regression: `reproduce ou --trials 1` ended with a traceback."""
+    asked = SameDeviation(std=225.1, n=20)
+    row = assess(Claim("deviation", "225.1 mm", "one", float, asked), {"one": [132.0]})
+    (cells,) = table("mine", "x", [row]).rows
+    assert cells[3:6] == ("unknown", "1", "none")
 
 
 @pytest.mark.long

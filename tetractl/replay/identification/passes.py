@@ -40,6 +40,13 @@ UNSEEN_S = 0.3
 AT_REST_S = 0.3
 """Time before it drives at which a robot with lagging wheels certainly stands."""
 WANDER_S = 1.0
+INNER = (0.3, 0.7)
+"""Quantiles between which the speeds of blocks are looked at: a speed that changes amid a trial is
+beyond both, one that a radio stops in less than a third of its seconds beyond none."""
+STANDS = 0.5
+"""Share of its usual speed below which a robot nearly stands."""
+INNER_STDS = 1.049
+"""How far these are apart for a normal distribution [standard deviations]."""
 FULL = 0.6
 """Duration of the blocks whose speeds are compared [s], and the share in which a robot is seen."""
 POINTS = np.arange(-2.0, 3.0)
@@ -174,7 +181,10 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
 
 def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
     """Return the standard deviation of the speed of each robot (N,) between blocks of WANDER_S,
-    over its mean speed: 0 if it is seen in one block only."""
+    over its median: 0 if it is seen in one block only. It is that of a normal distribution with
+    the same quantiles INNER of its blocks. Intervals in which it nearly STANDS are left out: lost
+    commands may stop a robot.
+    """
     wanders = []
     for robot in range(tracks[0].used.shape[1]):
         paces: list[float] = []
@@ -185,11 +195,19 @@ def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
             apart_s = np.diff(track.time[:, robot])
             seen = track.used[1:, robot] & track.used[:-1, robot]
             block = ((track.time[1:, robot] - track.time[0, robot]) / WANDER_S).astype(np.int64)
-            ways = np.bincount(block[seen], way.real[seen])
-            durations_s = np.bincount(block[seen], apart_s[seen])
+            if not seen.any():
+                continue
+            pace = way.real / np.where(apart_s > 0, apart_s, np.inf)
+            goes = seen & (pace > STANDS * np.median(pace[seen]))
+            ways = np.bincount(block[goes], way.real[goes])
+            durations_s = np.bincount(block[goes], apart_s[goes])
             is_full = durations_s > FULL * WANDER_S
             paces += (ways[is_full] / durations_s[is_full]).tolist()
-        wanders.append(np.std(paces) / abs(np.mean(paces)) if len(paces) > 1 else 0.0)
+        if len(paces) > 1:
+            low, median, high = np.quantile(paces, (INNER[0], 0.5, INNER[1]))
+            wanders.append((high - low) / (INNER_STDS * abs(median)))
+        else:
+            wanders.append(0.0)
     return np.array(wanders)
 
 

@@ -223,6 +223,7 @@ def test_nothing_exceeds_the_limits_before_a_picture_was_searched():
     assert search_arrays.limits.high > brightest
 
 
+@pytest.mark.long
 def test_ground_that_a_body_covered_for_long_is_no_body_afterwards():
     """A body stands over a grain for 2 s, away from all that is followed, and leaves."""
     dish = Dish(-0.25, noise=3.0)
@@ -237,6 +238,7 @@ def test_ground_that_a_body_covered_for_long_is_no_body_afterwards():
     assert blob_finder.find(dish.picture([])) == []
 
 
+@pytest.mark.long
 def test_what_left_the_background_beside_a_swimmer_leaves_no_ghost():
     dish = Dish(-0.4, noise=3.0)
     blob_finder = BlobFinder(90, 2800)

@@ -41,7 +41,7 @@ AT_REST_S = 0.3
 """Time before it drives at which a robot with lagging wheels certainly stands."""
 WANDER_S = 1.0
 INNER = (0.3, 0.7)
-"""Quantiles between which the speeds of blocks are looked at: a speed that changes amid a trial is
+"""Quantiles between which the speeds of blocks are compared: a speed that changes amid a trial is
 beyond both, one that a radio stops in less than a third of its seconds beyond none."""
 STANDS = 0.5
 """Share of its usual speed below which a robot nearly stands."""

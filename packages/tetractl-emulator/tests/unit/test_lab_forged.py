@@ -125,7 +125,6 @@ def test_the_spec_decides_what_a_trial_of_plant_emulated_is_called(log, tmp_path
         ("robots", ["green", "blue", "yellow"]),
         ("start_unix_ns", 5),
         ("plant", "x"),
-        ("camera_rate_hz", 60.0),
     ],
 )
 def test_each_field_of_a_run_is_compared(log, tmp_path, field, value):

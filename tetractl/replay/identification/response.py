@@ -96,9 +96,9 @@ DAMPED = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 """Tried dampings of a step: curvatures added to those of the likelihood."""
 SETTLED = 0.02
 """A step that ends the search, in standard deviations of the parameters."""
-LEAST_GAIN = 0.02
-"""Rise of ln of the posterior in a round below which the search has settled, too: at the ends of a
-95 % interval it is 1.9 lower. Without noise, the walk is 0, and the search would creep on."""
+LEAST_CHANGE = 0.005
+"""A step that ends the search whatever the deviations are: 0.25 ms of the dead time, 0.5 % of the
+others. Without noise, these deviations are 0."""
 EXPLAINED = 0.4
 SURELY_MORE = 0.2
 """Least share of turns or ways that commands explain; and by how much more they would explain with
@@ -384,9 +384,12 @@ def _blocks(duration_s: Floats) -> Integers:
 
 
 def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
-    """Return which steps (S,) are FAR from the regression of those that drive."""
-    residuals = np.abs(measured - driven @ robust_gains(measured[drives], driven[drives]))
-    return residuals > FAR * STD_OF_MEDIAN * np.median(residuals[drives]) + 1e-9
+    """Return which steps (S,) are FAR from the regression of those that drive, and further than
+    commands that act earlier or later can make them: a track without noise has few others."""
+    expected = driven @ robust_gains(measured[drives], driven[drives])
+    residuals = np.abs(measured - expected)
+    usual = STD_OF_MEDIAN * np.median(residuals[drives])
+    return residuals > np.maximum(FAR * usual, np.ptp(expected[drives])) + 1e-9
 
 
 # ---- The fit ----
@@ -514,8 +517,7 @@ def _search(name: str, steps: _Steps, units: ResponseParameters) -> Floats:
         tried = [best + np.clip(axes @ (along / (value + d)), -1.0, 1.0) for d in DAMPED]
         best = max([best, *tried], key=posterior)
         std = np.sqrt(axes**2 @ (1 / value))
-        gain = posterior(best) - posterior(at_best)
-        if gain < LEAST_GAIN or (np.abs(best - at_best) < SETTLED * std).all():
+        if (np.abs(best - at_best) < np.maximum(SETTLED * std, LEAST_CHANGE)).all():
             return best
     raise UsageError(
         f"robot {name}: the search for its dead time and lags does not settle",

@@ -165,7 +165,7 @@ def test_comparisons_are_csv_and_latex_too(three):
     mean_of_exact = 300 + 10 * sum(range(12)) / 12
     assert (rows[0]["one_n"], float(rows[0]["other_mean"])) == ("10", mean_of_exact)
     latex = stats("ten", "exact", "--format", "latex", "--full", cwd=three).stdout
-    assert "ten - exact & 10 pairs" in latex
+    assert "ten $-$ exact & 10 pairs" in latex
 
 
 @pytest.mark.long

@@ -137,8 +137,6 @@ class CommandRecord:
     def __init__(self) -> None:
         self.number = 0
         """How many there are."""
-        self.first_ns: int | None = None
-        """The time at which the first one was sent [ns], None if there is none."""
         self.turning = False
         """Whether robots were sent to turn on the spot since the last direction."""
         self._sent_s = np.empty(COMMANDS_AT_FIRST)
@@ -151,8 +149,6 @@ class CommandRecord:
 
     def add(self, command: Command) -> None:
         """Add a direction, a stop, or a turn on the spot, which has no direction either."""
-        if self.first_ns is None:
-            self.first_ns = command.sent_ns
         if not isinstance(command.action, Stop):
             self.turning = isinstance(command.action, Turn)
         if self.number == len(self._sent_s):

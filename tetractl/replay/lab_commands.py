@@ -10,8 +10,7 @@
                       next transmission is due a period after the last was, but not before half a
                       period after it was sent
 
-A stop is sent STOPS times. Before the first step robots may drive squares, in directions that no
-log states.
+A stop is sent STOPS times. Actions before the first step are not compared.
 """
 
 from collections.abc import Iterator

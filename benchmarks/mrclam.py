@@ -15,13 +15,13 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table import Column, Table
-from tetractl.core.table.terminal_table import print_tables
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl.replay.identification.identify import cell
 from tetractl.replay.identification.response import UNITS, respond
 from tetractl.replay.identification.tracks import Track
 from tetractl.results.estimate import t_quantile
+from tetractl.tools.table.table import Column, Table
+from tetractl.tools.table.terminal_table import print_tables
 
 
 def track(folder: Path, robot: int) -> Track:

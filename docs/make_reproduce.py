@@ -11,11 +11,11 @@ from pathlib import Path
 
 from tetractl.api import run_batch
 from tetractl.core.registries import PAPERS
-from tetractl.core.table.terminal_table import markdown
 from tetractl.experiment.examples import examples
 from tetractl.reproduce.claim import assess
 from tetractl.reproduce.paper import table
 from tetractl.reproduce.trials import run_arms
+from tetractl.tools.table.terminal_table import markdown
 
 PAGE = Path(__file__).parent / "reference/reproduce.md"
 BEGIN = "<!-- figures: begin -->\n"

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from llvmlite import binding
 
-from tetractl.core.cache import FOLDER, compiler_settings
-from tetractl.core.kernels.kernel_cache import LEVEL
+from tetractl.tools.cache import FOLDER, compiler_settings
+from tetractl.tools.kernels.kernel_cache import LEVEL
 
 ROOT = Path(__file__).parents[1]
 SPECS = (

@@ -13,5 +13,5 @@ class KernelsHook(BuildHookInterface):
         """Add the folder, and the tag."""
         folder = os.environ.get("TETRACTL_KERNELS")
         if folder:
-            build_data["force_include"][folder] = "tetractl/core/kernels/shipped"
+            build_data["force_include"][folder] = "tetractl/tools/kernels/shipped"
             build_data["pure_python"], build_data["infer_tag"] = False, True

@@ -9,9 +9,9 @@ from numba import njit
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers.pso import Swarm
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.model.motion.polynomials import horner
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, inlined
 
 from .peers import OPTIONS, available
 from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, recommended, tuned_cost

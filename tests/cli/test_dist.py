@@ -12,7 +12,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.system]
 
 RUN = """
 import sys
-from tetractl.core.cache import compiling
+from tetractl.tools.cache import compiling
 from tetractl.cli import main
 
 def fail():

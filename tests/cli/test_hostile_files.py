@@ -6,11 +6,11 @@ from support.cli import tetractl
 from support.mutate import rewrite, stating
 from support.running import QUICK
 
-from tetractl.core.table import csv_rows
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact
 from tetractl.log.read.salvage import scan
 from tetractl.replay.identification import csv_tracks, passes
+from tetractl.tools.table import csv_rows
 
 pytestmark = pytest.mark.slow
 

@@ -1,11 +1,11 @@
-"""Child processes are started in one place alone: `tetractl/core/children.py`."""
+"""Child processes are started in one place alone: `tetractl/tools/children.py`."""
 
 import ast
 
 import pytest
 from support.paths import ROOT
 
-HELPER = "tetractl/core/children.py"
+HELPER = "tetractl/tools/children.py"
 FORKS = {  # a copy of this process, which imports what it has imported
     "packages/tetractl-emulator/tetractl_emulator/rehearsal/day.py": {"os.fork"},
 }
@@ -20,7 +20,7 @@ NAMES = {
 }
 PREFIXES = ("exec", "spawn", "posix_spawn")  # of functions of `os`
 HARMLESS = {
-    "tetractl/core/cache.py": {"multiprocessing"},  # whether this process is a worker
+    "tetractl/tools/cache.py": {"multiprocessing"},  # whether this process is a worker
     "tetractl/run/executors.py": {"multiprocessing", "multiprocessing.synchronize"},
 }
 """What modules other than the helper may import, to see processes, not to start them."""

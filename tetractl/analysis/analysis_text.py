@@ -9,7 +9,7 @@ import numpy as np
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
 from tetractl.analysis.steering import Steering
 from tetractl.core.poses import ellipse
-from tetractl.core.table.table import Column, Table, fixed, plural
+from tetractl.tools.table.table import Column, Table, fixed, plural
 
 NO_PLAN = "no plan found"
 SAYS = "errors predicted by a linearised closed loop; no trial was run"

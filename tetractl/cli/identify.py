@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
-from tetractl.core.files import save_whole
 from tetractl.log.read.find import find_logs
+from tetractl.tools.files import save_whole
 
 if TYPE_CHECKING:
     from tetractl.core.poses import Floats

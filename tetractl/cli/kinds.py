@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, option
 from tetractl.core.errors import Exit, UsageError, printable
-from tetractl.core.table.table_files import json_text
+from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
     from tetractl.core.registry import Kind, Registry

@@ -11,8 +11,8 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Logs, argument, out_option
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
-from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.log.read.find import find_log, find_logs
+from tetractl.tools.table.terminal_table import LISTED_MAX
 
 LINE_MOST = 240
 """Characters of a line of `info`."""

@@ -9,12 +9,12 @@ from typing import Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import Logs, option, out_option
-from tetractl.core.children import open_in_browser
 from tetractl.core.errors import Exit, LogError, UsageError, printable
-from tetractl.core.files import save_whole
 from tetractl.core.retired import refuse_retired
-from tetractl.core.table.table_files import AddRows, table_files
 from tetractl.log.read.find import find_logs
+from tetractl.tools.children import open_in_browser
+from tetractl.tools.files import save_whole
+from tetractl.tools.table.table_files import AddRows, table_files
 
 TRAJECTORY = "trajectory"
 """The figure that `plot` draws by default."""

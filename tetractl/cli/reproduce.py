@@ -9,9 +9,9 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
-from tetractl.core.table.table_files import json_text
-from tetractl.core.table.terminal_table import print_tables
 from tetractl.experiment.yaml.problems import did_you_mean
+from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
     from tetractl.reproduce.claim import Row

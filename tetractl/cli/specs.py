@@ -12,8 +12,8 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import EXAMPLES
-from tetractl.core.table.table_files import json_text
 from tetractl.experiment.packages import not_installed
+from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -297,8 +297,8 @@ def warm(
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
     """
     from tetractl.control.build import compiled_for, warm_up
-    from tetractl.core.cache import cache_folder
-    from tetractl.core.table.terminal_table import open_console
+    from tetractl.tools.cache import cache_folder
+    from tetractl.tools.table.terminal_table import open_console
 
     wanted: dict[str, list[Experiment]] = {}
     for experiment in _experiments(specs or [], sets or []):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tetractl.cli import ui
 from tetractl.cli.options import LikeFormatJson, Sets, argument, option, out_option, switch
 from tetractl.core.errors import Exit, LogError, printable
-from tetractl.core.table.table_files import csv_text, json_text
-from tetractl.core.table.terminal_table import TEXTS, print_tables
+from tetractl.tools.table.table_files import csv_text, json_text
+from tetractl.tools.table.terminal_table import TEXTS, print_tables
 
 if TYPE_CHECKING:
     from tetractl.results.contrast import BatchComparison

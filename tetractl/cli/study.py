@@ -12,8 +12,8 @@ from tetractl.cli import ui
 from tetractl.cli.options import argument, option, out_option, switch
 from tetractl.cli.unread import notice_of_signals
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.table.terminal_table import print_tables
 from tetractl.run.interrupt import Interrupt, leave_on_signals
+from tetractl.tools.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
     from tetractl.run.executors import Executor
@@ -119,9 +119,9 @@ def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
 
 def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", how: _How) -> bool:
     """Run trials with their progress on stderr; return whether a signal asked to stop."""
-    from tetractl.core.table.terminal_table import open_console
     from tetractl.run.batch import run_batch
     from tetractl.study.options import warm_up_arms
+    from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.progress import StudyProgress
 
     interrupt = Interrupt(notice_of_signals(STOPPING))

@@ -194,9 +194,9 @@ def _run_trials(
     Trials of the lab are shown by `_in_lab`, one after another on a terminal by `_on_screen`, and
     all others by `_in_lines`.
     """
-    from tetractl.core.table.terminal_table import open_console
     from tetractl.run.batch import run_batch
     from tetractl.run.task import batch_tasks
+    from tetractl.tools.table.terminal_table import open_console
 
     tasks = batch_tasks(loaded, planned)
     console = open_console(stderr=True, quiet=options.quiet)
@@ -227,8 +227,8 @@ def _in_lab(
     trial, unless `yes`. If `unattended`, a closed terminal does not stop the robots.
     """
     from tetractl.core.protocols import LabSupervision
-    from tetractl.core.table.terminal_table import open_console
     from tetractl.run.executors import Here
+    from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.keys import NO_KEY, SAYS, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 

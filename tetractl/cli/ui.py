@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from tetractl.core.errors import UsageError, printable
-from tetractl.core.table.table import Table
-from tetractl.core.table.table_files import json_text
-from tetractl.core.table.terminal_table import open_console, print_tables
+from tetractl.tools.table.table import Table
+from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.terminal_table import open_console, print_tables
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision

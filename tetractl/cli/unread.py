@@ -80,7 +80,7 @@ class PluginWords:
             self._show(who, line)
 
     def _show(self, who: str, line: str) -> None:
-        from tetractl.core.children import LINES_MAX, shown_lines  # slow to import
+        from tetractl.tools.children import LINES_MAX, shown_lines  # slow to import
 
         for text in shown_lines(line.encode(errors="replace")):
             self._shown += 1

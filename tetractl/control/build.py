@@ -4,11 +4,11 @@ import gc
 import time
 from collections.abc import Callable
 
-from tetractl.core.cache import compiling
-from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.registry_fields import packages
 from tetractl.experiment.section_abilities import Modelled, Searches
+from tetractl.tools.cache import compiling
+from tetractl.tools.plugin_fault import plugins_blamed
 
 AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.core.worker import WAITING_MAX
+from tetractl.tools.worker import WAITING_MAX
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,15 +37,15 @@ import numpy as np
 from tetractl.core.clock import NEVER, SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError, WrongValueError, text_of
-from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.poses import POSE_MAX, CameraFrame
 from tetractl.core.protocols import Actuator, Camera
-from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_records import GuardState, Ruling
+from tetractl.tools.plugin_fault import plugin_fault
+from tetractl.tools.worker import WAITING_MAX, drained
 
 IDLE_S = 0.01
 """Longest time between two steps without a frame [s]."""

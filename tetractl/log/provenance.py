@@ -12,12 +12,12 @@ from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from tetractl.core.cache import compiler_settings
-from tetractl.core.cache import digest as cache_name
-from tetractl.core.children import run_tool
 from tetractl.core.errors import printable
 from tetractl.core.registry import package_files
 from tetractl.core.version import __version__
+from tetractl.tools.cache import compiler_settings
+from tetractl.tools.cache import digest as cache_name
+from tetractl.tools.children import run_tool
 
 COMPUTING = ("numpy", "numba", "llvmlite", "scipy")
 PACKAGES = (*COMPUTING, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")

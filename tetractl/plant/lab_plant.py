@@ -26,7 +26,6 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import RobotWatch, WatchesRobots
@@ -35,6 +34,7 @@ from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import LONGER, REST_NS, Rest, drifting_robots, wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.plant.lab_frames import LabFrames
+from tetractl.tools.worker import WAITING_MAX
 
 PAUSED_NS = 3 * REST_NS  # time after a stop after which robots have stood for REST_NS
 

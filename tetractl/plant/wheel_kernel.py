@@ -5,10 +5,10 @@ The bits are those of the plain loops, `tetractl.model.motion.rolling`.
 
 import math
 
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY, exact, with_parts
 from tetractl.core.poses import Floats, Times
 from tetractl.model.motion import rolling
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY, exact, with_parts
 
 roll = compiled(**ENTRY)(with_parts(rolling.roll, exact))
 _wish = exact(rolling.wish)

@@ -28,7 +28,6 @@ from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Problem, Search, StopReason
-from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Result, Step
@@ -45,6 +44,7 @@ from tetractl.replay.comparison import (
 )
 from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import trial_seeds
+from tetractl.tools.plugin_fault import plugins_blamed
 
 TOLERANCE = 1e-9
 """Relative tolerance of re-evaluation."""

@@ -17,9 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError, unit_of
-from tetractl.core.table.table import NONE, Column, Table
-from tetractl.core.table.table_files import plain
-from tetractl.core.table.terminal_table import html
 from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
@@ -37,6 +34,9 @@ from tetractl.results.tables import (
     page_trials,
     tables,
 )
+from tetractl.tools.table.table import NONE, Column, Table
+from tetractl.tools.table.table_files import plain
+from tetractl.tools.table.terminal_table import html
 
 ASSETS = files("tetractl.report") / "assets"
 """Folder of the page's style, frame and scripts."""

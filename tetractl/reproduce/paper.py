@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from tetractl.core.table.table import Table, lengths
 from tetractl.reproduce.claim import Claim, NumberKind, OurNumber, Row
+from tetractl.tools.table.table import Table, lengths
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,12 +4,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tetractl.core.table.table import NONE, digits, lengths
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.describe import BatchStatistics, ScaledError
 from tetractl.results.mean_difference import MeanDifference
 from tetractl.results.open_batch import GIVEN_DIRECTIONS, directions_given
 from tetractl.results.statistic_text import brief_text, full_text
+from tetractl.tools.table.table import NONE, digits, lengths
 
 PUBLISHED = "difference from published"
 """Label of the difference from the published result."""

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import special
 
 from tetractl.core.poses import Floats
-from tetractl.core.table.table import NONE, lengths
+from tetractl.tools.table.table import NONE, lengths
 
 CONFIDENCE = 0.95
 

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 from tetractl.core.plan import Outcome
-from tetractl.core.table.table import plural
 from tetractl.core.tour import STOOD
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.outcomes import SAFETY
 from tetractl.results.turning import turned_otherwise
+from tetractl.tools.table.table import plural
 
 ATTEMPT = "an earlier attempt, excluded"
 

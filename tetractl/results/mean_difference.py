@@ -9,8 +9,8 @@ import numpy as np
 from scipy import special
 
 from tetractl.core.poses import Floats
-from tetractl.core.table.table import p_value
 from tetractl.results.estimate import CONFIDENCE, Distribution, Interval, t_quantile
+from tetractl.tools.table.table import p_value
 
 _NAN = math.nan
 

@@ -14,7 +14,6 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
-from tetractl.core.table.table import digits, lengths
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.statistic import Statistic
@@ -26,6 +25,7 @@ from tetractl.results.statistic_value import (
     StatisticValue,
     Unknown,
 )
+from tetractl.tools.table.table import digits, lengths
 
 # ---- How trials ended ----
 

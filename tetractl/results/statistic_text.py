@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from typing import Any
 
 from tetractl.core.plan import Outcome
-from tetractl.core.table.table import NONE, lengths
 from tetractl.results.estimate import percent
 from tetractl.results.statistic_value import (
     AboveBound,
@@ -18,6 +17,7 @@ from tetractl.results.statistic_value import (
     Unknown,
     Worded,
 )
+from tetractl.tools.table.table import NONE, lengths
 
 
 def full_text(number: Number) -> str:

@@ -12,9 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tetractl.core.table.table import NONE, Column, Table, fixed, lengths, p_value
-from tetractl.core.table.table_files import flat
-from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import contrast_items
@@ -26,6 +23,9 @@ from tetractl.results.flagged import flagged
 from tetractl.results.open_batch import counts, listing
 from tetractl.results.outcomes import unsafe
 from tetractl.results.trial_tables import trials_table
+from tetractl.tools.table.table import NONE, Column, Table, fixed, lengths, p_value
+from tetractl.tools.table.table_files import flat
+from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIMALS_MAX = 9
 """Most decimals of an error."""

@@ -17,7 +17,6 @@ from tetractl.core.errors import printable
 from tetractl.core.plan import INNOVATIONS
 from tetractl.core.poses import Floats, Integers
 from tetractl.core.setup import Setup
-from tetractl.core.table.table import Column, Table
 from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import ESTIMATE_FIELDS, STOP_REASON_MAX
 from tetractl.log.format.tetractl_pb2 import ControllerStep, Estimate, StepTiming
@@ -27,6 +26,7 @@ from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.results.as_json import trial_items
 from tetractl.results.open_batch import Batch
+from tetractl.tools.table.table import Column, Table
 
 _DISTANCES = ("clearance", "edge", "apart")
 """The lengths among the values of a trial, next to its errors."""

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from tetractl.core.errors import AbortError, UsageError
-from tetractl.core.files import save_whole
 from tetractl.run.executors import Ended, Ready
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path
 from tetractl.run.task import Finished, Task, run_task
+from tetractl.tools.files import save_whole
 
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
 COUNT_S = 1.0  # interval between two counts of the workers, whose number may change [s]

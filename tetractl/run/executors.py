@@ -26,17 +26,17 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from tetractl.core.children import (
+from tetractl.core.errors import AbortError
+from tetractl.core.protocols import LabSupervision, Observer
+from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
+from tetractl.run.task import Finished, Task, run_task
+from tetractl.tools.children import (
     WorkerPool,
     copying_context,
     fresh_context,
     isolated,
     living_workers,
 )
-from tetractl.core.errors import AbortError
-from tetractl.core.protocols import LabSupervision, Observer
-from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
-from tetractl.run.task import Finished, Task, run_task
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 SAID = "printed in a trial's process"

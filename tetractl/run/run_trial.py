@@ -73,7 +73,6 @@ from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Action, Command, Note, Sample, Stop, Turn, Verdict
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
-from tetractl.core.plugin_fault import FaultyPluginError, plugin_fault
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure, told_dead
@@ -81,6 +80,7 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_news import ModelNews, StatedModel
 from tetractl.run.rest_news import RestNews
+from tetractl.tools.plugin_fault import FaultyPluginError, plugin_fault
 
 AT_ONCE = "stopped at once by a second interruption"
 STEP_FINISHED = "interrupted; the step was finished"

@@ -22,10 +22,8 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
-from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
-from tetractl.core.worker import QueueLimits, Relay, Worker
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.prepared import Prepare
 from tetractl.experiment.registry_fields import packages
@@ -35,6 +33,8 @@ from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_news import stated_model
 from tetractl.run.run_trial import Trial, abandon
+from tetractl.tools.plugin_fault import plugins_blamed
+from tetractl.tools.worker import QueueLimits, Relay, Worker
 
 QUEUED_CALLS_MAX = 2000
 """Largest number of queued calls of an observer: over two minutes of a trial."""

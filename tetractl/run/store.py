@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.core.files import save_whole
 from tetractl.core.plan import Outcome
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import arm_hash
@@ -25,6 +24,7 @@ from tetractl.log.read.trial_log import ResultSummary
 from tetractl.run.folder_lock import locked, make_folder
 from tetractl.run.spec_trial import log_path
 from tetractl.run.task import code_of
+from tetractl.tools.files import save_whole
 
 
 def default_folder(name: str, now: datetime) -> Path:

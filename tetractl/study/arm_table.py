@@ -9,8 +9,6 @@ import numpy as np
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.commands import PlantInfo
-from tetractl.core.table.table import Column, Table
-from tetractl.core.table.table_files import table_files
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
 from tetractl.results.open_batch import GIVEN_DIRECTIONS, Batch, counts, directions_given
@@ -18,6 +16,8 @@ from tetractl.results.tables import error_table, processors_note
 from tetractl.results.trial_tables import trials_table
 from tetractl.run.store import Store
 from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml, shown
+from tetractl.tools.table.table import Column, Table
+from tetractl.tools.table.table_files import table_files
 
 TRIALS = "trials.csv"
 """Name of the table of what is repeatable."""

@@ -12,10 +12,10 @@ from typing import Self
 
 from tetractl.control.build import warm_up
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.core.table.table import Table
 from tetractl.run.store import Store
 from tetractl.run.task import LogKind, Task
 from tetractl.study.load_study import LoadedStudy
+from tetractl.tools.table.table import Table
 
 SAMPLE = re.compile(r"sample:([1-9]\d{0,6})")
 """The rule `sample:N`."""

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 
 from tetractl.core import colors
 from tetractl.core.errors import UsageError
-from tetractl.core.files import save_whole
+from tetractl.tools.files import save_whole
 
 INK = colors.INK
 GREY = colors.GREY

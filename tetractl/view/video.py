@@ -22,7 +22,6 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from PIL import Image
 
-from tetractl.core.children import Child
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, UsageError, unit_of
@@ -30,6 +29,7 @@ from tetractl.core.setup import Bounds
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import Moment, Recording, tracked
+from tetractl.tools.children import Child
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfinished
 from tetractl.view.figures.trajectory import DishGround, draw_scene

@@ -15,11 +15,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from tetractl.core.cache import cache_folder, digest, read_own
-from tetractl.core.children import run_tool
 from tetractl.core.errors import TetractlError
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
+from tetractl.tools.cache import cache_folder, digest, read_own
+from tetractl.tools.children import run_tool
 
 _P = ctypes.c_void_p
 _U8 = ctypes.c_uint8

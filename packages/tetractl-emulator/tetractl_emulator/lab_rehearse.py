@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option, switch
 from tetractl.core.errors import AbortError, Exit, UsageError
-from tetractl.core.files import save_whole
 from tetractl.run.interrupt import interrupted_once
+from tetractl.tools.files import save_whole
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
 
@@ -56,12 +56,12 @@ def rehearse(
     """
     from tetractl.control.build import warm_up
     from tetractl.core.plan import Outcome
-    from tetractl.core.table.table import plural
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.run.executors import called
     from tetractl.run.spec_trial import run_trial
     from tetractl.run.store import RecordStore
+    from tetractl.tools.table.table import plural
     from tetractl.view import style
     from tetractl_emulator.rehearsal.drawing import days_figure
     from tetractl_emulator.rehearsal.participants import rehearsal_of

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from itertools import count
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.worker import LOOK_S
+from tetractl.tools.worker import LOOK_S
 
 Act = Callable[[], None]
 

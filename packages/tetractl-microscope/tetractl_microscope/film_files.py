@@ -18,9 +18,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
-from tetractl.core.table.table_files import json_text, table_files
 from tetractl.log.format.channels import TRACK, TRANSFORMS
 from tetractl.log.format.scene import stamp
+from tetractl.tools.table.table_files import json_text, table_files
 from tetractl.view.style import SCREEN_DPI, save
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.picture_now import pixels_of

@@ -12,8 +12,9 @@ import numpy as np
 
 from tetractl.core.errors import AbortError, UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.core.table.csv_rows import CsvRow, columns_of, is_number, read_csv
-from tetractl.core.table.quantities import (
+from tetractl.replay.identification.csv_tracks import COLUMNS_SAID, POSES_MAX
+from tetractl.tools.table.csv_rows import CsvRow, columns_of, is_number, read_csv
+from tetractl.tools.table.quantities import (
     SECONDS,
     TIME_MAX,
     TIME_NAMES,
@@ -21,7 +22,6 @@ from tetractl.core.table.quantities import (
     factor,
     name_and_unit,
 )
-from tetractl.replay.identification.csv_tracks import COLUMNS_SAID, POSES_MAX
 from tetractl_microscope.film.field_file import STRENGTH
 from tetractl_microscope.film.track_log import CELL
 from tetractl_microscope.number_columns import read_numbers

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.files import save_whole
+from tetractl.tools.files import save_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,8 +7,8 @@ import numpy as np
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.core.table.csv_rows import columns_of, read_csv
-from tetractl.core.table.quantities import NumberColumn, find_time
+from tetractl.tools.table.csv_rows import columns_of, read_csv
+from tetractl.tools.table.quantities import NumberColumn, find_time
 
 
 def read_numbers(path: Path, names: Sequence[str]) -> Floats:

@@ -11,8 +11,8 @@ from tetractl.cli import ui
 from tetractl.cli.lab import save_calibration, watched_by_operator
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, option, out_option
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.files import save_whole
-from tetractl.core.table.table_files import json_text
+from tetractl.tools.files import save_whole
+from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
     from tetractl_microscope.choice.candidate import RobotCandidate

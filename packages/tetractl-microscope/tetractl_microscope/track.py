@@ -161,7 +161,7 @@ def track(
 
 def _show(log: Path, out: Path | None, as_json: bool) -> int:
     """Print the cells in the log of a film; draw all figures and write the table into `out`."""
-    from tetractl.core.table.table_files import table_files
+    from tetractl.tools.table.table_files import table_files
     from tetractl.view.style import save
     from tetractl_microscope.film.track_log import read_track
     from tetractl_microscope.registries import CELL_FIGURES
@@ -196,7 +196,6 @@ def _show_tracks(
     """Print the cells of the tracks of another program, and write their tables into `out`."""
     import numpy as np
 
-    from tetractl.core.table.table_files import table_files
     from tetractl.replay.identification.sent_directions import (
         AT_ONCE_S,
         check_directions,
@@ -204,6 +203,7 @@ def _show_tracks(
         image,
         other_times,
     )
+    from tetractl.tools.table.table_files import table_files
     from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
     from tetractl_microscope.foreign_tracks import spot_tracks
     from tetractl_microscope.results.cell_tables import cell_data, cell_tables

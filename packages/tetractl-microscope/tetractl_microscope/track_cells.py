@@ -9,7 +9,7 @@ import numpy as np
 
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table_files import plain
+from tetractl.tools.table.table_files import plain
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.film_tables import cell_items

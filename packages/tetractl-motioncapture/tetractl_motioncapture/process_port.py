@@ -6,10 +6,10 @@ could not read; neither must reach the process that drives robots.
 
 import signal
 
-from tetractl.core.children import Child, python
 from tetractl.core.clock import host_ns
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
+from tetractl.tools.children import Child, python
 
 
 class ProcessPort(ClientPort):

@@ -10,8 +10,8 @@ from tetractl.analysis.steering import planner, plans
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import UsageError
-from tetractl.core.table.table_files import json_text
 from tetractl.experiment.controller import ALONE
+from tetractl.tools.table.table_files import json_text
 from tetractl.view.figures.analysis import analysis_figure
 
 pytestmark = pytest.mark.slow

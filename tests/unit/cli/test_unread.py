@@ -17,8 +17,8 @@ from tetractl.cli.unread import (
     notice_of_signals,
     say_at_once,
 )
-from tetractl.core.children import LINES_MAX, SHOWN_LINE_MAX
 from tetractl.core.registry import SPEAKERS
+from tetractl.tools.children import LINES_MAX, SHOWN_LINE_MAX
 
 STDOUT = 1
 STDERR = 2

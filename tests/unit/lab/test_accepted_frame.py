@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.core.worker import WAITING_MAX
 from tetractl.lab.accepted_frame import AcceptedFrame, FrameBuffer
+from tetractl.tools.worker import WAITING_MAX
 
 
 def frame(number):

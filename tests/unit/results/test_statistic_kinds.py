@@ -9,12 +9,12 @@ import pytest
 from support.batches import batch, group
 
 from tetractl.core.registries import STATISTICS
-from tetractl.core.table.table_files import csv_text
-from tetractl.core.table.terminal_table import TEXTS, print_tables
 from tetractl.results.as_json import comparison_items
 from tetractl.results.contrast import contrast
 from tetractl.results.statistic import number
 from tetractl.results.tables import data_table, tables
+from tetractl.tools.table.table_files import csv_text
+from tetractl.tools.table.terminal_table import TEXTS, print_tables
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()  # of three robots [mm]
 MEAN_OF_WORST = np.max(ERRORS, axis=1).mean()

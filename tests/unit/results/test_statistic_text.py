@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tetractl.core.plan import Outcome
-from tetractl.core.table.table import digits
 from tetractl.results.estimate import distributions, proportion_interval
 from tetractl.results.statistic_text import brief_text, full_text, json_items
 from tetractl.results.statistic_value import (
@@ -20,6 +19,7 @@ from tetractl.results.statistic_value import (
     Unknown,
     Worded,
 )
+from tetractl.tools.table.table import digits
 
 VALUES = np.array([1.0, 1.0, 1.0, 100.0])  # one of four is above 10 times the median
 (FOUR,) = distributions(VALUES[None])

@@ -12,9 +12,9 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, grou
 from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.core.table.terminal_table import WIDTH, latex, markdown, print_tables
 from tetractl.results.contrast import contrast
 from tetractl.results.tables import summary, tables
+from tetractl.tools.table.terminal_table import WIDTH, latex, markdown, print_tables
 
 TRIALS = 20
 ERRORS = np.random.default_rng(4).gamma(4, 50, (TRIALS, 3)).tolist()  # of three robots [mm]

@@ -10,7 +10,6 @@ from rich.console import Console
 from support.batches import batch, experiment, group
 
 from tetractl.core.plan import Outcome
-from tetractl.core.table.terminal_table import print_tables
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import batch_items
 from tetractl.results.batch_rows import texts_by_label
@@ -18,6 +17,7 @@ from tetractl.results.contrast import contrast
 from tetractl.results.flagged import flagged
 from tetractl.results.tables import summary
 from tetractl.results.turning import turned_otherwise
+from tetractl.tools.table.terminal_table import print_tables
 
 WHEELS_TURN_RAD_S = np.array([0.03, -0.17, 0.11])  # of green, blue and red
 ERROR_RAD_S = 0.014  # as of 15 s at 180 mm/s before a camera of 120 Hz

@@ -11,5 +11,5 @@ A kernel is compiled once for each class of constants of a motion (`tetractl.mod
 Obstacles are numbers: every shape runs the same code.
 
 The compiled code of a kernel is kept for the files and constants that it reaches
-(`core.kernels.sources`), so that no outdated code runs after an edit or an upgrade.
+(`tools.kernels.sources`), so that no outdated code runs after an edit or an upgrade.
 """

@@ -38,8 +38,8 @@ from tetractl.control.kernels.filter_state import (
     Y,
     largest_square_sum,
 )
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
 LEAST = 1e-300
 """Added to densities whose logarithm is taken: they may be 0."""

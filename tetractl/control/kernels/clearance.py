@@ -15,8 +15,8 @@ from tetractl.control.kernels.obstacles import (
     TOP,
     touches,
 )
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 
 
 @compiled(**INLINE_EXACT)

@@ -51,9 +51,9 @@ from tetractl.control.kernels.filter_state import (
     X,
     Y,
 )
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.model.motion import exact
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
 _rates = inlined(exact.rates)
 

@@ -34,9 +34,9 @@ from tetractl.control.kernels.filter_state import (
     X,
     Y,
 )
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.model.motion.polynomials import wrap
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 wrapped = inlined(wrap)
 

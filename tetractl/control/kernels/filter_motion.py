@@ -42,11 +42,11 @@ from tetractl.control.kernels.filter_state import (
     X,
     Y,
 )
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.model.motion import exact, rolling
 from tetractl.model.motion.motion import PARAMETERS
 from tetractl.model.motion.turn_rate import TURNING, by_turning, held, times, turning
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 differentiate = inlined(exact.differentiate)
 rolled = inlined(rolling.rolled)

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.control.kernels.motion import derivatives, parameters_of, turned
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 # Numbers of `Trace.gradients`.
 EAST_H = 0

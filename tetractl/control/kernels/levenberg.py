@@ -36,12 +36,12 @@ from tetractl.control.kernels.gradient import Trace, backward, trace, width, wor
 from tetractl.control.kernels.motion import flat
 from tetractl.control.kernels.obstacles import count_hits, find_deepest, outward
 from tetractl.control.kernels.rollout import count_meetings
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 from tetractl.model.motion.motion import DIRECTION
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 Integers = NDArray[np.int64]
 _wrap = inlined(polynomials.wrap)

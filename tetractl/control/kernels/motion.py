@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from tetractl.core.kernels.kernel_options import INLINE_FAST, entries, inlined, one_of
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import PARAMETERS
 from tetractl.model.motion.polynomials import onwards
 from tetractl.model.motion.turn_rate import TURNING, all_in_rows, by_turning, is_left, turning
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, entries, inlined, one_of
 
 parameters_of = entries(len(PARAMETERS) + len(TURNING))
 rate = inlined(turning)

@@ -9,11 +9,11 @@ import numpy as np
 from tetractl.control.kernels.levenberg import Integers, judge, polish
 from tetractl.control.kernels.rollout import costs
 from tetractl.control.kernels.update import drawn
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 from tetractl.model.motion.motion import DIRECTION
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
 BETWEEN_LOOKS = 130_000
 """Robot steps between two checks of the deadline: they take less than 1 ms."""

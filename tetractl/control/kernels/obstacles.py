@@ -6,8 +6,8 @@ shapes and then the walls. Every shape runs the same code.
 
 import math
 
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import INLINE_FAST
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import INLINE_FAST
 
 # Columns of a row.
 RADIUS = 0

@@ -7,8 +7,8 @@ import numpy as np
 
 from tetractl.control.kernels.clearance import crosses
 from tetractl.control.kernels.motion import derivatives, parameters_of
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
 
 @compiled(**INLINE_FAST)

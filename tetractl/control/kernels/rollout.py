@@ -13,11 +13,11 @@ import numpy as np
 from tetractl.control.kernels.gradient import VECTOR
 from tetractl.control.kernels.motion import advance, flat, parameters_of
 from tetractl.control.kernels.obstacles import count_hits
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
 _sincos = inlined(sincos)
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from tetractl.control.rng import FACTORS, GOLDEN
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 from tetractl.model.motion.motion import DIRECTION
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
 # constants of `tetractl.control.rng.mix`, as numbers of 64 bits
 STEP = np.uint64(GOLDEN)  # between two keys

@@ -10,10 +10,10 @@ from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Setup
-from tetractl.core.worker import drained
 from tetractl.experiment.section_abilities import Addressed
 from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
+from tetractl.tools.worker import drained
 
 ASKED = b"poses\n"
 FRAMES_WAITING_MAX = 1000  # frames

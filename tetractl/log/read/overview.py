@@ -8,7 +8,6 @@ from mcap.records import Attachment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
-from tetractl.core.table.table_files import json_text
 from tetractl.core.trial import Result
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import CHANNELS, COMMANDS, LOG, STEP, SUMMARY, Entry
@@ -19,6 +18,7 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import decode_errors, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Event
+from tetractl.tools.table.table_files import json_text
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 from mcap.records import Attachment
 
 from tetractl.core.commands import Command
-from tetractl.core.files import save_whole
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import (
     DIGESTS,
@@ -25,6 +24,7 @@ from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.file_writer import FileWriter
+from tetractl.tools.files import save_whole
 
 TOPICS = (RUN, HOST, HOST_END, RESULT, DIGESTS)
 """The channels of a brief log."""

@@ -14,10 +14,10 @@ from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 from mcap.records import Channel, Schema
 
 from tetractl.core.errors import LogError
-from tetractl.core.file_lock import lock_file
 from tetractl.log.format.channels import DIGESTS, Entry
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.write.file_writer import FileWriter
+from tetractl.tools.file_lock import lock_file
 
 CHUNK_S = 0.7
 """Longest time for which a message stays in memory [s of wall time]. With camera frames collected

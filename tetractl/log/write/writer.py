@@ -6,9 +6,9 @@ from typing import Self
 from tetractl.core.commands import Command
 from tetractl.core.errors import LogError
 from tetractl.core.trial import Result, Start
-from tetractl.core.worker import QueueLimits, Relay, Worker
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.sink import Sink
+from tetractl.tools.worker import QueueLimits, Relay, Worker
 
 QUEUE_MAX = 1000
 """Calls in the queue for the disk: over a minute of a trial in the lab."""

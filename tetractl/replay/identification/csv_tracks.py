@@ -13,9 +13,21 @@ import numpy as np
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, turn_problem
-from tetractl.core.table.csv_rows import CsvRow, read_csv
-from tetractl.core.table.motive import is_motive, motive_rows
-from tetractl.core.table.quantities import (
+from tetractl.replay.identification.clocks import Span, clock_remark, refuse_sparse
+from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
+from tetractl.replay.identification.sent_directions import (
+    DELAYS_S,
+    SentDirections,
+    TurnedCourse,
+    check_directions,
+    courses_of_headings,
+    image,
+    other_times,
+)
+from tetractl.replay.identification.tracks import Track
+from tetractl.tools.table.csv_rows import CsvRow, read_csv
+from tetractl.tools.table.motive import is_motive, motive_rows
+from tetractl.tools.table.quantities import (
     METRES,
     METRES_S,
     RADIANS,
@@ -31,18 +43,6 @@ from tetractl.core.table.quantities import (
     refuse_degrees,
     truth,
 )
-from tetractl.replay.identification.clocks import Span, clock_remark, refuse_sparse
-from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
-from tetractl.replay.identification.sent_directions import (
-    DELAYS_S,
-    SentDirections,
-    TurnedCourse,
-    check_directions,
-    courses_of_headings,
-    image,
-    other_times,
-)
-from tetractl.replay.identification.tracks import Track
 
 POSES_MAX = 2_000_000  # largest number of poses of a trial
 ROBOTS_MAX = 1000

@@ -10,11 +10,11 @@ import numpy as np
 from tetractl.control.body_model import LEAST_SPEED
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.table import Column, Table
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
 from tetractl.replay.identification.fit import HEADING, FittedRobot, SampleInterval, fit
 from tetractl.replay.identification.passes import TrackFrames, intervals_used, speeds
 from tetractl.replay.identification.tracks import Track, require_same
+from tetractl.tools.table.table import Column, Table
 
 INTERVALS_MIN = 20
 """Least number of intervals of a robot for a fit."""

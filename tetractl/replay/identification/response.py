@@ -40,7 +40,6 @@ from scipy.special import stdtrit
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
-from tetractl.core.table.table import Column, Table
 from tetractl.replay.identification.fit import (
     NORMAL,
     UNLIKELY,
@@ -50,6 +49,7 @@ from tetractl.replay.identification.fit import (
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell
 from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.tracks import Track
+from tetractl.tools.table.table import Column, Table
 
 STEP_S = 0.1
 """Least duration of a step [s]."""

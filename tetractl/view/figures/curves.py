@@ -14,9 +14,9 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.core.table.table import lengths, plural
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import end_ns, tracked
+from tetractl.tools.table.table import lengths, plural
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,

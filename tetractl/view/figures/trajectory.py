@@ -27,10 +27,10 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
-from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
 from tetractl.replay.player import first_seen, tracked
+from tetractl.tools.table.table import lengths
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,

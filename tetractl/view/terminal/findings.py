@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
-from tetractl.core.table.table import NONE, Column, Table, plural
-from tetractl.core.table.terminal_table import open_console, print_tables
 from tetractl.lab.preflight import Preflight
+from tetractl.tools.table.table import NONE, Column, Table, plural
+from tetractl.tools.table.terminal_table import open_console, print_tables
 
 ANSWERS = {True: "yes", False: "no", None: "n/a"}
 

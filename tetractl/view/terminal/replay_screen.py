@@ -11,9 +11,9 @@ from rich.text import Text
 
 from tetractl.core.clock import Clock
 from tetractl.core.plan import State
-from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import Event
 from tetractl.replay.player import Playback, Player, Recording
+from tetractl.tools.table.table import lengths
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
 from tetractl.view.terminal.keys import Keyboard

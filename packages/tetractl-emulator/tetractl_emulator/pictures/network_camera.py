@@ -14,7 +14,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
-from tetractl.core.worker import LOOK_S
+from tetractl.tools.worker import LOOK_S
 
 BOUNDARY = "emulated-by-tetractl"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.table.table import plural
+from tetractl.tools.table.table import plural
 from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
 from tetractl_emulator.rehearsal.truth import Truth, time_s
 from tetractl_emulator.rehearsal.violation import Violation

@@ -13,8 +13,8 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import FrameAddition, Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
-from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import LabLimits
+from tetractl.tools.worker import drained
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
 from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines, sharpness

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.worker import WAITING_MAX
+from tetractl.tools.worker import WAITING_MAX
 from tetractl_microscope.cells.helix import Piece
 
 

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.core.table.csv_rows import columns_of, read_csv
-from tetractl.core.table.quantities import (
+from tetractl.replay.identification.clocks import Span, clock_remark
+from tetractl.replay.identification.sent_directions import SentDirections
+from tetractl.tools.table.csv_rows import columns_of, read_csv
+from tetractl.tools.table.quantities import (
     RADIANS,
     NumberColumn,
     earlier,
@@ -20,8 +22,6 @@ from tetractl.core.table.quantities import (
     find_time,
     refuse_degrees,
 )
-from tetractl.replay.identification.clocks import Span, clock_remark
-from tetractl.replay.identification.sent_directions import SentDirections
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import handedness, wrong_sides
 from tetractl_microscope.number_columns import no_column

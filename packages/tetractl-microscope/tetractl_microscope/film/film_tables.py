@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tetractl.core.table.table import Column, Table
-from tetractl.core.table.table_files import plain
 from tetractl.replay.identification.fit import SampleInterval
+from tetractl.tools.table.table import Column, Table
+from tetractl.tools.table.table_files import plain
 from tetractl_microscope.cells.picture_now import pixels_of
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.fit_cell import CellSummary

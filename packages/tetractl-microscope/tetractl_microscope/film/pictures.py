@@ -15,9 +15,9 @@ from weakref import finalize
 
 import numpy as np
 
-from tetractl.core.children import Child, python
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
+from tetractl.tools.children import Child, python
 from tetractl_microscope.film.film_source import DIFFERENT
 from tetractl_microscope.film.picture_names import TIMES_FILE
 from tetractl_microscope.film.picture_times import PictureTimes, mean_rate_hz, stated_times

@@ -16,7 +16,7 @@ from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Grey, Pose
-from tetractl.core.worker import LOOK_S, WAITING_MAX, drained
+from tetractl.tools.worker import LOOK_S, WAITING_MAX, drained
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl_microscope.pictures.picture_section import PictureSection

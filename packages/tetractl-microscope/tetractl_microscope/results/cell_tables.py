@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.table.table import NONE, Column, Table, fixed
 from tetractl.results.estimate import (
     VALUES_MIN,
     Distribution,
@@ -15,6 +14,7 @@ from tetractl.results.estimate import (
     known_distribution,
     t_quantile,
 )
+from tetractl.tools.table.table import NONE, Column, Table, fixed
 from tetractl_microscope.film.track_log import value_of
 
 Record = Mapping[str, Any]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.table.table import Table
+from tetractl.tools.table.table import Table
 
 ABOUT = {
     "cell": "number of the cell",

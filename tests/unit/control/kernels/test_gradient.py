@@ -11,7 +11,7 @@ from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels import gradient
 from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_cache import compiled
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from tetractl.control.kernels import levenberg
 from tetractl.control.kernels import multistart as kernel
 from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGRESS, lay_out_polish
 from tetractl.control.kernels.rollout import lay_out
-from tetractl.core.kernels import kernel_cache as kernels
+from tetractl.tools.kernels import kernel_cache as kernels
 
 pytestmark = pytest.mark.slow
 

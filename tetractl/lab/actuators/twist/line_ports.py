@@ -6,7 +6,6 @@ from contextlib import suppress
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError, WireError
-from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.lab.actuators.twist.lines import (
     REPLY_SLOT_MS,
     Entry,
@@ -19,6 +18,7 @@ from tetractl.lab.actuators.wheel_commands import Poll, Reply, polled
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Heard, Ports, SerialPort
 from tetractl.lab.udp_port import open_port
+from tetractl.tools.worker import WAITING_MAX, drained
 
 PORT_LOST_HINT = "the robots stop by their watchdog; connect them and start again"
 PENDING_MAX = 1000  # most bytes kept of a line that has not ended

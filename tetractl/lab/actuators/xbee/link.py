@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
-from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.lab.actuators.xbee import frames
 from tetractl.lab.actuators.xbee.hardware import (
     BAUDS,
@@ -17,6 +16,7 @@ from tetractl.lab.actuators.xbee.hardware import (
     protocols,
 )
 from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.tools.worker import WAITING_MAX, drained
 
 MODULE_LOST_HINT = "the robots stop by their watchdog; plug the module in and start again"
 

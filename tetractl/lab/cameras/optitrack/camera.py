@@ -18,7 +18,6 @@ from tetractl.core.commands import EMULATED_NAME, Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
-from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
@@ -26,6 +25,7 @@ from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
+from tetractl.tools.worker import WAITING_MAX, drained
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early

@@ -19,7 +19,7 @@ from tetractl_microscope.organisms import TETRAHYMENA
 from tetractl_microscope.results.geff_file import write_geff
 
 from tetractl.core.errors import UsageError
-from tetractl.core.table.table import Column, Table
+from tetractl.tools.table.table import Column, Table
 
 pytestmark = pytest.mark.slow
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 from tetractl_microscope.cells.kernels.helix_steps import (
     ODD_DISTANCE,
     ODD_RUN,

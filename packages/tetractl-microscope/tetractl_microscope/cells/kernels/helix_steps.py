@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from tetractl.core.kernels.kernel_cache import compiled
-from tetractl.core.kernels.kernel_options import ENTRY, INLINE_EXACT, exact
 from tetractl.model.motion import swimming
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT, exact
 
 X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY, LEAD = range(16)
 STATES = 16

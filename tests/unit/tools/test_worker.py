@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from tetractl.core.errors import LogError
-from tetractl.core.worker import QueueLimits, Worker
+from tetractl.tools.worker import QueueLimits, Worker
 
 
 def make(size=10, wait_s=0.0, patience_s=10.0, **options):

@@ -12,7 +12,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats, turn_problem
-from tetractl.core.table.csv_rows import DECIMAL_COMMA, CsvRow, has_decimal_comma
+from tetractl.tools.table.csv_rows import DECIMAL_COMMA, CsvRow, has_decimal_comma
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 """Units of times [s]."""

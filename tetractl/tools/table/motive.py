@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.core.table.csv_rows import CsvRow, csv_entries, csv_lines, is_number
+from tetractl.tools.table.csv_rows import CsvRow, csv_entries, csv_lines, is_number
 
 FIRST = "Format Version"
 """The first entry of such a file."""

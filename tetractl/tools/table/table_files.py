@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tetractl.core.errors import LogError, UsageError, entry
-from tetractl.core.table.table import Array, Table
+from tetractl.tools.table.table import Array, Table
 
 PART = ".part"
 """Ending of a file that is not complete yet."""

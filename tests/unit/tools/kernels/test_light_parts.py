@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from tetractl.core.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
-from tetractl.core.kernels.light_parts import TRIED, light
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
+from tetractl.tools.kernels.light_parts import TRIED, light
 
 LATEST = ".".join(map(str, TRIED[1]))
 UNTRIED = "0.1"  # a version for which parts are compiled as always

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.core.table.quantities import NumberColumn, refuse_degrees
+from tetractl.tools.table.quantities import NumberColumn, refuse_degrees
 
 RANDOM = np.random.default_rng(3).uniform(-np.pi, np.pi, 200)
 COUNTED_ON = {

@@ -8,7 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from tetractl.core.errors import printable
-from tetractl.core.table.table import NONE, Table
+from tetractl.tools.table.table import NONE, Table
 
 if TYPE_CHECKING:
     from rich.console import Console

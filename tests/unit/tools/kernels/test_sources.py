@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from numba import float64, types
 
-from tetractl.core.kernels.sources import digest
+from tetractl.tools.kernels.sources import digest
 
 ENTRY = """
 from numba import njit
@@ -51,7 +51,7 @@ def stranger(tmp_path, monkeypatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def after(edited: str = "stranger_entry", old: str = "", new: str = "") -> str:
-        from tetractl.core.cache import file_digest
+        from tetractl.tools.cache import file_digest
 
         file_digest.cache_clear()
         for name, text in files.items():
@@ -99,7 +99,7 @@ def test_a_constant_that_is_computed_counts_by_its_value():
 
 def test_the_module_of_an_arguments_class_counts(tmp_path, monkeypatch):
     """Steps of a motion are found by the class of its constants, which no code names."""
-    from tetractl.core.cache import file_digest
+    from tetractl.tools.cache import file_digest
 
     monkeypatch.syspath_prepend(str(tmp_path))
     digests = []

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.core.table.motive import is_motive, motive_rows
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.tools.table.motive import is_motive, motive_rows
 
 TIMES_S = np.arange(40) / 20
 

@@ -9,7 +9,7 @@ from multiprocessing import forkserver
 
 import pytest
 
-from tetractl.core.children import (
+from tetractl.tools.children import (
     SAFE_PATH,
     SAID_BYTES,
     SHOWN_LINE_MAX,

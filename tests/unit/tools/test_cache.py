@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tetractl.core import cache
-from tetractl.core.cache import FOLDER, cache_folder, claim, exposed, read_own
+from tetractl.tools import cache
+from tetractl.tools.cache import FOLDER, cache_folder, claim, exposed, read_own
 
 
 @pytest.fixture(autouse=True)

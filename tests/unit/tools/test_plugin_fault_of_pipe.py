@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from tetractl.core.plugin_fault import plugin_fault
+from tetractl.tools.plugin_fault import plugin_fault
 
 
 class UnreadStream(io.StringIO):

@@ -25,7 +25,7 @@ from llvmlite import binding
 from numba import njit
 from numba.core import event
 
-from tetractl.core.cache import (
+from tetractl.tools.cache import (
     cache_folder,
     claim,
     compiler_settings,
@@ -34,8 +34,8 @@ from tetractl.core.cache import (
     read_own,
     say_once,
 )
-from tetractl.core.kernels import sources
-from tetractl.core.kernels.light_parts import light
+from tetractl.tools.kernels import sources
+from tetractl.tools.kernels.light_parts import light
 
 _dumps: Any
 _rebuild: Any

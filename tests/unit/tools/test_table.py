@@ -14,10 +14,10 @@ from rich.progress import Progress
 from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
-from tetractl.core.table.csv_rows import read_csv
-from tetractl.core.table.table import Column, Table, fixed
-from tetractl.core.table.table_files import csv_text, flat, json_text, table_files
-from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, open_console, print_tables
+from tetractl.tools.table.csv_rows import read_csv
+from tetractl.tools.table.table import Column, Table, fixed
+from tetractl.tools.table.table_files import csv_text, flat, json_text, table_files
+from tetractl.tools.table.terminal_table import TEXTS, WIDTH, html, open_console, print_tables
 
 LONG = "words " * 60
 TABLE = Table(
@@ -181,7 +181,7 @@ def test_no_other_module_writes_tables():
         if re.search(writers, path.read_text("utf-8"))
     }
     names = ("csv_rows", "table_files", "terminal_table")
-    assert texts == {f"tetractl/core/table/{name}.py" for name in names}
+    assert texts == {f"tetractl/tools/table/{name}.py" for name in names}
 
 
 @pytest.mark.parametrize("forced", ["FORCE_COLOR", "TTY_COMPATIBLE"])

@@ -11,7 +11,7 @@ import numpy as np
 from numba.core import types
 from numba.extending import is_jitted
 
-from tetractl.core.cache import digest as files_digest
+from tetractl.tools.cache import digest as files_digest
 
 
 def digest(function: Callable[..., Any], sig: Any) -> str:

@@ -9,7 +9,7 @@ import pytest
 from support.durable import small_disk
 from support.paths import ROOT
 
-from tetractl.core.kernels import kernel_cache as cache
+from tetractl.tools.kernels import kernel_cache as cache
 
 SEARCH = """
 import hashlib, sys
@@ -67,7 +67,7 @@ print(sum(hits), digest.hexdigest())
 
 PARTS = """
 import numpy as np
-from tetractl.core.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_cache import compiled
 
 @compiled(no_cpython_wrapper=True)
 def part(x, y):
@@ -116,7 +116,7 @@ def test_compiling_and_loading_give_the_same_bits(tmp_path, script, kernels):
 
 SMALL = """
 import sys
-from tetractl.core.kernels.kernel_cache import compiled, folder
+from tetractl.tools.kernels.kernel_cache import compiled, folder
 
 @compiled(nogil=True)
 def double(x):
@@ -210,7 +210,7 @@ def test_a_numba_that_was_never_tried_compiles_and_keeps_kernels(tmp_path):
 SHIPPED = """
 from pathlib import Path
 from types import SimpleNamespace
-from tetractl.core.kernels import kernel_cache
+from tetractl.tools.kernels import kernel_cache
 kernel_cache.SHIPPED = Path({folder!r})
 """
 OLD = "kernel_cache.binding = SimpleNamespace(get_host_cpu_features=lambda: {'avx': True})"

@@ -1,0 +1,1 @@
+"""Tools that know nothing of robots: tables, processes, files, the cache of compiled code."""

@@ -17,8 +17,8 @@ from tetractl_microscope.apriltag.detect import Detector, Sighting
 from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor
 from tetractl_microscope.apriltag.print_scale import odd_floor, odd_robot, print_scale
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
-from tetractl_microscope.pictures.looks import Look
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
+from tetractl_microscope.pictures.searches import Search
 
 # a tag whose size differs by this fraction is a different tag, or at a different height
 ODD_SIZE = 0.2
@@ -123,12 +123,12 @@ Finding = tuple[bool, str]
 
 
 def _findings(
-    section: AprilTagSection, tracker: Tracker, looks: Sequence[Look[Seen]]
+    section: AprilTagSection, tracker: Tracker, searches: Sequence[Search[Seen]]
 ) -> Iterator[Finding]:
-    counts = Counter(tag for look in looks for tag in set(look.result.tags))
+    counts = Counter(tag for search in searches for tag in set(search.result.tags))
     # a tag seen in fewer than half of the pictures counts as not seen
-    shown_tags = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(looks))
-    twice = {tag for look in looks for tag, n in Counter(look.result.tags).items() if n > 1}
+    shown_tags = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(searches))
+    twice = {tag for search in searches for tag, n in Counter(search.result.tags).items() if n > 1}
     others = f"; tags seen: {_listed(shown_tags)}"
     floor = [tag.tag for tag in section.floor]
     if missing := [tag for tag in floor if tag not in shown_tags]:
@@ -151,12 +151,12 @@ def _findings(
     yield from _printed(section, tracker)
     above_mm = plane.above_mm if plane is not None else math.inf
     for i, robot in enumerate(tracker.robots):
-        sizes = [size for look in looks if (size := look.result.sizes[i]) is not None]
+        sizes = [size for search in searches if (size := search.result.sizes[i]) is not None]
         if robot.tag in twice:
             yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
         elif robot.tag not in shown_tags:
             yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
-        elif sizes and _odd(ratio := statistics.median(sizes), robot, looks, above_mm):
+        elif sizes and _odd(ratio := statistics.median(sizes), robot, searches, above_mm):
             yield (
                 abs(ratio - 1) >= ODD_SIZE,
                 f"{robot.name}: its tag looks {_larger(ratio)} than it should: are size_mm and "
@@ -180,9 +180,9 @@ def _printed(section: AprilTagSection, tracker: Tracker) -> Iterator[Finding]:
         )
 
 
-def _odd(ratio: float, robot: RobotTag, looks: Sequence[Look[Seen]], above_mm: float) -> bool:
+def _odd(ratio: float, robot: RobotTag, searches: Sequence[Search[Seen]], above_mm: float) -> bool:
     """Return whether a robot's tag has a `ratio` to its size that nothing harmless explains."""
-    sides = [look.result.side_px for look in looks if look.result.side_px is not None]
+    sides = [search.result.side_px for search in searches if search.result.side_px is not None]
     return odd_robot(ratio, min(sides), robot.size_mm, above_mm - robot.height_mm)
 
 
@@ -221,15 +221,15 @@ class AprilTagCamera(PictureCamera[Seen]):
 
     def check(self) -> Health:
         """Examine some pictures; return problems, warnings and facts of source, floor and tags."""
-        looks = self._look()
+        searches = self._next_searches()
         section = self.section
         floor = self._tracker.floor
-        problems, warnings = self._stream_lines(looks)
+        problems, warnings = self._stream_lines(searches)
         plane = floor.plane or floor.misfit
-        for refuses, text in _findings(section, self._tracker, looks):
+        for refuses, text in _findings(section, self._tracker, searches):
             (problems if refuses else warnings).append(text)
-        blurs = [look.result.blur for look in looks if look.result.blur is not None]
-        sides = [look.result.side_px for look in looks if look.result.side_px is not None]
+        blurs = [search.result.blur for search in searches if search.result.blur is not None]
+        sides = [search.result.side_px for search in searches if search.result.side_px is not None]
         if blurs and statistics.median(blurs) > BLURRED:
             warnings.append(
                 f"tags are too small or blurred, the smallest {min(sides):.0f} px wide: focus the "
@@ -238,7 +238,7 @@ class AprilTagCamera(PictureCamera[Seen]):
         facts = {
             "source": section.source_name,
             "latency": f"{section.latency:g} s, as the spec says",
-            **self._stream_facts(looks),
+            **self._stream_facts(searches),
         }
         if plane is not None:
             origin = "the spec's" if section.lens is not None else "estimated"
@@ -246,7 +246,7 @@ class AprilTagCamera(PictureCamera[Seen]):
             facts["focal_length"] = f"{plane.focal_px:.0f} px, {origin}"
         if sides:
             facts["smallest_tag"] = f"{min(sides):.0f} px"
-        facts |= {"damaged": str(self.damaged), "skipped": str(self._skipped)}
+        facts |= {"damaged": str(self.damaged), "skipped": str(self._queue.skipped)}
         return Health(tuple(problems), tuple(warnings), facts, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> Seen:

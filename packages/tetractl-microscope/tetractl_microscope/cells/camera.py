@@ -232,9 +232,9 @@ class CellCamera(PictureCamera[SeenDish]):
         assert robots.cells, "only a robot that was seen can be replaced"
         self._robots = robots.with_replaced(robot, number)
 
-    def _is_current(self, seen: SeenDish) -> bool:
+    def _is_current(self, result: SeenDish) -> bool:
         """Return whether the robots were those of now when a picture was searched."""
-        return seen.robots is self._robots
+        return result.robots is self._robots
 
     def additions(self) -> list[FrameAddition]:
         """Return the messages of each frame since the last call, oldest first."""
@@ -248,21 +248,21 @@ class CellCamera(PictureCamera[SeenDish]):
         """Examine some pictures; return problems, warnings and facts of source, light, focus and
         cells.
         """
-        looks = self._look()
-        problems, warnings = self._stream_lines(looks)
+        searches = self._next_searches()
+        problems, warnings = self._stream_lines(searches)
         width_px = named(self.section.organism).body_um[1] / self.section.um_px
-        wrong, doubtful = dish_lines(self._robots.setup.names, looks, width_px)
+        wrong, doubtful = dish_lines(self._robots.setup.names, searches, width_px)
         facts = {
             "source": self.section.source_name,
             "scale": f"{self.section.um_px:g} um/px",
             "organism": self.section.organism,
-            **self._stream_facts(looks),
+            **self._stream_facts(searches),
         }
-        if looks:
-            facts["cells"] = str(cell_count(looks))
+        if searches:
+            facts["cells"] = str(cell_count(searches))
         facts["opencv"] = cv2.__version__
         facts["damaged"] = str(self.damaged)
-        facts["skipped"] = str(self._skipped)
+        facts["skipped"] = str(self._queue.skipped)
         return Health((*problems, *wrong), (*warnings, *doubtful), facts, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:

@@ -12,7 +12,7 @@ from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.robot_cells import RobotCells
-from tetractl_microscope.pictures.looks import Look
+from tetractl_microscope.pictures.searches import Search
 
 DARK = 12.0  # median grey level at which a picture is too dark
 SATURATED = 245.0  # too bright
@@ -70,17 +70,17 @@ def sharpness(
 
 
 def dish_lines(
-    names: Sequence[str], looks: Sequence[Look[SeenDish]], width_px: float
+    names: Sequence[str], searches: Sequence[Search[SeenDish]], width_px: float
 ) -> tuple[list[str], list[str]]:
     """Return problems and warnings about light, focus and cells in the last pictures, which are
     given oldest first, for cells `width_px` wide; two empty lists without pictures.
     """
-    if not looks:
+    if not searches:
         return [], []
-    newest = looks[-1].result
+    newest = searches[-1].result
     problems = list[str]()
     warnings = list[str]()
-    level = statistics.median(look.result.level for look in looks)
+    level = statistics.median(search.result.level for search in searches)
     if level < DARK:
         problems.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
     elif level > SATURATED:
@@ -96,18 +96,18 @@ def dish_lines(
     lost = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
     if lost:
         problems.append(
-            f"{', '.join(lost)} not tracked: {cell_count(looks)} cells are in view, {len(names)} "
-            "are needed"
+            f"{', '.join(lost)} not tracked: {cell_count(searches)} cells are in view, "
+            f"{len(names)} are needed"
         )
     elif newest.sure < SURE:
         warnings.append(
             "cells have met, and it is uncertain which is which: let the field turn a few times"
         )
-    contrasts = [c for look in looks if (c := look.result.light.contrast) is not None]
+    contrasts = [c for search in searches if (c := search.result.light.contrast) is not None]
     contrast = statistics.median(contrasts) if contrasts else None
     if not newest.light.lost and (line := faint_line(contrast, newest.light.limit)):
         warnings.append(line)
-    sharp = [look.result.sharpness for look in looks if look.result.sharpness is not None]
+    sharp = [search.result.sharpness for search in searches if search.result.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:
         warnings.append("the rims of cells are blurred: focus, or shorten the exposure")
     if width_px < SMALL_PX:
@@ -133,9 +133,9 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
     return f"{said}: use more light, a smaller aperture or phase contrast"
 
 
-def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
+def cell_count(searches: Sequence[Search[SeenDish]]) -> int:
     """Return the median, over one or more pictures, of the number of cells in view."""
-    return round(statistics.median(_cells_in(look.result) for look in looks))
+    return round(statistics.median(_cells_in(search.result) for search in searches))
 
 
 def _cells_in(dish: SeenDish) -> int:

@@ -1,11 +1,18 @@
-"""A camera that searches pictures: one thread reads the source, another finds the robots."""
+"""A camera that finds robots in the pictures of a webcam, a microscope or a film.
 
-import queue
+A search may take longer than the time between two pictures. Two threads therefore work: "pictures"
+reads the source and puts each picture into a queue of one place (`PictureQueue`), and "finding"
+takes it from there, searches it, and adds the result to `Searches`. The program's own thread asks
+for frames. These two are all that the threads share, and each has a lock of its own. In virtual
+time there is no thread: the source in memory calls the search with each picture.
+
+A live source does not wait: a picture that is still in the queue is replaced by the next one.
+"""
+
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -16,18 +23,26 @@ from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Grey, Pose
-from tetractl.tools.worker import LOOK_S, WAITING_MAX, drained
+from tetractl.tools.worker import WAITING_MAX, drained
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
-from tetractl_microscope.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl_microscope.pictures.picture_section import PictureSection
+from tetractl_microscope.pictures.searches import (
+    KEPT_SEARCHES,
+    Search,
+    rate_hz,
+    search_ms,
+    stream_lines,
+)
 from tetractl_microscope.pictures.source import decoded
+
+ENDS_WITHIN_S = 2.0  # a thread that has not ended by then is left to end with the process
 
 Join = Callable[[Callable[[bytes], None]], Feed]
 """Opens a source in memory, which calls a function with each picture, a JPEG file."""
 
 
-class SearchedPicture(Protocol):
-    """The result for one picture: poses of the robots and of other objects."""
+class PictureResult(Protocol):
+    """What a search found in one picture: poses of the robots and of other objects."""
 
     @property
     def poses(self) -> tuple[Pose | None, ...]:
@@ -40,24 +55,133 @@ class SearchedPicture(Protocol):
         ...
 
 
-S = TypeVar("S", bound=SearchedPicture)
+R = TypeVar("R", bound=PictureResult)
 
 
 @dataclass(frozen=True, slots=True)
-class FreshFrame(Generic[S]):
-    """A frame that was not returned yet, and what was seen in its picture."""
+class NumberedPicture:
+    """A picture and its number in the source, from 1 on."""
+
+    number: int
+    picture: Picture
+
+
+class PictureQueue:
+    """The one picture that waits to be searched; one thread puts pictures, another takes them.
+
+    `skipped` counts pictures of a live source that were replaced before they were searched.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._waiting: NumberedPicture | None = None
+        self._closed = False
+        self.skipped = 0
+
+    def put(self, picture: NumberedPicture, live: bool) -> None:
+        """Add a picture: at once, in place of one that waits, if the source is live; otherwise when
+        the place is free. Does nothing once the queue is closed."""
+        with self._changed:
+            if live and self._waiting is not None:
+                self.skipped += 1
+            elif not live:
+                self._changed.wait_for(lambda: self._waiting is None or self._closed)
+            self._waiting = picture
+            self._changed.notify_all()
+
+    def take(self) -> NumberedPicture | None:
+        """Wait for a picture and return it; None once the queue is closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting is not None or self._closed)
+            if self._closed:
+                return None
+            picture = self._waiting
+            self._waiting = None
+            self._changed.notify_all()
+            return picture
+
+    def close(self) -> None:
+        """End every wait, now and later."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the queue was closed."""
+        return self._closed
+
+
+@dataclass(frozen=True, slots=True)
+class SearchedFrame(Generic[R]):
+    """A frame that was not returned yet, and what was found in its picture."""
 
     frame: CameraFrame
-    seen: S
+    result: R
 
 
-class PictureCamera(ABC, Generic[S]):
+class Searches(Generic[R]):
+    """What the searches have found, and why no more will come: written by the threads of the
+    camera, read by the program's own, under one lock (`changed`).
+
+    `ended` is the reason why no more pictures come, "" while they do; `failure` is the unexpected
+    error behind it, if it was one.
+    """
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.ended = ""
+        self.failure: Exception | None = None
+        self._frames: deque[SearchedFrame[R]] = deque(maxlen=WAITING_MAX)
+        self._last: deque[Search[R]] = deque(maxlen=KEPT_SEARCHES)
+
+    def add(self, frame: CameraFrame, search: Search[R]) -> None:
+        """Add what was found in a picture."""
+        with self.changed:
+            self._frames.append(SearchedFrame(frame, search.result))
+            self._last.append(search)
+            self.changed.notify_all()
+
+    def end(self, reason: str) -> None:
+        """Say why no more pictures come, unless an error has said it."""
+        with self.changed:
+            if self.failure is None:
+                self.ended = reason
+            self.changed.notify_all()
+
+    def fail(self, thread: str, error: Exception) -> None:
+        """Keep the error that ended a thread, for the program's own to raise."""
+        with self.changed:
+            self.ended = f"the {thread} of pictures has ended: {text_of(error)}"
+            self.failure = error
+            self.changed.notify_all()
+
+    def take_frames(self) -> list[SearchedFrame[R]]:
+        """Return and forget the frames since the last call, oldest first."""
+        with self.changed:
+            return drained(self._frames)
+
+    def last(self) -> tuple[Search[R], ...]:
+        """Return the searches of the last pictures, oldest first."""
+        with self.changed:
+            return tuple(self._last)
+
+    def newest_number(self) -> int:
+        """Return the number of the newest searched picture, 0 if there is none."""
+        with self.changed:
+            return self._last[-1].number if self._last else 0
+
+
+class PictureCamera(ABC, Generic[R]):
     """Base class of cameras that track robots in pictures; subclasses implement `_see` and `check`.
 
     `wake` is called, in the searching thread, after every new frame. A frame has its picture's
     number: if a live source is faster than the search, numbers are missing. The `fault` of a frame
     is never set; a picture that repeats the one before is no frame. `join` opens a source in memory
     that calls a function with each picture, without a thread; None opens the spec's source.
+
+    The searching thread alone uses `_size`, `_newest_picture`, and what a subclass adds; it alone
+    counts in `_unread`.
     """
 
     def __init__(
@@ -71,22 +195,17 @@ class PictureCamera(ABC, Generic[S]):
         self._join = join
         self._clock = clock
         self._wake = wake
-        self._fresh: deque[FreshFrame[S]] = deque(maxlen=WAITING_MAX)
-        self._looks: deque[Look[S]] = deque(maxlen=LOOKS)
         self._feed: Feed | None = None
-        self._size: tuple[int, ...] | None = None
-        self._next: queue.Queue[tuple[int, Picture]] = queue.Queue(maxsize=1)
-        self._unread = 0  # number of pictures that could not be decoded
-        self._newest: Grey | None = None
-        self._number = self._skipped = 0
-        self._ended = ""
-        self._failure: Exception | None = None  # that of the thread that searches
-        self._changed = threading.Condition()
-        self._closing = threading.Event()
         self._threads: list[threading.Thread] = []
+        self._queue = PictureQueue()
+        self._searches = Searches[R]()
+        self._size: tuple[int, ...] | None = None  # height and width of the first picture
+        self._newest_picture: Grey | None = None
+        self._unread = 0  # number of pictures that could not be decoded
+        self._joined = 0  # number of pictures of a source in memory
 
     @abstractmethod
-    def _see(self, picture: Grey, exposed_ns: int) -> S | None:
+    def _see(self, picture: Grey, exposed_ns: int) -> R | None:
         """Search a picture; return its robots and strangers, None if it does not become a frame."""
 
     @abstractmethod
@@ -104,152 +223,146 @@ class PictureCamera(ABC, Generic[S]):
         return self._feed is not None and self._feed.emulated
 
     def frames(self) -> list[CameraFrame]:
-        """Return the frames since the last call, oldest first; raise what ended the search."""
-        if self._failure is not None:
-            raise self._failure
-        return [fresh.frame for fresh in drained(self._fresh) if self._is_current(fresh.seen)]
+        """Return the frames since the last call, oldest first; raise the unexpected error that
+        ended the reading or the search."""
+        if self._searches.failure is not None:
+            raise self._searches.failure
+        searched = self._searches.take_frames()
+        return [frame.frame for frame in searched if self._is_current(frame.result)]
 
-    def _is_current(self, seen: S) -> bool:
-        """Return whether what was seen in a picture is of the present robots, as it is unless a
+    def _is_current(self, result: R) -> bool:
+        """Return whether what was found in a picture is of the present robots, as it is unless a
         subclass can go on with others."""
         return True
 
     def __enter__(self) -> Self:
         """Open the source and wait for a first frame; AbortError if none comes."""
-        patience = self._source.connect
+        wait_s = self._source.connect
         if self._join is not None:
-            self._feed = self._join(self._take)
+            self._feed = self._join(self._search_jpeg)
         else:
-            self._feed = feed = self._source.source.open(self._clock, patience)
-            self._threads = [
-                threading.Thread(target=self._read, args=(feed,), name="pictures", daemon=True),
-                threading.Thread(target=self._find, name="finding", daemon=True),
-            ]
+            feed = self._source.source.open(self._clock, wait_s)
+            self._feed = feed
+            reading = threading.Thread(
+                target=self._read, args=(feed,), name="pictures", daemon=True
+            )
+            finding = threading.Thread(target=self._find, name="finding", daemon=True)
+            self._threads = [reading, finding]
         for thread in self._threads:
             thread.start()
-        if not self._wait(lambda: bool(self._looks), patience):
+        if not self._wait(lambda: self._searches.newest_number() > 0, wait_s):
             self.__exit__()
             damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
             raise AbortError(
-                f"no picture comes from {self._source.source_name} ({patience:g} s)",
-                self._ended or damaged,
+                f"no picture comes from {self._source.source_name} ({wait_s:g} s)",
+                self._searches.ended or damaged,
             )
         return self
 
     def __exit__(self, *_: object) -> None:
         """End both threads and close the source."""
-        self._closing.set()
+        self._queue.close()
         if self._feed is not None:
             self._feed.interrupt()
         for thread in self._threads:
-            thread.join(2.0)
+            thread.join(ENDS_WITHIN_S)
 
-    def _look(self) -> tuple[Look[S], ...]:
-        """Wait until 20 more pictures have come or the source has ended, up to `connect`; return
-        the results for the last 20, oldest first.
+    def _next_searches(self) -> tuple[Search[R], ...]:
+        """Wait until KEPT_SEARCHES more pictures have come or the source has ended, up to
+        `connect`; return the searches of the last pictures, oldest first.
         """
-        first = self._looks[-1].number if self._looks else 0
+        enough = self._searches.newest_number() + KEPT_SEARCHES
+        self._wait(
+            lambda: self._searches.newest_number() >= enough or bool(self._searches.ended),
+            self._source.connect,
+        )
+        return self._searches.last()
 
-        def enough() -> bool:
-            newest = self._looks[-1].number if self._looks else 0
-            return newest >= first + LOOKS or bool(self._ended)
-
-        self._wait(enough, self._source.connect)
-        return tuple(self._looks)
-
-    def _stream_lines(self, looks: Sequence[Look[S]]) -> tuple[list[str], list[str]]:
+    def _stream_lines(self, searches: Sequence[Search[R]]) -> tuple[list[str], list[str]]:
         """Return problems and warnings of the stream of pictures."""
         rate = None if self._feed is None else self._feed.rate_hz
         name = self._source.source_name
         now_ns = self._clock.now()
-        return stream_lines(looks, name, self._ended, now_ns, rate, self.damaged)
+        return stream_lines(searches, name, self._searches.ended, now_ns, rate, self.damaged)
 
-    def _stream_facts(self, looks: Sequence[Look[S]]) -> dict[str, str]:
+    def _stream_facts(self, searches: Sequence[Search[R]]) -> dict[str, str]:
         """Return resolution, rate of pictures and duration of the search, as far as known."""
         facts: dict[str, str] = {}
         if self._size is not None:
             facts["resolution"] = f"{self._size[1]}x{self._size[0]}"
-        if (rate := rate_hz(looks)) is not None:
+        rate = rate_hz(searches)
+        if rate is not None:
             facts["rate"] = f"{rate:.1f} Hz"
-        if looks:
-            facts["search"] = f"{search_ms(looks):.1f} ms"
+        if searches:
+            facts["search"] = f"{search_ms(searches):.1f} ms"
         return facts
 
     def _read(self, feed: Feed) -> None:
-        """Read pictures into the queue, which keeps only the newest picture of a live source."""
+        """Put the source's pictures into the queue until it ends; the thread "pictures"."""
         number = 0
         try:
-            while not self._closing.is_set():
+            while not self._queue.closed:
                 picture = feed.read()
                 number += 1
-                self._offer((number, picture), feed.live)
+                self._queue.put(NumberedPicture(number, picture), feed.live)
         except SourceEndedError as error:
-            self._ended = str(error)
-            with self._changed:
-                self._changed.notify_all()
+            self._searches.end(str(error))
+        except Exception as error:  # `frames` raises it in the program's thread
+            self._searches.fail("reading", error)
+            self._wake()
         finally:
             feed.close()
 
-    def _take(self, jpeg: bytes) -> None:
-        self._number += 1
-        self._search(self._number, Picture(jpeg, self._clock.now()))
-
-    def _offer(self, picture: tuple[int, Picture], live: bool) -> None:
-        while not self._closing.is_set():
-            try:
-                self._next.put(picture, timeout=None if live else LOOK_S, block=not live)
-                return
-            except queue.Full:
-                if live:
-                    with suppress(queue.Empty):
-                        self._next.get_nowait()
-                        self._skipped += 1
-
     def _find(self) -> None:
+        """Search the pictures in the queue until it is closed; the thread "finding"."""
         try:
-            while not self._closing.is_set():
-                with suppress(queue.Empty):
-                    number, picture = self._next.get(timeout=LOOK_S)
-                    self._search(number, picture)
-        except Exception as error:  # the thread that asks for frames raises it
-            self._failure = error
-            self._ended = f"the search of pictures has ended: {text_of(error)}"
-            with self._changed:
-                self._changed.notify_all()
+            waiting = self._queue.take()
+            while waiting is not None:
+                self._search(waiting.number, waiting.picture)
+                waiting = self._queue.take()
+        except Exception as error:  # `frames` raises it in the program's thread
+            self._searches.fail("search", error)
             self._wake()
 
+    def _search_jpeg(self, jpeg: bytes) -> None:
+        """Search the next picture of a source in memory."""
+        self._joined += 1
+        self._search(self._joined, Picture(jpeg, self._clock.now()))
+
     def _search(self, number: int, picture: Picture) -> None:
-        began = self._clock.now()
-        exposed = picture.received_ns - round(self._source.latency * SECOND)
+        """Search a picture, and add a frame if it shows the robots."""
+        began_ns = self._clock.now()
+        exposed_ns = picture.received_ns - round(self._source.latency * SECOND)
         try:
             grey = decoded(picture, self._size)
             if grey is None or (self._size is not None and grey.shape != self._size):
                 self._unread += 1  # a picture of another size does not fit the calibration
                 return
-            if self._repeats(grey):
+            repeats = self._repeats(grey)
+            self._newest_picture = grey
+            if repeats:
                 return
-            looked = self._see(grey, exposed)
+            result = self._see(grey, exposed_ns)
         except cv2.error:  # OpenCV cannot process this picture
             self._unread += 1
             return
         self._size = grey.shape
-        if looked is None:
+        if result is None:
             return
-        frame = CameraFrame(number, exposed, picture.received_ns, looked.poses, looked.strangers)
-        self._fresh.append(FreshFrame(frame, looked))
-        self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, looked))
-        with self._changed:
-            self._changed.notify_all()
+        received_ns = picture.received_ns
+        frame = CameraFrame(number, exposed_ns, received_ns, result.poses, result.strangers)
+        search_ns = self._clock.now() - began_ns
+        self._searches.add(frame, Search(number, received_ns, search_ns, result))
         self._wake()
 
     def _repeats(self, grey: Grey) -> bool:
         """Return whether a picture is the newest one again, noise and all, and not just black."""
-        before = self._newest
-        self._newest = grey
-        return before is not None and np.array_equal(before, grey) and int(np.ptp(grey)) > 0
+        newest = self._newest_picture
+        return newest is not None and np.array_equal(newest, grey) and int(np.ptp(grey)) > 0
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until `done` returns true; return False after `timeout_s`."""
         if self._join is not None:
             return wait_for(self._clock, done, timeout_s)
-        with self._changed:
-            return self._changed.wait_for(done, timeout_s)
+        with self._searches.changed:
+            return self._searches.changed.wait_for(done, timeout_s)

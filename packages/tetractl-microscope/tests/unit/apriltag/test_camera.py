@@ -1,5 +1,6 @@
 """The whole camera: a film in virtual time, and an emulated network camera over loopback."""
 
+import itertools
 import threading
 from dataclasses import replace
 from functools import partial
@@ -13,6 +14,7 @@ from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, PictureTiming
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
+from tetractl_microscope.pictures.source import FileFeed
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
@@ -95,6 +97,24 @@ def test_an_error_of_the_search_is_raised_where_frames_are_asked_for(tmp_path, m
             camera.frames()
         (problem, *_) = camera.check().problems
     assert problem == "the search of pictures has ended: ValueError: no such tag"
+
+
+def test_an_error_of_the_source_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):
+    """A source ends by SourceEndedError; any other error ended the reading thread silently."""
+    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 2)))
+    read = FileFeed.read
+    reads = itertools.count()
+
+    def fail_after_first(feed):
+        if next(reads) > 0:
+            raise OSError("cable torn")
+        return read(feed)
+
+    monkeypatch.setattr(FileFeed, "read", fail_after_first)
+    with camera:
+        woken.wait(lambda: camera._searches.failure is not None)
+        with pytest.raises(OSError, match="cable torn"):
+            camera.frames()
 
 
 def test_the_health_of_a_good_camera_tells_its_facts(tmp_path):

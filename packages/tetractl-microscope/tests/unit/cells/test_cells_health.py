@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tetractl_microscope.cells.cells_health import BLURRED, SeenDish, dish_lines, sharpness
 from tetractl_microscope.cells.detect_cells import Light
-from tetractl_microscope.pictures.looks import Look
+from tetractl_microscope.pictures.searches import Search
 
 from tetractl.core.poses import Pose
 
@@ -55,7 +55,7 @@ def test_no_sharpness_without_contrast_or_without_cells():
 LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)
 
 
-def looks(**changes):
+def searches(**changes):
     values = {
         "robots": None,  # which cells they are does not matter to what is said
         "poses": (Pose(0, 0, 0), Pose(1, 1, 0)),
@@ -65,7 +65,7 @@ def looks(**changes):
         "sharpness": 0.3,
         "sure": 1.0,
     } | changes
-    return [Look(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
+    return [Search(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
 
 
 @pytest.mark.parametrize(
@@ -88,6 +88,6 @@ def looks(**changes):
     ],
 )
 def test_health_says_what_is_wrong_in_words(changes, width_px, says):
-    problems, warnings = dish_lines(("first", "second"), looks(**changes), width_px)
+    problems, warnings = dish_lines(("first", "second"), searches(**changes), width_px)
     lines = [*problems, *warnings]
     assert (lines == []) if not says else any(says in line for line in lines)

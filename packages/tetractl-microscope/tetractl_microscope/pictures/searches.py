@@ -8,14 +8,14 @@ from typing import Any, Generic, TypeVar
 from tetractl.core.clock import SECOND
 from tetractl.lab.frame_rate import rate_hz
 
-LOOKS = 20  # number of last pictures whose results are kept
+KEPT_SEARCHES = 20  # number of last pictures whose results are kept
 SLOW_HZ = 20.0  # below this rate, one lost picture looks like a lost stream
 
 S = TypeVar("S")
 
 
 @dataclass(frozen=True, slots=True)
-class Look(Generic[S]):
+class Search(Generic[S]):
     """One searched picture: its number, time of arrival, duration of the search, and result."""
 
     number: int
@@ -24,13 +24,13 @@ class Look(Generic[S]):
     result: S
 
 
-def search_ms(looks: Sequence[Look[Any]]) -> float:
+def search_ms(searches: Sequence[Search[Any]]) -> float:
     """Return the median duration of searching a picture [ms]."""
-    return statistics.median(look.search_ns for look in looks) / 1e6
+    return statistics.median(search.search_ns for search in searches) / 1e6
 
 
 def stream_lines(
-    looks: Sequence[Look[Any]],
+    searches: Sequence[Search[Any]],
     source: str,
     ended: str,
     now_ns: int,
@@ -46,9 +46,9 @@ def stream_lines(
     warnings: list[str] = []
     if ended:
         problems.append(ended)
-    elif not looks or now_ns - looks[-1].received_ns > SECOND // 2:
+    elif not searches or now_ns - searches[-1].received_ns > SECOND // 2:
         problems.append(f"no picture comes from {source} any more")
-    rate = rate_hz(looks)
+    rate = rate_hz(searches)
     if rate is not None and declared_hz is not None and rate < 0.8 * declared_hz:
         warnings.append(
             f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: is there too "
@@ -58,10 +58,10 @@ def stream_lines(
         warnings.append(
             f"only {rate:.0f} pictures per second come: {SLOW_HZ:.0f} or more are needed"
         )
-    if looks and (missed := looks[-1].number - looks[0].number + 1 - len(looks)):
+    if searches and (missed := searches[-1].number - searches[0].number + 1 - len(searches)):
         warnings.append(
-            f"{missed} of the last {len(looks) + missed} pictures were not searched: searching one "
-            f"takes {search_ms(looks):.0f} ms"
+            f"{missed} of the last {len(searches) + missed} pictures were not searched: searching "
+            f"one takes {search_ms(searches):.0f} ms"
         )
     if damaged:
         warnings.append(f"{damaged} pictures were damaged")

@@ -1,7 +1,7 @@
 """What a camera says of its stream of pictures."""
 
 import pytest
-from tetractl_microscope.pictures.looks import Look, stream_lines
+from tetractl_microscope.pictures.searches import Search, stream_lines
 
 from tetractl.core.clock import SECOND
 
@@ -26,10 +26,10 @@ def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
     stream = GOOD | changes
     step = stream["every"]
     hz = stream["hz"]
-    looks = [Look(k * step, round(k * step * SECOND / hz), 5_000_000, None) for k in range(20)]
+    searches = [Search(k * step, round(k * step * SECOND / hz), 5_000_000, None) for k in range(20)]
     now_ns = round(stream["now"] * SECOND) + (step - 1) * 19 * SECOND // 30
     problems, warnings = stream_lines(
-        looks, "film", stream["ended"], now_ns, stream["declared"], stream["damaged"]
+        searches, "film", stream["ended"], now_ns, stream["declared"], stream["damaged"]
     )
     assert problems == ([] if problem is None else [problem])
     assert [line.startswith(warning) for line in warnings] == ([] if warning is None else [True])

@@ -39,7 +39,17 @@ PLUGIN = "package."
 """Prefix of the key for a package that provides a kind used by the spec; the value is its version.
 """
 
-TRIAL_CODE = ("core", "tools", "experiment", "model", "control", "plant", "run", "log/format", "log/write")
+TRIAL_CODE = (
+    "core",
+    "tools",
+    "experiment",
+    "model",
+    "control",
+    "plant",
+    "run",
+    "log/format",
+    "log/write",
+)
 """The parts of tetractl that determine the content of a simulated trial's log."""
 
 HERE = Path(__file__).parents[1]

@@ -1,12 +1,12 @@
 """What a paper claims of a figure, what is asked of our trials, and the verdict.
 
 A claim is an outcome that the paper states, never a number that the spec is given. Our trials give
-an `OurNumber`, with n and its 95 % interval [low, high] (a point if all values are equal). The
-verdict follows from the interval by one rule for every kind of claim:
+an `OurNumber`, with n and its 95 % interval [low, high] (a point if all values are equal). What is
+`Asked` of it gives the verdict:
 
-    reached    the whole interval is on the side that is asked
+    reached    the whole interval is within what is asked
     agrees     what is asked is the published number itself, and chance explains the difference
-    missed     the whole interval is on the other side, or chance does not explain the difference
+    missed     the whole interval is outside, or chance does not explain the difference
     undecided  the interval holds the bound: more trials would decide
     out of reach   not reached, and a bound that no controller can break says why
 
@@ -18,7 +18,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Protocol
+from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -40,6 +41,9 @@ class Fate(StrEnum):
     MISSED = "missed"
     UNDECIDED = "undecided"
     OUT = "out of reach"
+
+
+# ---- The numbers of our trials ----
 
 
 class NumberKind(StrEnum):
@@ -65,23 +69,6 @@ class OurNumber:
     means: tuple[float, float] | None = None
 
 
-class Requirement(Protocol):
-    """What is asked of the values (n,) of our trials."""
-
-    @property
-    def words(self) -> str:
-        """What is asked, for the table."""
-        ...
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the number that is compared, and its interval."""
-        ...
-
-    def verdict(self, values: Floats) -> Fate:
-        """Return the verdict on the values."""
-        ...
-
-
 def mean_of(values: Floats) -> OurNumber:
     """Return the mean of values (n,) with its interval (Student's t; `results.estimate`)."""
     summary = distributions(values[None])[0]
@@ -97,187 +84,118 @@ def share_of(values: Floats) -> OurNumber:
     return OurNumber(NumberKind.SHARE, count / n, n, interval.low, interval.high)
 
 
-@dataclass(frozen=True, slots=True)
-class AtMost:
-    """The mean is to be at or below a bound."""
-
-    bound: float
-    words = "smaller is better"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the mean."""
-        return mean_of(values)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Compare the interval of the mean with the bound."""
-        mean = mean_of(values)
-        if mean.high <= self.bound:
-            return Fate.REACHED
-        return Fate.MISSED if mean.low > self.bound else Fate.UNDECIDED
-
-
-@dataclass(frozen=True, slots=True)
-class AtLeast:
-    """The mean is to be at or above a bound."""
-
-    bound: float
-    words = "greater is better"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the mean."""
-        return mean_of(values)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Compare the interval of the mean with the bound."""
-        mean = mean_of(values)
-        if mean.low >= self.bound:
-            return Fate.REACHED
-        return Fate.MISSED if mean.high < self.bound else Fate.UNDECIDED
-
-
-@dataclass(frozen=True, slots=True)
-class SameNumber:
-    """The mean is to be a published number, whose own uncertainty is unknown: our interval holds
-    it."""
-
-    published: float
-    words = "agreement"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the mean."""
-        return mean_of(values)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Compare the interval of the mean with the published number."""
-        mean = mean_of(values)
-        return Fate.AGREES if mean.low <= self.published <= mean.high else Fate.MISSED
-
-
-@dataclass(frozen=True, slots=True)
-class SameMean:
-    """The mean is to be that of n published values with a standard deviation: Welch's t finds no
-    difference (p > 0.05)."""
-
-    mean: float
-    std: float
-    n: int
-    words = "agreement"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the mean."""
-        return mean_of(values)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Test the difference of the means."""
-        test = stats.ttest_ind_from_stats(
-            float(np.mean(values)),
-            _deviation(values),
-            len(values),
-            self.mean,
-            self.std,
-            self.n,
-            equal_var=False,
-        )
-        return Fate.AGREES if test.pvalue > 1 - CONFIDENCE else Fate.MISSED
-
-
-@dataclass(frozen=True, slots=True)
-class SameDeviation:
-    """The standard deviation is to be that of n published values: the F test finds no difference
-    (p > 0.05). Its interval is the chi-square interval of normal values."""
-
-    std: float
-    n: int
-    words = "agreement"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the standard deviation."""
-        std = _deviation(values)
-        low, high = chi_square_interval(std, len(values))
-        return OurNumber(NumberKind.DEVIATION, std, len(values), low, high)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Test the ratio of the variances."""
-        std = _deviation(values)
-        ratio = (std / self.std) ** 2
-        low, high = stats.f.ppf(_ENDS, len(values) - 1, self.n - 1)
-        return Fate.AGREES if low <= ratio <= high else Fate.MISSED
-
-
-@dataclass(frozen=True, slots=True)
-class OneRun:
-    """One published run is to be among the middle 95 % of ours, which are its interval here."""
-
-    value: float
-    words = "agreement"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the share of our runs that are as large, between the ends of the middle 95 %."""
-        low, high = np.quantile(values, _ENDS).tolist()
-        share = float(np.mean(values >= self.value))
-        return OurNumber(NumberKind.RUNS, share, len(values), low, high)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Compare the published run with the middle of ours."""
-        runs = self.number(values)
-        return Fate.AGREES if runs.low <= self.value <= runs.high else Fate.MISSED
-
-
-@dataclass(frozen=True, slots=True)
-class Rarely:
-    """A fact is to hold in fewer than `share` of the trials; the values are 1 where it holds, else
-    0. Its interval is Wilson's."""
-
-    share: float = 0.05
-
-    @property
-    def words(self) -> str:
-        """What is asked."""
-        return f"in fewer than {100 * self.share:g} %"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the share of trials in which the fact holds."""
-        return share_of(values)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Compare the interval of the share with what is allowed."""
-        ours = share_of(values)
-        if ours.high <= self.share:
-            return Fate.REACHED
-        return Fate.MISSED if ours.low > self.share else Fate.UNDECIDED
-
-
-@dataclass(frozen=True, slots=True)
-class AsOften:
-    """A fact is to hold in a stated share of trials: Wilson's interval of ours holds that share."""
-
-    share: float
-
-    @property
-    def words(self) -> str:
-        """What is asked."""
-        return f"agreement with {100 * self.share:g} %"
-
-    def number(self, values: Floats) -> OurNumber:
-        """Return the share of trials in which the fact holds."""
-        return share_of(values)
-
-    def verdict(self, values: Floats) -> Fate:
-        """Compare the interval of the share with the stated one."""
-        ours = share_of(values)
-        return Fate.AGREES if ours.low <= self.share <= ours.high else Fate.MISSED
-
-
 def _deviation(values: Floats) -> float:
     """Return the standard deviation of values, NaN of a single one."""
     return float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
 
 
-def chi_square_interval(std: float, n: int) -> tuple[float, float]:
-    """Return the 95 % interval of the standard deviation of n normal values."""
-    quantiles = stats.chi2.ppf(_ENDS[::-1], n - 1)
-    low, high = std * np.sqrt((n - 1) / quantiles)
-    return float(low), float(high)
+def deviation_of(values: Floats) -> OurNumber:
+    """Return the standard deviation of values (n,), with the chi-square interval of normal ones."""
+    n = len(values)
+    std = _deviation(values)
+    low, high = (std * np.sqrt((n - 1) / stats.chi2.ppf(_ENDS[::-1], n - 1))).tolist()
+    return OurNumber(NumberKind.DEVIATION, std, n, low, high)
+
+
+def runs_of(values: Floats, published: float) -> OurNumber:
+    """Return the share of values (n,) that are at least the published one, between the ends of the
+    middle 95 % of all."""
+    low, high = np.quantile(values, _ENDS).tolist()
+    share = float(np.mean(values >= published))
+    return OurNumber(NumberKind.RUNS, share, len(values), low, high)
+
+
+# ---- What can be asked of them ----
+
+Decide = Callable[[Floats, OurNumber], Fate]
+"""Returns the verdict on the values (n,) of our trials and on their number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked: in words for the table, of which number, and how that decides."""
+
+    words: str
+    number: Callable[[Floats], OurNumber]
+    decide: Decide
+
+
+def at_most(bound: float) -> Asked:
+    """The mean is to be at or below a bound."""
+    return Asked("smaller is better", mean_of, _within(-math.inf, bound))
+
+
+def at_least(bound: float) -> Asked:
+    """The mean is to be at or above a bound."""
+    return Asked("greater is better", mean_of, _within(bound, math.inf))
+
+
+def rarely(share: float = 0.05) -> Asked:
+    """A fact is to hold in fewer than a share of the trials; the values are 1 where it holds."""
+    return Asked(f"in fewer than {100 * share:g} %", share_of, _within(-math.inf, share))
+
+
+def same_number(published: float) -> Asked:
+    """The mean is to be a published number, whose own uncertainty is unknown."""
+    return Asked("agreement", mean_of, _holds(published))
+
+
+def as_often(share: float) -> Asked:
+    """A fact is to hold in a stated share of the trials; the values are 1 where it holds."""
+    return Asked(f"agreement with {100 * share:g} %", share_of, _holds(share))
+
+
+def one_run(published: float) -> Asked:
+    """A published run is to be among the middle 95 % of ours."""
+    return Asked("agreement", partial(runs_of, published=published), _holds(published))
+
+
+def same_mean(mean: float, std: float, n: int) -> Asked:
+    """The mean is to be that of n published values: Welch's t finds no difference (p > 0.05)."""
+
+    def decide(values: Floats, ours: OurNumber) -> Fate:
+        own_std = _deviation(values)
+        test = stats.ttest_ind_from_stats(
+            ours.value, own_std, ours.n, mean, std, n, equal_var=False
+        )
+        return _agreement(test.pvalue > 1 - CONFIDENCE)
+
+    return Asked("agreement", mean_of, decide)
+
+
+def same_deviation(std: float, n: int) -> Asked:
+    """The standard deviation is to be that of n published values: the F test finds no difference
+    (p > 0.05)."""
+
+    def decide(values: Floats, ours: OurNumber) -> Fate:
+        low, high = stats.f.ppf(_ENDS, ours.n - 1, n - 1)
+        return _agreement(low <= (ours.value / std) ** 2 <= high)
+
+    return Asked("agreement", deviation_of, decide)
+
+
+def _within(low: float, high: float) -> Decide:
+    """Return the verdict by the interval: within `low` to `high`, outside, or neither."""
+
+    def decide(values: Floats, ours: OurNumber) -> Fate:
+        if low <= ours.low and ours.high <= high:
+            return Fate.REACHED
+        return Fate.MISSED if ours.high < low or ours.low > high else Fate.UNDECIDED
+
+    return decide
+
+
+def _holds(published: float) -> Decide:
+    """Return the verdict by whether our interval holds a published number."""
+    return lambda values, ours: _agreement(ours.low <= published <= ours.high)
+
+
+def _agreement(is_explained: bool) -> Fate:
+    """Return the verdict on a difference that chance explains, or does not."""
+    return Fate.AGREES if is_explained else Fate.MISSED
+
+
+# ---- Claims ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +211,7 @@ class Claim:
     published: str
     arm: str
     measure: Callable[[Any], float]
-    asked: Requirement
+    asked: Asked
     unit: str = ""
     minus: str | None = None
     expected: Fate = Fate.REACHED
@@ -320,10 +238,11 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
         subtracted = subtracted[:pairs]
         means = (float(values.mean()), float(subtracted.mean()))
         values = values - subtracted
-    verdict = claim.asked.verdict(values)
+    ours = claim.asked.number(values)
+    verdict = claim.asked.decide(values, ours)
     if claim.expected is Fate.OUT and verdict is not Fate.REACHED:
         verdict = Fate.OUT
-    return Row(claim, replace(claim.asked.number(values), means=means), verdict)
+    return Row(claim, replace(ours, means=means), verdict)
 
 
 def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:

@@ -7,7 +7,7 @@ outcome. A disc of 23 um for 95 % of the time is out of the bacterium's reach at
 import json
 
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.reproduce.claim import AtMost, Claim, Fate
+from tetractl.reproduce.claim import Claim, Fate, at_most
 from tetractl.reproduce.paper import Paper, Runs
 from tetractl.results.disc import discs
 
@@ -38,7 +38,7 @@ CLAIMS = [
         arm="bacterium",
         measure=disc,
         unit="um",
-        asked=AtMost(BACTERIUM_UM),
+        asked=at_most(BACTERIUM_UM),
         expected=Fate.OUT,
         why="v / a is 14.5 um, the least mean distance of any robot that never stops (3)",
     ),
@@ -47,7 +47,7 @@ CLAIMS = [
         published=f"none; at most {OVER_LEAST}",
         arm="bacterium",
         measure=disc_over_least,
-        asked=AtMost(OVER_LEAST),
+        asked=at_most(OVER_LEAST),
         expected=Fate.MISSED,
         why="the least is about 1.14, with pose, a and v known exactly (benchmarks/least_disc.py)",
     ),
@@ -57,7 +57,7 @@ CLAIMS = [
         arm="bacterium-11mT",
         measure=disc,
         unit="um",
-        asked=AtMost(BACTERIUM_UM),
+        asked=at_most(BACTERIUM_UM),
     ),
     Claim(
         figure=f"{DISC}, microjet",
@@ -65,7 +65,7 @@ CLAIMS = [
         arm="jet",
         measure=disc,
         unit="um",
-        asked=AtMost(JET_UM),
+        asked=at_most(JET_UM),
     ),
 ]
 

@@ -4,19 +4,25 @@ import numpy as np
 import pytest
 
 from tetractl.reproduce.claim import (
-    AsOften,
-    AtLeast,
-    AtMost,
     Claim,
     Fate,
     NumberKind,
-    OneRun,
-    Rarely,
-    SameDeviation,
-    SameMean,
-    SameNumber,
+    as_often,
     assess,
+    at_least,
+    at_most,
+    one_run,
+    rarely,
+    same_deviation,
+    same_mean,
+    same_number,
 )
+
+
+def fate_of(asked, values):
+    """The verdict on the values of trials."""
+    return asked.decide(values, asked.number(values))
+
 
 VALUES = np.array([10.0, 11.0, 12.0, 13.0])
 """Mean 11.5, 95 % interval 9.6 to 13.8: Student's t on a logarithmic scale."""
@@ -27,17 +33,17 @@ VALUES = np.array([10.0, 11.0, 12.0, 13.0])
     [(15, Fate.REACHED), (12, Fate.UNDECIDED), (8, Fate.MISSED)],
 )
 def test_a_mean_is_reached_or_missed_by_its_whole_interval(bound, verdict):
-    assert AtMost(bound).verdict(VALUES) is verdict
-    assert AtLeast(-bound).verdict(-VALUES) is verdict
+    assert fate_of(at_most(bound), VALUES) is verdict
+    assert fate_of(at_least(-bound), -VALUES) is verdict
 
 
 def test_equal_values_count_as_a_point():
     equal = np.full(3, 11.0)
-    number = SameNumber(20).number(equal)
+    number = same_number(20).number(equal)
     assert number.low == 11
     assert number.high == 11
-    assert SameNumber(20).verdict(equal) is Fate.MISSED
-    assert SameNumber(11).verdict(equal) is Fate.AGREES
+    assert fate_of(same_number(20), equal) is Fate.MISSED
+    assert fate_of(same_number(11), equal) is Fate.AGREES
 
 
 @pytest.mark.parametrize(
@@ -51,13 +57,13 @@ def test_equal_values_count_as_a_point():
 )
 def test_absence_needs_as_many_trials_as_presence(count, n, verdict):
     values = (np.arange(n) < count).astype(float)
-    assert Rarely(0.05).verdict(values) is verdict
-    assert Rarely(0.05).number(values).kind is NumberKind.SHARE
+    assert fate_of(rarely(0.05), values) is verdict
+    assert rarely(0.05).number(values).kind is NumberKind.SHARE
 
 
 def test_a_fact_as_often_as_stated_agrees():
-    assert AsOften(0.05).verdict(np.zeros(20)) is Fate.AGREES
-    assert AsOften(0.05).verdict(np.ones(20)) is Fate.MISSED
+    assert fate_of(as_often(0.05), np.zeros(20)) is Fate.AGREES
+    assert fate_of(as_often(0.05), np.ones(20)) is Fate.MISSED
 
 
 def test_a_published_mean_and_deviation_agree_within_their_own_uncertainty():
@@ -65,21 +71,21 @@ def test_a_published_mean_and_deviation_agree_within_their_own_uncertainty():
     draws = np.random.default_rng(1).normal(0, 1, 20)
     standardised = (draws - draws.mean()) / draws.std(ddof=1)
     values = 638.1 + 322.0 * standardised
-    assert SameDeviation(225.1, 20).verdict(values) is Fate.AGREES
-    assert SameDeviation(225.1, 20).verdict(2 * values) is Fate.MISSED
-    assert SameMean(648.6, 225.1, 20).verdict(values) is Fate.AGREES
-    assert SameMean(648.6, 225.1, 20).verdict(values / 3) is Fate.MISSED
+    assert fate_of(same_deviation(225.1, 20), values) is Fate.AGREES
+    assert fate_of(same_deviation(225.1, 20), 2 * values) is Fate.MISSED
+    assert fate_of(same_mean(648.6, 225.1, 20), values) is Fate.AGREES
+    assert fate_of(same_mean(648.6, 225.1, 20), values / 3) is Fate.MISSED
 
 
 def test_a_published_run_agrees_if_it_is_no_rare_one_of_ours():
     runs = np.arange(100.0)
-    assert OneRun(90.0).verdict(runs) is Fate.AGREES
-    assert OneRun(90.0).number(runs).value == 0.1
-    assert OneRun(99.0).verdict(runs) is Fate.MISSED
+    assert fate_of(one_run(90.0), runs) is Fate.AGREES
+    assert one_run(90.0).number(runs).value == 0.1
+    assert fate_of(one_run(99.0), runs) is Fate.MISSED
 
 
 def test_a_difference_is_paired_and_tells_both_means():
-    claim = Claim("f", "less", "ours", lambda trial: trial, AtMost(0), minus="other")
+    claim = Claim("f", "less", "ours", lambda trial: trial, at_most(0), minus="other")
     row = assess(claim, {"ours": [1.0, 2.0, 3.0, 9.0], "other": [2.0, 3.0, 4.0]})
     assert row.ours.value == -1
     assert row.ours.means == (2, 3)
@@ -88,7 +94,7 @@ def test_a_difference_is_paired_and_tells_both_means():
 
 def test_what_no_controller_can_do_is_out_of_reach_only_if_it_is_not_reached():
     def verdict(bound):
-        claim = Claim("f", "p", "ours", float, AtMost(bound), expected=Fate.OUT)
+        claim = Claim("f", "p", "ours", float, at_most(bound), expected=Fate.OUT)
         return assess(claim, {"ours": VALUES}).verdict
 
     assert verdict(12) is Fate.OUT

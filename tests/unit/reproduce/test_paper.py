@@ -14,7 +14,7 @@ from tetractl.core.errors import Exit, UsageError
 from tetractl.core.registries import PAPERS
 from tetractl.experiment.examples import examples
 from tetractl.reproduce import trials as reproduce_trials
-from tetractl.reproduce.claim import AtMost, Claim, Fate, SameDeviation, assess
+from tetractl.reproduce.claim import Claim, Fate, assess, at_most, same_deviation
 from tetractl.reproduce.ou_measures import spinning_time, total_error
 from tetractl.reproduce.paper import Paper, Runs, Work, table
 
@@ -30,7 +30,7 @@ def claim(bound, expected=Fate.REACHED, why=""):
         arm="one",
         measure=total_error,
         unit="um",
-        asked=AtMost(bound),
+        asked=at_most(bound),
         expected=expected,
         why=why,
     )
@@ -125,7 +125,7 @@ def test_what_is_computed_gets_the_root_seed_and_a_number(tmp_path):
 
 def test_the_deviation_of_one_trial_is_unknown():
     """Regression: `reproduce ou --trials 1` ended with a traceback."""
-    asked = SameDeviation(std=225.1, n=20)
+    asked = same_deviation(std=225.1, n=20)
     row = assess(Claim("deviation", "225.1 mm", "one", float, asked), {"one": [132.0]})
     (cells,) = table("mine", "x", [row]).rows
     assert cells[3:6] == ("unknown", "1", "none")

@@ -22,7 +22,7 @@ from tetractl_microscope.organisms import MAGNETOSPIRILLUM
 
 from tetractl.core.poses import Floats, Grey
 from tetractl.model.swimmers import Swimmers, bodies
-from tetractl.reproduce.claim import AsOften, AtMost, Claim, Fate
+from tetractl.reproduce.claim import Claim, Fate, as_often, at_most
 from tetractl.reproduce.paper import Paper, Work
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
@@ -156,14 +156,14 @@ PAPER = Paper(
             arm="films",
             measure=interval_width,
             unit="rad/(mT s)",
-            asked=AtMost(0.06),
+            asked=at_most(0.06),
         ),
         Claim(
             figure="a over B: the slope put in is not in its interval",
             published="in 5 %, as the interval is of 95 %",
             arm="films",
             measure=misses_slope,
-            asked=AsOften(0.05),
+            asked=as_often(0.05),
             expected=Fate.AGREES,
         ),
     ],

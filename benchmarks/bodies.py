@@ -39,8 +39,8 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.results.estimate import percent, proportion_interval
 from tetractl.results.mean_difference import paired_t
 from tetractl.run.checked_controller import build_controller
+from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Trial
 from tetractl.run.spec_trial import trial_seeds
 
 SURE_MM = 1.0  # by which a path may be expected to come nearer, for rounding and camera noise

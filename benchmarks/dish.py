@@ -36,7 +36,7 @@ from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.load import load_spec
 from tetractl.lab.rig import build_rig
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import run_observed
+from tetractl.run.spec_trial import ready_trial
 
 FIRST_SEED = 9000
 PLANS = 96
@@ -89,7 +89,8 @@ def trials(count: int) -> None:
         with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
             witness = Witness(dish)
             try:
-                result = run_observed([witness], dish.spec, 0, [], interrupt)
+                with ready_trial([witness], dish.spec, 0, [], interrupt) as trial:
+                    result = trial.run()
             except TetractlError as error:
                 failed.append(f"seed {seed}: {error}")
                 continue
@@ -101,7 +102,8 @@ def trials(count: int) -> None:
         loaded = load_spec(DISH, (f"trials.seed={seed}",))
         same = replace(loaded, experiment=of_robots(loaded.experiment, witness.setup))
         pictured.append(result.total_error)
-        simulated.append(run_observed([], same, 0, [], interrupt).total_error)
+        with ready_trial([], same, 0, [], interrupt) as trial:
+            simulated.append(trial.run().total_error)
         print(
             f"seed {seed}: {pictured[-1]:.0f} um through pictures, {simulated[-1]:.0f} simulated; "
             f"{swapped} swapped so far",

@@ -43,8 +43,8 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.results.estimate import distributions, percent
 from tetractl.run.checked_controller import CheckedController, build_controller
+from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Trial
 from tetractl.run.spec_trial import trial_seeds
 
 WORLD = (

@@ -57,9 +57,9 @@ from tetractl.log.write import sink  # noqa: E402
 from tetractl.log.write.writer import LogWriter  # noqa: E402
 from tetractl.replay.verify import verify  # noqa: E402
 from tetractl.run.checked_controller import build_controller  # noqa: E402
+from tetractl.run.control_loop import Trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.run.run_trial import Trial  # noqa: E402
-from tetractl.run.spec_trial import log_path, run_trial, trial_seeds  # noqa: E402
+from tetractl.run.spec_trial import log_path, run_logged, trial_seeds  # noqa: E402
 
 SMALL = """
 name: small
@@ -85,7 +85,7 @@ def kills(folder: Path, scale: float) -> None:
 
 def torn(folder: Path, scale: float) -> None:
     spec = parse_spec(SMALL, "small.yaml", ["plant.camera_rate=10"])
-    run_trial(spec, folder, 0, (), Interrupt())
+    run_logged(spec, folder, 0, (), Interrupt())
     original = Original(log_path(folder, 0))
     print("| damage | logs | no trial left in | chunks recovered of those complete | wrong | s |")
     print("|---|---|---|---|---|---|")
@@ -168,7 +168,7 @@ def cost(folder: Path, scale: float) -> None:
     from tetractl.run import spec_trial
 
     spec_trial.LogWriter = Timed
-    run_trial(spec, folder, 0, (), Interrupt())
+    run_logged(spec, folder, 0, (), Interrupt())
     p50, p99 = np.percentile(Timed.ns, [50, 99]) / 1e3
     print(
         f"a message costs who logs it {p50:.1f} us (p50), {p99:.1f} us (p99), written by a thread"
@@ -220,7 +220,7 @@ def verify_time(folder: Path, scale: float) -> None:
         place = folder / name
         place.mkdir()
         before = time.perf_counter()
-        run_trial(spec, place, 0, (), Interrupt())
+        run_logged(spec, place, 0, (), Interrupt())
         ran = time.perf_counter() - before
         times = [verify(log_path(place, 0)) for _ in range(3)]
         fastest = min(times, key=lambda timed: timed.seconds)
@@ -416,7 +416,7 @@ def soak(folder: Path, scale: float) -> None:
     missed = 0
     marks = []
     for i in range(count):
-        run_trial(spec, folder, i, (), Interrupt())
+        run_logged(spec, folder, i, (), Interrupt())
         missed += missing_frames(log_path(folder, i))
         log_path(folder, i).unlink()
         if i + 1 in (count // 10, count // 2, count):
@@ -432,7 +432,7 @@ def long(folder: Path, scale: float) -> None:
     warm_up(spec.experiment, print)
     watch = Watch(max(1, steps // 4))
     began = time.perf_counter()
-    result = run_trial(spec, folder, 0, (watch,), Interrupt())
+    result = run_logged(spec, folder, 0, (watch,), Interrupt())
     assert result.steps == steps + 1, result.reason
     seconds = time.perf_counter() - began
     path = log_path(folder, 0)

@@ -43,8 +43,8 @@ from tetractl.plant.wheel_kernel import GAIN, TRUE_GAIN
 from tetractl.results.estimate import distributions
 from tetractl.results.mean_difference import paired_t
 from tetractl.run.checked_controller import build_controller
+from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Trial
 from tetractl.run.spec_trial import trial_seeds
 
 QUANTITIES = {"a": "a", "side": "side", "speed": "speed", "dead_time": "dead time"}

@@ -26,7 +26,7 @@ from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.replay.player import Recording  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.run.spec_trial import run_trial  # noqa: E402
+from tetractl.run.spec_trial import run_logged  # noqa: E402
 from tetractl.view.terminal.dashboard import Dashboard, Footer  # noqa: E402
 from tetractl.view.video import write_video  # noqa: E402
 
@@ -66,7 +66,7 @@ def main() -> None:
         ):
             tetractl("plot", log, "--kind", kind, "-o", IMAGES / image)
         with virtual_dish(folder, seed=1) as dish:
-            run_trial(dish.spec, folder, 0, [], Interrupt())
+            run_logged(dish.spec, folder, 0, [], Interrupt())
         tetractl("plot", folder / first, "--kind", "trajectory", "-o", IMAGES / "dish.png")
         cells(folder)
         write_video(read_trial(bench / first), folder / "trial.gif", width=VIDEO_WIDTH)

@@ -120,7 +120,7 @@ def run_trial(
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(place)
-        spec_trial.run_trial(spec, place, trial, observers, interrupt)
+        spec_trial.run_logged(spec, place, trial, observers, interrupt)
         simulated = read_trial(path)
     if folder is None:  # the file is gone
         return replace(simulated, log=f"{spec.name}, trial {trial}")

@@ -16,8 +16,8 @@ from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.checked_controller import build_controller
+from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Trial
 from tetractl.run.spec_trial import trial_seeds
 
 from . import shooting

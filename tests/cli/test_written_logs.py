@@ -14,7 +14,7 @@ from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 pytestmark = pytest.mark.slow
 
@@ -29,7 +29,7 @@ def log(request, tmp_path_factory):
     spec = written.model_copy(update={"robots": (moved, *written.robots[1:])})
     vars(spec).pop("setup", None)  # that of the robots where the spec places them
     folder = tmp_path_factory.mktemp("measured")
-    run_trial(LoadedSpec(spec, SIM, "measured.yaml"), folder, 1)
+    run_logged(LoadedSpec(spec, SIM, "measured.yaml"), folder, 1)
     return log_path(folder, 1)
 
 

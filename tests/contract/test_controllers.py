@@ -19,7 +19,7 @@ from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import verify
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 pytestmark = pytest.mark.slow
 
@@ -100,7 +100,7 @@ def short(experiment):
 
 def test_what_is_logged_is_verified_without_knowing_the_controller(fields, tmp_path):
     spec = LoadedSpec(short(experiment_of(fields)), "", "s.yaml")
-    run_trial(spec, tmp_path, 0, (), Interrupt())
+    run_logged(spec, tmp_path, 0, (), Interrupt())
     path = log_path(tmp_path, 0)
     verification = verify(path)
     assert (verification.problems, verification.checked) == ((), 4)

@@ -23,7 +23,7 @@ from tetractl.log.format.channels import FORMAT_VERSION  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.run.spec_trial import log_path, run_trial  # noqa: E402
+from tetractl.run.spec_trial import log_path, run_logged  # noqa: E402
 
 SPEC = """
 name: golden
@@ -80,7 +80,7 @@ def main() -> None:
     sim = FOLDER / f"{name}-sim.mcap"
     lab = FOLDER / f"{name}-lab.mcap"
     torn = FOLDER / f"{name}-torn.mcap"
-    run_trial(parse_spec(SPEC, "golden.yaml"), FOLDER, 1, (), Interrupt())
+    run_logged(parse_spec(SPEC, "golden.yaml"), FOLDER, 1, (), Interrupt())
     log_path(FOLDER, 1).rename(sim)
     of_lab = trial(3, robots=2, steps=5, simulated=False, first=3, iterations=4, length=5)
     write(of_lab, lab)

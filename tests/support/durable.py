@@ -29,7 +29,7 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
-from tetractl.run.run_trial import Trial
+from tetractl.run.control_loop import Trial
 from tetractl.experiment.load import parse_spec, start_of
 
 spec = parse_spec(sys.argv[1], "spec.yaml")

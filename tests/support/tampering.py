@@ -30,7 +30,7 @@ from tetractl.log.format.channels import (
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 SIM = """
 name: tampered
@@ -64,7 +64,7 @@ class Tampering:
 
 def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one small disturbed simulation; return its log."""
-    run_trial(parse_spec(SIM, "tampered.yaml", list(sets)), folder, 1)
+    run_logged(parse_spec(SIM, "tampered.yaml", list(sets)), folder, 1)
     return log_path(folder, 1)
 
 

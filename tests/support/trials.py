@@ -13,7 +13,7 @@ from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import Damage, TrialLog
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 FRAMES = 24  # camera frames in a control period
 
@@ -50,7 +50,7 @@ def run_three_robots(folder: Path, seed: int = SEED, observers: Sequence[Observe
     """Run trial 0 of the disturbed reference experiment; return its log."""
     text = json.dumps(THREE_M3PI | DISTURBED)
     spec = parse_spec(text, "three-m3pi.yaml", [f"trials.seed={seed}"])
-    run_trial(spec, folder, 0, observers, Interrupt())
+    run_logged(spec, folder, 0, observers, Interrupt())
     return log_path(folder, 0)
 
 

@@ -55,7 +55,7 @@ What happens next, if
     all are at their targets,     the leg ends, and the next one begins in the same step; after the
     or a rule ends the leg        last leg, the trial ends
     the time limit is over        the trial ends
-    Ctrl-C                        nothing here: the trial ends after a step (`run.run_trial`)
+    Ctrl-C                        nothing here: the trial ends after a step (`run.control_loop`)
 
 Robots that cannot stand, such as cells, end a leg where others stop, and never rest or turn. What
 robots do is the `state` of the plan; docs/reference/controllers/mpc.md draws the states, and

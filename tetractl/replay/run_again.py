@@ -18,7 +18,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import Encoder
 from tetractl.replay.comparison import Difference, log_differences
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import run_observed
+from tetractl.run.spec_trial import ready_trial
 from tetractl.run.task import code_of
 
 
@@ -71,7 +71,8 @@ def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     spec = LoadedSpec(log.experiment, start.spec_text, start.spec_name, attached=start.attached)
     sink = _Recorder(time.thread_time() + 2 * limits.seconds_limit())
     try:
-        run_observed([Encoder(sink)], spec, start.trial, (), sink.interrupt)
+        with ready_trial([Encoder(sink)], spec, start.trial, (), sink.interrupt) as again:
+            again.run()
     except (TetractlError, ValueError, OverflowError) as error:
         why = str(error).partition("\n")[0]
         yield Difference(None, "plant", f"cannot be simulated again: {why}")
@@ -80,5 +81,5 @@ def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
         text = f"not compared: it would take over {2 * limits.seconds_limit():g} s"
         yield Difference(None, "records", f"{text}; {limits.FACTOR}=2 allows twice as much")
         return
-    again = RawLog(raw.path, records=sink.records, library=WRITER)
-    yield from log_differences(again, raw)
+    repeated = RawLog(raw.path, records=sink.records, library=WRITER)
+    yield from log_differences(repeated, raw)

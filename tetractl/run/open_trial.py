@@ -31,9 +31,9 @@ from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.load import LoadedSpec, parse_spec, start_of, with_controller, with_seed
 from tetractl.model.obstacles import Obstacles
 from tetractl.run import spec_trial
+from tetractl.run.control_loop import Trial
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Trial
 
 SIMULATED = PlantInfo("", True, 0.0, {})
 """What is known of the plant before it is open."""
@@ -278,7 +278,7 @@ class OpenTrial:
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(Path(folder))
-        logged = spec_trial.run_trial(self.spec, Path(folder), self._trial)
+        logged = spec_trial.run_logged(self.spec, Path(folder), self._trial)
         if _outcome_of(logged) != _outcome_of(self._result):
             raise TetractlError(f"{path}: the repeated trial ended otherwise than the stepped one")
         return path

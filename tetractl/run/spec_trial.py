@@ -1,9 +1,9 @@
 """Runs one trial of a spec: builds its clock, plant and controller, and leaves its log.
 
-    run_trial             with a whole log: every frame and control step, while the trial runs
-    run_briefly           with a brief one: the result alone, after the trial
-      run_observed        with any observers
-        Trial.run         is the control loop (`tetractl.run.run_trial`)
+    run_logged      with a whole log: every frame and control step, while the trial runs
+    run_briefly     with a brief one: the result alone, after the trial
+      ready_trial   builds the trial, with any observers
+      Trial.run     is the control loop (`tetractl.run.control_loop`)
 
 In real time, a background thread calls the observers, so that a slow screen never delays the loop;
 the writers of logs are called in the loop's thread. In simulation, all are.
@@ -30,9 +30,9 @@ from tetractl.experiment.registry_fields import packages
 from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
+from tetractl.run.control_loop import Trial, abandon
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_news import stated_model
-from tetractl.run.run_trial import Trial, abandon
 from tetractl.tools.plugin_fault import plugins_blamed
 from tetractl.tools.worker import QueueLimits, Relay, Worker
 
@@ -74,7 +74,7 @@ def log_path(folder: Path, trial: int) -> Path:
     return folder / f"trial-{trial:03d}.mcap"
 
 
-def run_trial(
+def run_logged(
     spec: LoadedSpec,
     folder: Path,
     trial: int = 0,
@@ -83,8 +83,12 @@ def run_trial(
     supervision: LabSupervision | None = None,
 ) -> Result:
     """Run a trial and write its whole log to `folder` meanwhile."""
-    with LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time) as log:
-        return run_observed([log], spec, trial, observers, interrupt or Interrupt(), supervision)
+    interrupt = interrupt or Interrupt()
+    with (
+        LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time) as log,
+        ready_trial([log], spec, trial, observers, interrupt, supervision) as ready,
+    ):
+        return ready.run()
 
 
 def run_briefly(
@@ -97,23 +101,25 @@ def run_briefly(
 ) -> Result:
     """Run a trial, and write its brief log to `folder` afterwards unless it was interrupted."""
     brief = BriefLog()
-    result = run_observed([brief], spec, trial, observers, interrupt, supervision)
+    with ready_trial([brief], spec, trial, observers, interrupt, supervision) as ready:
+        result = ready.run()
     if result.outcome is not Outcome.INTERRUPTED:
         brief.save(log_path(folder, trial))
     return result
 
 
-def run_observed(
+@contextmanager
+def ready_trial(
     writers: Sequence[Observer],
     spec: LoadedSpec,
     trial: int,
     observers: Sequence[Observer],
     interrupt: Interrupt,
     supervision: LabSupervision | None = None,
-) -> Result:
-    """Run a trial. The `writers` of logs are called in the control loop's thread, the `observers`
-    in threads of their own if the trial runs in real time. Without a `supervision`, this process
-    supervises the lab."""
+) -> Iterator[Trial]:
+    """Give a trial that is ready to run. The `writers` of logs are called in the control loop's
+    thread, the `observers` in threads of their own if the trial runs in real time. Without a
+    `supervision`, this process supervises the lab."""
     section = spec.experiment.plant
     clock = section.clock()
     start_unix_ns = _unix_ns() if section.real_time else EPOCH_NS
@@ -138,7 +144,7 @@ def run_observed(
             # to respond; from here on, `Trial.run` closes it
             abandon(plant)
             raise
-        return ready.run()
+        yield ready
 
 
 @contextmanager

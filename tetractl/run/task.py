@@ -24,7 +24,7 @@ from tetractl.experiment.load import LoadedSpec
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_briefly, run_trial
+from tetractl.run.spec_trial import log_path, run_briefly, run_logged
 
 SPECS_KEPT = 64
 """Number of specs that a process keeps loaded and compiled, the latest ones."""
@@ -102,7 +102,7 @@ def run_task(
     began_s = time.perf_counter()
     match task.log:
         case LogKind.WHOLE:
-            result = run_trial(spec, folder, task.trial, observers, interrupt, supervision)
+            result = run_logged(spec, folder, task.trial, observers, interrupt, supervision)
         case LogKind.BRIEF:
             result = run_briefly(spec, folder, task.trial, observers, interrupt, supervision)
         case LogKind.WHOLE_IF_FAILED:
@@ -128,7 +128,7 @@ def _run_again_if_failed(
     if result is not None and result.outcome is not Outcome.ABORTED:
         return result
     log_path(folder, trial).unlink(missing_ok=True)  # the brief log of the first run
-    return run_trial(spec, folder, trial, observers, interrupt)
+    return run_logged(spec, folder, trial, observers, interrupt)
 
 
 @lru_cache(maxsize=SPECS_KEPT)

@@ -59,7 +59,7 @@ def rehearse(
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.run.executors import called
-    from tetractl.run.spec_trial import run_trial
+    from tetractl.run.spec_trial import run_logged
     from tetractl.run.store import RecordStore
     from tetractl.tools.table.table import plural
     from tetractl.view import style
@@ -82,7 +82,7 @@ def rehearse(
     # what it loads, no day has to load; no cells may have been found
     may_fail = suppress(AbortError) if loaded.experiment.open else nullcontext()
     with tempfile.TemporaryDirectory() as scratch, may_fail:
-        tried = run_trial(short, Path(scratch))
+        tried = run_logged(short, Path(scratch))
         if tried.outcome is Outcome.ABORTED:
             raise AbortError(f"a day without faults is aborted: {tried.reason}", SPECS)
     gc.freeze()  # what all days use need not be searched for garbage on each

@@ -18,7 +18,7 @@ from tetractl.experiment.load import LoadedSpec, load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.model.obstacles import Obstacles
 from tetractl.replay.verify import verify
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 RADIUS = 47.0
 SEPARATION = 95.0
@@ -95,7 +95,7 @@ def test_there_is_no_way_through_a_wall():
 @pytest.mark.long
 def test_three_robots_pass_a_gap_one_after_the_other_to_their_targets(tmp_path):
     spec = walled(260)
-    result = run_trial(LoadedSpec(spec, "", ""), tmp_path)
+    result = run_logged(LoadedSpec(spec, "", ""), tmp_path)
     states = [step.plan.state for step in read_trial(log_path(tmp_path, 0)).steps]
     assert states[0] is State.PASSING
     assert result.total_error < 12

@@ -13,7 +13,7 @@ from tetractl.core.plan import Limits, Search, StopReason, never
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 
 class Steady:
@@ -47,7 +47,7 @@ def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path,
     spec = parse_spec(
         text, "four.yaml", ["controller.time_limit=120.2", "controller.deadline=0.0015"]
     )
-    run_trial(spec, tmp_path, 0, (), Interrupt())
+    run_logged(spec, tmp_path, 0, (), Interrupt())
     steps = read_trial(log_path(tmp_path, 0)).steps
     moving = [now.plan for last, now in itertools.pairwise(steps) if not last.plan.pauses]
 

@@ -17,7 +17,7 @@ from tetractl.plant import swim_kernel as kernel
 from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.sim_section import CultureSection
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 pytestmark = pytest.mark.slow
 
@@ -139,12 +139,12 @@ def test_no_cell_leaves_its_dish(tmp_path):
         " camera_rate: 30}\n"
     )
     spec = parse_spec(text, "cells.yaml")
-    result = run_trial(spec, tmp_path, 0, (), Interrupt())
+    result = run_logged(spec, tmp_path, 0, (), Interrupt())
     assert log_path(tmp_path, 0).exists()
     assert not result.left_arena
     assert 0 <= min(result.verdict.edge) < 0.02
     (tmp_path / "again").mkdir()
-    again = run_trial(spec, tmp_path / "again", 0, (), Interrupt())
+    again = run_logged(spec, tmp_path / "again", 0, (), Interrupt())
     assert np.array_equal(again.verdict.final.array(), result.verdict.final.array())
 
 

@@ -10,8 +10,8 @@ from tetractl.core.commands import PlantInfo
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import EPOCH_NS
 from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Trial
 
 pytestmark = pytest.mark.slow
 

@@ -18,7 +18,7 @@ from tetractl.replay.player import Recording
 from tetractl.replay.verify import verify
 from tetractl.report.trial_data import trial_data
 from tetractl.results.trial_tables import of_log
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 from tetractl.view.figures.draw import draw
 from tetractl.view.terminal.replay_screen import step_line
 
@@ -38,7 +38,7 @@ def path(request, tmp_path_factory):
         "plant": request.param,
         "wheels": {"radius": 40},
     }
-    run_trial(parse_spec(json.dumps(data), "s.yaml"), folder)
+    run_logged(parse_spec(json.dumps(data), "s.yaml"), folder)
     return log_path(folder, 0)
 
 

@@ -32,7 +32,7 @@ from tetractl.replay.lab_result import lab_differences
 from tetractl.replay.recompute import first_steps, recompute
 from tetractl.replay.verify import Method, verify
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 pytestmark = pytest.mark.slow
 
@@ -91,7 +91,7 @@ TRIAL = 1
 def run(folder, sets, interrupt=None):
     """Run one trial of the spec with these settings; return the path of its log."""
     spec = parse_spec(SPEC, "quick.yaml", sets)
-    run_trial(spec, folder, TRIAL, interrupt=interrupt)
+    run_logged(spec, folder, TRIAL, interrupt=interrupt)
     return log_path(folder, TRIAL)
 
 
@@ -265,9 +265,9 @@ DIFFERENT = """
 import sys
 from pathlib import Path
 from tetractl.experiment.load import parse_spec
-from tetractl.run.spec_trial import run_trial
+from tetractl.run.spec_trial import run_logged
 
-run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1)
+run_logged(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1)
 """
 
 

@@ -17,7 +17,7 @@ from tetractl.run import executors, spec_trial
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_trial, trial_seeds
+from tetractl.run.spec_trial import log_path, run_logged, trial_seeds
 from tetractl.run.store import Store
 from tetractl.run.task import Finished, Task, batch_tasks
 
@@ -125,7 +125,7 @@ def test_an_interruption_ends_the_run(monkeypatch, tmp_path, outcomes, interrupt
 
 
 def test_a_trial_is_logged_under_its_number_with_its_seeds(tmp_path):
-    result = run_trial(SPEC, tmp_path, 2)
+    result = run_logged(SPEC, tmp_path, 2)
     assert [path.name for path in tmp_path.iterdir()] == ["trial-002.mcap"]
     log = read_trial(log_path(tmp_path, 2))
     assert log.result == replace(result, verdict=log.result.verdict)
@@ -162,7 +162,7 @@ def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, t
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
     monkeypatch.setattr(spec_trial.time, "time_ns", lambda: -1)
     with pytest.raises(TetractlError, match="this computer's clock is before 1970"):
-        run_trial(lab, tmp_path)
+        run_logged(lab, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

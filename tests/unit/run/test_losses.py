@@ -18,7 +18,7 @@ from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.flagged import trial_notes
 from tetractl.results.outcomes import LOST
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 REST = """
 name: three
@@ -135,7 +135,7 @@ def with_sticking_blue(on_lost):
 
 @pytest.mark.long
 def test_a_trial_is_ended_by_a_robot_that_does_not_move(tmp_path):
-    result = run_trial(with_sticking_blue("stop"), tmp_path)
+    result = run_logged(with_sticking_blue("stop"), tmp_path)
     assert (result.outcome, result.lost) == (Outcome.ABORTED, ())
     assert result.reason == BLUE_STANDS
     assert verify(log_path(tmp_path, 0)).problems == ()
@@ -144,7 +144,7 @@ def test_a_trial_is_ended_by_a_robot_that_does_not_move(tmp_path):
 @pytest.mark.long
 def test_a_trial_goes_on_without_a_robot_that_does_not_move(tmp_path):
     """Blue sticks for good after 4 s: the others reach their targets without it."""
-    result = run_trial(with_sticking_blue("drop"), tmp_path)
+    result = run_logged(with_sticking_blue("drop"), tmp_path)
     path = log_path(tmp_path, 0)
     log = read_trial(path)
     assert result.lost == log.tour.lost == (0, 1, 0)
@@ -160,7 +160,7 @@ def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(
 ):
     install(monkeypatch)
     spec = parse_spec(REST + robots + f"on_lost: {on_lost}\n", "three.yaml")
-    result = run_trial(spec, tmp_path)
+    result = run_logged(spec, tmp_path)
     path = log_path(tmp_path, 0)
     log = read_trial(path)
     assert sum(result.lost) > 0

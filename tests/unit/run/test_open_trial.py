@@ -16,7 +16,7 @@ from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest
 from tetractl.run.open_trial import DroppedError, OpenTrial
-from tetractl.run.spec_trial import run_trial
+from tetractl.run.spec_trial import run_logged
 
 SPEC = {
     "name": "stepped",
@@ -61,7 +61,7 @@ def test_its_log_is_that_of_a_run_of_its_spec(tmp_path):
     log = trial.save(tmp_path / "stepped")
     assert log.name == "trial-002.mcap"
     (tmp_path / "run").mkdir()
-    run_trial(trial.spec, tmp_path / "run", 2)
+    run_logged(trial.spec, tmp_path / "run", 2)
     assert content_digest(log) == content_digest(tmp_path / "run" / "trial-002.mcap")
     assert not tetractl.verify(log).problems
     saved = tetractl.read_log(log)
@@ -80,7 +80,7 @@ def test_the_log_of_each_shipped_spec_is_that_of_a_run(name, tmp_path):
         trial.stop()
     log = trial.save(tmp_path / "stepped")
     (tmp_path / "run").mkdir()
-    run_trial(parse_spec(trial.spec.text, trial.spec.name), tmp_path / "run", 1)
+    run_logged(parse_spec(trial.spec.text, trial.spec.name), tmp_path / "run", 1)
     assert content_digest(log) == content_digest(tmp_path / "run" / log.name)
     assert not tetractl.verify(log).problems
 

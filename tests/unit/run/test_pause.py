@@ -16,7 +16,7 @@ from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.player import Recording
 from tetractl.replay.verify import verify
 from tetractl.report.trial_data import trial_data
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 from tetractl.view.terminal.replay_screen import step_line
 
 SLOW = ("controller.period=0.2", "controller.signal_periods=1")  # 5 Hz
@@ -37,7 +37,7 @@ SILENT = (
 @pytest.mark.slow
 def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", SILENT)
-    result = run_trial(spec, tmp_path, 10)
+    result = run_logged(spec, tmp_path, 10)
     log = read_trial(log_path(tmp_path, 10))
     pauses = [k for k, step in enumerate(log.steps) if step.plan.pauses]
     assert pauses
@@ -70,7 +70,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
     monkeypatch.setattr("tetractl.control.mpc.next_facing", lambda *_: None)
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
-    result = run_trial(spec, tmp_path, 3)
+    result = run_logged(spec, tmp_path, 3)
     log = read_trial(log_path(tmp_path, 3))
     assert result.outcome is Outcome.NO_BETTER_PLAN
     assert log.steps[-1].plan.pauses
@@ -81,7 +81,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
 @pytest.mark.long
 def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(tmp_path):
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
-    run_trial(spec, tmp_path, 3)
+    run_logged(spec, tmp_path, 3)
     log = read_trial(log_path(tmp_path, 3))
     turns = [k for k, step in enumerate(log.steps) if isinstance(step.plan.action, Turn)]
     assert turns

@@ -4,7 +4,7 @@ from support.paths import ROOT
 from tetractl.experiment.load import load_spec
 from tetractl.plant.sim_section import SimSection
 from tetractl.run import spec_trial
-from tetractl.run.spec_trial import run_trial
+from tetractl.run.spec_trial import run_logged
 
 
 class OpenPlant:
@@ -33,5 +33,5 @@ def test_robots_stop_and_the_plant_closes_if_a_part_of_the_trial_cannot_be_built
     monkeypatch.setattr(SimSection, "build", lambda *args: plant)
     monkeypatch.setattr(spec_trial, part, fail)
     with pytest.raises(ValueError, match="a plug-in's defect"):
-        run_trial(load_spec(ROOT / "experiments/three_m3pi.yaml"), tmp_path)
+        run_logged(load_spec(ROOT / "experiments/three_m3pi.yaml"), tmp_path)
     assert plant.calls == ["stop", "close"]

@@ -18,7 +18,7 @@ from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.outcomes import TIME_INSIDE
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 MPC = """{type: mpc, period: 0.2, horizon_max: 30, time_limit: 40.2, accept_error: 20,
   estimate: false, optimizer: {type: multistart, tolerance: 1}}"""
@@ -38,7 +38,7 @@ plant: {{type: sim, camera_rate: 30, heading_noise: 0.05}}
 )
 def test_robots_pass_way_points_and_stay_circling_or_standing(wheels, least, tmp_path):
     spec = parse_spec(ONE + wheels, "one.yaml")
-    result = run_trial(spec, tmp_path)
+    result = run_logged(spec, tmp_path)
     path = log_path(tmp_path, 0)
     log = read_trial(path)
     assert result.outcome.complete
@@ -115,7 +115,7 @@ def test_a_tour_that_cannot_be_is_refused(old, new, said):
 @pytest.mark.slow
 def test_the_shipped_cells_are_kept_as_near_as_the_common_field_allows(tmp_path):
     spec = load_spec(ROOT / "experiments" / "tetrahymena_hold.yaml", ["hold.time=8"])
-    result = run_trial(spec, tmp_path)
+    result = run_logged(spec, tmp_path)
     assert result.outcome.complete
     assert not result.left_arena
     assert sum(result.inside) > 0.9

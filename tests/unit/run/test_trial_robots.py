@@ -6,7 +6,7 @@ from support.marked_robots import MarkedRobots, install
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import SpecError, parse_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.run.spec_trial import run_trial
+from tetractl.run.spec_trial import run_logged
 
 SPEC = """
 name: marked
@@ -24,7 +24,7 @@ def test_a_trial_runs_with_the_robots_that_the_rule_of_a_package_finds(tmp_path,
     assert middle == {("robot 1", (1500.0, 1500.0)), ("robot 2", (1500.0, 1500.0))}
     assert spec.experiment.open
     assert spec.experiment.asked == MarkedRobots(marks=((600, 600), (600, 2000)))
-    run_trial(spec, tmp_path)
+    run_logged(spec, tmp_path)
     experiment = read_trial(tmp_path / "trial-000.mcap").experiment
     assert [robot.start for robot in experiment.robots] == [(600, 600), (600, 2000)]
     assert not experiment.open

@@ -15,7 +15,7 @@ from tetractl.run import spec_trial, store, task
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 from tetractl.run.store import Store
 from tetractl.run.task import OtherCodeError, batch_tasks
 from tetractl.study.options import Logs
@@ -59,7 +59,7 @@ def test_a_brief_log_has_the_result_and_the_digest_of_the_trial_run_by_itself(tm
     arm = ran.loaded.arms[3]
     sets = [*arm.sets, "trials.count=5", "trials.seed=7"]
     spec = parse_spec((tmp_path / "spec.yaml").read_text(), "spec.yaml", sets)
-    run_trial(spec, tmp_path, 2)
+    run_logged(spec, tmp_path, 2)
     log = log_path(tmp_path, 2)
     alone = read_result(log)
     brief = ran.finished[arm.name, 2]
@@ -186,14 +186,14 @@ def test_an_arm_is_a_batch_that_can_be_resumed_and_not_overwritten(done, finishe
 
 
 def test_a_trial_without_an_outcome_is_run_again_the_next_time(tmp_path, monkeypatch):
-    run_observed = spec_trial.run_observed
+    ready_trial = spec_trial.ready_trial
 
-    def run_unless_trial_1(writers, spec, trial, *more):
+    def ready_unless_trial_1(writers, spec, trial, *more):
         if trial == 1:
             raise TetractlError("the disk is full")
-        return run_observed(writers, spec, trial, *more)
+        return ready_trial(writers, spec, trial, *more)
 
-    monkeypatch.setattr(spec_trial, "run_observed", run_unless_trial_1)
+    monkeypatch.setattr(spec_trial, "ready_trial", ready_unless_trial_1)
     ran = run(tmp_path, SMALL)
     assert ran.counts == (4, 2, 0)
     assert {why for *_, why in ran.watcher.failures} == {"the disk is full"}

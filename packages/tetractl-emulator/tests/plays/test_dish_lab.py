@@ -18,7 +18,7 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import run_trial
+from tetractl.run.spec_trial import run_logged
 
 pytestmark = [
     pytest.mark.long,
@@ -41,7 +41,7 @@ EVERY_DAY = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
 def play(folder, script="", sets=(), seed=1):
     """Run a trial; return its log and the cells as they truly are then."""
     with virtual_dish(folder, seed, (*SMALL, *sets), FEW + script) as dish:
-        run_trial(dish.spec, folder, 0, [], Interrupt(lambda number: None))
+        run_logged(dish.spec, folder, 0, [], Interrupt(lambda number: None))
         running = dish.emulation.actuator.driver.running
         return read_trial(folder / "trial-000.mcap"), dish.cells, running
 
@@ -83,9 +83,9 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at_s, says)
     with virtual_dish(tmp_path, 7, sets, FEW + script) as dish:
         if at_s == 2:  # before the choice
             with pytest.raises(AbortError, match=says):
-                run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+                run_logged(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
         else:
-            result = run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+            result = run_logged(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
             assert result.outcome is Outcome.ABORTED
             assert says in result.reason
         dish.clock.sleep_until(dish.clock.now() + SECOND)
@@ -217,6 +217,6 @@ def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
     few = "emulation: {actuator: {cells: 1, strangers: 2}, camera: {specks: 0}}\n"
     with virtual_dish(tmp_path, 3, SMALL, few) as dish:
         with pytest.raises(AbortError, match=r"1 of \d cells respond to the field, 2 are needed"):
-            run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+            run_logged(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
         dish.clock.sleep_until(dish.clock.now() + SECOND)
         assert not dish.emulation.actuator.driver.running

@@ -12,7 +12,7 @@ from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_trial
 from tetractl.plant.lab_plant import LabPlantSection
 from tetractl.replay.verify import verify
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 pytestmark = pytest.mark.slow
 
@@ -25,7 +25,7 @@ def driven(folder, *sets):
     lab = fake_lab(spec.experiment.setup)
     plant = {"build": lambda *_: lab.plant, "clock": lambda _: lab.clock}
     with mock.patch.multiple(LabPlantSection, **plant):
-        result = run_trial(spec, folder)
+        result = run_logged(spec, folder)
     verified = verify(log_path(folder, 0))
     assert verified.ok, verified.problems
     return result, [step.plan.state for step in read_trial(log_path(folder, 0)).steps]

@@ -51,7 +51,7 @@ def test_a_terminal_that_takes_nothing_stops_the_robots_of_its_run(tmp_path):
     view = LiveView(console, each_call_s)
     with virtual_lab(tmp_path, "controller.time_limit=300") as lab, few, view:
         try:
-            result = spec_trial.run_trial(
+            result = spec_trial.run_logged(
                 lab.spec, tmp_path, 0, [StopsReading(terminal), view], Interrupt()
             )
         finally:

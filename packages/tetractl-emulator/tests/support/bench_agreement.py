@@ -25,8 +25,8 @@ from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import build_controller
+from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.run_trial import Trial
 from tetractl.run.spec_trial import trial_seeds
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"

@@ -7,7 +7,7 @@ from support.bench_agreement import LAB
 from support.virtual_lab import virtual_lab
 
 from tetractl.experiment.load import load_spec
-from tetractl.run.spec_trial import log_path, run_trial
+from tetractl.run.spec_trial import log_path, run_logged
 
 
 def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
@@ -16,5 +16,5 @@ def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     loaded = load_spec(LAB, [*short, *sets])
     lossy = "emulation: {actuator: {loss: 0.3}}"
     with virtual_lab(None, spec=loaded, script=lossy) as lab:
-        run_trial(lab.spec, folder)
+        run_logged(lab.spec, folder)
     return log_path(folder, 0)

@@ -11,7 +11,7 @@ from tetractl.core.errors import SpecError
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.read.reader import read_trial
-from tetractl.run.spec_trial import run_trial
+from tetractl.run.spec_trial import run_logged
 
 SPEC = """
 name: three
@@ -36,7 +36,7 @@ def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
     spec = parse_spec(SPEC, "three.yaml")
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        run_trial(spec, tmp_path / name)
+        run_logged(spec, tmp_path / name)
     first = read_trial(tmp_path / "one" / "trial-000.mcap")
     again = read_trial(tmp_path / "two" / "trial-000.mcap")
     assert first.experiment == again.experiment

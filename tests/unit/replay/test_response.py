@@ -30,10 +30,10 @@ STEP_S = 0.005  # of the integration
 STEPS_PER_FRAME = 4  # thus 50 frames a second
 
 
-def random_twists(rng, count):
+def random_twists(rng, count, commands_per_twist):
     """Speeds [mm/s] and turning rates [rad/s] (count, 2) that stay for some commands."""
-    twists = rng.uniform((40, -1.5), (160, 1.5), (count // COMMANDS_PER_TWIST, 2))
-    return np.repeat(twists, COMMANDS_PER_TWIST, axis=0)
+    twists = rng.uniform((40, -1.5), (160, 1.5), (count // commands_per_twist, 2))
+    return np.repeat(twists, commands_per_twist, axis=0)
 
 
 def true_path(rng, times, sent, twists):
@@ -63,12 +63,15 @@ def true_path(rng, times, sent, twists):
     return path
 
 
-def track_of_one_robot(seed):
+def track_of_one_robot(seed, commands_per_twist=COMMANDS_PER_TWIST, turns_s=TRACK_S, speed=None):
     """Commands at about 20 Hz, noisy frames at 50."""
     rng = np.random.default_rng(seed)
     count = round(TRACK_S / COMMAND_PERIOD_S)
     sent = np.arange(count) * COMMAND_PERIOD_S + rng.uniform(0, 0.01, count)
-    twists = random_twists(rng, count)
+    twists = random_twists(rng, count, commands_per_twist)
+    twists[sent > turns_s, 1] = 0.0
+    if speed is not None:
+        twists[:, 0] = speed
     times = np.arange(0.0, TRACK_S, STEP_S)
     path = true_path(rng, times, sent, twists)[::STEPS_PER_FRAME]
     noise = (POSITION_NOISE_MM, POSITION_NOISE_MM, HEADING_NOISE_RAD)
@@ -119,6 +122,34 @@ def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
     (_, column) = response_table([response], "", "mm").columns
     assert column.values[-1] == f"2 of {response.intervals + 2}"
     assert width(response.dead_time) < 1.1 * width(pooled.dead_time)
+
+
+@pytest.mark.long
+def test_a_heading_that_jumps_by_less_than_robots_turn_is_left_out():
+    """Regression: steps were left out only beyond the range of all turns that were sent."""
+    track = track_of_one_robot(4, commands_per_twist=60)
+    for amid_twist in (375, 675, 1125):
+        track.poses[amid_twist : amid_twist + 5, 0, 2] += 0.2
+    (response,) = respond([track])
+    assert response.left_out == 6  # there and back
+
+
+@pytest.mark.long
+def test_a_robot_that_turns_in_two_of_eight_blocks_has_wider_intervals_than_its_turns_tell():
+    """A quarter of the turns gives intervals twice as wide; few blocks tell of them, thrice that:
+    the quantile of Student's t of one degree of freedom is 12.7, of seven 2.4."""
+    (throughout,) = respond([track_of_one_robot(5)])
+    (at_first,) = respond([track_of_one_robot(5, turns_s=TRACK_S / 4)])
+    assert width(at_first.turning_gain) > 4 * width(throughout.turning_gain)
+    assert width(at_first.speed_gain) < 1.5 * width(throughout.speed_gain)
+
+
+@pytest.mark.long
+def test_the_lag_of_a_speed_that_never_changes_has_no_upper_end():
+    """Regression: an interval up to 89329781684117241856 s."""
+    (response,) = respond([track_of_one_robot(6, speed=100.0)])
+    (_, column) = response_table([response], "", "mm").columns
+    assert column.values[2].endswith("to ?)"), column.values[2]
 
 
 @pytest.mark.long

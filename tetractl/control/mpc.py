@@ -31,9 +31,9 @@ the method of its name.
     (plans are searched)                           (plans are searched)
     go on    by the plan of least value that       turn     on the spot, if the plan of least value
              does not collide soon                          collides soon: other headings allow
-    rest     if a plan from rest can have a                 other plans
-             lower value, or all found collide     give up  if it does so after all turns
-             soon                                  drive    by the plan of least value
+    rest     if all plans found collide soon                other plans
+                                                   give up  if it does so after all turns
+                                                   drive    by the plan of least value
 
 What happens next, if
 
@@ -99,7 +99,6 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import (
-    PAUSE_S,
     End,
     Estimate,
     Limits,
@@ -116,9 +115,6 @@ from tetractl.core.tour import told_dead
 from tetractl.experiment.controller import Host
 from tetractl.experiment.lab_section import REACTION_S
 
-RESTED_S = 2.0
-"""Least time that a plan is driven before a rest for a better one [s]: with an optimiser that finds
-only poor plans robots would rest after each step."""
 SEARCH_S = 1.0
 """Time after which the searches of a step end for standing robots [s]. Those of driving robots end
 after the spec's `deadline`, as they drive on meanwhile."""
@@ -237,11 +233,10 @@ class ControlStep:
         """Return whether signals (L,) are longer than the plan under way and one signal more."""
         return self.warm is None or len(signals) > len(self.warm) + 1
 
-    def allows(self, length: int, wait_s: float) -> bool:
-        """Return whether there is time for a plan of `length` signals that begins in `wait_s`;
-        if the targets are farther away than the longest plan leads, for the longest plan."""
-        signals_in_time = self.signals_left - wait_s / self.problem.period
-        return min(length, self.horizon_max) <= signals_in_time
+    def allows(self, length: int) -> bool:
+        """Return whether there is time for a plan of `length` signals; if the targets are farther
+        away than the longest plan leads, for the longest plan."""
+        return min(length, self.horizon_max) <= self.signals_left
 
 
 class Candidate(NamedTuple):
@@ -458,18 +453,16 @@ class Mpc:
         """Decide while a plan is under way."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._thread(step, warm)
-        if self._rests_at_the_end and not step.allows(least_length(step.problem), wait_s=0.0):
+        if self._rests_at_the_end and not step.allows(least_length(step.problem)):
             return self._near_the_limit(step, warm)
-        bound_of_going_on = self._bound_of_going_on(step, warm)
-        bound_of_rest = self._bound_of_rest(step)
-        stop = self._stop(step, warm, min(bound_of_going_on, bound_of_rest))
+        stop = self._stop(step, warm, self._bound_of_going_on(step, warm))
         if stop is not None:
             return stop
-        return self._go_on_or_rest(self._search_under_way(step, warm), bound_of_rest)
+        return self._go_on(self._search_under_way(step, warm))
 
     def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
-        """Decide while a plan is under way and no time is left for a new one, or for a plan after a
-        rest; for robots that rest at the end, as the log of an outcome has no searches.
+        """Decide while a plan is under way and no time is left for a new one; for robots that rest
+        at the end, as the log of an outcome has no searches.
 
         The plan is polished before it is compared with a stop. As it is, it may lead far from the
         targets after a disturbance in its last signals, where the polished one comes near them.
@@ -479,7 +472,7 @@ class Mpc:
         stop = self._stop(step, warm, bound, searched.searches)
         if stop is not None:
             return stop
-        return self._go_on_or_rest(searched, bound_of_rest=np.inf)
+        return self._go_on(searched)
 
     def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
         """Return a lower bound of the value of going on: that of the plan under way as it is, or of
@@ -488,28 +481,10 @@ class Mpc:
         bound = np.inf
         if len(warm) > 0:
             bound = self._value(step, warm, compiled_foresee(step.problem, warm))
-        if step.allows(least_length(step.problem), wait_s=0.0):
+        if step.allows(least_length(step.problem)):
             shortest_new = len(warm) + 2  # one signal more is still the plan under way
             bound = min(bound, step.value.plan(0.0, shortest_new, new=True))
         return bound
-
-    def _bound_of_rest(self, step: ControlStep) -> float:
-        """Return a lower bound of the value of a rest: that of the shortest plan from rest if it
-        led exactly to the targets. It is inf, as robots go on, if
-
-            they cannot stand, or are on their way to a way-point: the next leg begins with a plan
-            from there anyway;
-            they have driven for less than RESTED_S: they would rest again and again;
-            there would be no time for the plan after the rest.
-        """
-        driven_s = self.progress.steps_driven * self.section.period
-        if not (self.stands and self._in_last_leg and driven_s > RESTED_S):
-            return np.inf
-        wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
-        length = least_length(step.problem)
-        if not step.allows(length, wait_s):
-            return np.inf
-        return step.value.rest(length, wait_s)
 
     @property
     def _rests_at_the_end(self) -> bool:
@@ -561,20 +536,15 @@ class Mpc:
             return best_stop(problem, held, 0.0)
         return stop
 
-    def _go_on_or_rest(self, searched: Searched, bound_of_rest: float) -> Plan:
-        """Follow the plan of least value that does not collide soon. If there is none, or a rest
-        can have a lower value, stop, and search a new plan while the robots stand: there is more
-        time for it, and no error of a dead time.
+    def _go_on(self, searched: Searched) -> Plan:
+        """Follow the plan of least value that does not collide soon. If there is none, rest, and
+        search from there.
 
         Robots that cannot stand follow the first: there is nothing safer that they could do.
         """
         for candidate in searched.candidates:
-            if not self.stands:
-                return self._planned(searched, candidate)
-            if candidate.value > bound_of_rest:
-                break
             plan = self._planned(searched, candidate)
-            if not self._collides_soon(searched.problem, plan.signals):
+            if not (self.stands and self._collides_soon(searched.problem, plan.signals)):
                 return plan
         return self._standing(searched.problem, State.RESTING, searched.searches)
 
@@ -738,7 +708,7 @@ class Mpc:
         longest = max(1, step.signals_max)
         least = step.value.plan(0.0, min(length, longest), new=True)
         error = float(step.problem.poses.distances(step.problem.targets).sum())
-        if error > least and step.allows(length, wait_s=0.0):
+        if error > least and step.allows(length):
             return None
         if self._holds:
             return self._standing(step.problem, State.RESTING)

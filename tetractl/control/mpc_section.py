@@ -180,7 +180,7 @@ class PsoMpc(SearchFields):
 class RecommendedMpc(SearchFields):
     """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
     polished starts in place of a particle swarm, identification while robots drive, paths that keep
-    clear, and one value that decides between a plan, a longer way, a rest and a stop. Every default
+    clear, and one value that decides between a plan, a longer way and a stop. Every default
     is what we recommend for robots on wheels."""
 
     type: Literal["mpc"] = "mpc"
@@ -202,7 +202,7 @@ class RecommendedMpc(SearchFields):
     """The prior uncertainty of the identified values."""
     accept_error: Positive = Field(default=1.0)
     """Total error to accept [length unit]. It is the scale of the value by which the controller
-    decides between a stop, a longer way and a rest: a second costs 2 % of it. A smaller value
+    decides between a stop and a longer way: a second costs 2 % of it. A smaller value
     makes trials longer. The default is 0.45 of the path that all robots together drive in a control
     period."""
     collision: Collision = Collision()

@@ -46,8 +46,3 @@ class Worth:
         if unheard:
             caution += self.unheard
         return error + self.accept * (attempt + price + caution)
-
-    def rest(self, length: int, wait_s: float) -> float:
-        """Return the value of a rest that ends with a plan of `length` signals in `wait_s`; whether
-        robots of that plan keep clear is not known."""
-        return self.plan(0.0, length, True, unheard=True) + self.accept * self.price * wait_s

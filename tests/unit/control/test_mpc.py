@@ -17,7 +17,6 @@ from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.lengths import SIGNALS_PER_ROBOT, SPREAD, VAIN
 from tetractl.control.mpc import (
     LATE,
-    RESTED_S,
     SEARCH_S,
     SILENT_LAST,
     SILENT_NEXT,
@@ -324,13 +323,6 @@ def test_after_a_rest_the_trial_ends_unless_a_new_plan_can_be_better_in_time(
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
 
-@pytest.mark.parametrize(("more", "state"), [(-1, State.DRIVING), (1, State.RESTING)])
-def test_robots_rest_for_a_better_plan_once_they_have_driven_for_two_seconds(more, state):
-    steps = round(RESTED_S / PERIOD_S) + more
-    controller, _ = driving({}, steps=steps, collision=RESTS)
-    assert decide(controller).state is state
-
-
 class AskedSilence:
     """Stands for a silence in which any plan keeps clear. It writes down for how many `seconds` it
     is asked, and how many signals are `tested` of plans by their length."""
@@ -571,16 +563,6 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
     assert first_way == pytest.approx(controller.setup.speed * 2 * PERIOD_S, rel=0.05)
 
 
-@pytest.mark.parametrize(("wait_s", "allowed"), [(0.0, True), (0.4, True), (0.5, False)])
-def test_a_rest_leaves_time_for_the_plan_after_it(wait_s, allowed):
-    problem = spec().controller.problem(spec().setup)
-    value = Worth(ACCEPT, 0.0, problem.period)
-    now = ControlStep(
-        problem, silence=None, warm=None, horizon_max=30, signals_left=20.0, value=value
-    )
-    assert now.allows(18, wait_s) == allowed
-
-
 def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     problem = spec().controller.problem(spec().setup)
     value = Worth(ACCEPT, 0.0, problem.period)
@@ -588,7 +570,7 @@ def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
         problem, silence=None, warm=None, horizon_max=12, signals_left=400.0, value=value
     )
     assert now.signals_max == 12
-    assert now.allows(51, 0.0)
+    assert now.allows(51)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,3 @@ def test_caution_costs_as_much_as_errors_in_units_of_the_accepted_one():
     plain = AT_FIRST.plan(3.0, 5, new=False)
     assert AT_FIRST.plan(3.0, 5, False, touches=True) == pytest.approx(plain + 10 * Worth.touch)
     assert AT_FIRST.plan(3.0, 5, False, unheard=True) == pytest.approx(plain + 10 * Worth.unheard)
-
-
-def test_a_rest_is_no_better_than_the_plan_that_follows_it():
-    assert AT_FIRST.rest(5, 1.0) == pytest.approx(AT_FIRST.plan(0.0, 10, True, unheard=True))

@@ -1,0 +1,424 @@
+"""Ask every rule of the controller what it brings: pairs of trials with it, and without it.
+
+    python benchmarks/rules.py --out logs/rules                    every rule, 6 pairs a world
+    python benchmarks/rules.py --rule detours turns --trials 20 --seed 90512 --out logs/rules
+    python benchmarks/rules.py --trials 0 --out logs/rules         the table of what there is
+
+prints the table of docs/reference/measured.md. A rule is taken out by a replacement of a function
+or a constant of the controller, in worlds of unmodelled.py: those where it should help, and
+`COMMON`, where it should not. Settings of a spec may follow a world's name. Everything is
+simulated; the trials of a pair have the same seed. --out keeps a CSV for each rule, to which pairs
+are added; differences are without the rule less with it, with bootstrap intervals (95 %). The last
+column but one counts trials with a body over an edge, in an obstacle or at another.
+"""
+
+import argparse
+import csv
+import math
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from solverbench.report import load, progress
+from unmodelled import run
+
+from tetractl.control import (
+    body_model,
+    corners,
+    filter,
+    lengths,
+    margins,
+    mpc,
+    near_targets,
+    passage,
+    reception,
+)
+from tetractl.control.filter import FilterBank
+from tetractl.control.fixed_sequence import best_stop
+from tetractl.control.kernels import filter_state
+from tetractl.control.lengths import Searcher
+from tetractl.control.mpc import Mpc
+from tetractl.control.mpc_section import PriorSection, RecommendedMpc
+from tetractl.control.passage import Tree
+from tetractl.control.prior import Sticks
+from tetractl.control.reception import Reception
+from tetractl.control.value import Worth
+from tetractl.core.poses import Floats
+
+COMMON = ("base", "bench", "base-5hz")
+WALLS = ("near-walls", "near-walls-5hz", "gap")
+TIME = ("near-equal", "five-robots")
+NEVER = Sticks(every_s=1e9)
+RESAMPLES = 4000
+FAR = 100.0  # a total error that no disturbance explains
+WHOLE = "whole"  # the controller with all its rules
+COLUMNS = "error", "seconds", "touches"
+HEAD = (
+    "rule",
+    "world",
+    "pairs, equal",
+    "error without it, more [mm] or [um]",
+    "trial [s]",
+    "touching with it, without",
+    "above 100 with it, without",
+)
+Task = tuple[int, str, int]
+"""Seed, world and number of a trial."""
+Row = dict[str, float]
+Rows = dict[Task, Row]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule, as the `parts` (owner, name of an attribute, replacement) that take it out, and the
+    worlds where it should help. `assumed` are values of the compiled kernels in its place."""
+
+    parts: tuple[tuple[Any, str, Any], ...] = ()
+    helps: tuple[str, ...] = ()
+    assumed: tuple[tuple[str, float], ...] = ()
+
+    def take_out(self) -> None:
+        """Take it out of this process."""
+        for owner, name, replacement in self.parts:
+            patch.object(owner, name, replacement).start()
+        if self.assumed:
+            from tetractl.control.kernels import filter as kernel
+            from tetractl.control.kernels import filter_measure, filter_motion
+
+            assumed = filter_state.ASSUMED._replace(**dict(self.assumed))
+            for module in (kernel, filter_measure, filter_motion):
+                if hasattr(module, "ASSUMED"):
+                    patch.object(module, "ASSUMED", assumed).start()
+            patch.object(kernel, "LN_HEARD", math.log(1 - assumed.lost)).start()
+            patch.object(kernel, "LN_MISSED", math.log(assumed.lost)).start()
+
+
+def _prior(**changes: Any) -> tuple[Any, str, Any]:
+    of = PriorSection.of
+    return PriorSection, "of", lambda *words: of(*words)._replace(**changes)
+
+
+def _model(**changes: Any) -> tuple[Any, str, Any]:
+    model = filter.filter_model
+    return filter, "filter_model", lambda *words: model(*words)._replace(**changes)
+
+
+def _const(owner: Any, name: str, value: Any) -> tuple[Any, str, Any]:
+    return owner, name, value
+
+
+def _returns(owner: Any, name: str, value: Any) -> tuple[Any, str, Any]:
+    return owner, name, lambda *_: value
+
+
+def _value(**changes: Any) -> tuple[Any, str, Any]:
+    """Return the part by which plans are valued as if the words `changes` were true of each."""
+    plan = Worth.plan
+
+    def changed(self: Worth, error: float, length: int, new: bool, **cautions: bool) -> float:
+        return plan(self, error, length, **({"new": new} | cautions | changes))
+
+    def asked(self: Worth, error: float, length: int, new: bool, *cautions: bool, **named: bool):
+        words = dict(zip(("touches", "unheard"), cautions, strict=False))
+        return changed(self, error, length, new, **words, **named)
+
+    return Worth, "plan", asked
+
+
+def _as_usual(self: Mpc, step: mpc.ControlStep, warm: Any) -> Any:
+    stop = self._stop(step, warm, self._bound_of_going_on(step, warm))
+    return stop or self._go_on(self._search_under_way(step, warm))
+
+
+def _stop_now(self: Mpc, problem: Any, within_s: float) -> Any:
+    return best_stop(problem, self.estimator.held_at_action, 0.0)
+
+
+def _stop_unseen(self: Mpc, problem: Any, within_s: float) -> Any:
+    return best_stop(problem, self.estimator.held_at_action, within_s)
+
+
+def _one_bisection(self: Searcher, least: int, length: int, good: Callable[[Any], bool]) -> None:
+    failed = least - 1
+    while failed < length - 1:
+        middle = (failed + length) // 2
+        search = self.search(middle)
+        if search is None:
+            return
+        if good(search):
+            length = middle
+        else:
+            failed = middle
+
+
+_starts = Mpc._starts
+_with_margins = Mpc._with_margins
+_reopen = FilterBank._reopen
+_longer = lengths.longer
+_common = filter_state.CommonTimes.of
+
+
+def _known_margins(self: Mpc, problem: Any, estimate: Any) -> Any:
+    return _with_margins(self, problem, estimate or self.estimator.known)
+
+
+def _good_by_cost(self: Mpc, step: Any, search: Any, candidate: Any) -> bool:
+    return search.cost <= (self.section.optimizer.good_enough or 0.0)
+
+
+def _bee_lines(problem: Any, grid: Any) -> Any:
+    gaps = np.linalg.norm(grid.centres - problem.targets[:, None], axis=2)
+    return gaps.ravel()
+
+
+def _alone(bank: Any, step_s: Any, prior: Any) -> Any:
+    common = _common(bank, step_s, prior)
+    return common._replace(near=np.ones_like(common.near))
+
+
+RULES = {
+    # what robots do: tetractl.control.mpc
+    "polish before a stop near the time limit": Rule(
+        ((Mpc, "_near_the_limit", _as_usual),),
+        ("sticking-5hz controller.time_limit=20", "saturated-2 controller.time_limit=15"),
+    ),
+    "detours": Rule((_returns(Mpc, "_search_detours", []),), (*TIME, "sticking-5hz")),
+    "detours above the last length": Rule(
+        ((mpc, "longer", lambda count, most, after: _longer(count, most, 0)),), (*TIME, "later")
+    ),
+    "a plan without its next signal": Rule(
+        (
+            (
+                Mpc,
+                "_starts",
+                lambda *words: (
+                    [s for s in _starts(*words) if s.size != words[2].size - 1] or [words[2][:1]]
+                ),
+            ),
+        ),
+        TIME,
+    ),
+    "a plan with one more signal": Rule(
+        (
+            (
+                Mpc,
+                "_starts",
+                lambda *words: (
+                    [s for s in _starts(*words) if s.size <= words[2].size] or _starts(*words)
+                ),
+            ),
+        ),
+        TIME,
+    ),
+    "good enough by its value": Rule(((Mpc, "_is_good_enough", _good_by_cost),), WALLS),
+    "stop at the best moment": Rule(((Mpc, "_best_stop", _stop_now),), ("bench", "later")),
+    "no late stop near a body": Rule(((Mpc, "_best_stop", _stop_unseen),), WALLS),
+    "a plan that collides soon is not driven": Rule(
+        (_returns(Mpc, "_collides_soon", False),), WALLS
+    ),
+    "two dead times until a stop acts": Rule((_const(mpc, "LATE", 1.0),), WALLS),
+    "keep clear in silence": Rule((_returns(Mpc, "_silence", None),), WALLS),
+    "silence after the last two signals": Rule((_const(mpc, "SILENT_LAST", 0),), WALLS),
+    "silence after the next two signals": Rule((_const(mpc, "SILENT_NEXT", 10**6),), WALLS),
+    "room in silence": Rule((_const(mpc, "SILENT_ROOM", 0.0),), WALLS),
+    "turns on the spot": Rule((_returns(mpc, "next_facing", None),), WALLS),
+    "turns to the most room": Rule((_returns(corners, "roomiest", 0.0),), WALLS),
+    "turns kept for four steps": Rule((_const(corners, "STEPS", 1),), WALLS),
+    "other turns after one in vain": Rule((_const(corners, "TURNS_IN_VAIN", 1),), WALLS),
+    "stay in a hold": Rule(
+        (_returns(Mpc, "_stay", None),),
+        tuple(f"{world} hold={{radius: 20, time: 10}}" for world in ("base", "bench", "sides")),
+    ),
+    # passages: tetractl.control.passage
+    "tree": Rule(((mpc, "ways", lambda *_: iter(())),), ("gap", "eight")),
+    "thread": Rule(((Mpc, "_drive", lambda _, __, best: best),), ("gap",)),
+    "rest where robots stray from a passage": Rule((_returns(Mpc, "_strays", False),), ("gap",)),
+    "narrow margins of a tree": Rule(((Mpc, "_with_margins", _known_margins),), ("gap",)),
+    "ways of a tree round obstacles": Rule(((passage, "_grid_ways", _bee_lines),), ("gap",)),
+    "a tree's nodes differ": Rule(((Tree, "unlike", lambda _, order: order),), ("gap",)),
+    # lengths and values
+    "shortening": Rule((_returns(Searcher, "_shorten", None),), TIME),
+    "shortening repeated": Rule(((Searcher, "_shorten", _one_bisection),), TIME),
+    "six signals a robot": Rule((_const(lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
+    "work after which no longer plan is tried": Rule(
+        (_const(lengths, "SPREAD_WORK", math.inf),), ("gap",)
+    ),
+    "attempts cost": Rule((_value(new=False),), ("sticking-5hz", "wander", "strip")),
+    "attempts cost more and more": Rule(
+        (_returns(RecommendedMpc, "patience_s", math.inf),),
+        ("sticking-5hz", "wander", "saturated-2", "cells-pause"),
+    ),
+    "time has a price": Rule((_const(Worth, "price", 0.0),), ("wander", *TIME)),
+    "to touch a margin costs": Rule((_value(touches=False),), WALLS),
+    "to be unclear in silence costs": Rule((_value(unheard=False),), WALLS),
+    # margins
+    "margins for uncertain motion": Rule(((margins, "SIGMAS", 0.0),), WALLS),
+    "margins for a lost command": Rule(((near_targets, "LOST_SHARE", 0.0),), WALLS),
+    # radio: tetractl.control.reception
+    "radio test": Rule(
+        ((FilterBank, "tests_radio", property(lambda _: False)),),
+        ("sparse-radio", "lossy-radio", "silent"),
+    ),
+    "a signal is kept": Rule((_returns(Mpc, "_is_kept", False),), ("sparse-radio", "lossy-radio")),
+    "a sparse radio is shown twice": Rule(
+        ((Reception, "is_sparse", property(lambda self: self.times_shown > 0)),),
+        ("sparse-radio", "later", "lossy-radio"),
+    ),
+    "few of directions missed in a row count": Rule(
+        (_const(reception, "MISSED_IN_A_ROW", 10**6),), ("sparse-radio", "later", "silent")
+    ),
+    "directions of which frames say nothing": Rule(
+        (_const(reception, "LN_SAYS", 0.0),), ("sparse-radio", "later", "silent")
+    ),
+    # filter and bank
+    "spacing of frames": Rule((_const(filter, "SPACING_NS", 1),), ("bench", "later")),
+    "opening the bank again": Rule((_returns(FilterBank, "_may_reopen", False),), ("later",)),
+    "motors may saturate": Rule(
+        ((FilterBank, "_reopen", lambda self, frame, heading_fits: _reopen(self, frame, True)),),
+        ("saturated-2", "saturated-4"),
+    ),
+    "shared dead times": Rule(
+        ((filter.CommonTimes, "of", staticmethod(_alone)),), ("later", "late", "bench")
+    ),
+    "a dead time of one's own": Rule(
+        (_const(filter_state, "GRID", filter_state.GRID._replace(own=0.0)),), ("late", "later")
+    ),
+    "stuck": Rule((_model(sticks=NEVER),), ("sticking", "sticking-5hz", "cells-pause")),
+    "frames shown again": Rule((_model(coarse=True),), ("stale", "repeating", "no-frames")),
+    "watchdogs": Rule((_model(watchdog_s=math.inf),), ("silent", "sparse-radio", "lossy-radio")),
+    "side": Rule((_const(PriorSection, "side", 0.0),), ("sides", "saturated-2")),
+    "marker bias": Rule((_const(PriorSection, "marker_bias", 0.0),), ("marker", "cells-body")),
+    "turn bias": Rule((_prior(heading_bias_std=0.0),), ("marker", "wander")),
+    "flow": Rule((_prior(flow_std=0.0),), ("slide", "cells", "cells-shear")),
+    "a cell's frequencies": Rule(
+        (_const(body_model, "FREQUENCIES", (1.0,)),), ("cells", "cells-body", "cells-pause")
+    ),
+    "outlier gate": Rule((), ("stale", "marker", "cells-body"), (("gate", 1e12),)),
+    "missed commands": Rule((), ("lossy-radio", "silent"), (("lost", 1e-12),)),
+    "hypotheses alike are one": Rule((), ("lossy-radio",), (("alike", 0.0),)),
+    "scale of the noise": Rule(
+        (), ("cells", "slow-pictures"), (("scale_least", 1.0), ("scale_most", 1.0))
+    ),
+    "old scores forgotten": Rule((), ("later", "late"), (("forget_s", 1e9),)),
+    "the camera's pose if none fits": Rule((), ("stale", "marker"), (("lost_track_s", 1e9),)),
+}
+"""Each rule by its name."""
+
+
+def without(name: str, task: Task) -> Row:
+    """Run one trial in a process from which a rule is taken out already."""
+    seed, world, trial = task
+    name_of_world, *settings = world.split(" ", 1)
+    row = run(seed, settings, (name_of_world, trial))
+    touches = min(row["edge_mm"], row["obstacle_mm"], row["apart_mm"]) < 0
+    return {"error": row["error"], "seconds": row["seconds"], "touches": float(touches)}
+
+
+def take_out(name: str) -> None:
+    """Begin a process without a rule."""
+    if name != WHOLE:
+        RULES[name].take_out()
+
+
+def add(name: str, tasks: Sequence[Task], folder: Path) -> Rows:
+    """Add trials without a rule to its CSV, as far as it lacks them; return all that it has."""
+    path = folder / f"{name.replace(' ', '-')}.csv"
+    rows = read(path)
+    lacking = [task for task in tasks if task not in rows]
+    if not lacking:
+        return rows
+    # code compiled with other values of a kernel is kept apart from that of the user
+    with tempfile.TemporaryDirectory() as cache:
+        if name != WHOLE and RULES[name].assumed:
+            os.environ["NUMBA_CACHE_DIR"] = cache
+        with get_context("spawn").Pool(1, take_out, (name,)) as pool:
+            found = pool.map(partial(without, name), lacking, chunksize=1)
+        os.environ.pop("NUMBA_CACHE_DIR", None)
+    rows |= dict(zip(lacking, found, strict=True))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        for task, row in rows.items():
+            writer.writerow([*task, *row.values()])
+    return rows
+
+
+def read(path: Path) -> Rows:
+    """Return the trials of a CSV, none if there is no file."""
+    if not path.exists():
+        return {}
+    with path.open(newline="") as file:
+        return {
+            (int(seed), world, int(trial)): dict(zip(COLUMNS, map(float, numbers), strict=True))
+            for seed, world, trial, *numbers in csv.reader(file)
+        }
+
+
+def interval(differences: Floats) -> str:
+    """Return the mean of differences and its bootstrap interval."""
+    random = np.random.default_rng(1)
+    means = random.choice(differences, (RESAMPLES, len(differences))).mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return f"{differences.mean():+.2f} [{low:.2f}, {high:.2f}]"
+
+
+def line(name: str, world: str, pairs: Sequence[tuple[Row, Row]]) -> str:
+    """Return the line of a rule in a world, of pairs with it and without it."""
+    with_rule, without_rule = (
+        {key: np.array([row[key] for row in rows]) for key in COLUMNS}
+        for rows in zip(*pairs, strict=True)
+    )
+    error = without_rule["error"] - with_rule["error"]
+    seconds = without_rule["seconds"] - with_rule["seconds"]
+    touch = [int(rows["touches"].sum()) for rows in (with_rule, without_rule)]
+    far = [int((rows["error"] > FAR).sum()) for rows in (with_rule, without_rule)]
+    cells = (
+        name,
+        world,
+        f"{len(pairs)}, {((error == 0) & (seconds == 0)).sum()}",
+        interval(error),
+        interval(seconds),
+        f"{touch[0]}, {touch[1]}",
+        f"{far[0]}, {far[1]}",
+    )
+    return f"| {' | '.join(cells)} |"
+
+
+def table(name: str, whole: Rows, rows: Rows) -> list[str]:
+    """Return the lines of a rule: one for each world, and those of all robots and all cells."""
+    pairs: dict[str, list[tuple[Row, Row]]] = {}
+    for task, row in rows.items():
+        world = task[1]
+        total = "all cells" if world.startswith("cells") else "all robots"
+        for place in (world, total):
+            pairs.setdefault(place, []).append((whole[task], row))
+    return [line(name, world, pairs[world]) for world in sorted(pairs)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--rule", nargs="+", choices=RULES, metavar="RULE", default=[*RULES])
+    parser.add_argument("--world", nargs="+", metavar="WORLD", help="by default, a rule's")
+    parser.add_argument("--trials", type=int, default=6, help="of each world; 0: print only")
+    parser.add_argument("--seed", type=int, default=20261128)
+    parser.add_argument("--out", type=Path, default=Path("logs/rules"))
+    options = parser.parse_args()
+    print(f"Simulated. {load()}.\n\n| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    for name in options.rule:
+        progress(name)
+        worlds = options.world or dict.fromkeys((*RULES[name].helps, *COMMON))
+        tasks = [(options.seed, world, k) for world in worlds for k in range(options.trials)]
+        whole = add(WHOLE, tasks, options.out)
+        rows = add(name, tasks, options.out)
+        print("\n".join(table(name, whole, rows)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Self, TextIO
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError, TetractlError
@@ -66,7 +66,7 @@ class EmulatedLab:
         report: Report = lambda event, facts: None,
         make_loop: type[Loop] = Loop,
         wires: Wires | None = None,
-        process: Process | None = None,
+        process_of: Callable[["EmulatedLab"], Process] | None = None,
         blind: EmulatedCamera | None = None,
     ) -> None:
         _check_names(script, setup)
@@ -77,12 +77,10 @@ class EmulatedLab:
         self._report = report
         start_ns = make_loop.now()
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
-        self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
+        self.loop = make_loop(self.timeline, lambda lag: self.note("late", lag_ms=lag / 1e6))
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
-        reports = self._note, self._exposed, self.injector.sent, self._client
+        reports = self.note, self._exposed, self.injector.sent, self._client
         self.wires = wires or Wires()
-        self._process = process or PortHolder(lambda: self.port, self.wires.clock())
-        self._process.note = self._note
         self._ruling = ("", "")
         stage = Stage(lab, setup, self.timeline, options, *reports, self.wires)
         sides = Sides.of(lab.camera.type, lab.actuator.type)
@@ -93,12 +91,22 @@ class EmulatedLab:
         self.camera: EmulatedCamera = blind or sides.camera(
             stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
         )
+        holder = PortHolder(self, self.wires.clock())
+        self._process = holder if process_of is None else process_of(self)
         self._moving = [False] * len(self.actuator.bodies)
         self._ran = False  # whether robots moved since they were last put on their starts
         self._still_since: int | None = start_ns  # time [ns]; None while any robot moves
         self._put_on_starts()
 
-    def __enter__(self) -> "EmulatedLab":
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Open ports and names, and begin; releases all if one cannot be opened."""
         self.loop.catch_up()
         try:
             self._record = Record(self._options.record)
@@ -113,14 +121,10 @@ class EmulatedLab:
             raise
         self._tick()
         self._flush()
-        self._note("ready", **facts)
+        self.note("ready", **facts)
         self._record.flush()
         self._report("ready", facts)
         self.injector.happened("start")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def run(self) -> None:
         """Run in real time until `loop.end()`."""
@@ -129,7 +133,7 @@ class EmulatedLab:
     def close(self) -> None:
         """Release ports and names, and close the record; may be called twice."""
         counts = self.actuator.close() | self.camera.close()
-        self._note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
+        self.note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
         self._record.close()
 
     @property
@@ -141,14 +145,15 @@ class EmulatedLab:
         """Record the state of our side's guard, and its reason, if it changes."""
         if (state, reason) != self._ruling:
             self._ruling = (state, reason)
-            self._note("guard", state=str(state), reason=reason)
+            self.note("guard", state=str(state), reason=reason)
 
     def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator | Process:
         if type(fault) in PROCESS_FAULTS:
             return self._process
         return self.camera if type(fault) in self.camera.faults else self.actuator
 
-    def _note(self, event: str, **facts: Any) -> None:
+    def note(self, event: str, **facts: Any) -> None:
+        """Record an event with its facts."""
         if event in ("command", "truth"):
             now = self.timeline.now_ns
             facts["unseen_ms"] = [round((now - t_ns) / 1e6, 1) for t_ns in self.camera.shown_ns]
@@ -157,7 +162,7 @@ class EmulatedLab:
     def _exposed(self, exposure: int, frame: int) -> None:
         self.injector.exposed(exposure)
         bodies = self.actuator.bodies
-        self._note(
+        self.note(
             "truth",
             exposure=exposure,
             frame=frame,
@@ -166,7 +171,7 @@ class EmulatedLab:
         )
 
     def _client(self, address: str) -> None:
-        self._note("client", address=address)
+        self.note("client", address=address)
         self._report("client", {"address": address})
         self.injector.happened("client")
 
@@ -176,7 +181,7 @@ class EmulatedLab:
         mark = fields.get("name")
         facts = {"name": fault.fault, "phase": phase, "robot": robot, "mark": mark}
         facts["row"] = self._script.faults.index(fault)
-        self._note("fault", **facts)
+        self.note("fault", **facts)
         self._record.flush()
         self._report("fault", facts)
 
@@ -188,7 +193,7 @@ class EmulatedLab:
             self._ran = True
             if self._still_since is not None:  # a run begins: rest before it does not count
                 self._still_since = now
-            self._note("run")
+            self.note("run")
             self._report("run", {})
             self.injector.happened("run")
         elif self._ran and not self.actuator.driven:
@@ -196,7 +201,7 @@ class EmulatedLab:
         for i, body in enumerate(self.actuator.bodies):
             if self._moving[i] == body.standing:
                 self._moving[i] = not body.standing
-                self._note("robot", name=body.name, moving=self._moving[i])
+                self.note("robot", name=body.name, moving=self._moving[i])
         if any(self._moving):
             if self._still_since is not None:
                 self._report("moving", {})
@@ -224,7 +229,7 @@ class EmulatedLab:
         self._put_on_starts()
         self.actuator.switch(True)
         self.camera.hide(False)
-        self._note("placed")
+        self.note("placed")
         self._report("placed", {})
 
     def _put_on_starts(self) -> None:

@@ -38,16 +38,28 @@ class HostClock(Clock, Protocol):
     plan_every: int
 
 
+class DrivenLab(Protocol):
+    """The emulated lab whose robots a process drives."""
+
+    @property
+    def port(self) -> Path:
+        """The name of the actuator's port; "" if it has none."""
+        ...
+
+    def note(self, event: str, **facts: Any) -> None:
+        """Record an event."""
+        ...
+
+
 class Process:
-    """The process that drives the robots through the port with the name that `port` returns; what
-    cannot be done to it does nothing. `note` records an event.
+    """The process that drives the robots of `lab` through its actuator's port, which it opens with
+    `ports`; what cannot be done to it does nothing.
     """
 
-    def __init__(self, ports: Ports, port: Callable[[], Path], clock: Clock) -> None:
+    def __init__(self, lab: DrivenLab, ports: Ports, clock: Clock) -> None:
+        self._lab = lab
         self._ports = ports
-        self._port = port
         self._clock = clock
-        self.note: Callable[..., None] = lambda event, **facts: None
 
     def signal(self, name: str) -> None:
         """Send the process a signal, by its name without SIG."""
@@ -69,7 +81,8 @@ class Process:
 
     def run_again(self) -> None:
         """Let a second run open the port; record the answer, "" if the port opens."""
-        again = (str(self._port()), 57600, "the second run", self._clock, lambda *_: None, "")
+        name = str(self._lab.port)
+        again = (name, 57600, "the second run", self._clock, lambda *_: None, "")
         second = self._ports(*again)
         says = ""
         try:
@@ -78,14 +91,14 @@ class Process:
             says = error.message
         else:
             second.close()
-        self.note("second", says=says)
+        self._lab.note("second", says=says)
 
 
 class PortHolder(Process):
     """The process that has locked a port of this computer."""
 
-    def __init__(self, port: Callable[[], Path], clock: Clock) -> None:
-        super().__init__(SerialPort, port, clock)
+    def __init__(self, lab: DrivenLab, clock: Clock) -> None:
+        super().__init__(lab, SerialPort, clock)
 
     def signal(self, name: str) -> None:
         """Send the process a signal."""
@@ -103,34 +116,34 @@ class PortHolder(Process):
 
     def _act(self, act: Callable[[int], object]) -> None:
         with suppress(OSError):
-            if pid := holder(str(self._port())):
+            if pid := holder(str(self._lab.port)):
                 act(pid)
 
 
 class ThisProcess(Process):
-    """This process, in virtual time on `clock`; `supervision` is that of its trial, and `end` lets
-    the emulation go on alone, and closes it.
+    """This process, in virtual time on `clock`; `supervision` is that of its trial, and `outlive`
+    lets the emulated lab go on alone, and closes it.
     """
-
-    end: Callable[[], None]
 
     def __init__(
         self,
+        lab: DrivenLab,
         ports: Ports,
-        port: Callable[[], Path],
         clock: HostClock,
         supervision: LabSupervision,
+        outlive: Callable[[], None],
     ) -> None:
-        super().__init__(ports, port, clock)
+        super().__init__(lab, ports, clock)
         self._host = clock
         self._supervision = supervision
+        self._outlive = outlive
 
     def signal(self, name: str) -> None:
         """Take a signal as its handler does; after SIGKILL only the emulation goes on."""
         if name != "KILL":
             self._supervision.signalled()
             return
-        self.end()
+        self._outlive()
         os.kill(os.getpid(), signal.SIGKILL)
 
     def stop(self, on: bool) -> None:

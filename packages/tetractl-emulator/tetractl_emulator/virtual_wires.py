@@ -27,14 +27,19 @@ from tetractl_emulator.wires import Wires
 
 
 class LabClock(VirtualClock):
-    """Virtual time in steps of `step_ns`: in each step the `timeline` runs first, then each
-    function of `steps`, then each of `watchers`, which also look after each action.
+    """Virtual time in steps of `step_ns`, in which an emulated lab and our side run in turn.
+
+    In each step, in this order: the emulation's `timeline`, and `read_wires`, by which it reads
+    what our side has sent; of our side each of `receivers`, which read sockets, and each of
+    `steps`; at last each of `watchers`, which also look after each action.
     """
 
     def __init__(self, step_ns: int = MILLISECOND) -> None:
         super().__init__()
         self._step_ns = step_ns
         self.timeline: Timeline | None = None
+        self.read_wires: Callable[[], None] | None = None
+        self.receivers: list[Callable[[], None]] = []
         self.steps: list[Callable[[], None]] = []
         self.watchers: list[Callable[[], None]] = []
         self.ahead_ns = 0  # of true time, which is the timeline's
@@ -63,6 +68,10 @@ class LabClock(VirtualClock):
             self.timeline.run_to(self._now)
         if self.stopped:
             return
+        if self.read_wires is not None:
+            self.read_wires()
+        for receive in tuple(self.receivers):
+            receive()
         for step in tuple(self.steps):
             step()
         self._watch()
@@ -139,18 +148,28 @@ def started(
     """Return an emulated lab that runs on a clock, with the faults of this process, of the trial
     under `supervision`; only a record has to be released.
     """
-    loop = VirtualLoop
     wires = memory_wires(clock)
-    assert wires.ports is not None, "wires in memory have ports"
+    ports = wires.ports
+    assert ports is not None, "wires in memory have ports"
     watched = supervision or LabSupervision()
-    process = ThisProcess(wires.ports, lambda: emulation.port, clock, watched)
+
+    def this_process(emulation: EmulatedLab) -> ThisProcess:
+        return ThisProcess(emulation, ports, clock, watched, partial(outlive, emulation))
+
     emulation = EmulatedLab(
-        lab, setup, script, options, make_loop=loop, wires=wires, process=process, blind=blind
-    ).__enter__()
-    process.end = lambda: outlive(emulation)
+        lab,
+        setup,
+        script,
+        options,
+        make_loop=VirtualLoop,
+        wires=wires,
+        process_of=this_process,
+        blind=blind,
+    )
+    emulation.open()
     assert isinstance(emulation.loop, VirtualLoop)
     clock.timeline = emulation.timeline
-    clock.steps.insert(0, emulation.loop.poll)
+    clock.read_wires = emulation.loop.poll
     return emulation
 
 
@@ -168,8 +187,8 @@ def memory_wires(clock: LabClock) -> Wires:
     plugged: Plugged = {}
 
     def make_socket(turn: Callable[[], None]) -> MemorySocket:
-        if turn not in clock.steps:
-            clock.steps.insert(1, turn)  # after the emulation, before the guard
+        if turn not in clock.receivers:
+            clock.receivers.append(turn)
         return MemorySocket(network)
 
     def bound(host: str, port: int) -> MemorySocket:
@@ -177,8 +196,14 @@ def memory_wires(clock: LabClock) -> Wires:
         opened.bind((host, port))
         return opened
 
-    ends = partial(MemoryPort, plugged), partial(MemorySerial, plugged)
-    return Wires(lambda: clock, ends[0], bound, False, ends[1], make_socket)
+    return Wires(
+        clock=lambda: clock,
+        port=partial(MemoryPort, plugged),
+        bound=bound,
+        http=False,
+        ports=partial(MemorySerial, plugged),
+        make_socket=make_socket,
+    )
 
 
 class MemorySocket:
@@ -188,9 +213,20 @@ class MemorySocket:
         self._network = network
         self._name = ("", 0)
         self._queue = deque[tuple[bytes, tuple[str, int]]]()
-        self.setsockopt = self.setblocking = lambda *_: None
-        self.getsockname = lambda: self._name
-        self.fileno = lambda: self._name[1]
+
+    def setsockopt(self, *option: Any) -> None:
+        """Do nothing: a network in memory has no options."""
+
+    def setblocking(self, blocking: bool) -> None:
+        """Do nothing: `recvfrom` never waits."""
+
+    def getsockname(self) -> tuple[str, int]:
+        """Return the address at which the socket listens."""
+        return self._name
+
+    def fileno(self) -> int:
+        """Return a number that no other socket of the network has: its port."""
+        return self._name[1]
 
     def bind(self, address: tuple[str, int]) -> None:
         """Listen at an address; port 0 is any free port."""

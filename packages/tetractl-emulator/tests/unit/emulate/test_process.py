@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 from tetractl_emulator.process import PortHolder
 
@@ -31,7 +32,8 @@ def test_a_full_disk_leaves_no_bytecode_of_a_module_that_is_cut_short(tmp_path):
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, cwd=tmp_path, env=writing, **pipes) as driver:
         assert driver.stdout.readline() == "locked\n"
-        PortHolder(lambda: tmp_path / "port", MonotonicClock()).fill_disk()
+        lab = SimpleNamespace(port=tmp_path / "port")
+        PortHolder(lab, MonotonicClock()).fill_disk()
         said, _ = driver.communicate("\n")
     assert said == "full 7\n"
     assert list(tmp_path.glob("__pycache__/*.pyc")) == []

@@ -89,7 +89,8 @@ WAY_WALK_UNIT = 0.02
 POSITION_NOISE_UNIT_S = 0.002
 """Of the speed: usual values of the parameters, in which they are searched."""
 LAG_LEAST_S = 1e-3
-"""Shorter lags are taken for this one [s]."""
+LAG_MOST_S = 10.0
+"""Shorter and longer lags are taken for these [s]: sums of the rates of longer ones are imprecise."""
 ROUNDS = 60
 """Newton steps at most."""
 INTEGRALS_KEPT = 64
@@ -300,9 +301,16 @@ class _Steps:
         """The median speed [length unit/s]."""
         return float(np.median(np.abs(self.way) / self.duration_s))
 
+    def integrals(self, p: "ResponseParameters") -> Floats:
+        """Return the integrals over each step (M, 2) of the speed and the turning rate, each with
+        its lag."""
+        of_speed = self._with_lag(p.dead_time, p.speed_lag)
+        of_turning = self._with_lag(p.dead_time, p.turning_lag)
+        return np.column_stack([of_speed[:, 0], of_turning[:, 1]])
+
     @lru_cache(INTEGRALS_KEPT)  # noqa: B019 few are kept
-    def integrals(self, dead_time: float, lag: float) -> Floats:
-        """Return the integrals over each step (M, 2)."""
+    def _with_lag(self, dead_time: float, lag: float) -> Floats:
+        """Return the integrals over each step (M, 2), both with one lag."""
         return _integrals(self.tracks, dead_time, lag)[self.rows]
 
 
@@ -436,13 +444,18 @@ class ResponseParameters:
         factor = np.exp(vector)
         return ResponseParameters(
             dead_time=self.dead_time + DEAD_TIME_UNIT_S * vector[0],
-            turning_lag=max(self.turning_lag * factor[1], LAG_LEAST_S),
-            speed_lag=max(self.speed_lag * factor[2], LAG_LEAST_S),
+            turning_lag=_lag(self.turning_lag * factor[1]),
+            speed_lag=_lag(self.speed_lag * factor[2]),
             heading_walk=self.heading_walk * factor[3],
             way_walk=self.way_walk * factor[4],
             heading_noise=self.heading_noise * factor[5],
             position_noise=self.position_noise * factor[6],
         )
+
+
+def _lag(lag_s: float) -> float:
+    """Return a lag [s] within the bounds of those that are tried."""
+    return min(max(lag_s, LAG_LEAST_S), LAG_MOST_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -482,13 +495,11 @@ def _whiten(
 
 
 def _turns(steps: _Steps, p: ResponseParameters) -> _Whitened:
-    integrals = steps.integrals(p.dead_time, p.turning_lag)
-    return _whiten(steps.turned, integrals, steps, p.heading_walk, p.heading_noise)
+    return _whiten(steps.turned, steps.integrals(p), steps, p.heading_walk, p.heading_noise)
 
 
 def _ways(steps: _Steps, p: ResponseParameters) -> _Whitened:
-    integrals = steps.integrals(p.dead_time, p.speed_lag)
-    return _whiten(steps.way, integrals, steps, p.way_walk, p.position_noise)
+    return _whiten(steps.way, steps.integrals(p), steps, p.way_walk, p.position_noise)
 
 
 def _search(name: str, steps: _Steps, units: ResponseParameters) -> Floats:
@@ -538,10 +549,9 @@ def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
     likeliest = units.at(vector)
     turn_gains = _turns(steps, likeliest).gains()
     way_gains = _ways(steps, likeliest).gains()
-    turned_by = steps.integrals(likeliest.dead_time, likeliest.turning_lag)
-    driven_by = steps.integrals(likeliest.dead_time, likeliest.speed_lag)
-    turning = _Obeyed.of(steps.turned, turned_by, turn_gains, sent=1)
-    driving = _Obeyed.of(steps.way, driven_by, way_gains, sent=0)
+    driven = steps.integrals(likeliest)
+    turning = _Obeyed.of(steps.turned, driven, turn_gains, sent=1)
+    driving = _Obeyed.of(steps.way, driven, way_gains, sent=0)
     _check_turns(source, name, turning)
     _check_ways(source, name, driving)
     std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))

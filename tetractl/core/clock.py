@@ -77,6 +77,12 @@ class MonotonicClock:
             remaining_ns = when - self.now()
 
 
+def next_due_ns(due_ns: int, sent_ns: int, period_ns: int) -> int:
+    """Return when what is sent every period is next due, if it was due at `due_ns` and sent at
+    `sent_ns`: the rate is kept in the mean, but nothing follows within half a period."""
+    return max(due_ns + period_ns, sent_ns + period_ns // 2)
+
+
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
     """Call `done` every 2 ms of a clock until it returns true, and return True; return False after
     `timeout_s`.

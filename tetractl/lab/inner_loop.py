@@ -34,7 +34,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND, Clock
+from tetractl.core.clock import NEVER, SECOND, Clock, next_due_ns
 from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError, WrongValueError, text_of
 from tetractl.core.poses import POSE_MAX, CameraFrame
@@ -340,9 +340,6 @@ class InnerLoop:
         return the transmission, None if there is none."""
         if now < self._transmit_ns and not held.is_new and not self._some_must_stop(ruling):
             return None
-        # the rate is kept in the mean; a step that was late shortens the next period by up to half
-        period_ns = self._actuator.period_ns
-        self._transmit_ns = max(self._transmit_ns + period_ns, now + period_ns // 2)
         if any(ruling.moving) or not self.guard.together:
             newest = self.frames.newest
             sampled_ns = 0 if newest is None else newest.frame.sampled_ns
@@ -350,6 +347,7 @@ class InnerLoop:
         else:  # robots that share a field are held still together, by a stop
             sent = self._actuator.stop()
         self._note(sent)
+        self._transmit_ns = next_due_ns(self._transmit_ns, sent.sent_ns, self._actuator.period_ns)
         self._moving = ruling.moving
         held.is_new = False
         return sent

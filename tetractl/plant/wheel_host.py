@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER, SECOND, next_due_ns
 from tetractl.core.commands import FieldOff, Steer, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
@@ -64,13 +64,12 @@ class SimHost:
         return self._speeds
 
     def _schedule(self, now_ns: int) -> None:
-        """Schedule the next transmission as the lab's inner loop does: one period after the one
-        that was due, but no sooner than half a period from now."""
+        """Schedule the next transmission as the lab's inner loop does."""
         if self._section.rate is None:
             return
         period_ns = round(SECOND / self._section.rate)
         due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
-        self.repeats_ns = max(due_ns + period_ns, now_ns + period_ns // 2)
+        self.repeats_ns = next_due_ns(due_ns, now_ns, period_ns)
 
     def _compute(self, now_ns: int, action: Steer | Turn | FieldOff, frame: Observation) -> Floats:
         acts_ns = now_ns + self._lead_ns

@@ -6,9 +6,7 @@
                       turning rate are s (v, a sin(u - theta)) by (24)-(25), within the tolerances
                       below: the host rounds them, predicts the heading theta from a late frame,
                       and scales both by s < 1 if a wheel would be too fast
-    times             an action is sent again at the actuator's rate, as `lab.inner_loop` does: the
-                      next transmission is due a period after the last was, but not before half a
-                      period after it was sent
+    times             an action is sent again at the actuator's rate, by `next_due_ns`
 
 A stop is sent STOPS times. Actions before the first step are not compared.
 """
@@ -18,12 +16,13 @@ from itertools import islice
 
 import numpy as np
 
-from tetractl.core.clock import MILLISECOND, SECOND, MonotonicClock
+from tetractl.core.clock import MILLISECOND, SECOND, MonotonicClock, next_due_ns
 from tetractl.core.commands import HALTS, Command, Steer, Stop, Turn
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, UNTRACKED_STOP_S, LabSection
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.model.wheels import body_velocity
 from tetractl.replay.comparison import Difference, first_difference
 
@@ -41,14 +40,12 @@ FASTEST_SHARE = 0.9
 LATE_NS = 15 * MILLISECOND
 """Longest time that a transmission may be late [ns]: it waits for a step of the inner loop, up to
 10 ms; it was late by up to 7 ms in the same trials."""
-DOUBLED_NS = 2 * MILLISECOND
-"""Time between two transmissions of which one was added: a lab needs longer to write one [ns]."""
+DOUBLED_NS = MILLISECOND // 5
+"""Time between two transmissions of which one was added [ns]: the least of 1,900 on a busy computer
+was 1 ms."""
 UNTIMELY_SHARE = 0.1
-"""Largest share of transmissions that may be later in real time, and of those that may be earlier:
-a busy computer writes some late, and the next one soon after."""
-EARLY_SHARE = 0.4
-"""Least time between a transmission and its repetition, as a share of the actuator's period: 0.5 by
-the inner loop's rule, with time for writing to a port."""
+"""Largest share of transmissions that may be later in real time, as a busy computer sends some
+late, and of those that may be earlier, as in logs before 2026-12."""
 
 
 def command_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -102,7 +99,8 @@ def _wheels(log: TrialLog, sent: list[Command]) -> Iterator[Difference]:
     """Yield each command whose wheel speeds are not those of its action. The guard may have refused
     a robot's poses for up to UNTRACKED_STOP_S, so that an earlier heading was used."""
     setup = log.start.setup
-    if setup.wheel_radius is None:
+    radius = setup.wheel_radius
+    if radius is None:
         return
     ahead = np.linspace(-1, 1, 9)[:, None] * setup.a * (AHEAD_S + setup.lag_s)
     wheels = {
@@ -117,25 +115,27 @@ def _wheels(log: TrialLog, sent: list[Command]) -> Iterator[Difference]:
         speeds = wheels[command.sent_ns]
         is_wrong = (speeds != 0).any(axis=0)
         if isinstance(command.action, Steer | Turn):
-            speed, turning = body_velocity(*speeds, setup.wheel_radius)
-            share = speed / setup.speed
+            speed, turning = body_velocity(*speeds, radius)
             if isinstance(command.action, Steer):
-                direction = command.action.direction
-                is_reduced = np.abs(speeds).max(axis=0) >= FASTEST_SHARE * fastest
-                is_off = (np.abs(share - 1) > SPEED_SHARE) & ~is_reduced
-                scale = np.where(is_reduced, np.clip(share, 0, 1), 1)
+                towards = command.action.direction
+                asked_speed = setup.speed
+                is_scaled = np.abs(speeds).max(axis=0) >= FASTEST_SHARE * fastest
+                scale = np.where(is_scaled, np.clip(speed / setup.speed, 0, 1), 1)
             else:
-                direction = command.action.facing
-                is_off = np.abs(share) > SPEED_SHARE
-                scale = np.ones_like(share)
+                towards = command.action.facing
+                asked_speed = np.zeros_like(setup.speed)
+                scale = np.ones_like(setup.speed)
+            is_off = np.abs(speed - asked_speed * scale) > SPEED_SHARE * setup.speed
             since_ns = command.sent_ns - round(UNTRACKED_STOP_S * SECOND)
             is_used = (log.received_ns >= since_ns) & (log.received_ns <= command.sent_ns)
-            headings = log.mocap[is_used][:, None, :, 2] + ahead
-            rates = np.sin(direction - headings).reshape(-1, len(setup.names)) * scale
-            if len(rates):
-                turns = turning / setup.a
-                is_off |= turns < rates.min(axis=0) - TURN_SHARE
-                is_off |= turns > rates.max(axis=0) + TURN_SHARE
+            headings = (log.mocap[is_used][:, None, :, 2] + ahead).reshape(-1, len(setup.names))
+            if len(headings):
+                sine = np.sin(towards - headings)
+                left_asked, right_asked = wheel_speeds(sine, setup.a, asked_speed, radius)
+                _, rates = body_velocity(left_asked, right_asked, radius)
+                rates *= scale
+                is_off |= turning < rates.min(axis=0) - TURN_SHARE * setup.a
+                is_off |= turning > rates.max(axis=0) + TURN_SHARE * setup.a
             is_wrong = np.where(command.delivered, is_off, is_wrong)
         if is_wrong.any():
             name = setup.names[int(np.argmax(is_wrong))]
@@ -159,14 +159,14 @@ def _times(
             count += 1
             is_again = now_ns not in decided and command.action == before.action
             if is_again and command.delivered == before.delivered:
-                if now_ns - before.sent_ns < EARLY_SHARE * period_ns:
+                if now_ns - before.sent_ns < period_ns // 2:
                     early_ns.append(now_ns - before.sent_ns)
                 due_ns = min(due_ns, now_ns)  # it was due, and may have been so before
             if now_ns > due_ns + LATE_NS:
                 late_ns.append(now_ns)
         elif not command.stops:
             due_ns = now_ns + period_ns  # at the latest
-        due_ns = max(due_ns + period_ns, now_ns + period_ns // 2)
+        due_ns = next_due_ns(due_ns, now_ns, period_ns)
         before = command
     most = UNTIMELY_SHARE * count if real_time else 0
     doubled_ns = [gap_ns for gap_ns in early_ns if gap_ns < DOUBLED_NS]

@@ -9,7 +9,7 @@ import pytest
 from support.labs import STEP_NS, fake_lab
 from support.trials import experiment
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.guard_findings import Lose
@@ -148,6 +148,25 @@ def test_a_robot_that_must_stop_is_not_steered_until_the_next_period():
     lab.clock.sleep_until(hidden + SECOND // 4)
     first = next(sent for sent in lab.actuator.sent if sent.moving == (True, False, True))
     assert first.sent_ns - hidden < 80_000_000  # 50 ms of limits.untracked_stop, and some frames
+
+
+def test_what_was_written_slowly_is_not_repeated_within_half_a_period(monkeypatch):
+    """Regression: half a period was counted from the step's begin, so that on a busy computer two
+    transmissions came within 1 ms, and `verify` called an honest log false."""
+    lab = fake_lab(experiment().setup, period_ns=SECOND // 40)
+    lab.plant.open()
+    send = lab.actuator.send
+
+    def send_late(*arguments):
+        if len(lab.actuator.sent) % 3 == 2:
+            VirtualClock.sleep_until(lab.clock, lab.clock.now() + SECOND // 50)
+        return send(*arguments)
+
+    monkeypatch.setattr(lab.actuator, "send", send_late)
+    lab.plant.send(Steer(0.5))
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    sent_ns = [sent.sent_ns for sent in lab.actuator.sent]
+    assert min(np.diff(sent_ns)) >= SECOND // 80
 
 
 def test_a_loop_that_is_not_ready_steers_nothing():

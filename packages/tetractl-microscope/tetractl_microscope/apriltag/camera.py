@@ -18,7 +18,7 @@ from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor
 from tetractl_microscope.apriltag.print_scale import odd_floor, odd_robot, print_scale
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
-from tetractl_microscope.pictures.searches import Search
+from tetractl_microscope.pictures.searches import PictureSearch
 
 # a tag whose size differs by this fraction is a different tag, or at a different height
 ODD_SIZE = 0.2
@@ -123,7 +123,7 @@ Finding = tuple[bool, str]
 
 
 def _findings(
-    section: AprilTagSection, tracker: Tracker, searches: Sequence[Search[Seen]]
+    section: AprilTagSection, tracker: Tracker, searches: Sequence[PictureSearch[Seen]]
 ) -> Iterator[Finding]:
     counts = Counter(tag for search in searches for tag in set(search.result.tags))
     # a tag seen in fewer than half of the pictures counts as not seen
@@ -180,7 +180,9 @@ def _printed(section: AprilTagSection, tracker: Tracker) -> Iterator[Finding]:
         )
 
 
-def _odd(ratio: float, robot: RobotTag, searches: Sequence[Search[Seen]], above_mm: float) -> bool:
+def _odd(
+    ratio: float, robot: RobotTag, searches: Sequence[PictureSearch[Seen]], above_mm: float
+) -> bool:
     """Return whether a robot's tag has a `ratio` to its size that nothing harmless explains."""
     sides = [search.result.side_px for search in searches if search.result.side_px is not None]
     return odd_robot(ratio, min(sides), robot.size_mm, above_mm - robot.height_mm)

@@ -12,7 +12,7 @@ from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.robot_cells import RobotCells
-from tetractl_microscope.pictures.searches import Search
+from tetractl_microscope.pictures.searches import PictureSearch
 
 DARK = 12.0  # median grey level at which a picture is too dark
 SATURATED = 245.0  # too bright
@@ -70,7 +70,7 @@ def sharpness(
 
 
 def dish_lines(
-    names: Sequence[str], searches: Sequence[Search[SeenDish]], width_px: float
+    names: Sequence[str], searches: Sequence[PictureSearch[SeenDish]], width_px: float
 ) -> tuple[list[str], list[str]]:
     """Return problems and warnings about light, focus and cells in the last pictures, which are
     given oldest first, for cells `width_px` wide; two empty lists without pictures.
@@ -133,7 +133,7 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
     return f"{said}: use more light, a smaller aperture or phase contrast"
 
 
-def cell_count(searches: Sequence[Search[SeenDish]]) -> int:
+def cell_count(searches: Sequence[PictureSearch[SeenDish]]) -> int:
     """Return the median, over one or more pictures, of the number of cells in view."""
     return round(statistics.median(_cells_in(search.result) for search in searches))
 

@@ -2,9 +2,9 @@
 
 A search may take longer than the time between two pictures. Two threads therefore work: "pictures"
 reads the source and puts each picture into a queue of one place (`PictureQueue`), and "finding"
-takes it from there, searches it, and adds the result to `Searches`. The program's own thread asks
-for frames. These two are all that the threads share, and each has a lock of its own. In virtual
-time there is no thread: the source in memory calls the search with each picture.
+takes it from there, searches it, and adds the result to `PictureSearches`. The program's own thread
+asks for frames. These two are all that the threads share, and each has a lock of its own. In
+virtual time there is no thread: the source in memory calls the search with each picture.
 
 A live source does not wait: a picture that is still in the queue is replaced by the next one.
 """
@@ -28,7 +28,7 @@ from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.picture_section import PictureSection
 from tetractl_microscope.pictures.searches import (
     KEPT_SEARCHES,
-    Search,
+    PictureSearch,
     rate_hz,
     search_ms,
     stream_lines,
@@ -120,7 +120,7 @@ class SearchedFrame(Generic[R]):
     result: R
 
 
-class Searches(Generic[R]):
+class PictureSearches(Generic[R]):
     """What the searches have found, and why no more will come: written by the threads of the
     camera, read by the program's own, under one lock (`changed`).
 
@@ -133,9 +133,9 @@ class Searches(Generic[R]):
         self.ended = ""
         self.failure: Exception | None = None
         self._frames: deque[SearchedFrame[R]] = deque(maxlen=WAITING_MAX)
-        self._last: deque[Search[R]] = deque(maxlen=KEPT_SEARCHES)
+        self._last: deque[PictureSearch[R]] = deque(maxlen=KEPT_SEARCHES)
 
-    def add(self, frame: CameraFrame, search: Search[R]) -> None:
+    def add(self, frame: CameraFrame, search: PictureSearch[R]) -> None:
         """Add what was found in a picture."""
         with self.changed:
             self._frames.append(SearchedFrame(frame, search.result))
@@ -161,7 +161,7 @@ class Searches(Generic[R]):
         with self.changed:
             return drained(self._frames)
 
-    def last(self) -> tuple[Search[R], ...]:
+    def last(self) -> tuple[PictureSearch[R], ...]:
         """Return the searches of the last pictures, oldest first."""
         with self.changed:
             return tuple(self._last)
@@ -198,7 +198,7 @@ class PictureCamera(ABC, Generic[R]):
         self._feed: Feed | None = None
         self._threads: list[threading.Thread] = []
         self._queue = PictureQueue()
-        self._searches = Searches[R]()
+        self._searches = PictureSearches[R]()
         self._size: tuple[int, ...] | None = None  # height and width of the first picture
         self._newest_picture: Grey | None = None
         self._unread = 0  # number of pictures that could not be decoded
@@ -267,7 +267,7 @@ class PictureCamera(ABC, Generic[R]):
         for thread in self._threads:
             thread.join(ENDS_WITHIN_S)
 
-    def _next_searches(self) -> tuple[Search[R], ...]:
+    def _next_searches(self) -> tuple[PictureSearch[R], ...]:
         """Wait until KEPT_SEARCHES more pictures have come or the source has ended, up to
         `connect`; return the searches of the last pictures, oldest first.
         """
@@ -278,14 +278,14 @@ class PictureCamera(ABC, Generic[R]):
         )
         return self._searches.last()
 
-    def _stream_lines(self, searches: Sequence[Search[R]]) -> tuple[list[str], list[str]]:
+    def _stream_lines(self, searches: Sequence[PictureSearch[R]]) -> tuple[list[str], list[str]]:
         """Return problems and warnings of the stream of pictures."""
         rate = None if self._feed is None else self._feed.rate_hz
         name = self._source.source_name
         now_ns = self._clock.now()
         return stream_lines(searches, name, self._searches.ended, now_ns, rate, self.damaged)
 
-    def _stream_facts(self, searches: Sequence[Search[R]]) -> dict[str, str]:
+    def _stream_facts(self, searches: Sequence[PictureSearch[R]]) -> dict[str, str]:
         """Return resolution, rate of pictures and duration of the search, as far as known."""
         facts: dict[str, str] = {}
         if self._size is not None:
@@ -352,7 +352,7 @@ class PictureCamera(ABC, Generic[R]):
         received_ns = picture.received_ns
         frame = CameraFrame(number, exposed_ns, received_ns, result.poses, result.strangers)
         search_ns = self._clock.now() - began_ns
-        self._searches.add(frame, Search(number, received_ns, search_ns, result))
+        self._searches.add(frame, PictureSearch(number, received_ns, search_ns, result))
         self._wake()
 
     def _repeats(self, grey: Grey) -> bool:

@@ -15,7 +15,7 @@ S = TypeVar("S")
 
 
 @dataclass(frozen=True, slots=True)
-class Search(Generic[S]):
+class PictureSearch(Generic[S]):
     """One searched picture: its number, time of arrival, duration of the search, and result."""
 
     number: int
@@ -24,13 +24,13 @@ class Search(Generic[S]):
     result: S
 
 
-def search_ms(searches: Sequence[Search[Any]]) -> float:
+def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
     """Return the median duration of searching a picture [ms]."""
     return statistics.median(search.search_ns for search in searches) / 1e6
 
 
 def stream_lines(
-    searches: Sequence[Search[Any]],
+    searches: Sequence[PictureSearch[Any]],
     source: str,
     ended: str,
     now_ns: int,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tetractl_microscope.cells.cells_health import BLURRED, SeenDish, dish_lines, sharpness
 from tetractl_microscope.cells.detect_cells import Light
-from tetractl_microscope.pictures.searches import Search
+from tetractl_microscope.pictures.searches import PictureSearch
 
 from tetractl.core.poses import Pose
 
@@ -65,7 +65,7 @@ def searches(**changes):
         "sharpness": 0.3,
         "sure": 1.0,
     } | changes
-    return [Search(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
+    return [PictureSearch(k, k * 33_333_333, 5_000_000, SeenDish(**values)) for k in range(20)]
 
 
 @pytest.mark.parametrize(

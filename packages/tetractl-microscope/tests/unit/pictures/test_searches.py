@@ -1,7 +1,7 @@
 """What a camera says of its stream of pictures."""
 
 import pytest
-from tetractl_microscope.pictures.searches import Search, stream_lines
+from tetractl_microscope.pictures.searches import PictureSearch, stream_lines
 
 from tetractl.core.clock import SECOND
 
@@ -26,7 +26,9 @@ def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):
     stream = GOOD | changes
     step = stream["every"]
     hz = stream["hz"]
-    searches = [Search(k * step, round(k * step * SECOND / hz), 5_000_000, None) for k in range(20)]
+    searches = [
+        PictureSearch(k * step, round(k * step * SECOND / hz), 5_000_000, None) for k in range(20)
+    ]
     now_ns = round(stream["now"] * SECOND) + (step - 1) * 19 * SECOND // 30
     problems, warnings = stream_lines(
         searches, "film", stream["ended"], now_ns, stream["declared"], stream["damaged"]

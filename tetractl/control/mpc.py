@@ -141,14 +141,13 @@ Decision = Plan | Outcome | End
 class Leg:
     """A part of a trial: up to way-point `index` or to the targets, or the hold after them.
 
-    `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning;
-    `began_moving` tells whether the robots drove then. `outcome` is how the leg before ended.
+    `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning.
+    `outcome` is how the leg before ended.
     """
 
     index: int
     began_s: float
     began_ns: int
-    began_moving: bool
     outcome: Outcome
 
 
@@ -168,15 +167,17 @@ class Course:
 class TrialProgress:
     """What the controller keeps from step to step.
 
-    `k` is the number of the step, `last` the plan of the step before, None if the leg begins, and
-    `began` the step in which robots began to drive without a pause; while they are at rest, that of
-    the last time. `turning` is how they have turned on the spot.
+    `k` is the number of the step, and `last` the plan of the step before, None if the leg begins.
+    `moving` tells whether robots drive when the step begins, `driven` for how many steps of the leg
+    they have driven without a pause: a plan of it is under way unless this is 0. `turning` is how
+    they have turned on the spot.
     """
 
     leg: Leg
     k: int = 0
     last: Plan | None = None
-    began: int = 0
+    moving: bool = False
+    driven: int = 0
     turning: Turning = NOT_TURNING
 
     @property
@@ -184,26 +185,12 @@ class TrialProgress:
         """What the robots were commanded to do in this leg; they rest before the first step."""
         return State.RESTING if self.last is None else self.last.state
 
-    @property
-    def moving(self) -> bool:
-        """Whether the robots drive when the step begins."""
-        return self.leg.began_moving if self.last is None else not self.last.pauses
-
-    @property
-    def under_way(self) -> bool:
-        """Whether a plan of this leg is under way."""
-        return self.last is not None and not self.last.pauses
-
-    @property
-    def steps_driven(self) -> int:
-        """For how many steps robots have driven without a pause, if a plan is under way."""
-        return self.k - self.began
-
     def after(self, plan: Plan) -> "TrialProgress":
         """Return the progress after a step in which `plan` was decided."""
-        began = self.began if self.under_way else self.k
+        moving = not plan.pauses
+        driven = self.driven + 1 if moving else 0
         turning = self.turning.then(plan.facing)
-        return replace(self, k=self.k + 1, last=plan, began=began, turning=turning)
+        return replace(self, k=self.k + 1, last=plan, moving=moving, driven=driven, turning=turning)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +266,7 @@ class Mpc:
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
         self.legs = setup.legs
-        self.progress = TrialProgress(Leg(0, 0.0, 0, False, Outcome.ARRIVED))
+        self.progress = TrialProgress(Leg(0, 0.0, 0, Outcome.ARRIVED))
         self.course = self._course(0, setup.starts)
 
     def plan(
@@ -293,8 +280,7 @@ class Mpc:
         motion = self.estimator.seen(observation, last_command, earlier)
         self._raise_if_dead()
         if self.estimator.robots_changed:
-            leg_for_others = replace(self.progress.leg, began_moving=self.progress.moving)
-            self._begin(leg_for_others, observation.poses)
+            self._begin(self.progress.leg, observation.poses)
         decision = self._decide(motion, observation)
         while self._ends_a_leg_only(decision):
             self._begin(self._next_leg(decision, observation), observation.poses)
@@ -327,13 +313,12 @@ class Mpc:
             index=self.progress.leg.index + 1,
             began_s=self.time.passed_s,
             began_ns=observation.sampled_ns,
-            began_moving=self.progress.moving,
             outcome=Outcome(decision),
         )
 
     def _begin(self, leg: Leg, poses: Poses) -> None:
         """Begin a leg with robots at `poses`, in which plans are made afresh."""
-        self.progress = replace(self.progress, leg=leg, last=None)
+        self.progress = replace(self.progress, leg=leg, last=None, driven=0)
         self.course = self._course(leg.index, poses)
 
     def _course(self, index: int, poses: Poses) -> Course:
@@ -387,7 +372,7 @@ class Mpc:
         rest of it is still to come.
         """
         section = self.section
-        held_periods = self._held_periods()
+        held_periods = self.progress.driven % section.signal_periods
         rest_periods = section.signal_periods - held_periods
         first_period_s = rest_periods * section.period
         motion = replace(motion, targets=self.course.targets, first_period=first_period_s)
@@ -396,7 +381,7 @@ class Mpc:
         return ControlStep(
             problem=problem,
             silence=self._silence(problem),
-            warm=self._signals_left(held_periods),
+            warm=self._signals_left(),
             horizon_max=section.horizon_max,
             signals_left=periods_left / section.signal_periods,
             value=Worth(
@@ -407,20 +392,14 @@ class Mpc:
             ),
         )
 
-    def _held_periods(self) -> int:
-        """Return for how many control periods the present signal has been held: 0 if the next one
-        is due, or none is held."""
-        if not self.progress.under_way:
-            return 0
-        return self.progress.steps_driven % self.section.signal_periods
-
-    def _signals_left(self, held_periods: int) -> Floats | None:
+    def _signals_left(self) -> Floats | None:
         """Return what is left of the plan under way (L,), None if none is. Its first signal is over
-        if it is not held any longer."""
+        when it has been held for all its periods."""
         last = self.progress.last
         if last is None or last.pauses:
             return None
-        return last.signals[1:] if held_periods == 0 else last.signals
+        is_over = self.progress.driven % self.section.signal_periods == 0
+        return last.signals[1:] if is_over else last.signals
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
         """Return how the leg ends whatever robots could do, None if it goes on."""
@@ -565,7 +544,7 @@ class Mpc:
         """Return whether the present signal is kept to its end, as the radio lets few directions
         through: robots follow the one that they receive for about a signal period, and not for the
         rest of it. A plan that is longer than the time left is to be searched."""
-        is_within_signal = self._held_periods() > 0
+        is_within_signal = step.problem.first_period < step.problem.period
         fits = len(warm) <= step.signals_max
         return self.estimator.is_radio_sparse and is_within_signal and fits
 
@@ -662,7 +641,7 @@ class Mpc:
         robots have to go from there is added to the limit. As before a rest, the plan must have
         been driven for a while.
         """
-        driven_s = self.progress.steps_driven * self.section.period
+        driven_s = self.progress.driven * self.section.period
         to_go = float(planned.distances(self.course.targets).sum())
         limit = MISS_MAX * self.section.accept_error + MISS_OF_WAY * to_go
         return miss > limit and driven_s > TRUSTED_S

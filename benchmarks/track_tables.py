@@ -52,7 +52,7 @@ def swimmer(random, a, speed, bias, kind):
     y = places.imag[shown] + random.normal(0, noise_um, len(shown))
     rounded = np.round(np.column_stack([x, y]) / UM_PX, 3) * UM_PX
     rows = np.column_stack([times[shown], rounded])
-    return rows, FieldRecord(changes, np.cos(sent), np.sin(sent))
+    return rows, FieldRecord(changes, sent)
 
 
 def main():

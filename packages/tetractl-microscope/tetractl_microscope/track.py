@@ -97,7 +97,7 @@ def track(
         AT_ONCE_S,
         check_directions,
         courses,
-        other_times,
+        other_readings,
     )
     from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
     from tetractl_microscope.film.film_tables import as_items
@@ -137,8 +137,8 @@ def track(
         last_s = pictures.seconds(followed.pictures - 1)
         ui.tell(*clock_remarks(directions, str(field), str(film), first_s, last_s))
         paths = [np.column_stack([path.times, path.places]) for path in followed.paths]
-        readings = other_times(str(field), directions.sent, 1 / pictures.rate_hz)
-        check_directions(courses(paths), directions.sent, AT_ONCE_S, readings)
+        readings = other_readings(str(field), directions, 1 / pictures.rate_hz)
+        check_directions(courses(paths), directions, AT_ONCE_S, readings)
         followed = replace(followed, remarks=(*followed.remarks, *side_remarks(directions, paths)))
     with ui.progress("Fitting"):
         followed, cells = fit_cells(followed, directions)
@@ -201,7 +201,7 @@ def _show_tracks(
         check_directions,
         courses,
         image,
-        other_times,
+        other_readings,
     )
     from tetractl.tools.table.table_files import table_files
     from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
@@ -226,9 +226,9 @@ def _show_tracks(
         ui.tell(*clock_remarks(directions, str(field), str(source), times[0], times[-1]))
         paths = [np.column_stack([path.times, path.places]) for path in cells.paths]
         period_s = 1 / cells.timing.rate_hz
-        readings = other_times(str(field), directions.sent, period_s)
-        readings.append(image(str(source), str(field), directions.sent))
-        check_directions(courses(paths), directions.sent, AT_ONCE_S, readings)
+        readings = other_readings(str(field), directions, period_s)
+        readings.append(image(str(source), str(field), directions))
+        check_directions(courses(paths), directions, AT_ONCE_S, readings)
         ui.tell(*side_remarks(directions, paths))
     else:
         ui.tell(*stage_remarks(cells.paths))

@@ -174,6 +174,6 @@ def track_record(
                 for cell, path in zip(summaries, cells.paths, strict=True)
             ],
             "notes": [note],
-            "field": field and {"time_s": field.times, "x": field.x, "y": field.y},
+            "field": field and {"time_s": field.times, "x": field.acts.real, "y": field.acts.imag},
         }
     )

@@ -1,5 +1,7 @@
 """Which directions robots turn by, where several explain their turning."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from tetractl.replay.identification.sent_directions import (
     TurnedCourse,
     check_directions,
     image,
-    other_times,
+    other_readings,
 )
 
 A_RAD_S = 4.0
@@ -21,7 +23,7 @@ SENT_S = np.arange(0, DRIVE_S, 1.5)
 
 def sent_every_1_5_s(directions):
     """Directions [rad], each of which acts until the next."""
-    return SentDirections(SENT_S, np.exp(1j * directions))
+    return SentDirections(SENT_S, directions)
 
 
 ALTERNATING = sent_every_1_5_s(np.tile([1.2, -1.2], 8))
@@ -44,7 +46,7 @@ def course_by(sent: SentDirections, late_s: float = 0.0) -> TurnedCourse:
 
 
 def check(turned: list[TurnedCourse], sent: SentDirections) -> None:
-    readings = [image("p.csv", "c.csv", sent), *other_times("c.csv", sent, 1 / 30)]
+    readings = [image("p.csv", "c.csv", sent), *other_readings("c.csv", sent, 1 / 30)]
     check_directions(turned, sent, DELAYS_S, readings)
 
 
@@ -63,13 +65,13 @@ def test_directions_that_act_a_step_late_are_not_taken_for_their_mirror_image():
 @pytest.mark.parametrize("sent", [RANDOM, EVEN_AT_FIRST], ids=["random", "even at first"])
 def test_directions_of_another_clock_are_refused_with_the_difference(sent, clock_s, says):
     """Regression: of directions 1 s late, a was 2.40 (2.19 to 2.64) rad/s instead of 4."""
-    stated = SentDirections(sent.times + clock_s, sent.acts)
+    stated = replace(sent, times=sent.times + clock_s)
     with pytest.raises(UsageError, match=rf"c\.csv: {says}"):
         check([course_by(sent)], stated)
 
 
 def test_directions_that_are_rotated_are_a_heading_bias():
-    check([course_by(RANDOM)], SentDirections(RANDOM.times, RANDOM.acts * np.exp(1.5j)))
+    check([course_by(RANDOM)], replace(RANDOM, angles=RANDOM.angles + 1.5))
 
 
 def test_directions_by_which_robots_turn_are_accepted():
@@ -77,7 +79,7 @@ def test_directions_by_which_robots_turn_are_accepted():
 
 
 def test_a_mirror_image_that_no_dead_time_explains_is_refused():
-    mirrored = SentDirections(RANDOM.times, RANDOM.acts.conj())
+    mirrored = replace(RANDOM, angles=-RANDOM.angles)
     with pytest.raises(UsageError, match=r"p\.csv: robots turn right where c\.csv turns left"):
         check([course_by(mirrored)], RANDOM)
 
@@ -91,3 +93,20 @@ def test_robots_that_no_directions_turn_say_nothing():
             times = np.arange(0, seconds, GRID_S)
             wandered = np.cumsum(0.3 * np.sqrt(GRID_S) * random.normal(size=len(times)))
             check([TurnedCourse(times, wandered)], RANDOM)
+
+
+TURNING_ON = {
+    "a field that rotates": 0.9 * np.arange(0.0, DRIVE_S, 0.2),
+    "one that rotates clockwise, to and fro": 4 * np.cos(0.7 * np.arange(0.0, DRIVE_S, 0.2)),
+    "a random walk": np.cumsum(np.random.default_rng(5).normal(0, 0.4, 5 * DRIVE_S)),
+}
+
+
+@pytest.mark.parametrize("name", TURNING_ON)
+def test_directions_in_degrees_that_count_on_by_small_steps_are_refused(name):
+    """Regression: an a of 1.07 for 4. Their steps of up to 30 could be rad as well."""
+    right = SentDirections(np.arange(0.0, DRIVE_S, 0.2), TURNING_ON[name])
+    turned = [course_by(right, late_s=0.1)]
+    check(turned, right)
+    with pytest.raises(UsageError, match=r"c.csv: robots turn by its directions if .* degrees"):
+        check(turned, replace(right, angles=np.degrees(right.angles)))

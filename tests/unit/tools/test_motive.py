@@ -184,6 +184,10 @@ def test_poses_are_those_of_the_camera(tmp_path, up):
 PLAIN = Export().text()
 REFUSED = {
     "feet": (PLAIN.replace("Meters", "Feet"), "Length Units Feet"),
+    "places in another body's frame": (
+        PLAIN.replace("Coordinate Space,Global", "Coordinate Space,Local"),
+        "Coordinate Space Local: .* of other bodies",
+    ),
     "another rotation": (PLAIN.replace("Quaternion", "Matrix"), "Rotation Type Matrix"),
     "markers alone": (PLAIN.replace("Rigid Body", "Marker"), "has no rigid body"),
     "no rotations": (PLAIN.replace("Rotation,", "Position,"), "lacks rotations or positions"),
@@ -198,6 +202,11 @@ def test_what_cannot_be_read_is_refused(tmp_path, name):
     text, says = REFUSED[name]
     with pytest.raises(UsageError, match=says):
         list(motive_rows(write(tmp_path, text)))
+
+
+def test_a_coordinate_space_that_is_not_stated_is_global(tmp_path):
+    rows = list(motive_rows(write(tmp_path, PLAIN.replace(",Coordinate Space,Global", ""))))
+    assert len(rows) == 3 * len(TIMES_S)
 
 
 def test_semicolons_of_a_spreadsheet_are_read(tmp_path):

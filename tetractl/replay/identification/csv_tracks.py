@@ -22,7 +22,7 @@ from tetractl.replay.identification.sent_directions import (
     check_directions,
     courses_of_headings,
     image,
-    other_times,
+    other_readings,
 )
 from tetractl.replay.identification.tracks import Track
 from tetractl.tools.table.csv_rows import CsvRow, read_csv
@@ -421,7 +421,7 @@ def _track(
     if remark is not None:
         remarks.append(remark)
     if not numbers.twists:
-        directions = SentDirections(begin + sent.when, np.exp(1j * sent.u))
+        directions = SentDirections(begin + sent.when, sent.u)
         _check_turning(poses_path, commands_path, begin + time, poses, directions)
     return Track(
         source=name[0] or str(poses_path),
@@ -578,7 +578,10 @@ def _check_turning(
         turned += courses_of_headings(time[measured], headings[measured])
     seen = str(poses_path)
     source = str(commands_path)
-    readings = [image(seen, source, directions), *other_times(source, directions, _usual_gap(time))]
+    readings = [
+        image(seen, source, directions),
+        *other_readings(source, directions, _usual_gap(time)),
+    ]
     check_directions(turned, directions, DELAYS_S, readings)
 
 

@@ -90,7 +90,7 @@ POSITION_NOISE_UNIT_S = 0.002
 """Of the speed: usual values of the parameters, in which they are searched."""
 LAG_LEAST_S = 1e-3
 LAG_MOST_S = 10.0
-"""Shorter and longer lags are taken for these [s]: sums of the rates of longer ones are imprecise."""
+"""Shorter and longer lags are taken for these [s]."""
 ROUNDS = 60
 """Newton steps at most."""
 INTEGRALS_KEPT = 64
@@ -720,7 +720,7 @@ def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
     which a host steers, weighted by their precision."""
     lags = np.array([robot.turning_lag.value for robot in responses])
     widths = [robot.turning_lag.high - robot.turning_lag.low for robot in responses]
-    mean = float(np.average(lags, weights=1 / np.maximum(widths, LAG_LEAST_S)))
+    mean = float(np.average(lags, weights=1 / np.clip(widths, LAG_LEAST_S, LAG_MOST_S)))
     if not (abs(lags - mean) <= SAME_LAG_S).all():
         return f"no single lag fits all robots within {SAME_LAG_S:g} s"
     return f"the lag of turning for a spec: lab.lag={mean:.3f}, in a simulation wheels.lag"

@@ -1,5 +1,5 @@
 """Which directions robots turn by: those they were sent, their mirror image, or those of another
-unit of time.
+unit of angles or time.
 
 A robot turns towards the direction u that acts: its heading h obeys dh/dt = a sin(u - h), or, if
 the directions are rotated by f, dh/dt = a sin(u + f - h), which is linear in a cos f and a sin f,
@@ -11,8 +11,8 @@ for the directions that acted, and near 0 for others, unless these hardly change
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,13 +69,20 @@ class TurningFit:
     vectors: NDArray[np.complex128]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, for the cached property
 class SentDirections:
-    """The directions `acts` (C,), as x + iy, that are sent at `times` (C,) [s], in order; each acts
-    until the next one."""
+    """The directions `angles` (C,) [rad] that are sent at `times` (C,) [s], in order; each acts
+    until the next one. `strengths` are those of a field, relative to the reference field.
+    """
 
     times: Floats
-    acts: NDArray[np.complex128]
+    angles: Floats
+    strengths: Floats | float = 1.0
+
+    @cached_property
+    def acts(self) -> NDArray[np.complex128]:
+        """What acts from each time on, as x + iy (C,)."""
+        return np.asarray(self.strengths * np.exp(1j * self.angles), dtype=np.complex128)
 
     def at(self, times: Floats) -> NDArray[np.complex128]:
         """Return the direction that acts at times [s], 0 before the first one."""
@@ -151,7 +158,7 @@ def check_directions(
 def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReading:
     """Return the mirror image of the directions of the file `source`."""
     return DirectionReading(
-        sent=SentDirections(sent.times, sent.acts.conj()),
+        sent=replace(sent, angles=-sent.angles),
         delays_s=DELAYS_S,
         response=rotated,
         problem=partial(_mirrored, poses_file, source),
@@ -165,10 +172,12 @@ def _mirrored(poses_file: str, source: str, _delay_s: float) -> UsageError:
     return UsageError(said, hint)
 
 
-def other_times(source: str, sent: SentDirections, picture_s: float) -> list[DirectionReading]:
-    """Return the directions of the file `source` at other times: those of another clock, or of
-    times that count pictures, of `picture_s` [s] each, milliseconds or minutes."""
+def other_readings(source: str, sent: SentDirections, picture_s: float) -> list[DirectionReading]:
+    """Return the directions of the file `source` in degrees, or at other times: those of another
+    clock, or of times that count pictures, of `picture_s` [s] each, milliseconds or minutes."""
+    degrees = replace(sent, angles=np.radians(sent.angles))
     return [
+        DirectionReading(degrees, DELAYS_S, towards, partial(_degrees, source)),
         DirectionReading(sent, SHIFTS_S, towards, partial(_other_clock, source)),
         *(_in_unit(source, sent, unit) for unit in units_of_time(picture_s)),
     ]
@@ -195,7 +204,7 @@ def units_of_time(picture_s: float) -> list[TimeUnit]:
 def _in_unit(source: str, sent: SentDirections, unit: TimeUnit) -> DirectionReading:
     """Return the directions at times that count a unit."""
     return DirectionReading(
-        sent=SentDirections(unit.seconds * sent.times, sent.acts),
+        sent=replace(sent, times=unit.seconds * sent.times),
         delays_s=DELAYS_S,
         response=towards,
         problem=partial(_other_unit, source, unit),
@@ -205,6 +214,12 @@ def _in_unit(source: str, sent: SentDirections, unit: TimeUnit) -> DirectionRead
 def _other_unit(source: str, unit: TimeUnit, _delay_s: float) -> UsageError:
     """Return the error that a file's times count a unit, whatever the delay."""
     return UsageError(f"{source}: robots turn at its times if these are {unit.name}", unit.hint)
+
+
+def _degrees(source: str, _delay_s: float) -> UsageError:
+    """Return the error that a file's directions are in degrees, whatever the delay."""
+    said = f"{source}: robots turn by its directions if these are degrees"
+    return UsageError(said, "name the column direction_deg")
 
 
 def _other_clock(source: str, shift_s: float) -> UsageError:
@@ -230,7 +245,7 @@ def _best_delay(
     """Return the delay after which directions explain most of the turning by a response."""
     fits = list[Delayed]()
     for delay_s in delays_s.tolist():
-        field = SentDirections(sent.times + delay_s, sent.acts).at
+        field = replace(sent, times=sent.times + delay_s).at
         fits.append(Delayed(_fit(turned, field, response).explained, delay_s))
     return max(fits, key=lambda fit: fit.share)
 

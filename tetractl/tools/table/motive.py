@@ -31,6 +31,8 @@ from tetractl.tools.table.csv_rows import CsvRow, csv_entries, csv_lines, is_num
 FIRST = "Format Version"
 """The first entry of such a file."""
 BODY = "Rigid Body"
+GLOBAL = "Global"
+"""The coordinate space in which bodies are where the cameras see them."""
 LENGTH_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
 QUATERNION = "Quaternion"
 ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
@@ -60,6 +62,10 @@ def motive_rows(path: Path) -> Iterator[CsvRow]:
     separator = top[len(FIRST)] if len(top) > len(FIRST) else ","
     settings_row = csv_entries(top, separator)
     settings = dict(zip(settings_row[::2], settings_row[1::2], strict=False))
+    space = settings.get("Coordinate Space", GLOBAL)
+    if space.lower() != GLOBAL.lower():
+        said = f"{path}: Coordinate Space {printable(space)}: positions are those of other bodies"
+        raise UsageError(said, f"export in the coordinate space {GLOBAL}")
     unit = _length_unit(path, settings.get("Length Units", ""))
     rotation_type = settings.get("Rotation Type", QUATERNION)
     header: list[list[str]] = []
@@ -126,7 +132,7 @@ def _bodies(path: Path, header: Sequence[Sequence[str]], angles: int) -> dict[st
         if not {*rotation, *position} <= set(of_body):
             raise UsageError(
                 f"{path}: rigid body {printable(name)} lacks rotations or positions",
-                "export both, in the coordinate space Global",
+                f"export both, in the coordinate space {GLOBAL}",
             )
         bodies[name] = _BodyColumns(
             tuple(of_body[key] for key in rotation), tuple(of_body[key] for key in position)

@@ -54,7 +54,7 @@ def film(seed=1, side=384, look=None, **script):
 def record(synthetic):
     """The field of a film."""
     times, directions = synthetic.turns.T
-    return FieldRecord(times, np.cos(directions), np.sin(directions))
+    return FieldRecord(times, directions)
 
 
 def followed(synthetic, field_known=True):

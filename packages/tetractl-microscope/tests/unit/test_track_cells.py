@@ -116,7 +116,7 @@ def test_a_of_a_perfect_swimmer_is_within_its_interval(helix_um, hz):
     x = np.cumsum(speed * np.cos(heading)) / (hz * fine) - aside * np.sin(heading)
     y = np.cumsum(speed * np.sin(heading)) / (hz * fine) + aside * np.cos(heading)
     cell = track(1, when[::fine], x[::fine], y[::fine], noise_um=0.3)
-    field = FieldRecord(changes, np.cos(sent), np.sin(sent))
+    field = FieldRecord(changes, sent)
     cells = swimming_tracks(SOURCE, [cell], True)
     (summary,) = fit_tracks(cells.paths, named("tetrahymena"), field, cells.timing)
     assert summary.a.low < a < summary.a.high

@@ -2,12 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
@@ -30,25 +27,8 @@ STRENGTH = "strength"
 STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
 
 
-@dataclass(frozen=True)  # without slots, for the cached property
-class FieldRecord:
-    """The field over time: components `x`, `y` (T,), relative to the reference field; value i holds
-    from `times[i]` [s] to `times[i + 1]`, the last value without end. There is no field before
-    `times[0]`.
-    """
-
-    times: Floats
-    x: Floats
-    y: Floats
-
-    @cached_property
-    def sent(self) -> SentDirections:
-        """The field as directions that are sent, with its strength."""
-        return SentDirections(self.times, self.x + 1j * self.y)
-
-    def at(self, times: Floats) -> NDArray[np.complex128]:
-        """Return the field at times (K,) [s] as x + iy."""
-        return self.sent.at(times)
+class FieldRecord(SentDirections):
+    """The field over time; there is none before `times[0]`, and the last value has no end."""
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, each with its duration [s], x
@@ -122,6 +102,6 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
         lines.append(row.line)
     directions = np.array(angles)
     refuse_degrees(path, angle, lines, directions)
-    x = np.array(strengths) * np.cos(directions)
-    y = np.array(strengths) * np.sin(directions)
-    return FieldRecord(np.array(times), x, -y if upside_down else y)
+    if upside_down:
+        directions = -directions
+    return FieldRecord(np.array(times), directions, np.array(strengths))

@@ -10,7 +10,7 @@ from tetractl.replay.identification.sent_directions import (
     AT_ONCE_S,
     check_directions,
     courses,
-    other_times,
+    other_readings,
 )
 
 pytestmark = pytest.mark.slow
@@ -44,7 +44,7 @@ def test_the_side_of_a_field_file_is_tested_by_the_cells(tmp_path, clockwise, of
     for name, off in (("field", 0.0), ("turned", offset)):
         rows = "".join(f"{t},{direction + off}\n" for t, direction in steps)
         (tmp_path / f"{name}.csv").write_text(f"time_s,direction_rad\n{rows}")
-    paths = turned_by(read_field(tmp_path / "turned.csv").sent)
+    paths = turned_by(read_field(tmp_path / "turned.csv"))
     said = side_remarks(read_field(tmp_path / "field.csv", clockwise), paths)
     assert len(said) == (says is not None)
     assert all(says in line for line in said)
@@ -55,7 +55,7 @@ def test_a_field_that_never_changes_shows_no_side(tmp_path):
     (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,1\n")
     field = read_field(tmp_path / "field.csv")
     for rates in ((1.0, 2.0, 2.5), (3.0, 4.0, 5.0), (3.3, 0.7, 5.1, 4.4)):
-        turning = handedness(turned_by(field.sent, rates), field.at)
+        turning = handedness(turned_by(field, rates), field.at)
         assert turning is not None and not turning.mirrored
 
 
@@ -67,7 +67,7 @@ def field_at_times(tmp_path, times):
     """The field of STEPS whose file states these times."""
     rows = "".join(f"{t},{direction}\n" for t, (_, direction) in zip(times, STEPS, strict=True))
     (tmp_path / "field.csv").write_text(f"time_s,direction_rad\n{rows}")
-    return read_field(tmp_path / "field.csv").sent
+    return read_field(tmp_path / "field.csv")
 
 
 @pytest.mark.parametrize(
@@ -84,13 +84,13 @@ def test_a_field_whose_times_are_not_the_films_is_refused(tmp_path, stated, says
     true_times = [time for time, _ in STEPS]
     true = field_at_times(tmp_path, true_times)
     turned = courses(turned_by(true))
-    check_directions(turned, true, AT_ONCE_S, other_times("field.csv", true, 1 / 30))
+    check_directions(turned, true, AT_ONCE_S, other_readings("field.csv", true, 1 / 30))
     wrong = field_at_times(tmp_path, [stated(time) for time in true_times])
     with pytest.raises(UsageError, match=f"field.csv: {says}"):
-        check_directions(turned, wrong, AT_ONCE_S, other_times("field.csv", wrong, 1 / 30))
+        check_directions(turned, wrong, AT_ONCE_S, other_readings("field.csv", wrong, 1 / 30))
 
 
 def test_cells_that_the_field_does_not_turn_say_nothing(tmp_path):
     (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,0\n2,2\n4,1\n")
     field = read_field(tmp_path / "field.csv")
-    assert side_remarks(field, turned_by(field.sent, rates=(0.0, 0.0, 0.0))) == ()
+    assert side_remarks(field, turned_by(field, rates=(0.0, 0.0, 0.0))) == ()

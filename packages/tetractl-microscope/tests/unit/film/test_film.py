@@ -159,8 +159,7 @@ def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
 
 def along_x(times):
     """A field along x from the first time on."""
-    count = len(times)
-    return FieldRecord(np.array(times), np.ones(count), np.zeros(count))
+    return FieldRecord(np.array(times), np.zeros(len(times)))
 
 
 def test_cells_that_fade_are_said():

@@ -12,7 +12,6 @@ from tetractl.cli.options import Logs, option, out_option
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.retired import refuse_retired
 from tetractl.log.read.find import find_logs
-from tetractl.tools.children import open_in_browser
 from tetractl.tools.files import save_whole
 from tetractl.tools.table.table_files import AddRows, table_files
 
@@ -126,6 +125,8 @@ def open_(
 
     Example: tetractl open trial-000.mcap
     """
+    from tetractl.tools.children import open_in_browser
+
     out = out or Path(mkdtemp(prefix="tetractl-")) / "report.html"
     code = report(logs, out)
     if not open_in_browser(out.resolve().as_uri()):

@@ -109,7 +109,7 @@ class Driver:
         self._port = make(port, baud, "the current driver", clock, self._hear, HINT)
         self._splitter = Splitter()
         self._lock = threading.Lock()
-        self._sequence = 0
+        self._sequence = clock.now() % 256  # a first number that no one can foretell
         self._latched = Flag(0)
         # number of frames since the last reply, and when the first of them was sent
         self._unanswered = 0

@@ -33,7 +33,7 @@ class RobotsPort:
         return 0
 
 
-def linked(port_of, answers):
+def linked(port_of, answers, clock=None):
     """Return a link to robots 0 to N - 1 at ports, each with its `answers`, and the ports."""
     ports = {}
 
@@ -42,7 +42,7 @@ def linked(port_of, answers):
         return ports[name]
 
     numbers = range(len(port_of))
-    link = TwistLink("T", numbers, port_of, 57600, VirtualClock(), make)
+    link = TwistLink("T", numbers, port_of, 57600, clock or VirtualClock(), make)
     link.open()
     return link, ports
 
@@ -64,6 +64,16 @@ def test_a_reply_with_the_sequence_of_another_command_is_not_believed():
     forged = {"air": lambda sequence: [reply_of(0, (sequence + 7) % 256, FORGED_MV)]}
     link, _ = linked(["air"], forged)
     assert link.poll(1.0) == [None]
+
+
+def test_the_number_of_the_first_poll_cannot_be_foretold():
+    """Regression: it was always 1."""
+    asked = []
+    clock = VirtualClock()
+    clock.sleep_until(123_456_789)
+    link, _ = linked(["air"], {"air": lambda sequence: asked.append(sequence) or []}, clock)
+    link.poll(0.1)
+    assert asked == [(123_456_789 + 1) % 256]
 
 
 def test_a_robot_is_believed_at_its_own_port_alone():

@@ -84,7 +84,7 @@ class Broadcaster:
         self._link = link
         self._clock = clock
         self._indices = tuple(indices)
-        self._sequence = 0
+        self._sequence = clock.now() % 256  # a first number that no one can foretell
 
     def drive(self, counts: Sequence[Counts]) -> int:
         """Send every robot its wheel counts in one frame; return the time of sending [ns]."""

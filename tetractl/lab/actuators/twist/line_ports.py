@@ -45,7 +45,7 @@ class TwistLink:
         self._port_of = tuple(port_of)
         self._replies: deque[Reply] = deque(maxlen=WAITING_MAX)
         self._rest: dict[str, bytes] = {}
-        self._sequence = 0
+        self._sequence = clock.now() % 256  # a first number that no one can foretell
         make = ports or open_port
         self._ports = {
             port: make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)

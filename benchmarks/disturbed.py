@@ -25,7 +25,8 @@ from solverbench.problems import OURS, PAPER
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
-from tetractl.control.filter import FilterBank, Forecast
+from tetractl.control.filter import FilterBank
+from tetractl.control.kernels.filter_state import Forecast
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.prior import nothing
@@ -165,9 +166,12 @@ class Heard:
 
     def forecast(self, sent_ns: int) -> Forecast:
         forecasts = [bank.forecast(sent_ns) for bank in self.banks]
-        poses = Poses.of(np.vstack([forecast.poses.array() for forecast in forecasts]))
-        directions = np.concatenate([forecast.directions for forecast in forecasts])
-        return forecasts[0]._replace(poses=poses, directions=directions)
+        return forecasts[0]._replace(
+            x=np.concatenate([forecast.x for forecast in forecasts]),
+            y=np.concatenate([forecast.y for forecast in forecasts]),
+            heading=np.concatenate([forecast.heading for forecast in forecasts]),
+            directions=np.concatenate([forecast.directions for forecast in forecasts]),
+        )
 
 
 class Knowing(Mpc):

@@ -25,7 +25,7 @@ def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
     """
     bank = filters.bank
     prior = filters.prior
-    steps = filters.step_s
+    steps = bank.step_s[0]
     finest = GRID.finest_s
     times = np.arange(0, float(bank.dead_time_s.max()) + finest, finest / 2)
     gaps = times[:, None, None] - bank.dead_time_s

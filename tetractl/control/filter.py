@@ -16,7 +16,7 @@ where the robots will be when its next command acts:
     filter      the hypotheses of one robot for one *dead time*, from the sending of a command to
                 the moment when it acts. Its score is the ln of the likelihood of the robot's frames
     bank        all filters of all robots: for each robot, those of a grid of dead times, and this
-                grid again for each value of a state that is tried (`bank_start`)
+                grid again for each value of a state that is tried (`filter_start`)
 
 **What happens to a frame**, in `add_frames`:
 
@@ -63,30 +63,36 @@ imported where they are called, as checking a spec needs no compiler.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.bank_start import bank_with_replaced, first_bank, reopened_bank
-from tetractl.control.body_model import body_model, filter_model, with_saturation
+from tetractl.control.filter_start import (
+    GROUPS_MAX,
+    SATURATION_DRIFT,
+    bank_with_replaced,
+    filter_model,
+    first_bank,
+    reopened_bank,
+    tried_state,
+)
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     GRID,
+    LN_SATURATION,
     Bank,
     CommonTimes,
+    Forecast,
     NextFilters,
-    Outlook,
     PoseFrames,
     SentCommands,
-    SharedScores,
     largest_square_sum,
 )
 from tetractl.control.prior import Prior
 from tetractl.control.reception import Reception
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
-from tetractl.core.plan import INNOVATIONS, Estimate
-from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
+from tetractl.core.plan import INNOVATIONS
+from tetractl.core.poses import Bools, Integers, Observation, Poses
 
 SPACING_NS = round(0.03 * SECOND)
 """Least time between two frames used [ns]; docs/decisions/filter.md has errors with others."""
@@ -99,36 +105,6 @@ HEADING_MISFIT = INNOVATIONS.index("heading")
 """Column of a misfit that is about the heading."""
 COMMANDS_AT_FIRST = 64
 """Number of commands for which there is room; it is doubled when they are more."""
-
-
-class Forecast(NamedTuple):
-    """What N robots do at the moment when the next command acts on each, if it does nothing else
-    before than what it was sent."""
-
-    poses: Poses
-    turn_bias: Floats
-    """(N,) difference of the directions that robots turn to from those sent [rad]."""
-    flow: Floats
-    """(N, 2) [length unit/s]."""
-    directions: Floats
-    """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
-    estimate: Estimate
-    """What is known of the robots' motion."""
-
-
-class RunningFilters(NamedTuple):
-    """A bank, and what fits only this bank.
-
-    Frames change the bank's arrays in place. When filters end or begin, there is another bank.
-    """
-
-    bank: Bank
-    step_s: Floats
-    """(N,) how far each robot's dead times are apart [s]."""
-    common: CommonTimes
-    """Dead times that its robots may have in common."""
-    shared: SharedScores
-    """What its filters say together, after the last frame."""
 
 
 class CommandRecord:
@@ -152,15 +128,11 @@ class CommandRecord:
         if not isinstance(command.action, Stop):
             self.turning = isinstance(command.action, Turn)
         if self.number == len(self._sent_s):
-            self._double_room()
+            self._sent_s = np.append(self._sent_s, np.empty_like(self._sent_s))
+            self._directions = np.append(self._directions, np.empty_like(self._directions))
         self._sent_s[self.number] = command.sent_ns / SECOND
         self._directions[self.number] = np.nan if command.direction is None else command.direction
         self.number += 1
-
-    def _double_room(self) -> None:
-        """Make room for twice as many commands."""
-        self._sent_s = np.append(self._sent_s, np.empty_like(self._sent_s))
-        self._directions = np.append(self._directions, np.empty_like(self._directions))
 
 
 class FilterBank:
@@ -174,8 +146,7 @@ class FilterBank:
 
     def __init__(self, prior: Prior) -> None:
         self.prior = prior
-        self.body = body_model(prior)
-        self.model = filter_model(prior, self.body)
+        self.model = filter_model(prior)
         """What is assumed of the robots. From the first opening of the bank on, motors may saturate
         in it; in which filters they do is a matter of their states."""
         self.commands = CommandRecord()
@@ -187,7 +158,7 @@ class FilterBank:
         """Time at which the bank was last opened again [ns], None if it never was."""
         self._noisy = False
         """Whether robots that were not sent anything were measured at different poses."""
-        self._go_on_with(first_bank(prior, self.body), self._first_steps())
+        self._go_on_with(first_bank(prior))
 
     # ---- what a controller calls ----
 
@@ -211,43 +182,19 @@ class FilterBank:
 
     def forecast(self, sent_ns: int) -> Forecast:
         """Return the robots as each will be when a command sent at `sent_ns` [ns] acts on it."""
-        from tetractl.control.kernels.bank import forecast as fill_outlook
+        from tetractl.control.kernels.bank import forecast as fill
 
         assert self.last_frame is not None, "poses are predicted from those of a frame"
-        outlook = Outlook.empty(len(self.prior.a))
-        dead_time_s, dead_time_std_s = fill_outlook(
+        forecast = Forecast.room_for(len(self.prior.a))
+        dead_time_s, dead_time_std_s = fill(
             self.bank,
             self.model,
-            self.shared,
             self.commands.all,
             self.last_frame.seconds,
             sent_ns / SECOND,
-            outlook,
+            forecast,
         )
-        estimate = Estimate(
-            a=outlook.a,
-            a_std=outlook.a_std,
-            speed=outlook.speed,
-            speed_std=outlook.speed_std,
-            heading_bias=outlook.heading_bias,
-            heading_bias_std=outlook.heading_bias_std,
-            dead_time=dead_time_s,
-            dead_time_std=dead_time_std_s,
-            misfit=outlook.misfit,
-            side=outlook.side,
-            side_std=outlook.side_std,
-            saturation=outlook.saturation,
-            stands=outlook.stands,
-            own_dead_time=self.shared.mean_s,
-            own_dead_time_std=self.shared.std_s,
-        )
-        return Forecast(
-            poses=Poses(outlook.x, outlook.y, outlook.heading),
-            turn_bias=outlook.turn_bias,
-            flow=outlook.flow,
-            directions=outlook.held_direction,
-            estimate=estimate,
-        )
+        return forecast._replace(dead_time_s=dead_time_s, dead_time_std_s=dead_time_std_s)
 
     def add_command(self, command: Command) -> None:
         """Add a command with the time at which it was sent."""
@@ -262,27 +209,10 @@ class FilterBank:
         assert self.last_frame is not None, "a robot can be replaced only after a frame"
         replaced = np.zeros(len(self.prior.a), dtype=np.bool_)
         replaced[robots] = True
-        bank = bank_with_replaced(self.bank, first_bank(self.prior, self.body), replaced)
-        step_s = np.where(replaced, self._first_steps(), self.step_s)
-        self._go_on_with(bank, step_s)
+        self._go_on_with(bank_with_replaced(self.bank, self.prior, replaced))
         self._place(self.last_frame, replaced)
 
     # ---- what the filters say ----
-
-    @property
-    def bank(self) -> Bank:
-        """The filters, B of each robot."""
-        return self._running.bank
-
-    @property
-    def shared(self) -> SharedScores:
-        """What the filters say of the robots' dead times, after the last frame."""
-        return self._running.shared
-
-    @property
-    def step_s(self) -> Floats:
-        """(N,) how far each robot's dead times are apart [s]."""
-        return self._running.step_s
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
         """Return the index of each robot's likeliest hypothesis in arrays of the bank: its filter,
@@ -294,7 +224,7 @@ class FilterBank:
 
     def _likeliest_filters(self) -> Integers:
         """Return each robot's likeliest filter (N,)."""
-        return self.shared.score.argmax(axis=0)
+        return self.bank.shared_score.argmax(axis=0)
 
     def _misfits(self) -> Bools:
         """Return which of INNOVATIONS each robot's likeliest filter does not fit, (N, 3): the sum
@@ -364,7 +294,7 @@ class FilterBank:
         )
         self._note_noise(measured)
         # The coarsest grid's step, for all: it is by how much a dead time may be wrong.
-        step_s = float(self.step_s.max())
+        step_s = float(self.bank.step_s.max())
         commands = self.commands.all
         if not self.tests_radio:
             follow(self.bank, self.model, commands, measured, self._noisy, step_s)
@@ -379,8 +309,8 @@ class FilterBank:
     def tests_radio(self) -> bool:
         """Whether it is tested if few directions reach the robots: not for cells, nor where nothing
         is to be learnt, nor once it is known."""
-        is_of_wheels = bool(self.body.later_tried)
-        return is_of_wheels and not self.prior.certain and not self.reception.is_sparse
+        is_known = self.prior.certain or self.reception.is_sparse
+        return not self.prior.swims and not is_known
 
     def _note_noise(self, measured: PoseFrames) -> None:
         """Note whether measurements are noisy: poses differ though nothing was sent yet. Then equal
@@ -397,25 +327,24 @@ class FilterBank:
         """Compute how likely each filter is by the frames of all robots so far."""
         from tetractl.control.kernels.bank import share
 
-        running = self._running
-        shared = share(running.bank, running.common, running.step_s)
-        self._running = running._replace(shared=shared)
+        share(self.bank, self._common)
 
     def _select_filters(self) -> None:
         """Let unlikely filters end, and refine each robot's grid around its likely dead times."""
         from tetractl.control.kernels.bank import select
 
-        most = max(len(self.bank.score), GRID.refined * self.body.groups_max)
-        going_on = NextFilters.room_for(most, self.step_s)  # filled by `select`
+        most = max(len(self.bank.score), GRID.refined * GROUPS_MAX)
+        going_on = NextFilters.room_for(most, self.bank)  # filled by `select`
         commanded = self.commands.number > 0
-        changed = select(self.bank, self.shared, self.body.tried, commanded, going_on)
-        if changed:
-            self._go_on_with(going_on.taken_from(self.bank), going_on.step_s)
+        if select(self.bank, tried_state(self.prior), commanded, going_on):
+            self._go_on_with(going_on.taken_from(self.bank))
 
-    def _go_on_with(self, bank: Bank, step_s: Floats) -> None:
-        """Go on with the filters of another bank, whose dead times are `step_s` (N,) apart [s]."""
-        common = CommonTimes.of(bank, step_s, self.prior)
-        self._running = RunningFilters(bank, step_s, common, SharedScores.of_prior(bank))
+    def _go_on_with(self, bank: Bank) -> None:
+        """Go on with the filters of another bank. Frames change its arrays in place."""
+        self.bank = bank
+        """The filters, B of each robot."""
+        self._common = CommonTimes.of(bank, self.prior)
+        """Dead times that its robots may have in common."""
         if not self.prior.certain:
             self._share_scores()
 
@@ -426,24 +355,23 @@ class FilterBank:
         own doings are no other dead time, nor too soon."""
         opened_ns = TRIAL_STARTS_NS if self.reopened_ns is None else self.reopened_ns
         is_due = newest.sampled_ns >= opened_ns + REOPEN_S * SECOND
-        return bool(self.body.later_tried) and is_due
+        return not self.prior.swims and is_due
 
     def _reopen(self, frame: Observation, heading_fits: bool) -> None:
         """Open the bank again at a frame: begin with the first dead times, and with motors that may
-        saturate unless `heading_fits` of every robot."""
-        bank = reopened_bank(self.bank, self.likeliest(), heading_fits, self.prior, self.body)
-        self.model = with_saturation(self.model)
+        saturate unless `heading_fits` of every robot. The saturation, which was taken for none
+        until now, drifts from that which is tried."""
+        bank = reopened_bank(self.bank, self.likeliest(), heading_fits, self.prior)
+        walk = self.model.walk.copy()
+        walk[LN_SATURATION] = SATURATION_DRIFT
+        self.model = self.model._replace(walk=walk)
         self.reopened_ns = frame.sampled_ns
-        self._go_on_with(bank, self._first_steps())
+        self._go_on_with(bank)
         self._place(frame, self._all_robots())
 
     def _all_robots(self) -> Bools:
         """Return that all robots are meant (N,)."""
         return np.ones(len(self.prior.a), dtype=np.bool_)
-
-    def _first_steps(self) -> Floats:
-        """Return how far the dead times of each robot are apart at first (N,) [s]."""
-        return np.full(len(self.prior.a), GRID.step_s)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:

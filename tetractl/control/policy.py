@@ -57,11 +57,10 @@ def features(setup: Setup, observation: Observation, last_direction: float | Non
     return np.concatenate([gaps.ravel(), headings.ravel(), sent])
 
 
-def _relu(values: Floats) -> Floats:
-    return np.maximum(values, 0.0)
-
-
-ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {"tanh": np.tanh, "relu": _relu}
+ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
+    "tanh": np.tanh,
+    "relu": lambda values: np.maximum(values, 0.0),
+}
 """What may stand between two layers, by its name in a spec."""
 
 

@@ -58,6 +58,11 @@ class Prior(NamedTuple):
         """Whether nothing is to be identified."""
         return self.dead_time_std == 0
 
+    @property
+    def swims(self) -> bool:
+        """Whether the robots are cells, which swim on a helix."""
+        return self.helix_radius > 0 and self.helix_frequency > 0
+
     def estimate(self) -> Estimate:
         """Return the prior's means as an estimate, with absolute standard deviations."""
         std = math.hypot(self.heading_bias_std, self.marker_bias_std)

@@ -142,11 +142,7 @@ def _prepared(spec: bytes, code: str) -> LoadedSpec:
         )
     with suppress(TetractlError):  # the trial raises the same error
         warm_up(loaded.experiment, lambda text: None)
-    _spare_collections()
-    return loaded
-
-
-def _spare_collections() -> None:
-    """Exempt all objects that exist from garbage collection, in this whole process: what is loaded
-    and compiled for a spec stays, and to search it at each collection would delay control steps."""
+    # what is loaded and compiled for a spec stays: to search it at each collection of garbage, in
+    # this whole process, would delay control steps
     gc.freeze()
+    return loaded

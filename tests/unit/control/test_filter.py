@@ -221,8 +221,8 @@ def test_the_dead_time_is_found_from_nothing(dead_time, rate):
 def test_each_robot_may_have_a_dead_time_of_its_own():
     late_s = [0.0, 0.06, 0.12]
     settings = [*NOISY, "plant.dead_time=0.1"]
-    estimate, plant, estimator = drive(settings, 8, 20, disturbance=Late(late_s))
-    assert estimator.filter.shared.mean_s == pytest.approx(np.add(0.1, late_s), abs=0.006)
+    estimate, plant, *_ = drive(settings, 8, 20, disturbance=Late(late_s))
+    assert estimate.own_dead_time == pytest.approx(np.add(0.1, late_s), abs=0.006)
     assert estimate.dead_time_std > 0.04
     assert estimate.a == pytest.approx(plant.a, rel=0.03)
 
@@ -687,10 +687,8 @@ def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
     def compare(k, estimator, plant):
         filters = estimator.filter
         sizes.add(filters.bank.dead_time_s.shape)
-        score, *dead_times = oracle.share(filters)
-        assert filters.shared.score == pytest.approx(score, rel=1e-9)
-        mean_and_std_s = np.array([filters.shared.mean_s, filters.shared.std_s])
-        assert mean_and_std_s == pytest.approx(np.array(dead_times), rel=1e-9)
+        score, *_ = oracle.share(filters)
+        assert filters.bank.shared_score == pytest.approx(score, rel=1e-9)
         for name, expected in asdict(oracle.estimate(filters)).items():
             value = getattr(estimator.estimate, name)
             assert value == pytest.approx(expected, rel=1e-9, abs=1e-12), name

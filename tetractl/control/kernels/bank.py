@@ -1,7 +1,7 @@
 """What the filters (`tetractl.control.kernels.filter`) of all robots say together.
 
-`share` computes how likely each filter is, and so each robot's dead time; `select` finds which
-filters go on, and with which dead times; `forecast` predicts the robots by their likeliest filters.
+`share` computes how likely each filter is; `select` finds which filters go on, and with which dead
+times; `forecast` predicts the robots by their likeliest filters, and says what is known of them.
 Numbers and shapes are those of `filter_state`; the readable twin is `tests/oracles/bank.py`.
 
 Let l(b, i) be the likelihood of filter b of robot i by the robot's own frames, exp(score), and
@@ -33,7 +33,6 @@ from tetractl.control.kernels.filter_state import (
     SIDE,
     SWING,
     TURN_BIAS,
-    SharedScores,
     X,
     Y,
     largest_square_sum,
@@ -48,17 +47,12 @@ _largest_square_sum = inlined(largest_square_sum)
 
 
 @compiled(**ENTRY_FAST)
-def share(bank, common, step_s):
-    """Return the `SharedScores` of the filters: ln of the probability of each, and the mean and
-    standard deviation of each robot's dead time. Those of its filters are `step_s` (N,) apart [s].
-    """
+def share(bank, common):
+    """Fill the shared score of each filter: the ln of its probability."""
     filters, robots = bank.score.shape
     times = common.ln_prior.size
     ln_of_others = np.empty((times, robots))  # ln of what the other robots tell of each time
     density = np.empty(filters)
-    shared = SharedScores(
-        score=np.empty((filters, robots)), mean_s=np.empty(robots), std_s=np.empty(robots)
-    )
     for i in range(robots):
         for b in range(filters):
             density[b] = math.exp(bank.score[b, i])
@@ -74,16 +68,14 @@ def share(bank, common, step_s):
         for i in range(robots):
             ln_of_others[t, i] = ln_of_all - ln_of_others[t, i]
     for i in range(robots):
-        _multiply(bank, common, ln_of_others, i, density, shared)
-        _average(bank, i, step_s[i], density, shared)
-    return shared
+        _multiply(bank, common, ln_of_others, i, density)
 
 
 @compiled(**INLINE_FAST)
-def _multiply(bank, common, ln_of_others, i, density, shared):
+def _multiply(bank, common, ln_of_others, i, density):
     """Fill robot i's shared scores: those of its own frames, and what the other robots tell of the
     time; `density` (B,) is scratch."""
-    filters = shared.score.shape[0]
+    filters = density.size
     times = common.ln_prior.size
     most = -math.inf
     for t in range(times):
@@ -95,35 +87,34 @@ def _multiply(bank, common, ln_of_others, i, density, shared):
         for b in range(filters):
             density[b] += common.near[t, b, i] * others
     for b in range(filters):
-        shared.score[b, i] = bank.score[b, i] + math.log(density[b] + LEAST)
+        bank.shared_score[b, i] = bank.score[b, i] + math.log(density[b] + LEAST)
 
 
 @compiled(**INLINE_FAST)
-def _average(bank, i, step_s, density, shared):
-    """Fill mean and standard deviation of robot i's dead time; `density` (B,) is scratch.
+def _dead_time(bank, i, density):
+    """Return mean and standard deviation of robot i's dead time; `density` (B,) is scratch.
 
     The dead time lies between those of the grid: its deviation is at least a quarter of their step.
     """
-    filters = shared.score.shape[0]
+    filters = density.size
     most = -math.inf
     for b in range(filters):
-        most = max(most, shared.score[b, i])
+        most = max(most, bank.shared_score[b, i])
     total = 0.0
     mean_s = 0.0
     for b in range(filters):
-        density[b] = math.exp(shared.score[b, i] - most)
+        density[b] = math.exp(bank.shared_score[b, i] - most)
         total += density[b]
         mean_s += density[b] * bank.dead_time_s[b, i]
     mean_s /= total
     variance = 0.0
     for b in range(filters):
         variance += density[b] / total * (bank.dead_time_s[b, i] - mean_s) ** 2
-    shared.mean_s[i] = mean_s
-    shared.std_s[i] = math.sqrt(variance + (step_s / 4) ** 2)
+    return mean_s, math.sqrt(variance + (bank.step_s[0, i] / 4) ** 2)
 
 
 @compiled(**ENTRY_FAST)
-def select(bank, shared, tried, commanded, going_on):
+def select(bank, tried, commanded, going_on):
     """Fill `going_on` with the filters that go on by their shared scores; return whether they are
     others than those of the bank.
 
@@ -137,8 +128,8 @@ def select(bank, shared, tried, commanded, going_on):
     changed = False
     for i in range(robots):
         count = _count(bank, i)
-        best = likeliest(shared.score[:, i], count)
-        number = _choose(bank, shared, i, count, best, tried, chosen)
+        best = likeliest(bank.shared_score[:, i], count)
+        number = _choose(bank, i, count, best, tried, chosen)
         _take(bank, i, chosen[:number], going_on)
         if number < count:
             changed = True
@@ -164,12 +155,12 @@ def _count(bank, i):
 
 
 @compiled(**INLINE_FAST)
-def _choose(bank, shared, i, count, best, tried, chosen):
+def _choose(bank, i, count, best, tried, chosen):
     """Fill `chosen` with those of robot i's first `count` filters that go on; return their number.
 
     The filters of one group follow each other, in the order of their dead times.
     """
-    score = shared.score
+    score = bank.shared_score
     least = score[best, i] - GRID.unlikely
     number = 0
     end = 0
@@ -294,47 +285,54 @@ def _between(bank, i, chosen, group, time_s):
 
 
 @compiled(**ENTRY_FAST)
-def forecast(bank, model, shared, commands, frame_s, sent_s, outlook):
-    """Fill `outlook` with what each robot's likeliest hypothesis says; return the mean of the dead
-    times and its standard deviation [s].
+def forecast(bank, model, commands, frame_s, sent_s, room):
+    """Fill `room`, a `Forecast`, with what each robot's likeliest hypothesis says; return the mean
+    of the dead times and its standard deviation [s].
 
     Poses are predicted from those at the times frame_s (N,) of the last frame [s], through all
     commands, to the moment when a command that is sent at `sent_s` acts on each robot; of lagging
     wheels, they are those in which they then come to rest if they stop. Standard deviations grow
     with the misfit.
     """
-    robots = len(model.parameters)
+    filters, robots = bank.shared_score.shape
+    numbers = room.numbers
+    density = np.empty(filters)
     z = np.empty(bank.state.shape[3])
     mean_s = 0.0
     variance = 0.0
     for i in range(robots):
-        b = likeliest(shared.score[:, i], bank.score.shape[0])
+        b = likeliest(bank.shared_score[:, i], filters)
         slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
         for k in range(z.size):
             z[k] = bank.state[b, i, slot, k]
-        growth = _misfit(bank, b, i, outlook)
-        _describe(bank, model, b, i, slot, z, growth, outlook)
-        dead_time_s = shared.mean_s[i]
-        std_s = growth * shared.std_s[i]
+        growth = _misfit(bank, b, i, numbers)
+        _describe(bank, model, b, i, slot, z, growth, numbers)
+        dead_time_s, dead_time_std_s = _dead_time(bank, i, density)
+        numbers.own_dead_time[i] = dead_time_s
+        numbers.own_dead_time_std[i] = dead_time_std_s
+        std_s = growth * dead_time_std_s
         mean_s += dead_time_s
         variance += std_s * std_s
         begin_s = frame_s[i]
         acts_s = max(sent_s + dead_time_s, begin_s)
-        outlook.held_direction[i] = _predict(
+        room.turn_bias[i] = z[TURN_BIAS]
+        room.flow[i, 0] = z[FLOW_X]
+        room.flow[i, 1] = z[FLOW_Y]
+        room.directions[i] = _predict(
             bank, model, commands, b, i, slot, z, dead_time_s, begin_s, acts_s
         )
         _come_to_rest(model, i, z)
-        outlook.x[i] = z[X]
-        outlook.y[i] = z[Y]
-        outlook.heading[i] = z[HEADING]
+        room.x[i] = z[X]
+        room.y[i] = z[Y]
+        room.heading[i] = z[HEADING]
     mean_s /= robots
     for i in range(robots):
-        variance += (shared.mean_s[i] - mean_s) ** 2
+        variance += (numbers.own_dead_time[i] - mean_s) ** 2
     return mean_s, math.sqrt(variance / robots)
 
 
 @compiled(**INLINE_FAST)
-def _misfit(bank, b, i, outlook):
+def _misfit(bank, b, i, numbers):
     """Fill how far the sums of the innovations are from what the model allows; return the factor by
     which standard deviations grow: the root of the largest mean square, and not below 1."""
     blocks = max(bank.blocks[b, i], ASSUMED.least_blocks)
@@ -342,31 +340,28 @@ def _misfit(bank, b, i, outlook):
     growth2 = 1.0
     for k in range(3):
         growth2 = max(growth2, bank.square_sum[b, i, k] / blocks)
-        outlook.misfit[i, k] = bank.square_sum[b, i, k] / limit
+        numbers.misfit[i, k] = bank.square_sum[b, i, k] / limit
     return math.sqrt(growth2)
 
 
 @compiled(**INLINE_FAST)
-def _describe(bank, model, b, i, slot, z, growth, outlook):
+def _describe(bank, model, b, i, slot, z, growth, numbers):
     """Fill what a hypothesis says of robot i's motion. The state has logarithms of a and v: their
     deviations are relative."""
     cov = bank.cov[b, i, slot]
     a, speed, side, saturation = parameters_of(model, i, z)
-    outlook.a[i] = a
-    outlook.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
-    outlook.speed[i] = speed
-    outlook.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
-    outlook.turn_bias[i] = z[TURN_BIAS]
-    outlook.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
+    numbers.a[i] = a
+    numbers.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
+    numbers.speed[i] = speed
+    numbers.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
+    numbers.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
     variance = cov[TURN_BIAS, TURN_BIAS] + cov[MARKER_BIAS, MARKER_BIAS]
     variance += 2 * cov[TURN_BIAS, MARKER_BIAS]
-    outlook.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
-    outlook.flow[i, 0] = z[FLOW_X]
-    outlook.flow[i, 1] = z[FLOW_Y]
-    outlook.side[i] = side
-    outlook.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
-    outlook.saturation[i] = saturation
-    outlook.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
+    numbers.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
+    numbers.side[i] = side
+    numbers.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
+    numbers.saturation[i] = saturation
+    numbers.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
 
 
 @compiled(**INLINE_FAST)

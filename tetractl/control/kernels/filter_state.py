@@ -29,14 +29,17 @@ slots before the last, or it is stuck, the last slot.
 """
 
 import math
+from collections import namedtuple
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from dataclasses import fields
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.prior import Prior, Sticks
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.plan import INNOVATIONS, Estimate
+from tetractl.core.poses import Bools, Floats, Poses
 
 # Slots of the state.
 X = 0
@@ -140,7 +143,7 @@ class Assumed(NamedTuple):
 
 
 class BankGrid(NamedTuple):
-    """How a robot's filters are spread over dead times, and over the groups of a `BodyModel`."""
+    """How a robot's filters are spread over dead times, and over groups (`filter_start`)."""
 
     step_s: float = 0.02
     """Spacing of the dead times at first [s]."""
@@ -245,12 +248,16 @@ class Bank(NamedTuple):
     """(B, N) number of the blocks before."""
     dead_time_s: Floats
     """(B, N) dead time tau [s]."""
+    step_s: Floats
+    """(B, N) how far the dead times of its group are apart [s]; the same for all of a robot."""
     score: Floats
     """(B, N) ln of the likelihood of the filter's frames, up to a constant; -inf for no filter."""
+    shared_score: Floats
+    """(B, N) ln of the filter's probability by the frames of all robots, up to a constant."""
     next_command: NDArray[np.int64]
     """(B, N) index of the command that acts next."""
     group: NDArray[np.int64]
-    """(B, N) which value of `BodyModel.tried` the filter started from."""
+    """(B, N) from which value of the state that is tried the filter started (`filter_start`)."""
 
     @classmethod
     def start(
@@ -286,7 +293,9 @@ class Bank(NamedTuple):
             square_sum=np.zeros((*per_filter, 3)),
             blocks=np.zeros(per_filter),
             dead_time_s=np.repeat(dead_time_s[:, None], robots, axis=1),
+            step_s=np.full(per_filter, GRID.step_s),
             score=np.zeros(per_filter),
+            shared_score=np.zeros(per_filter),
             next_command=np.zeros(per_filter, dtype=np.int64),
             group=np.repeat(group[:, None], robots, axis=1),
         )
@@ -359,11 +368,11 @@ class CommonTimes(NamedTuple):
     """(T,) ln of the prior density of each time, up to a constant."""
 
     @classmethod
-    def of(cls, bank: Bank, step_s: Floats, prior: Prior) -> Self:
+    def of(cls, bank: Bank, prior: Prior) -> Self:
         """Return the times for the filters of a bank.
 
         If filter b of robot i is right, the robot's dead time is tau_b, give or take half the step
-        of its grid, step_s (N,). That of another robot is the same, but for a probability
+        of its grid, step_s. That of another robot is the same, but for a probability
         GRID.own, with which it differs by GRID.own_s or so:
 
             near = (1 - own) g(t - tau_b, step_s / 2) + own g(t - tau_b, own_s),
@@ -372,29 +381,11 @@ class CommonTimes(NamedTuple):
         """
         times_s = np.arange(0, float(bank.dead_time_s.max()) + GRID.finest_s, GRID.finest_s / 2)
         gaps_s = times_s[:, None, None] - bank.dead_time_s
-        width_s = np.maximum(step_s, GRID.finest_s) / 2
+        width_s = np.maximum(bank.step_s, GRID.finest_s) / 2
         near = (1 - GRID.own) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
         near += GRID.own * np.exp(-((gaps_s / GRID.own_s) ** 2) / 2) / GRID.own_s
         deviations = (times_s - prior.dead_time) / (prior.dead_time_std or 1.0)
         return cls(near=near, ln_prior=-(deviations**2) / 2)
-
-
-class SharedScores(NamedTuple):
-    """What the filters of N robots say together (`kernels.bank.share`)."""
-
-    score: Floats
-    """(B, N) ln of each filter's probability, up to a constant."""
-    mean_s: Floats
-    """(N,) each robot's dead time [s]."""
-    std_s: Floats
-    """(N,) its standard deviation [s]."""
-
-    @classmethod
-    def of_prior(cls, bank: Bank) -> Self:
-        """Return what the filters say if the prior is certain: the dead time is that of the first
-        filter, and there is no other."""
-        robots = bank.score.shape[1]
-        return cls(bank.score.copy(), bank.dead_time_s[0].copy(), std_s=np.zeros(robots))
 
 
 class NextFilters(NamedTuple):
@@ -410,15 +401,15 @@ class NextFilters(NamedTuple):
     """(N,) how far each robot's dead times are apart then [s]."""
 
     @classmethod
-    def room_for(cls, size: int, step_s: Floats) -> Self:
-        """Return room for `size` filters of each robot, whose dead times are `step_s` (N,) apart
-        now [s]."""
+    def room_for(cls, size: int, bank: Bank) -> Self:
+        """Return room for `size` filters of each robot of a bank."""
+        step_s = bank.step_s[0].copy()
         shape = (size, len(step_s))
         return cls(
             rows=np.empty(shape, np.int64),
             dead_time_s=np.empty(shape),
             score=np.empty(shape),
-            step_s=step_s.copy(),
+            step_s=step_s,
         )
 
     def taken_from(self, bank: Bank) -> Bank:
@@ -432,44 +423,64 @@ class NextFilters(NamedTuple):
         chosen.dead_time_s[:] = np.take_along_axis(self.dead_time_s, places, axis=0)
         chosen.score[:] = np.take_along_axis(self.score, places, axis=0)
         chosen.score[~goes_on[: len(places)]] = -np.inf
+        chosen.step_s[:] = self.step_s
         return chosen
 
 
-class Outlook(NamedTuple):
-    """What the likeliest hypothesis of each of N robots says, (N,) each (`kernels.bank.forecast`).
+OF_ALL_ROBOTS = "dead_time", "dead_time_std"
+"""The numbers of an `Estimate` that are not of each robot."""
+RobotNumbers = namedtuple(
+    "RobotNumbers",
+    [quantity.name for quantity in fields(Estimate) if quantity.name not in OF_ALL_ROBOTS],
+)
+"""The numbers of an `Estimate` that are of each robot, in arrays: a kernel can fill the fields of a
+named tuple, but not those of a dataclass."""
 
-    x, y, heading and `held_direction` are those of the moment when the next command acts. Standard
-    deviations are named `..._std`.
+
+class Forecast(NamedTuple):
+    """What the likeliest hypothesis of each of N robots says, filled by `kernels.bank.forecast`.
+
+    Poses and `directions` are those of the moment when the next command acts on each robot, if it
+    does nothing else before than what it was sent.
     """
 
     x: Floats
     y: Floats
     heading: Floats
+    directions: Floats
+    """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
     turn_bias: Floats
-    held_direction: Floats
-    """Direction that the robot follows [rad], NaN if it stands."""
-    a: Floats
-    a_std: Floats
-    speed: Floats
-    speed_std: Floats
-    heading_bias: Floats
-    """Turn bias and marker bias together [rad]."""
-    heading_bias_std: Floats
-    side: Floats
-    side_std: Floats
-    saturation: Floats
-    stands: Floats
-    """Probability that the robot is stuck."""
+    """(N,) difference of the directions that robots turn to from those sent [rad]."""
     flow: Floats
-    """(N, 2)"""
-    misfit: Floats
-    """(N, 3) sums of squares over those that the level of the test allows, as `Estimate.misfit`."""
+    """(N, 2) [length unit/s]."""
+    numbers: Any
+    """The `RobotNumbers`."""
+    dead_time_s: float = 0.0
+    """The mean of the robots' dead times [s]."""
+    dead_time_std_s: float = 0.0
+    """The standard deviation of the dead time of any robot [s]."""
 
     @classmethod
-    def empty(cls, robots: int) -> Self:
-        """Return room for the numbers of some robots."""
-        rows = np.empty((len(cls._fields) - 2, robots))
-        return cls(*rows, flow=np.empty((robots, 2)), misfit=np.empty((robots, 3)))
+    def room_for(cls, robots: int) -> Self:
+        """Return room for what is said of some robots."""
+        x, y, heading, directions, turn_bias = np.empty((5, robots))
+        numbers = RobotNumbers._make(np.empty((len(RobotNumbers._fields), robots)))
+        numbers = numbers._replace(misfit=np.empty((robots, len(INNOVATIONS))))
+        return cls(x, y, heading, directions, turn_bias, np.empty((robots, 2)), numbers)
+
+    @property
+    def poses(self) -> Poses:
+        """The poses of the robots."""
+        return Poses(self.x, self.y, self.heading)
+
+    @property
+    def estimate(self) -> Estimate:
+        """What is known of the robots' motion."""
+        return Estimate(
+            **self.numbers._asdict(),
+            dead_time=self.dead_time_s,
+            dead_time_std=self.dead_time_std_s,
+        )
 
 
 def largest_square_sum(blocks: float) -> float:

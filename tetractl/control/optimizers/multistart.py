@@ -10,9 +10,8 @@ vectorised rollout and polishes only the best.
 """
 
 import math
-from dataclasses import dataclass
 from threading import get_ident
-from typing import TYPE_CHECKING, ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -23,11 +22,6 @@ from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
-
-if TYPE_CHECKING:
-    from tetractl.control.kernels.levenberg import Polish
-    from tetractl.control.kernels.multistart import Rounds
-    from tetractl.control.kernels.rollout import Rollout
 
 ENDED = (None, StopReason.TARGET, StopReason.EVALUATIONS, None)
 """Why a search ended, by what its kernel returns; None if all rounds are done."""
@@ -110,64 +104,6 @@ class Multistart(OptimizerSection):
         return 1 if beyond > self.tolerance else self.rounds
 
 
-@dataclass(frozen=True, slots=True)
-class _PolishingSearch:
-    """The arrays and limits of a search by `tetractl.control.kernels.multistart.search`."""
-
-    polish: "Polish"
-    rollout: "Rollout"
-    workspace: "Rounds"
-    tolerance: float
-    slack: float
-    patience: int
-    iterations_between_looks: int
-
-    @classmethod
-    def of(cls, section: Multistart, problem: Problem, length: int) -> Self:
-        """Lay out a search of sequences of `length` signals."""
-        from tetractl.control.kernels import levenberg, multistart, rollout
-
-        growth = section.growth(problem)
-        longest_step = float(problem.speed.max()) * problem.period
-        polish = levenberg.lay_out_polish(problem, length)
-        robot_steps = len(polish.room.residual) * len(problem.a) * length  # of an iteration
-        return cls(
-            polish=polish,
-            rollout=rollout.lay_out(problem, section.particles),
-            workspace=multistart.workspace(
-                thread=get_ident(),
-                count=min(section.polished, section.particles),
-                particles=section.particles,
-                knots=min(round(section.knots * growth), length),
-                length=length,
-                steps_max=round(section.steps * growth),
-                rounds=section.rounds,
-            ),
-            tolerance=section.tolerance,
-            slack=section.slack * longest_step,
-            patience=round(section.patience * growth),
-            iterations_between_looks=max(1, multistart.BETWEEN_LOOKS // robot_steps),
-        )
-
-    def go_on(self, key: int, warm: Floats, rounds: int, budget: int, look: int) -> int:
-        """Search on by the kernel, and return how it ended."""
-        from tetractl.control.kernels import multistart
-
-        return multistart.search(
-            self.polish,
-            self.rollout,
-            np.uint64(key),
-            warm,
-            rounds,
-            self.tolerance,
-            self.slack,
-            self.patience,
-            budget,
-            look,
-            self.workspace,
-        )
-
-
 class _PolishedProgress(Progress):
     """The progress of a search that polishes; `workspace` are the arrays of its kernel.
 
@@ -183,20 +119,39 @@ class _PolishedProgress(Progress):
         warm: Floats | None,
         limits: Limits,
     ) -> None:
+        from tetractl.control.kernels import levenberg, multistart, rollout
+
         super().__init__(length, limits)
+        growth = section.growth(problem)
         self.section = section
-        self.searching = _PolishingSearch.of(section, problem, length)
-        self.workspace = self.searching.workspace
+        self.slack = section.slack * float(problem.speed.max()) * problem.period
+        self.patience = round(section.patience * growth)
+        self.polish = levenberg.lay_out_polish(problem, length)
+        self.rollout = rollout.lay_out(problem, section.particles)
+        self.workspace = multistart.workspace(
+            thread=get_ident(),
+            count=min(section.polished, section.particles),
+            particles=section.particles,
+            knots=min(round(section.knots * growth), length),
+            length=length,
+            steps_max=round(section.steps * growth),
+            rounds=section.rounds,
+        )
+        robot_steps = len(self.polish.room.residual) * len(problem.a) * length  # of an iteration
+        self.iterations_between_looks = max(1, multistart.BETWEEN_LOOKS // robot_steps)
         self.warm = np.empty(0) if warm is None else warm
         self.workspace.begin(np.empty((0, length)) if warm is None else warm[None])
 
     def run(self, key: int, rounds: int) -> None:
         """Polish the starts with which the workspace begins, and those of so many rounds that are
         scattered."""
+        least_evaluations = 1  # of a search that is cut short before it begins
+        if not len(self.warm):
+            least_evaluations = 2 + self.section.particles if rounds > 0 else 2
         if not self.limits.timed:
             how = self._call(key, rounds, look=0)
             self.ended = ENDED[how]
-        elif self.limits.expired(self._least_evaluations(rounds)):
+        elif self.limits.expired(least_evaluations):
             self._cut_short(key, rounds)
         else:
             self._run_to_deadline(key, rounds)
@@ -208,7 +163,7 @@ class _PolishedProgress(Progress):
         from tetractl.control.kernels import multistart
 
         while True:
-            how = self._call(key, rounds, look=self.searching.iterations_between_looks)
+            how = self._call(key, rounds, look=self.iterations_between_looks)
             if how != multistart.UNDER_WAY:
                 self.ended = ENDED[how]
                 return
@@ -230,12 +185,6 @@ class _PolishedProgress(Progress):
         self._call(key, rounds, look=-1)
         self.ended = StopReason.DEADLINE
 
-    def _least_evaluations(self, rounds: int) -> int:
-        """Return the evaluations of a search that is cut short before it begins."""
-        if len(self.warm):
-            return 1
-        return 2 + self.section.particles if rounds > 0 else 2
-
     def _call(self, key: int, rounds: int, look: int) -> int:
         """Search on by the kernel, take over its history and its evaluations, and return how it
         ended; for `look`, see `tetractl.control.kernels.multistart.search`.
@@ -244,7 +193,19 @@ class _PolishedProgress(Progress):
 
         limit = self.limits.evaluations
         budget = UNLIMITED if limit is None else limit
-        how = self.searching.go_on(key, self.warm, rounds, budget, look)
+        how = multistart.search(
+            self.polish,
+            self.rollout,
+            np.uint64(key),
+            self.warm,
+            rounds,
+            self.section.tolerance,
+            self.slack,
+            self.patience,
+            budget,
+            look,
+            self.workspace,
+        )
         if not math.isfinite(self.workspace.costs[1]):
             require_finite(self.workspace.costs[1:])
         entries = self.workspace.counts[multistart.HISTORY_ENTRIES]

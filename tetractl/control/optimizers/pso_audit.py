@@ -5,7 +5,7 @@ the number of evaluations. It fixes the reason for the end too, unless a limit c
 """
 
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,29 +13,11 @@ from tetractl.control.stop import reason_to_stop
 from tetractl.core.plan import Limits, Search, StopReason
 from tetractl.core.poses import Floats
 
-
-class SwarmSettings(Protocol):
-    """The settings of a swarm on which the end of a search depends."""
-
-    @property
-    def particles(self) -> int:
-        """Number of particles."""
-        ...
-
-    @property
-    def iterations(self) -> int:
-        """Largest number of iterations."""
-        ...
-
-    @property
-    def stop(self) -> Any:
-        """The stop criterion, a section that `control.stop` reads."""
-        ...
+if TYPE_CHECKING:  # it imports this module
+    from tetractl.control.optimizers.pso import Pso
 
 
-def contradictions(
-    section: SwarmSettings, logged: Search, warmed: bool, limits: Limits
-) -> Iterator[str]:
+def contradictions(section: "Pso", logged: Search, warmed: bool, limits: Limits) -> Iterator[str]:
     """Yield "evaluations" if the logged number of evaluations contradicts the logged history,
     and "stopped" if the logged reason for the end contradicts that history.
 
@@ -51,7 +33,7 @@ def contradictions(
         yield "stopped"
 
 
-def _possible_ends(section: SwarmSettings, history: Floats, limits: Limits) -> set[StopReason]:
+def _possible_ends(section: "Pso", history: Floats, limits: Limits) -> set[StopReason]:
     """Return the reasons for which a search with this history may have ended."""
     iterations = len(history) - 1
     if iterations > 0:

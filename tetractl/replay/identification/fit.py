@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from tetractl.control.body_model import USUAL
+from tetractl.control.filter_start import USUAL
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.passes import (
     UNKNOWN_S,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tetractl.control.body_model import LEAST_SPEED
+from tetractl.control.filter_start import LEAST_SPEED
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue

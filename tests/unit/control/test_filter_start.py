@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from tetractl.control.bank_start import reopened_bank
-from tetractl.control.body_model import first_std
 from tetractl.control.filter import FilterBank
+from tetractl.control.filter_start import first_std, reopened_bank
 from tetractl.control.kernels.filter_state import LN_A, SIDE
 from tetractl.experiment.load import load_spec
 
@@ -29,8 +28,7 @@ def filters_of_slow_turns():
 
 
 def opened_again(filters, heading_fits):
-    likeliest = filters.likeliest()
-    return reopened_bank(filters.bank, likeliest, heading_fits, filters.prior, filters.body)
+    return reopened_bank(filters.bank, filters.likeliest(), heading_fits, filters.prior)
 
 
 def test_motors_of_no_robot_saturate_where_every_heading_fits():
@@ -55,5 +53,5 @@ def test_what_was_found_of_turns_without_a_limit_is_forgotten_with_one(state):
     limited = bank.group != NO_LIMIT
     assert bank.state[limited, FIRST_SLOT, state] == pytest.approx(0.0)
     deviations = np.sqrt(bank.cov[:, :, FIRST_SLOT, state, state])
-    of_prior = np.broadcast_to(first_std(filters.prior, filters.body)[:, state], limited.shape)
+    of_prior = np.broadcast_to(first_std(filters.prior)[:, state], limited.shape)
     assert deviations[limited] == pytest.approx(of_prior[limited])

@@ -45,14 +45,27 @@ class CommandSender:
         self._repeats_stops = host is not None or bool(overriding(disturbances, "sent"))
         self._held: Steer | Turn | FieldOff = FieldOff()
 
-    def send(self, now_ns: int, action: Steer | Turn | FieldOff, answered: Observation) -> Command:
-        """Send a new action, which is held from now on."""
-        self._held = action
-        return self._transmit(now_ns, answered, is_new=True)
-
-    def send_again(self, now_ns: int, answered: Observation) -> Command:
-        """Send the held action again, with wheel speeds for this frame."""
-        return self._transmit(now_ns, answered, is_new=False)
+    def send(
+        self, now_ns: int, answered: Observation, action: Steer | Turn | FieldOff | None = None
+    ) -> Command:
+        """Send an action, which is held from now on; None for the one held, again, with wheel
+        speeds for this frame."""
+        if action is not None:
+            self._held = action
+        is_new = action is not None
+        left, right, true_speeds = self._wheel_speeds(now_ns, answered, is_new)
+        chances = self._random.uniform(size=len(self._setup.names))
+        command = DelayedCommand(
+            sent_ns=now_ns,
+            due_ns=self._due_ns(now_ns, answered),
+            action=self._held,
+            reached=chances >= self._settings.lost_commands,
+            headings=answered.poses.heading,
+            wheels=true_speeds,
+        )
+        received = self._transit.send(command, now_ns)
+        delivered = tuple(received.reached.tolist())
+        return Command(self._held, now_ns, delivered, left, right)
 
     def send_stops(self, now_ns: int, answered: Observation) -> Command:
         """Send a stop to every robot; if stops may be lost, send it at least `STOPS` times and
@@ -77,22 +90,6 @@ class CommandSender:
         still = None if self._setup.wheel_radius is None else np.zeros(robots)
         received = tuple(heard.tolist())
         return Command(Stop(), now_ns, received, still, still)
-
-    def _transmit(self, now_ns: int, answered: Observation, is_new: bool) -> Command:
-        """Send the held action."""
-        left, right, true_speeds = self._wheel_speeds(now_ns, answered, is_new)
-        chances = self._random.uniform(size=len(self._setup.names))
-        command = DelayedCommand(
-            sent_ns=now_ns,
-            due_ns=self._due_ns(now_ns, answered),
-            action=self._held,
-            reached=chances >= self._settings.lost_commands,
-            headings=answered.poses.heading,
-            wheels=true_speeds,
-        )
-        received = self._transit.send(command, now_ns)
-        delivered = tuple(received.reached.tolist())
-        return Command(self._held, now_ns, delivered, left, right)
 
     def _due_ns(self, sent_ns: int, answered: Observation) -> int:
         """Return the time [ns] at which a command acts if `dead_time` is the only delay: so long

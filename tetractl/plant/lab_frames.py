@@ -50,7 +50,9 @@ class LabFrames:
         if observations:
             self._check_paths(observations)
         if self.newest is not None:  # frames that the guard rejected give no sample
-            self._forget_additions(self.newest.sampled_ns)
+            for sampled_ns in list(self._additions):
+                if sampled_ns <= self.newest.sampled_ns:
+                    del self._additions[sampled_ns]
         return observations
 
     def hand_over(self) -> list[Sample]:
@@ -117,9 +119,3 @@ class LabFrames:
         x, y = xy.transpose(2, 0, 1)
         x[:, list(self._rig.guard.lost)] = np.nan
         self._path_check.add(x, y, np.array([observation.valid for observation in observations]))
-
-    def _forget_additions(self, until_ns: int) -> None:
-        """Forget what was added to frames up to a time."""
-        for sampled_ns in list(self._additions):
-            if sampled_ns <= until_ns:
-                del self._additions[sampled_ns]

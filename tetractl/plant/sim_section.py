@@ -156,17 +156,12 @@ class SimSection(PlantSection):
             yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
         if self.drive is not None and setup.wheel_radius is None:
             yield ("drive",), "needs the experiment's field 'wheels: {radius: ..}'"
-        transmissions_hz = self._transmissions_hz(setup.period_s)
+        repeats_hz = None if self.drive is None else self.drive.rate
+        transmissions_hz = repeats_hz or 1 / setup.period_s
         if transmissions_hz * setup.watchdog_s <= 1:
             robots = f"robots with a watchdog of {setup.watchdog_s:g} s"
             message = f"at {transmissions_hz:g} Hz {robots} would stop between two commands"
             yield ("drive",), f"{message}; shorten controller.period"
-
-    def _transmissions_hz(self, period_s: float) -> float:
-        """Return how often robots receive something [Hz]."""
-        if self.drive is None or self.drive.rate is None:
-            return 1 / period_s
-        return self.drive.rate
 
     @property
     def loses_frames(self) -> bool:

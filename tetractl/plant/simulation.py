@@ -23,7 +23,6 @@ spec and seed alone.
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,23 +58,14 @@ NO_FRAME_S = 60
 """A trial is given up if no frame arrives for so long after the stop [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class TrueRobots:
-    """N robots as they truly are in one trial, before a and speed vary: turning rates a [rad/s] and
-    speeds [length unit/s], (N,) each, and start poses."""
-
-    a: Floats
-    speed: Floats
-    starts: Poses
-
-
 def draw_robots(
     settings: SimSection,
     setup: Setup,
     disturbances: Sequence[Disturbance],
     random: np.random.Generator,
-) -> TrueRobots:
-    """Return the spec's robots with their errors, as the disturbances change them further."""
+) -> tuple[Floats, Floats, Poses]:
+    """Return the true turning rates a [rad/s], speeds [length unit/s] and start poses of the spec's
+    robots: with their errors, as the disturbances change them further."""
     robots = len(setup.names)
     # in this order: it is part of the result
     a = setup.a * (1 + settings.a_error * random.uniform(-1, 1, robots))
@@ -84,16 +74,19 @@ def draw_robots(
     for disturbance in disturbances:
         a, speed = disturbance.parameters(a, speed)
         starts = disturbance.placed(starts)
-    return TrueRobots(a, speed, starts)
+    return a, speed, starts
 
 
 def build_drive(
-    settings: SimSection, setup: Setup, robots: TrueRobots, seed: np.random.SeedSequence
+    settings: SimSection,
+    setup: Setup,
+    a: Floats,
+    speed: Floats,
+    starts: Poses,
+    seed: np.random.SeedSequence,
 ) -> Drive:
-    """Return what moves the robots: wheels or cells if the spec has them, else its motion."""
-    a = robots.a
-    speed = robots.speed
-    starts = robots.starts
+    """Return what moves the robots: wheels or cells if the spec has them, else its motion. `a` and
+    `speed` (N,) are the true ones, before they vary."""
     if settings.drive is not None:
         return WheelDrive(settings, setup, a, speed, starts, seed)
     if settings.cells is not None:
@@ -133,10 +126,13 @@ class SimPlant:
         self.setup = setup
         self.clock = clock
         self.disturbances = disturbances
-        self.robots = draw_robots(
-            settings, setup, disturbances, generator(seed, RandomStream.PARAMETERS)
-        )
-        drive = build_drive(settings, setup, self.robots, seed)
+        random = generator(seed, RandomStream.PARAMETERS)
+        a, speed, starts = draw_robots(settings, setup, disturbances, random)
+        self.a = a
+        """The true turning rates before they vary, (N,) [rad/s]."""
+        self.speed = speed
+        """The true speeds before they vary, (N,) [length unit/s]."""
+        drive = build_drive(settings, setup, a, speed, starts, seed)
         transit = Transit(count, disturbances)
         self._sender = CommandSender(
             settings,
@@ -178,16 +174,6 @@ class SimPlant:
         return self._motion.camera
 
     @property
-    def a(self) -> Floats:
-        """The true turning rates before they vary, (N,) [rad/s]."""
-        return self.robots.a
-
-    @property
-    def speed(self) -> Floats:
-        """The true speeds before they vary, (N,) [length unit/s]."""
-        return self.robots.speed
-
-    @property
     def poses(self) -> Poses:
         """The present true poses."""
         return self.drive.poses
@@ -227,9 +213,9 @@ class SimPlant:
         if isinstance(action, Stop):
             command = self._sender.send_stops(now_ns, planned_on)
         elif self.drive.host is None:
-            command = self._sender.send(now_ns, action, planned_on)
+            command = self._sender.send(now_ns, planned_on, action)
         else:
-            command = self._sender.send(now_ns, action, self._newest_frame())
+            command = self._sender.send(now_ns, self._newest_frame(), action)
         self._catch_up()
         return command
 
@@ -300,5 +286,5 @@ class SimPlant:
 
     def _transmit_again(self, now_ns: int) -> None:
         """Send the held action again, in answer to the newest frame."""
-        command = self._sender.send_again(now_ns, self._newest_frame())
+        command = self._sender.send(now_ns, self._newest_frame())
         self._repeated.append(command)

@@ -39,7 +39,9 @@ class Transit:
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
         if command.late_ns is None and command.due_ns >= max(self.settled_ns, now_ns):
-            self._add_last(command)
+            # it acts on all robots at once, after every other one
+            self._last_ns = [command.due_ns] * len(self._last_ns)
+            self._in_flight.append(command)
         else:
             self._add_by_robot(command, now_ns)
         return command
@@ -47,11 +49,6 @@ class Transit:
     def pop(self) -> DelayedCommand:
         """Remove and return the next command."""
         return self._in_flight.pop(0)
-
-    def _add_last(self, command: DelayedCommand) -> None:
-        """Add a command that acts on all robots at once, after every other one."""
-        self._last_ns = [command.due_ns] * len(self._last_ns)
-        self._in_flight.append(command)
 
     def _add_by_robot(self, command: DelayedCommand, now_ns: int) -> None:
         """Add a command in parts, one for each time at which it acts on some of the robots."""

@@ -36,12 +36,6 @@ class HeadingWalk:
     """Standard deviation of one step [rad]; 0 for no walk."""
     random: np.random.Generator
 
-    def swerve(self, drive: Drive) -> None:
-        """Turn each robot that moves by one step."""
-        before = drive.poses
-        steps = self.step_rad * self.random.standard_normal(before.x.size) * drive.moving
-        drive.poses = Poses(before.x, before.y, before.heading + steps)
-
 
 class MotionDisturbances:
     """The disturbances that move N robots, or vary their true turning rates a and speeds.
@@ -282,9 +276,14 @@ class TrueMotion:
         self.camera.frames.receive(step.end_ns)
 
     def _swerve(self, step: MotionStep) -> None:
-        """Turn the robots by their random walk, after the frame."""
-        if step.at_frame and self._heading_walk.step_rad > 0:
-            self._heading_walk.swerve(self.drive)
+        """Turn each robot that moves by one step of its random walk, after the frame."""
+        walk = self._heading_walk
+        if not step.at_frame or walk.step_rad == 0:
+            return
+        drive = self.drive
+        before = drive.poses
+        steps = walk.step_rad * walk.random.standard_normal(before.x.size) * drive.moving
+        drive.poses = Poses(before.x, before.y, before.heading + steps)
 
     def _act(self, step: MotionStep) -> None:
         """Give the robots their command, or let the host transmit again."""

@@ -127,15 +127,14 @@ class Processes:
         self.workers = workers
         self._interrupt = interrupt
         self._context = fresh_context(["tetractl.run.preloaded"])
-        self._ending: Event | None = None
+        # Python starts its semaphore tracker in the block
+        with _signals_held_back(), isolated():
+            self._ending = self._context.Event()
         self._next_sigterm_s = 0.0
         """Earliest time of the next SIGTERM, by the monotonic clock [s]."""
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield each task with its result or error, in the order in which the tasks end."""
-        # Python starts its semaphore tracker in the block
-        with _signals_held_back(), isolated():
-            self._ending = self._context.Event()
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
             suspects = list[Task]()
@@ -149,7 +148,6 @@ class Processes:
 
     def end(self) -> None:
         """Start no further trial, and end the running ones early."""
-        assert self._ending is not None
         self._ending.set()
 
     def _repeat(self, suspect: Task, ready: Ready) -> Iterator[Ended]:
@@ -165,7 +163,6 @@ class Processes:
     def _in_pool(self, waiting: "deque[Task]", workers: int, ready: Ready) -> Iterator[Ended]:
         """Run the waiting tasks until a worker is killed; running tasks then end with the error
         BrokenProcessPool, and the others stay in `waiting`."""
-        assert self._ending is not None
         running = dict[Future[Finished], Task]()
         broken = False
         environment = dict(os.environ)
@@ -198,7 +195,6 @@ class Processes:
         """Send SIGTERM to the workers after a second request to stop, again and again."""
         if self._interrupt.count < 2 or time.monotonic() < self._next_sigterm_s:
             return
-        assert self._ending is not None
         self._ending.set()  # else workers take SIGTERM for that of a broken pool
         for process in living_workers():
             with suppress(ProcessLookupError):

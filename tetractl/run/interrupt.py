@@ -28,13 +28,22 @@ Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
 class Interrupt:
-    """Counts requests to stop; raises KeyboardInterrupt only in code marked `breakable`."""
+    """Counts requests to stop; raises KeyboardInterrupt only in code marked `breakable`.
 
-    def __init__(self, notice: Callable[[int], object] = lambda count: None) -> None:
+    Code is broken by request number `breaks_at` or a later one, once:
+
+        not breakable  `let_break` makes it breakable
+        breakable      such a request raises KeyboardInterrupt: the code is not breakable any more,
+                       unless a finaliser discards the error
+    """
+
+    def __init__(
+        self, notice: Callable[[int], object] = lambda count: None, breaks_at: int = 2
+    ) -> None:
         self.count = 0
         self.notice = notice  # called with `count` at each request, in the signal's handler
+        self._breaks_at = breaks_at
         self._breakable = False
-        self._broke = False  # whether KeyboardInterrupt was raised in the breakable block
 
     @property
     def requested(self) -> bool:
@@ -42,11 +51,14 @@ class Interrupt:
         return self.count > 0
 
     def request(self) -> None:
-        """Count a request; from the second on, raise KeyboardInterrupt in breakable code."""
+        """Count a request, and raise KeyboardInterrupt in breakable code if it is to be broken."""
         self.count += 1
         self.notice(self.count)
-        if self.count > 1:
-            self._break()
+        self._break()
+
+    def let_break(self) -> None:
+        """Let requests raise KeyboardInterrupt from now on."""
+        self._breakable = True
 
     @contextmanager
     def watch(self, robots: bool = False) -> Iterator[None]:
@@ -76,24 +88,21 @@ class Interrupt:
         Another exception that the block then raises is taken for it: numba may turn a
         KeyboardInterrupt during an import or compilation into one.
         """
-        self._breakable = True
-        self._broke = False
+        self.let_break()
         try:
-            if self.count > 1:
-                self._break()
+            self._break()
             yield
         except Exception as error:
-            if self._broke:
+            if self.count >= self._breaks_at:
                 raise KeyboardInterrupt from error
             raise
         finally:
             self._breakable = False
 
     def _break(self) -> None:
-        """Raise KeyboardInterrupt, once, if the running code is breakable."""
-        if self._breakable:
+        """Raise KeyboardInterrupt, once, if the running code is breakable and to be broken."""
+        if self._breakable and self.count >= self._breaks_at:
             self._breakable = False
-            self._broke = True
             raise KeyboardInterrupt
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
@@ -102,20 +111,9 @@ class Interrupt:
     def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
         """If a finaliser discarded the KeyboardInterrupt, let the next request raise it again."""
         if issubclass(lost.exc_type, KeyboardInterrupt):
-            self._breakable = True
+            self.let_break()
         else:
             sys.__unraisablehook__(lost)
-
-
-class _OneInterrupt(Interrupt):
-    def request(self) -> None:
-        self.count += 1
-        if self.count == 1:
-            raise KeyboardInterrupt
-
-    def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
-        super().on_unraisable(lost)
-        self.count = 0
 
 
 @contextmanager
@@ -125,7 +123,9 @@ def interrupted_once(robots: bool = False) -> Iterator[None]:
     No signal then interrupts the `finally` clauses that stop robots or restore a terminal. `robots`
     is passed to `Interrupt.watch`; main thread only.
     """
-    with _OneInterrupt().watch(robots):
+    once = Interrupt(breaks_at=1)
+    once.let_break()
+    with once.watch(robots):
         yield
 
 

@@ -124,7 +124,8 @@ class _PolishedProgress(Progress):
         super().__init__(length, limits)
         growth = section.growth(problem)
         self.section = section
-        self.slack = section.slack * float(problem.speed.max()) * problem.period
+        longest_step = float(problem.speed.max()) * problem.period
+        self.slack = section.slack * longest_step
         self.patience = round(section.patience * growth)
         self.polish = levenberg.lay_out_polish(problem, length)
         self.rollout = rollout.lay_out(problem, section.particles)

@@ -226,14 +226,14 @@ def _words(mistake: Mistake) -> str:
         text = about.get("description", mistake.context["pattern"])
         return f"must be {_sentence(text.partition(': ')[2] or text)}"
     if mistake.kind == "tuple_type":
-        return f"must be {_list_of(about)}"
+        return f"must be {list_of(about)}"
     message = words(mistake.details, mistake.value)
     if mistake.kind == "too_long" and mistake.loc[-1] == "start":
         return f"{message}; a heading is a field of its own, heading: {mistake.value[2]}"
     return message
 
 
-def _list_of(about: Schema) -> str:
+def list_of(about: Schema) -> str:
     """Return which list a schema asks for: "a list of 2 numbers" and what it is."""
     entries = about.get("prefixItems") or [about.get("items") or {}]
     count = f"{len(entries)} " if "prefixItems" in about else ""

@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import AbortError, SpecError
 from tetractl.experiment.base import Finite, Model, Name, Point, with_tuples
-from tetractl.experiment.explain import words
+from tetractl.experiment.explain import list_of, words
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
@@ -159,4 +159,8 @@ def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecPro
             guess = did_you_mean(str(loc[-1]), fields) or f"; known here: {', '.join(fields)}"
             return document.key(loc).problem(loc, f"unknown key{guess}")
     place = document.keys.get(loc) if details["type"] == "extra_forbidden" else None
-    return (place or document.place(loc)).problem(loc, words(details, details["input"]))
+    message = words(details, details["input"])
+    if details["type"] == "tuple_type" and loc[0] == "faults" and len(loc) > 2:
+        kind = sides.faults[document.data["faults"][loc[1]]["fault"]]
+        message = f"must be {list_of(kind.model_json_schema()['properties'][loc[2]])}"
+    return (place or document.place(loc)).problem(loc, message)

@@ -42,6 +42,8 @@ def test_every_fault_has_a_script():
         ("faults: [{fault: unplug, since: tomorrow}]", "'start', 'client', 'run' or 'stop'"),
         ("faults: [{fault: jump, robot: green, by: [1]}]", "is missing"),
         ("faults: 3", "must be a list"),
+        ("faults: [{fault: picture, by: 250}]", "must be a list of 2 numbers"),
+        ("faults: [{fault: jump, robot: green, by: 250}]", "must be a list of 2 numbers"),
         ("expect: 3", "must be a mapping"),
         ("emulation: {camera: {version: 2.10}}", "if 2.10 is meant, put it in quotes"),
         ("emulation: {camera: {version: '2.4'}}", "must match"),

@@ -16,6 +16,7 @@ from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
     from tetractl_microscope.choice.candidate import RobotCandidate
+    from tetractl_microscope.choice.ranked import RankedChoice
 
 
 FILES = (
@@ -72,8 +73,6 @@ def survey(
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
-    import numpy as np
-
     from tetractl.analysis.closed_loop import Noise
     from tetractl.analysis.steering import planner, tolerance
     from tetractl.core.protocols import LabSupervision
@@ -141,14 +140,8 @@ def survey(
         )
     else:
         for proposal in choices:
-            numbers = ", ".join(map(str, proposal.numbers))
-            error = (
-                f"{proposal.error:.0f} {unit}"
-                if np.isfinite(proposal.error)
-                else "none, no plan found"
-            )
-            print(f"cells {numbers}: predicted mean total error {error}")
-    if not choices or not np.isfinite(choices[0].error):
+            print(_choice_line(proposal, unit))
+    if not choices or not math.isfinite(choices[0].error):
         control = planner(experiment)
         able = sum(cell.magnetised for cell in cells)
         horizon_s = control.horizon_max * control.signal_periods * control.period
@@ -195,6 +188,17 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
             "such as 112,540,901,548,2000"
         )
     return (a, b), (c, d), um
+
+
+def _choice_line(proposal: "RankedChoice", unit: str) -> str:
+    """Return the line on a choice of cells: its error, and which of them were near the edge."""
+    numbers = ", ".join(map(str, proposal.numbers))
+    error = (
+        f"{proposal.error:.0f} {unit}" if math.isfinite(proposal.error) else "none, no plan found"
+    )
+    near_edge = ", ".join(str(cell.number) for cell in proposal.cells if not cell.free)
+    doubt = f"; less certain, as it was near the edge: cell {near_edge}" if near_edge else ""
+    return f"cells {numbers}: predicted mean total error {error}{doubt}"
 
 
 def _print_cells(

@@ -15,8 +15,8 @@ from tetractl.experiment.section_abilities import Accepting
 FITS_S = 5.0  # time without a misfit after which the model fits again [s]
 SURE_STDS = 3.0  # least change of an estimate that is news, in standard deviations
 DELAY_S = 0.025
-"""Least error of a stated dead time that is news [s]: chosen, so that the emulated lab of the shipped
-spec, where 0.040 s is estimated and 0.060 s stated, is mostly silent."""
+"""Least error of a stated dead time that is news [s]: chosen, so that the emulated lab of the
+shipped spec, where 0.040 s is estimated and 0.060 s stated, is mostly silent."""
 LATER_S = 0.05
 """Least difference of two robots' dead times that is news [s]: docs/decisions/filter.md."""
 LATER_FOR_S = 2.0

@@ -186,19 +186,31 @@ def followed(rows: np.ndarray, bodies: Sequence[np.ndarray]) -> tuple[int, int]:
     moving = 0
     for number in range(STEP, len(bodies) - STEP, EVERY):
         _, labels, stats, _ = labelled[number]
-        places = rows[rows[:, 0] == number, 2:4].astype(int)
-        height, width = labels.shape
-        inside = (places >= 0).all(axis=1) & (places < (width, height)).all(axis=1)
-        columns, lines = places[inside].T
+        near = _labels_near(labels, rows[rows[:, 0] == number, 2:4])
         for label in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= least_px2).tolist():
             body = labels == label
             stays = min(bodies[number + way][body].mean() for way in (-STEP, STEP))
             if label == 0 or stays > RESTS:
                 continue
-            away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 5)
             moving += 1
-            hits += bool((away[lines, columns] <= REACH_PX).any())
+            hits += label in near
     return hits, moving
+
+
+def _labels_near(labels: np.ndarray, places: np.ndarray) -> set[int]:
+    """Return the labels of a picture within REACH_PX of columns and rows (K, 2)."""
+    near = set[int]()
+    height, width = labels.shape
+    reach = int(REACH_PX)
+    for x, y in places.astype(int).tolist():
+        if 0 <= x < width and 0 <= y < height:
+            top = max(y - reach, 0)
+            left = max(x - reach, 0)
+            part = labels[top : y + reach + 1, left : x + reach + 1]
+            lines, columns = np.indices(part.shape)
+            is_near = np.hypot(lines + top - y, columns + left - x) <= REACH_PX
+            near.update(part[is_near].tolist())
+    return near
 
 
 def _by_number(rows: np.ndarray) -> dict[float, dict[int, np.ndarray]]:

@@ -48,8 +48,9 @@ class SeenCell:
     other cells, too.
     `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob
     and their standard deviations; None if the cell has no blob of its own. `blob_um` (5,) are
-    x, y [um], axis [rad], length and width [um] of the blob; None if the cell has none. `sure` is
-    whether a whole film leaves no doubt that this is the cell that had the number at first.
+    x, y [um], axis [rad], length and width [um] of the blob, these NaN if the picture's edge cuts
+    it off; None if the cell has none. `sure` is whether a whole film leaves no doubt that this is
+    the cell that had the number at first.
     """
 
     identity: int

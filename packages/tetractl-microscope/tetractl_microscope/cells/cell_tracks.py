@@ -55,6 +55,13 @@ class TrackBlob:
     is_large: bool = False
     measured: tuple[float, ...] | None = None
 
+    @property
+    def whole_place(self) -> Floats:
+        """The place (5,), with NaN for the size of a blob that the picture's edge cuts off."""
+        if not self.blob.at_edge:
+            return self.place
+        return np.array((*self.place[:3], math.nan, math.nan))
+
 
 @dataclass(slots=True)
 class SizeTimes:

@@ -155,7 +155,7 @@ class CellTracker:
         blobs = self.finder.find(picture)
         light = self.finder.light
         (shortest_um, _), _ = self.bank.organism.outline_um
-        bodies = [blob for blob in blobs if blob.at_edge or blob.long * self.um_px > shortest_um]
+        bodies = [blob for blob in blobs if blob.long * self.um_px > shortest_um]
         self.blobs = [] if light.lost else bodies
         columns, rows = light.shift_px
         if columns or rows:
@@ -404,7 +404,7 @@ class CellTracker:
                     wide_um=cell.size.wide,
                     track=cell.number,
                     measured=None if newest is None else newest.measured,
-                    blob_um=None if newest is None else newest.place,
+                    blob_um=None if newest is None else newest.whole_place,
                 ).on_blob()
             )
         return said

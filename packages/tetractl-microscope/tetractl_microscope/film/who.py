@@ -20,7 +20,6 @@ from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, CellAnswer, SeenCell
 from tetractl_microscope.cells.helix import STATES
 from tetractl_microscope.cells.names import ASSERTED, LIKELIER
-from tetractl_microscope.cells.newcomers import MUST_SWIM
 from tetractl_microscope.cells.readings import AXIS, POSITION_UM
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.organisms import Organism
@@ -213,19 +212,14 @@ class Whereabouts:
     def paths(self, organism: Organism) -> Iterator[CellPath]:
         """Yield the cells in the order of their numbers, except those whose path is too short, that
         move more slowly than the organism for most of the time, or to and fro, or that are hardly
-        seen: debris that a cell has touched. A track that swims may have several names in turn.
+        seen: debris that a cell has touched.
         """
-        swimming = {
-            track for track, rows in self.tracks.items() if _goes_far(_places(rows), organism)
-        }
         rows = [row for track_rows in self.tracks.values() for row in track_rows]
         rows.sort(key=lambda row: (row.name, row.picture, row.likely, -row.cell.track))
         for name, named in groupby(rows, key=lambda row: row.name):
             # a lost cell that was found again may have its name twice: the likelier one counts
-            likeliest = list({row.picture: row for row in named}.values())
-            path = self._path(name, likeliest)
-            on_swimming = all(row.cell.track in swimming for row in likeliest)
-            if (on_swimming or _goes_far(path.places, organism)) and _swims(path, organism):
+            path = self._path(name, list({row.picture: row for row in named}.values()))
+            if _swims(path, organism):
                 yield path
 
     def _path(self, name: int, rows: list[TrackRow]) -> CellPath:
@@ -304,17 +298,6 @@ def _sure(rows: list[TrackRow]) -> list[bool]:
     is_doubtful[: last_certain + 1] = False
     is_elsewhere = np.array([cell.track != cells[0].track for cell in cells])
     return (~np.logical_or.accumulate(is_doubtful | is_elsewhere)).tolist()
-
-
-def _places(rows: list[TrackRow]) -> Floats:
-    """Return x, y (K, 2) [um] of a track's rows."""
-    return np.array([(row.cell.x, row.cell.y) for row in rows]).reshape(-1, 2)
-
-
-def _goes_far(places: Floats, organism: Organism) -> bool:
-    """Return whether something at successive places (K, 2) [um] gets as far as a cell must swim."""
-    way = np.linalg.norm(places - places[:1], axis=1)
-    return bool(way.max(initial=0.0) >= MUST_SWIM * organism.body_um[0])
 
 
 def _swims(path: CellPath, organism: Organism) -> bool:

@@ -5,11 +5,11 @@
     python benchmarks/rules.py --trials 0 --out logs/rules         the table of what there is
 
 prints the table of docs/reference/measured.md. A rule is taken out by a replacement of a function
-or a constant of the controller, in worlds of unmodelled.py: those where it should help, and
-`COMMON`, where it should not. Settings of a spec may follow a world's name. Everything is
+or a constant of the controller, in each world of unmodelled.py where it should help, and in those
+of `COMMON`, where it should not. Settings of a spec may follow a world's name. Everything is
 simulated; the trials of a pair have the same seed. --out keeps a CSV for each rule, to which pairs
-are added; differences are without the rule less with it, with bootstrap intervals (95 %). The last
-column but one counts trials with a body over an edge, in an obstacle or at another.
+are added. Differences are those of trials without the rule from trials with it, with bootstrap
+intervals (95 %). A trial touches if a body is over an edge, in an obstacle or at another.
 """
 
 import argparse
@@ -77,8 +77,8 @@ Rows = dict[Task, Row]
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule, as the `parts` (owner, name of an attribute, replacement) that take it out, and the
-    worlds where it should help. `assumed` are values of the compiled kernels in its place."""
+    """A rule, as the `parts` (owner, name of an attribute, replacement) that take it out; `helps`
+    names each world where it should help, and `assumed` are values of the filter's kernels."""
 
     parts: tuple[tuple[Any, str, Any], ...] = ()
     helps: tuple[str, ...] = ()
@@ -108,10 +108,6 @@ def _prior(**changes: Any) -> tuple[Any, str, Any]:
 def _model(**changes: Any) -> tuple[Any, str, Any]:
     model = filter.filter_model
     return filter, "filter_model", lambda *words: model(*words)._replace(**changes)
-
-
-def _const(owner: Any, name: str, value: Any) -> tuple[Any, str, Any]:
-    return owner, name, value
 
 
 def _returns(owner: Any, name: str, value: Any) -> tuple[Any, str, Any]:
@@ -179,8 +175,11 @@ def _bee_lines(problem: Any, grid: Any) -> Any:
 
 
 def _alone(bank: Any, step_s: Any, prior: Any) -> Any:
+    """Return times of which the other robots say nothing: the prior of each filter's dead time."""
     common = _common(bank, step_s, prior)
-    return common._replace(near=np.ones_like(common.near))
+    deviations = (bank.dead_time_s - prior.dead_time) / (prior.dead_time_std or 1.0)
+    likely = np.exp(-(deviations**2) / 2)
+    return common._replace(near=np.broadcast_to(likely, common.near.shape).copy())
 
 
 RULES = {
@@ -223,15 +222,15 @@ RULES = {
     "a plan that collides soon is not driven": Rule(
         (_returns(Mpc, "_collides_soon", False),), WALLS
     ),
-    "two dead times until a stop acts": Rule((_const(mpc, "LATE", 1.0),), WALLS),
+    "two dead times until a stop acts": Rule(((mpc, "LATE", 1.0),), WALLS),
     "keep clear in silence": Rule((_returns(Mpc, "_silence", None),), WALLS),
-    "silence after the last two signals": Rule((_const(mpc, "SILENT_LAST", 0),), WALLS),
-    "silence after the next two signals": Rule((_const(mpc, "SILENT_NEXT", 10**6),), WALLS),
-    "room in silence": Rule((_const(mpc, "SILENT_ROOM", 0.0),), WALLS),
+    "silence after the last two signals": Rule(((mpc, "SILENT_LAST", 0),), WALLS),
+    "silence after the next two signals": Rule(((mpc, "SILENT_NEXT", 10**6),), WALLS),
+    "room in silence": Rule(((mpc, "SILENT_ROOM", 0.0),), WALLS),
     "turns on the spot": Rule((_returns(mpc, "next_facing", None),), WALLS),
     "turns to the most room": Rule((_returns(corners, "roomiest", 0.0),), WALLS),
-    "turns kept for four steps": Rule((_const(corners, "STEPS", 1),), WALLS),
-    "other turns after one in vain": Rule((_const(corners, "TURNS_IN_VAIN", 1),), WALLS),
+    "turns kept for four steps": Rule(((corners, "STEPS", 1),), WALLS),
+    "other turns after one in vain": Rule(((corners, "TURNS_IN_VAIN", 1),), WALLS),
     "stay in a hold": Rule(
         (_returns(Mpc, "_stay", None),),
         tuple(f"{world} hold={{radius: 20, time: 10}}" for world in ("base", "bench", "sides")),
@@ -246,16 +245,16 @@ RULES = {
     # lengths and values
     "shortening": Rule((_returns(Searcher, "_shorten", None),), TIME),
     "shortening repeated": Rule(((Searcher, "_shorten", _one_bisection),), TIME),
-    "six signals a robot": Rule((_const(lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
+    "six signals a robot": Rule(((lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
     "work after which no longer plan is tried": Rule(
-        (_const(lengths, "SPREAD_WORK", math.inf),), ("gap",)
+        ((lengths, "SPREAD_WORK", math.inf),), ("gap",)
     ),
     "attempts cost": Rule((_value(new=False),), ("sticking-5hz", "wander", "strip")),
     "attempts cost more and more": Rule(
         (_returns(RecommendedMpc, "patience_s", math.inf),),
         ("sticking-5hz", "wander", "saturated-2", "cells-pause"),
     ),
-    "time has a price": Rule((_const(Worth, "price", 0.0),), ("wander", *TIME)),
+    "time has a price": Rule(((Worth, "price", 0.0),), ("wander", *TIME)),
     "to touch a margin costs": Rule((_value(touches=False),), WALLS),
     "to be unclear in silence costs": Rule((_value(unheard=False),), WALLS),
     # margins
@@ -272,13 +271,13 @@ RULES = {
         ("sparse-radio", "later", "lossy-radio"),
     ),
     "few of directions missed in a row count": Rule(
-        (_const(reception, "MISSED_IN_A_ROW", 10**6),), ("sparse-radio", "later", "silent")
+        ((reception, "MISSED_IN_A_ROW", 10**6),), ("sparse-radio", "later", "silent")
     ),
     "directions of which frames say nothing": Rule(
-        (_const(reception, "LN_SAYS", 0.0),), ("sparse-radio", "later", "silent")
+        ((reception, "LN_SAYS", 0.0),), ("sparse-radio", "later", "silent")
     ),
     # filter and bank
-    "spacing of frames": Rule((_const(filter, "SPACING_NS", 1),), ("bench", "later")),
+    "spacing of frames": Rule(((filter, "SPACING_NS", 1),), ("bench", "later")),
     "opening the bank again": Rule((_returns(FilterBank, "_may_reopen", False),), ("later",)),
     "motors may saturate": Rule(
         ((FilterBank, "_reopen", lambda self, frame, heading_fits: _reopen(self, frame, True)),),
@@ -288,17 +287,17 @@ RULES = {
         ((filter.CommonTimes, "of", staticmethod(_alone)),), ("later", "late", "bench")
     ),
     "a dead time of one's own": Rule(
-        (_const(filter_state, "GRID", filter_state.GRID._replace(own=0.0)),), ("late", "later")
+        ((filter_state, "GRID", filter_state.GRID._replace(own=0.0)),), ("late", "later")
     ),
     "stuck": Rule((_model(sticks=NEVER),), ("sticking", "sticking-5hz", "cells-pause")),
     "frames shown again": Rule((_model(coarse=True),), ("stale", "repeating", "no-frames")),
     "watchdogs": Rule((_model(watchdog_s=math.inf),), ("silent", "sparse-radio", "lossy-radio")),
-    "side": Rule((_const(PriorSection, "side", 0.0),), ("sides", "saturated-2")),
-    "marker bias": Rule((_const(PriorSection, "marker_bias", 0.0),), ("marker", "cells-body")),
+    "side": Rule(((PriorSection, "side", 0.0),), ("sides", "saturated-2")),
+    "marker bias": Rule(((PriorSection, "marker_bias", 0.0),), ("marker", "cells-body")),
     "turn bias": Rule((_prior(heading_bias_std=0.0),), ("marker", "wander")),
     "flow": Rule((_prior(flow_std=0.0),), ("slide", "cells", "cells-shear")),
     "a cell's frequencies": Rule(
-        (_const(body_model, "FREQUENCIES", (1.0,)),), ("cells", "cells-body", "cells-pause")
+        ((body_model, "FREQUENCIES", (1.0,)),), ("cells", "cells-body", "cells-pause")
     ),
     "outlier gate": Rule((), ("stale", "marker", "cells-body"), (("gate", 1e12),)),
     "missed commands": Rule((), ("lossy-radio", "silent"), (("lost", 1e-12),)),

@@ -278,12 +278,20 @@ class Mpc:
         """Decide what the robots do in one step, or end the trial."""
         self.time.seen(observation, last_command)
         motion = self.estimator.seen(observation, last_command, earlier)
-        self._raise_if_dead()
+        dead = self.estimator.losses.dead
+        if dead.any() and self.setup.loss and self.setup.loss.ends:
+            raise ControlError(told_dead(self.setup.names, dead))
         if self.estimator.robots_changed:
             self._begin(self.progress.leg, observation.poses)
         decision = self._decide(motion, observation)
         while self._ends_a_leg_only(decision):
-            self._begin(self._next_leg(decision, observation), observation.poses)
+            next_leg = Leg(
+                index=self.progress.leg.index + 1,
+                began_s=self.time.passed_s,
+                began_ns=observation.sampled_ns,
+                outcome=Outcome(decision),
+            )
+            self._begin(next_leg, observation.poses)
             decision = self._decide(motion, observation)
         if not isinstance(decision, Plan):
             return decision
@@ -291,12 +299,6 @@ class Mpc:
         self.progress = self.progress.after(decision)
         plan = replace(decision, leg=leg, estimate=self.estimator.estimate)
         return plan.of_all(self.course.present, observation.poses)
-
-    def _raise_if_dead(self) -> None:
-        """Raise ControlError if a robot is dead and the spec ends a trial then."""
-        dead = self.estimator.losses.dead
-        if dead.any() and self.setup.loss and self.setup.loss.ends:
-            raise ControlError(told_dead(self.setup.names, dead))
 
     # legs
 
@@ -306,15 +308,6 @@ class Mpc:
             return False
         gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
         return not gave_up and not self._in_last_leg
-
-    def _next_leg(self, decision: Decision, observation: Observation) -> Leg:
-        """Return the leg that begins after a decision that ended one."""
-        return Leg(
-            index=self.progress.leg.index + 1,
-            began_s=self.time.passed_s,
-            began_ns=observation.sampled_ns,
-            outcome=Outcome(decision),
-        )
 
     def _begin(self, leg: Leg, poses: Poses) -> None:
         """Begin a leg with robots at `poses`, in which plans are made afresh."""
@@ -529,9 +522,10 @@ class Mpc:
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
         """Search plans about as long as the one under way, until one is good enough; if none is,
-        also detours. Within a signal that is kept, nothing is searched."""
+        also detours. Within a signal that is kept, the plan is followed as it is."""
         if self._is_kept(step, warm):
-            return self._sent_again(step, warm)
+            searches = [given_search(step.problem, warm, compiled_foresee(step.problem, warm))]
+            return Searched(step.problem, searches, [self._candidate(step, searches, 0)])
         searcher = self._searcher(step)
         alike = self._search_alike(step, searcher, warm)
         if self._is_good_enough(step, searcher.found[-1], alike[-1]):
@@ -547,12 +541,6 @@ class Mpc:
         is_within_signal = step.problem.first_period < step.problem.period
         fits = len(warm) <= step.signals_max
         return self.estimator.is_radio_sparse and is_within_signal and fits
-
-    def _sent_again(self, step: ControlStep, warm: Floats) -> Searched:
-        """Return what is left of the plan under way, (L,), as if a search had found it."""
-        foreseen = compiled_foresee(step.problem, warm)
-        searches = [given_search(step.problem, warm, foreseen)]
-        return Searched(step.problem, searches, [self._candidate(step, searches, 0)])
 
     def _search_alike(self, step: ControlStep, searcher: Searcher, warm: Floats) -> list[Candidate]:
         """Search plans that begin with the signals left (`_starts`), up to one that is good enough.

@@ -125,7 +125,7 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     assert "turning gain" in identify("speeds").ok().stdout
     for name, words, why in (
         ("torn", (), "torn.csv: contains speeds of wheels without radius_mm"),
-        ("slow", (), "robot one drives in only 0 steps of 0.1 s"),
+        ("slow", (), "robot one drives in only 0 steps of 0.1 to 0.55 s"),
         ("even", (), "robot one is sent one speed and turning rate only"),
         ("speeds", ("-o", "out.yaml"), "--out: a spec has no place"),
     ):

@@ -35,6 +35,10 @@ def zeros_of_lost(poses, begin, count):
     poses[begin : begin + count] = 0.0
 
 
+def heading_of_zeros(poses, begin, count):
+    poses[begin : begin + count, 2] = 0.0
+
+
 def turned(angle):
     def turn(poses, begin, count):
         poses[begin : begin + count, 2] += angle
@@ -52,6 +56,7 @@ WRONG = {
     "frozen for 2 s": (repeat_last, 40),
     "a zero": (zeros_of_lost, 1),
     "zeros for a second": (zeros_of_lost, 20),
+    "headings of 0 for a second": (heading_of_zeros, 20),
     "half a turn": (turned(np.pi), 1),
     "half a turn, thrice": (turned(np.pi), 3),
     "a quarter turn": (turned(np.pi / 2), 2),
@@ -100,6 +105,15 @@ def stop_and_go(poses):
     return poses
 
 
+def straight_at_the_end(poses):
+    way = SPEED_MM_S / RATE_HZ * np.arange(100)
+    x, y, heading = poses[-100]
+    poses[-100:, 0] = x + way * np.cos(heading)
+    poses[-100:, 1] = y + way * np.sin(heading)
+    poses[-100:, 2] = heading
+    return poses
+
+
 def in_half_mm(poses):
     return np.round(poses / (0.5, 0.5, 0.01)) * (0.5, 0.5, 0.01)
 
@@ -112,6 +126,7 @@ def each_five_times(poses):
 RIGHT = {
     "as it is": {},
     "without noise": {"noise": 0.0},
+    "straight on at the end, without noise": {"noise": 0.0, "change": straight_at_the_end},
     "stop and go, without noise": {"noise": 0.0, "change": stop_and_go},
     "rounded, at 200 Hz": {"rate_hz": 200, "change": in_half_mm},
     "each pose five times": {"rate_hz": 100, "change": each_five_times},

@@ -181,6 +181,14 @@ WRONG_COMMANDS = {
         lambda track: track.twists * (1, 57.3),
         "turning gain .* name its column w_deg_s",
     ),
+    "12 s late": (
+        lambda track: np.roll(track.twists, 240, axis=0),
+        r"the commands explain \d+% of the turns of one",
+    ),
+    "w in turns per minute": (
+        lambda track: track.twists * (1, 9.549),
+        "turning gain .* in turns per minute",
+    ),
     "w per hour": (lambda track: track.twists * (1, 3600), "turning gain .* divide it by 3600"),
     "v in um": (lambda track: track.twists * (1e3, 1), "speed gain .* divide v by 1000"),
     "v in m": (lambda track: track.twists / (1e3, 1), "speed gain .* multiply v by 1000"),
@@ -212,6 +220,13 @@ def half_the_poses_missing(track):
     return replace(track, valid=seen), {"turning_gain": TRUE["turning_gain"]}
 
 
+def poses_twice_a_second(track):
+    """Regression: a traceback."""
+    at = slice(None, None, 25)
+    seen = replace(track, time=track.time[at], poses=track.poses[at], valid=track.valid[at])
+    return seen, {"speed_gain": TRUE["speed_gain"]}
+
+
 def backwards(track):
     poses = track.poses * (-1, -1, 1)
     return replace(track, poses=poses, twists=track.twists * (-1, 1)), {
@@ -229,7 +244,7 @@ def in_metres(track):
 @pytest.mark.long
 @pytest.mark.parametrize(
     "change",
-    [obeyed_by_half, half_the_poses_missing, backwards, in_metres],
+    [obeyed_by_half, half_the_poses_missing, poses_twice_a_second, backwards, in_metres],
     ids=lambda f: f.__name__,
 )
 def test_right_commands_that_come_nearest_to_wrong_ones_are_accepted(change):

@@ -70,24 +70,39 @@ def measured(times: Floats, poses: Floats) -> Bools:
 
 
 def _repeats(poses: Floats) -> Bools:
-    """Return which poses (M, 3) repeat the one before them until the robot is suddenly far away, or
-    until the end."""
+    """Return which poses (M, 3) repeat the one before them, or its heading, until the robot is
+    suddenly far away, or until the end."""
     moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     turned = np.abs(wrap(np.diff(poses[:, 2])))
-    is_same = (moved == 0) & (turned == 0)
-    repeats = np.zeros(len(poses), dtype=np.bool_)
+    is_turned = turned == 0
+    is_same = is_turned & (moved == 0)
+    turns_far = turned > RELEASE * _fast(turned)
+    moves_far = moved > RELEASE * _fast(moved)
+    poses_frozen = _frozen(is_same, np.append(turns_far | moves_far, True))
+    # a robot that drives straight on until the end keeps its heading
+    return poses_frozen | _frozen(is_turned & ~is_same, np.append(turns_far, False))
+
+
+def _fast(steps: Floats) -> float:
+    """Return the quantile FAST of ways or turns (M - 1,) that are not 0."""
+    changes = steps[steps > 0]
+    return float(np.quantile(changes, FAST)) if changes.size else 0.0
+
+
+def _frozen(is_same: Bools, is_release: Bools) -> Bools:
+    """Return which poses (M,) end one of REPEATS_MIN or more steps (M - 1,) in a row that are the
+    same and have a release (M,) behind them; the last release is the end of the track."""
+    frozen = np.zeros(len(is_same) + 1, dtype=np.bool_)
     if not is_same.any() or is_same.all():
-        return repeats
-    usual_way, usual_turn = (np.quantile(steps[~is_same], FAST) for steps in (moved, turned))
-    is_release = ~is_same & ((moved > RELEASE * usual_way) | (turned > RELEASE * usual_turn))
+        return frozen
     edges = np.diff(is_same.astype(np.int64), prepend=0, append=0)
     begins = np.flatnonzero(edges == 1)
     ends = np.flatnonzero(edges == -1)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        is_last = end == len(is_same)
-        if end - begin >= REPEATS_MIN and (is_last or is_release[end]):
-            repeats[begin + 1 : end + 1] = True
-    return repeats
+        if end - begin >= REPEATS_MIN and is_release[end]:
+            is_jump = begin > 0 and is_release[begin - 1]  # to 0, as of a robot that is lost
+            frozen[begin if is_jump else begin + 1 : end + 1] = True
+    return frozen
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ Pairs of a motion's two integrals stand in columns: of p, then of q.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -53,8 +53,9 @@ from tetractl.tools.table.table import Column, Table
 
 STEP_S = 0.1
 """Least duration of a step [s]."""
-LONGEST_S = 0.5
-"""Duration from which a step is left out: the robot was not seen [s]."""
+LONGEST_S = 0.55
+"""Duration from which a step is left out: the robot was not seen [s]. Tables whose poses are 0.5 s
+apart are read."""
 FAR = 8.0
 """How far off a step is that is left out, in standard deviations."""
 NEIGHBOURS = 5
@@ -109,6 +110,8 @@ a gain of 1 if they are not obeyed."""
 UNIT_WITHIN = 1.5
 """Factor about 1 within which gains are of robots that obey."""
 TURN_UNITS = {
+    30 / math.pi: "is w in turns per minute? divide it by 9.549",
+    0.5 / math.pi: "is w in turns per second? multiply it by 6.283",
     180 / math.pi: "is w in degrees per second? name its column w_deg_s",
     math.pi / 180: "is w in rad/s, as its column does not say? name it w_rad_s",
     1e3: "is w in mrad/s? divide it by 1000",
@@ -323,12 +326,13 @@ def _usable_steps(source: str, name: str, tracks: list[_DrivenTrack], expected_s
     """Return the steps of a robot to use, for an expected dead time [s]; UsageError if they are too
     few, too much alike, or not along its heading."""
     steps = PoseSteps.together([track.steps for track in tracks])
+    drives = steps.duration_s < LONGEST_S
+    _require_enough(name, drives)
     dead_time = _delay(tracks, steps, expected_s + LAG_UNIT_S) - LAG_UNIT_S
     driven = _integrals(tracks, dead_time, LAG_UNIT_S)
     acts = np.concatenate([track.acts(dead_time) for track in tracks])
-    drives = acts & (steps.duration_s < LONGEST_S) & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
-    if drives.sum() < INTERVALS_MIN:
-        raise UsageError(f"robot {name} drives in only {drives.sum()} steps of {STEP_S:g} s")
+    drives &= acts & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
+    _require_enough(name, drives)
     if np.linalg.matrix_rank(driven[drives]) < 2:
         raise UsageError(f"robot {name} is sent one speed and turning rate only")
     check_angle(source, name, steps.at(drives), driven[drives, 0])
@@ -348,6 +352,14 @@ def _usable_steps(source: str, name: str, tracks: list[_DrivenTrack], expected_s
         left_out=int((drives & far_off).sum()),
         dead_time=dead_time,
     )
+
+
+def _require_enough(name: str, drives: Bools) -> None:
+    """Raise UsageError if a robot drives in too few steps (S,)."""
+    if drives.sum() < INTERVALS_MIN:
+        raise UsageError(
+            f"robot {name} drives in only {drives.sum()} steps of {STEP_S:g} to {LONGEST_S:g} s"
+        )
 
 
 def _delay(tracks: Sequence[_DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
@@ -550,8 +562,9 @@ def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
     turn_gains = _turns(steps, likeliest).gains()
     way_gains = _ways(steps, likeliest).gains()
     driven = steps.integrals(likeliest)
-    turning = _Obeyed.of(steps.turned, driven, turn_gains, sent=1)
-    driving = _Obeyed.of(steps.way, driven, way_gains, sent=0)
+    sent = steps.integrals(replace(likeliest, turning_lag=LAG_LEAST_S, speed_lag=LAG_LEAST_S))
+    turning = _Obeyed.of(steps.turned, driven @ turn_gains, turn_gains[1], sent[:, 1])
+    driving = _Obeyed.of(steps.way, driven @ way_gains, way_gains[0], sent[:, 0])
     _check_turns(source, name, turning)
     _check_ways(source, name, driving)
     std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
@@ -584,13 +597,13 @@ class _Obeyed:
     if_obeyed: float
 
     @classmethod
-    def of(cls, measured: Floats, integrals: Floats, gains: Floats, sent: int) -> "_Obeyed":
-        """Return it of turns or ways (M,), by gains (2,) of integrals (M, 2), one of them sent."""
-        rest = float(np.square(measured - integrals @ gains).sum())
-        commanded = float(np.square(integrals[:, sent]).sum())
+    def of(cls, measured: Floats, fitted: Floats, gain: float, sent: Floats) -> "_Obeyed":
+        """Return it of turns or ways (M,), those that are fitted and those that were sent."""
+        rest = float(np.square(measured - fitted).sum())
+        commanded = float(np.square(sent).sum())
         total = float(np.square(measured).sum())
         return cls(
-            gain=float(gains[sent]),
+            gain=gain,
             explained=1 - rest / total if total else 0.0,
             if_obeyed=commanded / (commanded + rest) if commanded else 0.0,
         )

@@ -157,39 +157,49 @@ class Actuator(Device, Protocol):
 
 
 class GuardCheck(Protocol):
-    """One check of what robots do in a lab; an actuator's section names the list of its robots'.
+    """One check of what robots do in a lab; an actuator's section names the list of its robots'. A
+    check that inherits from this class answers some of these questions, and finds nothing else.
 
-    `start` is called before each run, then `sent` for each transmission, `pose` for each new pose
-    that its robot can have reached, `frame` for each frame once its poses are accepted, and `tick`
-    before each ruling. Between runs `pause` is called in place of `pose`. Findings take effect in
-    the order in which they are yielded. Lengths are in the spec's length unit, times ns.
+    `start` is called before each run, then `sent` for each transmission, `exposed` for each frame,
+    then for each new pose that its robot can have reached `pose`, or `repeat` if it equals the last
+    one, `frame` once the poses are accepted, and `tick` before each ruling. Between runs `pause` is
+    called in place of `pose` and `repeat`. Findings take effect in the order in which they are
+    yielded. Lengths are in the spec's length unit, times ns.
     """
 
     def start(self) -> None:
         """Forget what was seen before: robots start from rest."""
-        ...
+
+    def replace(self, robot: int) -> None:
+        """Forget a lost robot, in place of which another body is followed from now on."""
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        ...
+
+    def exposed(self, times: tuple[int, ...]) -> None:
+        """Take the times (N,) of the poses of a frame."""
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
         """Check the newest pose of a robot in a run, by its last accepted one."""
-        ...
+        return ()
+
+    def repeat(self, robot: int) -> Iterable[Finding]:
+        """Check a robot in a run whose newest pose equals its last accepted one to the bit."""
+        return ()
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
         """Check the newest pose of a robot in a pause between two runs."""
-        ...
+        return ()
 
     def frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterable[Finding]:
         """Check the last accepted poses (N,) of a frame in a run, whose poses have the `times`."""
-        ...
+        return ()
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterable[Finding]:
         """Check where the robots (N,) are at a tick of a run."""
-        ...
+        return ()
 
 
 class Optimizer(Protocol):

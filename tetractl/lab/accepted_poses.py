@@ -5,7 +5,7 @@ the body is not as high as when the run began, within LIFTED_MM: somebody has li
 set it down. And it is wrong if the robot cannot have come there: after a time dt since each pose
 that is remembered, which are the last one and some of the last second,
 
-    distance <= FASTER speed dt + jump,    angle <= FASTER turning dt + jump_heading.
+    distance <= FASTER speed dt + jump,    angle <= FASTER turning dt + JUMP_HEADING.
 
 Lengths are in the spec's length unit, times ns on the run's clock.
 """
@@ -17,7 +17,11 @@ from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
+from tetractl.lab.guard_records import GuardRules
 
+JUMP_HEADING = 0.7
+"""A heading may differ by so much in no time [rad], as `jump_mm` of the limits says it of a
+position."""
 FASTER = 2.0
 """Multiple of a robot's speed and turning limits above which its pose jumped."""
 REMEMBERED_NS = SECOND
@@ -34,25 +38,6 @@ HEIGHT_NS = SECOND // 4
 
 
 @dataclass(frozen=True, slots=True)
-class MotionLimits:
-    """Limits of a robot's motion: the greatest `speed` [length unit/s] and `turning` [rad/s].
-
-    `jump` [length unit] and `jump_heading` [rad] are what a pose may differ by in no time. `lowest`
-    and `highest` bound the height of the body [length unit], `tilt` its angle to the vertical
-    [rad]; `mm` is the number of millimetres per length unit.
-    """
-
-    speed: float
-    turning: float
-    jump: float
-    jump_heading: float
-    lowest: float = -math.inf
-    highest: float = math.inf
-    tilt: float = math.pi
-    mm: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
 class TimedPose:
     """A pose and the time of its exposure."""
 
@@ -62,9 +47,11 @@ class TimedPose:
 
 @dataclass(slots=True)
 class AcceptedPoses:
-    """The `last` accepted pose of a robot, exposed at `last_ns`; None, at 0, before the first."""
+    """The `last` accepted pose of robot `i` of the rules, exposed at `last_ns`; None, at 0, before
+    the first."""
 
-    limits: MotionLimits
+    rules: GuardRules
+    i: int
     last: Pose | None = None
     last_ns: int = 0
     _height: float | None = None  # when the run began; None if the camera measures none
@@ -106,10 +93,11 @@ class AcceptedPoses:
 
     def _off_the_floor(self, pose: Pose) -> str:
         """Return why a body's height or tilt is wrong for a robot on the floor; "" if both fit."""
-        limits = self.limits
-        if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
-            return f"its body is at a height of {pose.height * limits.mm:.0f} mm"
-        if pose.tilt is not None and not pose.tilt <= limits.tilt:
+        mm = self.rules.mm
+        lowest_mm, highest_mm = self.rules.limits.height_mm
+        if pose.height is not None and not lowest_mm / mm <= pose.height <= highest_mm / mm:
+            return f"its body is at a height of {pose.height * mm:.0f} mm"
+        if pose.tilt is not None and not pose.tilt <= self.rules.limits.tilt:
             return f"its body is tilted by {pose.tilt:.2f} rad"
         return ""
 
@@ -117,7 +105,7 @@ class AcceptedPoses:
         """Return how much higher or lower the body is than when the run began, "" if it is not."""
         if pose.height is None or self._height is None:
             return ""
-        higher_mm = (pose.height - self._height) * self.limits.mm
+        higher_mm = (pose.height - self._height) * self.rules.mm
         if higher_mm > LIFTED_MM:
             return f"its body is {higher_mm:.0f} mm higher than at the start: was it lifted?"
         if higher_mm < -LIFTED_MM:
@@ -128,15 +116,15 @@ class AcceptedPoses:
         """Return whether the robot cannot have come to `pose` from a pose that is remembered."""
         if self.last is None:
             return False
-        limits = self.limits
-        fastest = FASTER * limits.speed
-        fastest_turning = FASTER * limits.turning
+        jump = self.rules.limits.jump_mm / self.rules.mm
+        fastest = FASTER * self.rules.speeds[self.i]
+        fastest_turning = FASTER * self.rules.turning[self.i]
         for earlier in (*self._remembered, TimedPose(self.last_ns, self.last)):
             dt_s = (exposed_ns - earlier.exposed_ns) / SECOND
             distance = math.hypot(pose.x - earlier.pose.x, pose.y - earlier.pose.y)
-            if distance > fastest * dt_s + limits.jump:
+            if distance > fastest * dt_s + jump:
                 return True
             angle = abs(math.remainder(pose.heading - earlier.pose.heading, math.tau))
-            if angle > fastest_turning * dt_s + limits.jump_heading:
+            if angle > fastest_turning * dt_s + JUMP_HEADING:
                 return True
         return False

@@ -2,10 +2,10 @@
 clock.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.damage_count import DamageCount
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,8 @@ class CameraStream:
     """How many came too late since the last start of a run."""
     refused: int = 0
     """How many poses the guard has refused."""
-    damage: DamageCount = field(default_factory=DamageCount)
+    _damaged: deque[tuple[int, int]] = field(default_factory=deque)
+    """The totals of damaged frames of the last second, each with its time, oldest first."""
 
     @property
     def newest_ns(self) -> int:
@@ -56,6 +57,15 @@ class CameraStream:
         self.own_times = own_times
         self.outdated = Outdated()
         return True
+
+    def damaged_recently(self, now_ns: int, total: int) -> int:
+        """Take the total of pictures or datagrams that could not be read; return by how much it
+        rose within the second before."""
+        totals = self._damaged
+        totals.append((now_ns, total))
+        while totals[0][0] < now_ns - SECOND:
+            totals.popleft()
+        return total - totals[0][1]
 
 
 def no_frame_text(silent_ns: int) -> str:

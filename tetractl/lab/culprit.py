@@ -1,5 +1,5 @@
 """Finds what is at fault when a pose contradicts commands: one robot, the camera, the radio, or the
-numbers of two robots.
+numbers of two robots. It is asked once, of the last frames, after the robots were stopped.
 
 What robots have done in the last RECENT_NS differs from what they were commanded by z_j (3,), in
 standard deviations. Of the explanations
@@ -20,17 +20,15 @@ Each motion may have any delay up to DELAY_NS. That i alone moves as j is comman
 push of some millimetres is as well explained by it. Lengths are mm.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Bools, Floats, Pose
+from tetractl.core.poses import Bools, CameraFrame, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
-from tetractl.lab.motion_check import DELAY_NS
-from tetractl.lab.motion_faults import AS_NO_COMMAND, DOES_NOT_MOVE
+from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS, DOES_NOT_MOVE
 
 RECENT_NS = SECOND // 2
 """Time over which motion is compared."""
@@ -55,15 +53,6 @@ SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies
 
 
 @dataclass(frozen=True, slots=True)
-class ShownPoses:
-    """The N robots' poses in a frame, accepted or not, and their times (N,) [ns]."""
-
-    now_ns: int
-    poses: Sequence[Pose | None]
-    times: Sequence[int]
-
-
-@dataclass(frozen=True, slots=True)
 class Explanations:
     """The sums of squares of a common cause, and of one robot; `delay_ns` is that of the radio."""
 
@@ -73,34 +62,29 @@ class Explanations:
 
 
 class Culprit:
-    """Keeps what the camera shows of N robots `names`, whose motion `drift` follows; `mm` is the
-    number of millimetres per length unit. `suspect` is the robot that a run was aborted for.
+    """Asks what N robots `names` have done by `frames`: at least one, oldest first, of the last
+    RECENT_NS, with their poses as the camera shows them, accepted or not. `drift` follows their
+    motion; `mm` is the number of millimetres per length unit.
     """
 
-    def __init__(self, names: Sequence[str], drift: DriftCheck, mm: float) -> None:
+    def __init__(
+        self, names: Sequence[str], drift: DriftCheck, mm: float, frames: Sequence[CameraFrame]
+    ) -> None:
         self._names = names
         self._drift = drift
         self._mm = mm
-        self._shown: deque[ShownPoses] = deque()  # of the last RECENT_NS, oldest first
-        self.suspect: int | None = None
+        self._frames = frames
+        unknown = (0,) * len(names)
+        self._times = [frame.times(unknown) for frame in frames]  # of poses that are shown (N,)
 
-    def see(self, now_ns: int, poses: Sequence[Pose | None], times: Sequence[int]) -> None:
-        """Take a frame's poses, accepted or not, and their times (N,) [ns]."""
-        self._shown.append(ShownPoses(now_ns, poses, times))
-        while now_ns - self._shown[0].now_ns > RECENT_NS:
-            self._shown.popleft()
-
-    def why(self, reason: str) -> str:
-        """Return, once, a text if the camera, the radio or two numbers are at fault, "" if the
-        suspect of the abort with this `reason` is: so it is if it does not move, whose link, power
-        or wheels are at fault. Swapped numbers are only asked for if it moved as no command does:
-        swapped wheels have a reason of their own.
+    def why(self, suspect: int, reason: str) -> str:
+        """Return a text if the camera, the radio or two numbers are at fault, "" if the suspect of
+        the abort with this `reason` is: so it is if it does not move, whose link, power or wheels
+        are at fault. Swapped numbers are only asked for if it moved as no command does: swapped
+        wheels have a reason of their own.
         """
-        suspect = self.suspect
-        self.suspect = None
-        if suspect is None:
-            return ""
-        robots = self._shown_throughout()
+        ends = zip(self._frames[0].poses, self._frames[-1].poses, strict=True)
+        robots = [i for i, pair in enumerate(ends) if None not in pair]  # shown throughout
         if len(robots) < 2 or suspect not in robots or DOES_NOT_MOVE in reason:
             return ""
         if AS_NO_COMMAND in reason:
@@ -108,11 +92,6 @@ class Culprit:
             if swapped:
                 return swapped
         return self._common_cause(suspect, robots)
-
-    def _shown_throughout(self) -> list[int]:
-        """Return the robots that are in the first and in the last frame."""
-        pairs = zip(self._shown[0].poses, self._shown[-1].poses, strict=True)
-        return [i for i, pair in enumerate(pairs) if None not in pair]
 
     def _common_cause(self, suspect: int, robots: Sequence[int]) -> str:
         """Return a text if camera or radio explain the motion of the robots better than the
@@ -157,9 +136,9 @@ class Culprit:
     def _blocks(self, i: int) -> list[tuple[int, Pose]]:
         """Return the poses of robot i that are at least BLOCK_NS apart, with their times."""
         blocks: list[tuple[int, Pose]] = []
-        for frame in self._shown:
+        for frame, times in zip(self._frames, self._times, strict=True):
             pose = frame.poses[i]
-            exposed_ns = frame.times[i]
+            exposed_ns = times[i]
             if pose is not None and (not blocks or exposed_ns - blocks[-1][0] >= BLOCK_NS):
                 blocks.append((exposed_ns, pose))
         return blocks
@@ -178,21 +157,22 @@ class Culprit:
     ) -> Floats:
         """Return |z|^2 (delays, K) of robots with the commands of the robots `commanded` (K,),
         which act later by 0, 1, ... steps of STEP_NS."""
-        first = self._shown[0]
-        last = self._shown[-1]
-        then = self._array(first.poses, robots)
-        now = self._array(last.poses, robots)
+        then = self._array(self._frames[0].poses, robots)
+        now = self._array(self._frames[-1].poses, robots)
+        began = self._times[0]
+        ended = self._times[-1]
         # steps between each robot's own two poses
-        own_steps = np.array(
-            [max(1, round((last.times[i] - first.times[i]) / STEP_NS)) for i in robots]
-        )
+        own_steps = np.array([max(1, round((ended[i] - began[i]) / STEP_NS)) for i in robots])
         steps = int(own_steps.max())
         in_own = (np.arange(steps)[:, None] < own_steps)[:, None]
-        ends = {last.times[i] for i in robots}
-        sent_before = {end_ns: self._sent_before(end_ns, delays + steps) for end_ns in ends}
+        # speeds and turning rates (T, 2, N) in steps before each end, the newest first
+        commands = self._drift.commands
+        sent_before: dict[int, Floats] = {}
+        for end_ns in {ended[i] for i in robots}:
+            means = [commands.mean(end_ns - k * STEP_NS, STEP_NS) for k in range(delays + steps)]
+            sent_before[end_ns] = np.array(means)
         columns = [
-            sent_before[last.times[i]][:, :, column]
-            for i, column in zip(robots, commanded, strict=True)
+            sent_before[ended[i]][:, :, column] for i, column in zip(robots, commanded, strict=True)
         ]
         sent = np.stack(columns, axis=-1)
         sent *= STEP_NS / SECOND
@@ -201,12 +181,6 @@ class Culprit:
             in_own_span = (sent[delay : delay + steps] * in_own)[::-1]  # oldest first
             rows.append(squares_of(then, now, in_own_span))
         return np.array(rows)
-
-    def _sent_before(self, end_ns: int, steps: int) -> Floats:
-        """Return the speeds and turning rates (steps, 2, N) commanded in steps of STEP_NS before a
-        time, the newest first."""
-        commands = self._drift.commands
-        return np.array([commands.mean(end_ns - k * STEP_NS, STEP_NS) for k in range(steps)])
 
     def _array(self, poses: Sequence[Pose | None], robots: Sequence[int]) -> Floats:
         """Return the poses of robots, of which none is None (K, 3) [mm, mm, rad]."""

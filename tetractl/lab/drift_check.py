@@ -26,14 +26,16 @@ a quarter second later. Lengths are mm.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_findings import Abort
 from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
+from tetractl.core.protocols import GuardCheck
 from tetractl.lab.command_history import CommandHistory
-from tetractl.lab.motion_check import WATCHDOG_NS, motion
-from tetractl.lab.motion_faults import ANOTHER, KINDS
+from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS, MotionCheck, motion
 from tetractl.model.motion.rolling import rolled
 
 BLOCK_NS = SECOND // 20
@@ -55,32 +57,43 @@ LAGS = LOST / 5
 CLIP = 1.7
 """Standard deviations beyond which a residual counts no more."""
 
-# columns of the regressors, in the order of the module's equations
-RESIDUAL = 0  # motion that nominal wheels do not explain
-SPEED = 1  # s
-RADIUS = 2  # k
-DIFFERENCE = 3  # d
-HEADING = 4  # b
-FORWARD = 5  # f
-ASIDE = 6  # l
-LATER = len(TAPS_NS) - 1  # number of delays that have a weight
-TAPS_ALONG = slice(7, 7 + LATER)  # weights of the delays of driving
-TAPS_AROUND = slice(7 + LATER, 7 + 2 * LATER)  # of turning
-KNOWN = slice(1, 7 + 2 * LATER)  # all that are constant over a trial
-OWN = slice(KNOWN.stop, KNOWN.stop + 3)  # a constant velocity of one robot
-PICTURE = slice(OWN.stop, OWN.stop + 4)  # shift, turn and growth of the picture
-MOTION = slice(OWN.start, PICTURE.stop)
-COLUMNS = PICTURE.stop
 
-PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * (2 * LATER)])
+class Columns(NamedTuple):
+    """The columns of the regressors, in the order of the module's equations."""
+
+    residual: int = 0
+    """Motion that nominal wheels do not explain."""
+    speed: int = 1  # s
+    radius: int = 2  # k
+    difference: int = 3  # d
+    heading: int = 4  # b
+    forward: int = 5  # f
+    aside: int = 6  # l
+    taps_along: slice = slice(7, 10)
+    """Weights of the delays of driving, without the nominal one."""
+    taps_around: slice = slice(10, 13)
+    """Weights of the delays of turning."""
+    known: slice = slice(1, 13)
+    """All that are constant over a trial."""
+    own: slice = slice(13, 16)
+    """A constant velocity of one robot."""
+    picture: slice = slice(16, 20)
+    """Shift, turn and growth of the picture."""
+    motion: slice = slice(13, 20)
+    """Both of these."""
+    width: int = 20
+
+
+AT = Columns()
+PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
 """Standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
 ERRORS = np.zeros((3, len(PRIOR)))
-"""Errors of the left and right wheel and of the heading, by the columns KNOWN."""
-ERRORS[:, SPEED - 1] = (1, 1, 0)
-ERRORS[:, DIFFERENCE - 1] = (-1, 1, 0)
-ERRORS[:, HEADING - 1] = (0, 0, 1)
+"""Errors of the left and right wheel and of the heading, by the columns `known`."""
+ERRORS[:, AT.speed - 1] = (1, 1, 0)
+ERRORS[:, AT.difference - 1] = (-1, 1, 0)
+ERRORS[:, AT.heading - 1] = (0, 0, 1)
 LARGEST = np.array([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0]) ** -2
-"""Inverse variances of the columns MOTION [mm/s, rad/s, 1/s]."""
+"""Inverse variances of the columns `motion` [mm/s, rad/s, 1/s]."""
 LEAST_BLOCKS = 12
 """Younger changes are left to `motion_check`: lost packets make 7 blocks wrong alike."""
 SPACING = 5
@@ -109,32 +122,13 @@ WRONG = (
 
 
 @dataclass(frozen=True, slots=True)
-class DriftFault:
-    """What is wrong, "" if nothing is, and the robots whose poses are false."""
-
-    text: str = ""
-    false: tuple[int, ...] = ()
-
-
-NO_FAULT = DriftFault()
-
-
-@dataclass(frozen=True, slots=True)
 class MeasuredPose:
-    """The last accepted pose of a robot, and its time."""
-
-    pose: Pose | None = None
-    exposed_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class BlockStart:
-    """Where a block of a robot begins: its pose, its motion since its rest (3,) [mm, mm, rad], and
-    the time of the pose."""
+    """The last accepted pose of a robot, its time, and the robot's motion until then since its rest
+    (3,) [mm, mm, rad]."""
 
     pose: Pose
-    travelled: Floats
     exposed_ns: int
+    travelled: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,15 +143,6 @@ class MotionBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class GridMoment:
-    """A moment since which a change is looked for: how many blocks were before it, and the sums of
-    products up to it (N, COLUMNS, COLUMNS)."""
-
-    blocks: int
-    sums: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class Changes:
     """What is left of the motion since each of G moments of the grid, but for the constants: the
     motions that no wheel explains, as sums of products with themselves, `squares` (G, N, 7, 7), and
@@ -169,9 +154,11 @@ class Changes:
     noise: Floats
 
 
-class DriftCheck:
-    """Checks N robots of wheel distance `radius` and wheels that are wrong by up to `share`; `mm`
-    is the number of millimetres per length unit of what it is given, `sight` what the camera sees.
+class DriftCheck(GuardCheck):
+    """Aborts a run of N robots of wheel distance `radius` and wheels that are wrong by up to
+    `share` if their motion over the whole trial is none that wheels can make. `motion` adds their
+    motion up; `mm` is the number of millimetres per length unit of what is given, `sight` what the
+    camera sees.
 
     `worst` is the statistic at the worst moment of the grid, `blocks` how many have been fitted.
     """
@@ -182,12 +169,14 @@ class DriftCheck:
         radius: float,
         mm: float,
         share: float,
+        motion: MotionCheck,
         sight: Sight = UNSTATED,
     ) -> None:
         robots = len(names)
         self._names = names
         self._mm = mm
         self._share = share
+        self._motion = motion
         self._radius = radius * mm
         self._noise = np.hypot(NOISE, sight.spread)
         self._coarse = sight.coarse
@@ -195,24 +184,23 @@ class DriftCheck:
         self.worst = 0.0
         self.blocks = 0
         self._fastest = np.zeros(robots)  # greatest speeds commanded [mm/s]
-        # the fit: sums of products of the columns, the constants KNOWN and their covariance
-        self._sums = np.zeros((robots, COLUMNS, COLUMNS))
+        # the fit: sums of products of the columns, the constants and their covariance
+        self._sums = np.zeros((robots, AT.width, AT.width))
         self._fit = np.zeros((robots, len(PRIOR)))
         self._spread = np.array([np.diag(PRIOR**2)] * robots)
-        self._grid = [GridMoment(0, self._sums.copy())]
+        # the grid: sums at moments since which a change is looked for, by the blocks before each
+        self._grid = {0: self._sums.copy()}
         # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
         self._carried = np.zeros((robots, 3))
-        self._last = [MeasuredPose()] * robots
-        self.rest()
+        self._last: list[MeasuredPose | None] = [None] * robots
+        self.start()
 
     # ---- what is taken ----
 
-    def rest(self) -> None:
-        """Leave out the motion from the last pose to the next, but keep the fit; called when robots
-        start from rest.
-        """
+    def start(self) -> None:
+        """Leave out the motion from the last pose to the next, but keep the fit."""
         self._began_ns = 0  # when the block began
-        self._starts: list[BlockStart | None] = [None] * len(self._names)
+        self._starts: list[MeasuredPose | None] = [None] * len(self._names)
         self._carried[:] = 0.0
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
@@ -222,50 +210,35 @@ class DriftCheck:
         self.commands.sent(now_ns, np.array([speeds, turning]))
 
     def frame(
-        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None], travelled: Floats
-    ) -> DriftFault:
-        """Take the last accepted poses (N,) at a frame, their `times` (N,) [ns], and the robots'
-        motion (N, 3) since their rest. Return what is wrong. Poses that repeat are left out. Wheels
-        that may be wrong by more than STEADY, as before they are calibrated, would explain any
-        drift.
+        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
+    ) -> tuple[Abort, ...]:
+        """Return what is wrong with the motion up to a frame. Poses that repeat are left out.
+        Wheels that may be wrong by more than STEADY, as before they are calibrated, would explain
+        any drift.
         """
-        new_poses = self._new_poses(times, poses)
+        before = self._last
+        ways = self._motion.travelled * (self._mm, self._mm, 1.0)
+        self._last = [
+            None if pose is None else MeasuredPose(pose, exposed_ns, way)
+            for pose, exposed_ns, way in zip(poses, times, ways, strict=True)
+        ]
         dt_ns = now_ns - self._began_ns
         if dt_ns < BLOCK_NS or self._share > STEADY:
-            return NO_FAULT
-        ways = travelled * (self._mm, self._mm, 1.0)
+            return ()
+        pairs = zip(before, self._last, strict=True)
+        ends = [None if self._repeats(last, now) else now for last, now in pairs]
         if dt_ns < WATCHDOG_NS:
-            self._add(self._ended_blocks(times, new_poses, ways))
+            self._add(ended_blocks(self._starts, ends))
             self.blocks += 1
         self._began_ns = now_ns
-        self._starts = [
-            None if pose is None else BlockStart(pose, way, exposed_ns)
-            for pose, way, exposed_ns in zip(new_poses, ways, times, strict=True)
-        ]
-        return self._fault() if self.blocks % 2 == 0 else NO_FAULT
+        self._starts = ends
+        return self._fault() if self.blocks % 2 == 0 else ()
 
-    def _new_poses(self, times: Sequence[int], poses: Sequence[Pose | None]) -> list[Pose | None]:
-        """Take the poses of a frame; return those that are new measurements, None for others."""
-        before = self._last
-        self._last = [MeasuredPose(*pair) for pair in zip(poses, times, strict=True)]
-        pairs = zip(self._last, before, strict=True)
-        return [None if self._repeats(now, last) else now.pose for now, last in pairs]
-
-    def _repeats(self, now: MeasuredPose, last: MeasuredPose) -> bool:
+    def _repeats(self, last: MeasuredPose | None, now: MeasuredPose | None) -> bool:
         """Return whether a pose is no new measurement, though it has another time."""
-        return now.pose == last.pose and now.exposed_ns != last.exposed_ns and not self._coarse
-
-    def _ended_blocks(
-        self, times: Sequence[int], poses: Sequence[Pose | None], ways: Floats
-    ) -> list[MotionBlock]:
-        """Return the blocks of the robots that have poses at both ends."""
-        blocks: list[MotionBlock] = []
-        for i, (start, pose) in enumerate(zip(self._starts, poses, strict=True)):
-            if start is not None and pose is not None and times[i] > start.exposed_ns:
-                way = ways[i] - start.travelled
-                dt_ns = times[i] - start.exposed_ns
-                blocks.append(MotionBlock(i, start.pose, way, times[i], dt_ns))
-        return blocks
+        if last is None or now is None or self._coarse:
+            return False
+        return now.pose == last.pose and now.exposed_ns != last.exposed_ns
 
     # ---- what is known ----
 
@@ -298,7 +271,7 @@ class DriftCheck:
         m with the variance q, of which the prior is p, has the rate v / r m / (1 - q / p) and the
         variance (v / r)^2 q / (1 - q / p).
         """
-        d = DIFFERENCE - 1
+        d = AT.difference - 1
         per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
         variance = self._spread[:, d, d]
         explained = 1.0 - variance / PRIOR[d] ** 2
@@ -315,7 +288,7 @@ class DriftCheck:
         `frames`, at times [ns]: z (3,), in standard deviations, and its regressors on a shift, turn
         and growth of the picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
-        total = np.zeros((3, COLUMNS))
+        total = np.zeros((3, AT.width))
         variance = 2 * self._noise**2
         for (then_ns, then), (now_ns, now) in pairwise(frames):
             way = motion(then, now) * (self._mm, self._mm, 1.0)
@@ -323,11 +296,11 @@ class DriftCheck:
             x, walk = self._regressors([block], way[None])
             total = total + x[0]
             variance = variance + walk[0]
-        regressors = total[:, KNOWN]
+        regressors = total[:, AT.known]
         variance = variance + np.einsum("rp,pq,rq->r", regressors, self._spread[i], regressors)
         spread = np.sqrt(variance)
-        residual = total[:, RESIDUAL] - regressors @ self._fit[i]
-        return residual / spread, total[:, PICTURE] / spread[:, None]
+        residual = total[:, AT.residual] - regressors @ self._fit[i]
+        return residual / spread, total[:, AT.picture] / spread[:, None]
 
     # ---- the fit ----
 
@@ -343,7 +316,7 @@ class DriftCheck:
         return delayed_means[np.arange(len(blocks)), :, :, robots]
 
     def _regressors(self, blocks: Sequence[MotionBlock], motions: Floats) -> tuple[Floats, Floats]:
-        """Return residuals and regressors (K, 3, COLUMNS) of blocks with the `motions` (K, 3), and
+        """Return residuals and regressors (K, 3, 20) of blocks with the `motions` (K, 3), and
         the variances (K, 3) of those motions."""
         commanded = self._commanded(blocks)
         sent = commanded[:, : len(TAPS_NS)]
@@ -354,23 +327,23 @@ class DriftCheck:
         along = 0
         across = 1
         around = 2
-        x = np.zeros((len(blocks), 3, COLUMNS))
-        x[:, :, RESIDUAL] = motions
-        x[:, along, RESIDUAL] -= v
-        x[:, around, RESIDUAL] -= w
-        x[:, along, SPEED] = v
-        x[:, along, DIFFERENCE] = w * r
-        x[:, along, ASIDE] = w
-        x[:, along, TAPS_ALONG] = later[:, :, 0]
-        x[:, across, HEADING] = v
-        x[:, across, FORWARD] = w
-        x[:, around, SPEED] = w
-        x[:, around, RADIUS] = w
-        x[:, around, DIFFERENCE] = v / r if r else 0.0
-        x[:, around, TAPS_AROUND] = later[:, :, 1]
-        x[:, :, OWN] = np.eye(3) * dt_s[:, None, None]
-        x[:, :2, PICTURE] = self._picture_moves([block.before for block in blocks], dt_s)
-        x[:, around, PICTURE.start + 2] = dt_s
+        x = np.zeros((len(blocks), 3, AT.width))
+        x[:, :, AT.residual] = motions
+        x[:, along, AT.residual] -= v
+        x[:, around, AT.residual] -= w
+        x[:, along, AT.speed] = v
+        x[:, along, AT.difference] = w * r
+        x[:, along, AT.aside] = w
+        x[:, along, AT.taps_along] = later[:, :, 0]
+        x[:, across, AT.heading] = v
+        x[:, across, AT.forward] = w
+        x[:, around, AT.speed] = w
+        x[:, around, AT.radius] = w
+        x[:, around, AT.difference] = v / r if r else 0.0
+        x[:, around, AT.taps_around] = later[:, :, 1]
+        x[:, :, AT.own] = np.eye(3) * dt_s[:, None, None]
+        x[:, :2, AT.picture] = self._picture_moves([block.before for block in blocks], dt_s)
+        x[:, around, AT.picture.start + 2] = dt_s
         unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt_s[:, None]
         before = np.abs(commanded[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]]
         before = before * dt_s[:, None]
@@ -400,35 +373,40 @@ class DriftCheck:
         x, walk = self._regressors(blocks, motions)
         spread = np.sqrt(2 * self._noise**2 + walk)
         x /= spread[:, :, None]
-        regressors = x[:, :, KNOWN]
+        regressors = x[:, :, AT.known]
         expected = (regressors @ self._fit[robots, :, None])[..., 0]
         bound = CLIP * np.sqrt(1 + ((regressors @ self._spread[robots]) * regressors).sum(axis=2))
-        residual = x[:, :, RESIDUAL].copy()
-        x[:, :, RESIDUAL] = np.clip(residual, expected - bound, expected + bound)
-        self._carried[robots, :2] = ((residual - x[:, :, RESIDUAL]) * spread)[:, :2]
+        residual = x[:, :, AT.residual].copy()
+        x[:, :, AT.residual] = np.clip(residual, expected - bound, expected + bound)
+        self._carried[robots, :2] = ((residual - x[:, :, AT.residual]) * spread)[:, :2]
         self._sums[robots] += x.swapaxes(1, 2) @ x
 
-    def _fault(self) -> DriftFault:
+    def _fault(self) -> tuple[Abort, ...]:
         """Fit the constants again; return what is wrong."""
         sums = self._sums
-        self._spread = np.linalg.inv(sums[:, KNOWN, KNOWN] + np.diag(PRIOR**-2.0))
-        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, KNOWN, RESIDUAL])
+        self._spread = np.linalg.inv(sums[:, AT.known, AT.known] + np.diag(PRIOR**-2.0))
+        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, AT.known, AT.residual])
         self.worst = 0.0
-        fault = self._worst_change()
-        self._extend_grid()
-        return fault if self.worst > LIMIT else self._wrong_wheels()
+        change = self._worst_change()
+        if self.blocks - max(self._grid) >= SPACING:
+            self._grid[self.blocks] = sums.copy()
+            if len(self._grid) > MOMENTS_MAX:  # old moments are kept less densely
+                for moment in list(self._grid)[1 : 3 * MOMENTS_MAX // 4 : 2]:
+                    del self._grid[moment]
+        return change if self.worst > LIMIT else self._wrong_wheels()
 
     # ---- changes ----
 
-    def _worst_change(self) -> DriftFault:
+    def _worst_change(self) -> tuple[Abort, ...]:
         """Return the motion since a moment of the grid that gains most, of one robot or of the
         whole picture; set `worst` to its gain."""
-        old = [moment.sums for moment in self._grid if self.blocks - moment.blocks >= LEAST_BLOCKS]
+        youngest = self.blocks - LEAST_BLOCKS
+        old = [sums_then for blocks, sums_then in self._grid.items() if blocks <= youngest]
         if not old:
-            return NO_FAULT
+            return ()
         sums = self._sums
-        fitted = np.einsum("np,np->n", self._fit, sums[:, KNOWN, RESIDUAL])
-        squares = sums[:, RESIDUAL, RESIDUAL] - fitted  # (N,) what is left over in all
+        fitted = np.einsum("np,np->n", self._fit, sums[:, AT.known, AT.residual])
+        squares = sums[:, AT.residual, AT.residual] - fitted  # (N,) what is left over in all
         count = 3.0 * max(self.blocks, 1)
         changes = self._changes(np.array(old), squares, count)
         of_one = slice(0, 3)
@@ -447,17 +425,16 @@ class DriftCheck:
         gains = self._gains_of_shift(changes, g, shift[g])
         i = int(gains.argmax())
         if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
-            all_robots = tuple(range(len(self._names)))
-            return DriftFault(TOGETHER, all_robots)
+            return (Abort(TOGETHER, tuple(range(len(self._names)))),)
         return self._of_one(i, pulls[g, i] * velocity[g, i])
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
         """Return what is left of the motion since moments with the sums `old` (G, N, ...), if
         `squares` (N,) of `count` residuals are left over in all."""
         since = self._sums - old
-        mixed = since[..., KNOWN, MOTION]
-        unexplained = since[..., MOTION, MOTION] - mixed.swapaxes(2, 3) @ self._spread @ mixed
-        pulls = since[..., MOTION, RESIDUAL] - (self._fit[:, None] @ mixed)[..., 0, :]
+        mixed = since[..., AT.known, AT.motion]
+        unexplained = since[..., AT.motion, AT.motion] - mixed.swapaxes(2, 3) @ self._spread @ mixed
+        pulls = since[..., AT.motion, AT.residual] - (self._fit[:, None] @ mixed)[..., 0, :]
         noise = np.maximum(1.0, squares / count)[:, None]
         return Changes(unexplained, pulls, noise)
 
@@ -480,21 +457,14 @@ class DriftCheck:
         squares = changes.squares[g][:, picture, picture]
         return (2 * pulls - squares @ shift) @ shift / changes.noise[:, 0]
 
-    def _of_one(self, i: int, gains: Floats) -> DriftFault:
+    def _of_one(self, i: int, gains: Floats) -> tuple[Abort, ...]:
         """Return that robot i moves by itself, in the way that has the greatest of `gains` (3,)."""
         kind = KINDS[int(gains.argmax())]
-        return DriftFault(f"{self._names[i]} {ANOTHER.format(kind)}", (i,))
-
-    def _extend_grid(self) -> None:
-        """Keep this moment, if it is one of the grid; old moments are kept less densely."""
-        if self.blocks - self._grid[-1].blocks >= SPACING:
-            self._grid.append(GridMoment(self.blocks, self._sums.copy()))
-            if len(self._grid) > MOMENTS_MAX:
-                del self._grid[1 : 3 * MOMENTS_MAX // 4 : 2]
+        return (Abort(f"{self._names[i]} {ANOTHER.format(kind)}", (i,), suspect=i),)
 
     # ---- wheels ----
 
-    def _wrong_wheels(self) -> DriftFault:
+    def _wrong_wheels(self) -> tuple[Abort, ...]:
         """Return which robot's wheels or heading are wrong by more than allowed."""
         errors = self._fit @ ERRORS.T  # (N, 3)
         variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
@@ -502,8 +472,21 @@ class DriftCheck:
         for i, name in enumerate(self._names):
             left_is_wrong, right_is_wrong, heading_is_wrong = beyond[i]
             if heading_is_wrong:
-                return DriftFault(f"{name} {ANOTHER.format(KINDS[1])}")
+                return (Abort(f"{name} {ANOTHER.format(KINDS[1])}"),)
             if left_is_wrong or right_is_wrong:
                 left_error, right_error, _ = errors[i]
-                return DriftFault(WRONG.format(name, left_error, right_error))
-        return NO_FAULT
+                return (Abort(WRONG.format(name, left_error, right_error)),)
+        return ()
+
+
+def ended_blocks(
+    starts: Sequence[MeasuredPose | None], ends: Sequence[MeasuredPose | None]
+) -> list[MotionBlock]:
+    """Return the blocks of the robots (N,) that have poses at both ends."""
+    blocks: list[MotionBlock] = []
+    for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        if start is not None and end is not None and end.exposed_ns > start.exposed_ns:
+            way = end.travelled - start.travelled
+            dt_ns = end.exposed_ns - start.exposed_ns
+            blocks.append(MotionBlock(i, start.pose, way, end.exposed_ns, dt_ns))
+    return blocks

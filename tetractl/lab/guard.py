@@ -78,31 +78,61 @@ controller's thread meanwhile, `lose_robot` and `replace_robot` between two step
 Lengths are in the spec's length unit, times ns on the run's clock.
 """
 
+import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.accepted_frame import AcceptedFrame
-from tetractl.lab.accepted_poses import AcceptedPoses, MotionLimits
+from tetractl.lab.accepted_frame import AcceptedFrame, FrameBuffer
+from tetractl.lab.accepted_poses import AcceptedPoses
 from tetractl.lab.camera_stream import CameraStream, no_frame_text, with_outdated
-from tetractl.lab.culprit import Culprit
+from tetractl.lab.culprit import RECENT_NS, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
-from tetractl.lab.guard_status import GuardStatus
-from tetractl.lab.motion_faults import DOES_NOT_MOVE, REPEATS
-from tetractl.lab.pose_decision import PoseDecision, PoseReading
-from tetractl.lab.robot_track import RobotTrack
+from tetractl.lab.motion_check import DOES_NOT_MOVE, REPEATS
+from tetractl.lab.robot_track import PoseDecision, RobotTrack
 
-JUMP_HEADING = 0.7
-"""A heading may differ by so much in no time [rad], as `jump_mm` says it of a position."""
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
 RARELY = 3.0
 """A robot may be unseen for so many times `untracked_abort`, though not all at once."""
+
+
+class GuardStatus:
+    """The guard's `state`, after an abort its `reason` and the robot that seems to be at fault, and
+    whether all robots are stopped for good, by the operator or as plain stops did not hold them: an
+    `emergency`. Several threads may change it: an abort is final, also if another thread enters a
+    state at the same moment.
+    """
+
+    def __init__(self) -> None:
+        self.state = GuardState.PREFLIGHT
+        self.reason = ""
+        self.suspect: int | None = None
+        self.emergency = False
+        self._lock = threading.Lock()
+
+    def enter(self, state: GuardState) -> None:
+        """Enter a state, but not after an abort."""
+        with self._lock:
+            if self.state is not GuardState.ABORT:
+                self.state = state
+
+    def abort(self, reason: str, emergency: bool, suspect: int | None) -> bool:
+        """Enter `abort` for a reason; return False if that has happened before."""
+        with self._lock:
+            self.emergency |= emergency
+            if self.state is GuardState.ABORT:
+                return False
+            self.reason = reason
+            self.suspect = suspect
+            self.state = GuardState.ABORT
+            return True
 
 
 @dataclass(slots=True)
@@ -156,13 +186,11 @@ class Guard:
         self._make_tracks_and_checks()
 
     def _make_tracks_and_checks(self) -> None:
-        rules = self.rules
         self._robots = [
-            RobotTrack(name, AcceptedPoses(limits))
-            for name, limits in zip(rules.names, motion_limits(rules), strict=True)
+            RobotTrack(name, AcceptedPoses(self.rules, i))
+            for i, name in enumerate(self.rules.names)
         ]
-        self._checks = self._checks_of(rules)
-        self.culprit = Culprit(rules.names, self.drift, rules.mm)
+        self._checks = self._checks_of(self.rules)
 
     # ---- what others may know ----
 
@@ -269,9 +297,8 @@ class Guard:
         that seems to be at fault, None for no one robot. Robots that are hidden since their poses
         are refused become ghosts.
         """
-        if not self._status.abort(reason, emergency):
+        if not self._status.abort(reason, emergency, suspect):
             return
-        self.culprit.suspect = suspect
         for robot in self._robots:
             if robot.refused and robot.hidden:
                 robot.ghost = robot.refused
@@ -280,13 +307,17 @@ class Guard:
         """Give a better reason of an abort."""
         self._status.reason = reason
 
-    def name_culprit(self) -> None:
-        """After an abort, correct its reason once if not the suspected robot is at fault; slow, so
-        to be called once the robots are stopped.
+    def name_culprit(self, frames: FrameBuffer) -> None:
+        """After an abort, correct its reason once if by the last frames not the suspected robot is
+        at fault; slow, so to be called once the robots are stopped.
         """
-        culprit = self.culprit.why(self.reason)
-        if culprit:
-            self.correct_reason(culprit)
+        suspect = self._status.suspect
+        if suspect is None:
+            return
+        self._status.suspect = None
+        shown = [accepted.frame for accepted in frames.last(RECENT_NS)]
+        culprit = Culprit(self.rules.names, self.drift, self.rules.mm, shown)
+        self._status.reason = culprit.why(suspect, self.reason) or self.reason
 
     def lose_robot(self, i: int, reason: str) -> None:
         """Continue without a robot; abort if the rules forbid that or no other robot is left."""
@@ -303,9 +334,10 @@ class Guard:
     def replace_robot(self, i: int) -> None:
         """Continue with another body in place of a lost robot."""
         lost = self._robots[i]
-        poses = AcceptedPoses(lost.poses.limits, last_ns=lost.newest_ns)  # counts as seen now
+        poses = AcceptedPoses(self.rules, i, last_ns=lost.newest_ns)  # counts as seen now
         self._robots[i] = RobotTrack(lost.name, poses, lost.newest_ns)
-        self._checks.motion.forget(i)
+        for check in self._checks.checks:
+            check.replace(i)
 
     # ---- what controller and actuator did ----
 
@@ -354,23 +386,27 @@ class Guard:
         if frame.fault:
             self.abort(frame.fault)
         if not self._stream.advance(frame.sampled_ns, own_times=bool(frame.exposed_ns)):
-            self._note_dropped()
+            if self._in_run and self._stream.dropped == 1:
+                behind = self._stream.outdated.behind
+                self._warnings.add_once(f"a camera frame {behind} was dropped")
             return None
-        for robot in self._robots:
-            robot.newest_ns = frame.sampled_ns
         in_run = self._in_run
-        readings = self._readings(frame)
-        times = tuple(reading.exposed_ns for reading in readings)
-        self._checks.motion.take_frame(times)
-        self.culprit.see(frame.sampled_ns, frame.poses, times)
+        times = frame.times([robot.poses.last_ns for robot in self._robots])
+        for robot, read_ns in zip(self._robots, times, strict=True):
+            robot.read(frame.sampled_ns, read_ns, own_times=bool(frame.exposed_ns))
+        for check in self._checks.checks:
+            check.exposed(times)
         if in_run:
-            self._count_absence()
+            for robot in self._robots:
+                robot.count_absence(self.rules.limits.stale * SECOND)
         if self.rules.goes_on:
             self._lose_unseen()
-        decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(readings)]
-        self._record_poses(readings, decisions)
+        decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(frame.poses)]
+        self._record_poses(decisions)
         accepted = self._accepted(frame)
-        self._check_accepted(accepted, times)
+        for check in self._checks.checks:
+            if self._in_run:  # up to the first abort
+                self._record(check.frame(frame.sampled_ns, times, accepted.poses))
         return accepted
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
@@ -382,7 +418,7 @@ class Guard:
         self.check_awake(now_ns)
         if failure:
             self.abort(failure)
-        recently_damaged = self._stream.damage.recent(now_ns, damaged)
+        recently_damaged = self._stream.damaged_recently(now_ns, damaged)
         poses = tuple(self._pose_now(i, robot) for i, robot in enumerate(self._robots))
         if self._in_run:
             return self._rule_run(now_ns, recently_damaged, poses)
@@ -410,32 +446,6 @@ class Guard:
 
     # ---- a frame ----
 
-    def _note_dropped(self) -> None:
-        """Warn of the first frame that is dropped in a run."""
-        if self._in_run and self._stream.dropped == 1:
-            behind = self._stream.outdated.behind
-            self._warnings.add_once(f"a camera frame {behind} was dropped")
-
-    def _readings(self, frame: CameraFrame) -> tuple[PoseReading, ...]:
-        """Return the robots' readings; to be called before the motion check takes the frame.
-
-        Where poses have times of their own, a frame may show a pose again that was measured for one
-        before: it is new only if it is later than that accepted, and than that compared, last.
-        """
-        times = frame.times([robot.poses.last_ns for robot in self._robots])
-        compared = self._checks.motion.times
-        readings: list[PoseReading] = []
-        for i, robot in enumerate(self._robots):
-            is_new = not frame.exposed_ns or times[i] > max(robot.poses.last_ns, compared[i])
-            readings.append(PoseReading(frame.poses[i], times[i], is_new))
-        return tuple(readings)
-
-    def _count_absence(self) -> None:
-        """Count for how long each robot was not seen, up to the newest frame of a run."""
-        for robot in self._robots:
-            recent_until_ns = robot.poses.last_ns + self.rules.limits.stale * SECOND
-            robot.absence.count(robot.newest_ns, recent_until_ns)
-
     def _lose_unseen(self) -> None:
         """Lose each robot that was not tracked until the newest frame, even if it is in it: after
         so long, what is shown there may be another body."""
@@ -444,9 +454,9 @@ class Guard:
             if robot.untracked_ns >= limit_ns:
                 self.lose_robot(i, robot.untracked_text)
 
-    def _decide_pose(self, i: int, reading: PoseReading, in_run: bool) -> PoseDecision | None:
-        """Return what becomes of the pose of robot i, None if that was decided in a frame before;
-        only its checks remember anything of it.
+    def _decide_pose(self, i: int, pose: Pose | None, in_run: bool) -> PoseDecision | None:
+        """Return what becomes of the pose of robot i in the newest frame, None if that was decided
+        in a frame before; only its checks remember anything of it.
 
         The first of these rows that fits decides:
 
@@ -456,25 +466,30 @@ class Guard:
             it is the robot's first one, or no run has begun yet    accepted
             no run is on, but one was: it may show a motion         accepted, and checks note it
             it equals the last one to the bit                       `_decide_repeat`
-            it shows a motion, which commands explain or not        `_compare_in_run`
+            it shows a motion, which commands explain or not        as checks find
+
+        Robots that move although no run is on have perhaps not heard the stop, which is then sent
+        again.
         """
         robot = self._robots[i]
-        pose = reading.pose
         last = robot.poses.last
         if pose is None or robot.lost:
             return PoseDecision()
-        if not reading.is_new:
+        if not robot.is_new:
             return None
-        fault = robot.ghost or robot.poses.fault(pose, reading.exposed_ns, self._pace.driven)
+        fault = robot.ghost or robot.poses.fault(pose, robot.read_ns, self._pace.driven)
         if fault:
             return PoseDecision(refused=fault)
         if last is None or not self._pace.driven:
             return PoseDecision(pose)
+        checks = self._checks.checks
         if not in_run:
-            return self._compare_in_pause(i, last, pose, reading.exposed_ns)
+            found = [check.pause(i, last, pose, robot.read_ns) for check in checks]
+            return PoseDecision(pose, findings=tuple(chain(*found)))
         if pose == last:
             return self._decide_repeat(i, pose)
-        return self._compare_in_run(i, last, pose)
+        found = [check.pose(i, last, pose) for check in checks]
+        return decision_by(tuple(chain(*found)), pose, disobeys=True)
 
     def _decide_repeat(self, i: int, pose: Pose) -> PoseDecision:
         """Return what becomes of a pose that equals the last one: it is no motion to compare.
@@ -483,35 +498,14 @@ class Guard:
         frozen picture; then equal poses are refused until another one comes, whatever is commanded
         meanwhile.
         """
-        frozen_before = self._robots[i].refused == REPEATS
-        if frozen_before or self._checks.motion.must_have_moved(i):
+        if self._robots[i].refused == REPEATS:
             return PoseDecision(refused=REPEATS)
-        return PoseDecision(pose)
+        found = [check.repeat(i) for check in self._checks.checks]
+        return decision_by(tuple(chain(*found)), pose, disobeys=False)
 
-    def _compare_in_pause(self, i: int, last: Pose, pose: Pose, exposed_ns: int) -> PoseDecision:
-        """Return that a pose is accepted, and what the checks note: robots that move although no
-        run is on have perhaps not heard the stop, which is then sent again."""
-        findings: list[Finding] = []
-        for check in self._checks.checks:
-            findings.extend(check.pause(i, last, pose, exposed_ns))
-        return PoseDecision(pose, findings=tuple(findings))
-
-    def _compare_in_run(self, i: int, last: Pose, pose: Pose) -> PoseDecision:
-        """Return what becomes of a pose by the checks. All of them see it; the first that refuses
-        it gives the reason."""
-        findings: list[Finding] = []
-        for check in self._checks.checks:
-            findings.extend(check.pose(i, last, pose))
-        for finding in findings:
-            if isinstance(finding, Refuse):
-                return PoseDecision(None, finding.text, disobeys=True, findings=tuple(findings))
-        return PoseDecision(pose, findings=tuple(findings))
-
-    def _record_poses(
-        self, readings: Sequence[PoseReading], decisions: Sequence[PoseDecision | None]
-    ) -> None:
+    def _record_poses(self, decisions: Sequence[PoseDecision | None]) -> None:
         """Let the decisions on all robots' poses take effect, and then what checks have found."""
-        for robot, reading, decision in zip(self._robots, readings, decisions, strict=True):
+        for robot, decision in zip(self._robots, decisions, strict=True):
             if decision is None:
                 continue
             robot.refused = decision.refused
@@ -519,17 +513,10 @@ class Guard:
             if decision.refused:
                 self._stream.refused += 1
             if decision.accepted is not None:
-                robot.poses.accept(decision.accepted, reading.exposed_ns)
+                robot.poses.accept(decision.accepted, robot.read_ns)
         for decision in decisions:
             if decision is not None:
                 self._record(decision.findings)
-
-    def _check_accepted(self, accepted: AcceptedFrame, times: tuple[int, ...]) -> None:
-        """Let the checks look for what only the poses of all robots show, up to the first abort;
-        `times` (N,) are those of the poses."""
-        for check in self._checks.checks:
-            if self._in_run:
-                self._record(check.frame(accepted.frame.sampled_ns, times, accepted.poses))
 
     def _accepted(self, frame: CameraFrame) -> AcceptedFrame:
         """Return a frame with the accepted poses, which are recorded."""
@@ -589,7 +576,7 @@ class Guard:
                 self.abort(f"{robot.name} {robot.refused}", suspect=i)
             elif robot.untracked_ns >= limit_ns:
                 self.lose_robot(i, robot.untracked_text)
-            elif robot.absence.unseen_ns >= RARELY * limit_ns:
+            elif robot.unseen_ns >= RARELY * limit_ns:
                 rarely = "is seen too rarely: it, or frames, are missing too often"
                 self.lose_robot(i, f"{robot.name} {rarely}")
             if self.state is GuardState.ABORT:
@@ -639,38 +626,26 @@ class Guard:
         for finding in findings:
             if self.state is GuardState.ABORT:
                 return
-            self._record_one(finding)
-
-    def _record_one(self, finding: Finding) -> None:
-        match finding:
-            case Refuse():
-                pass  # part of the decision on a pose
-            case Moved():
-                robot = self._robots[finding.robot]
-                robot.strayed = robot.strayed or finding.text
-            case Lose():
-                self.lose_robot(finding.robot, finding.text)
-            case Warn():
-                self._warnings.add_once(finding.text)
-            case Abort():
-                self.abort(finding.text, suspect=finding.suspect)
-                for i in finding.false:
-                    self._robots[i].ghost = finding.text
+            match finding:
+                case Refuse():
+                    pass  # part of the decision on a pose
+                case Moved():
+                    robot = self._robots[finding.robot]
+                    robot.strayed = robot.strayed or finding.text
+                case Lose():
+                    self.lose_robot(finding.robot, finding.text)
+                case Warn():
+                    self._warnings.add_once(finding.text)
+                case Abort():
+                    self.abort(finding.text, suspect=finding.suspect)
+                    for i in finding.false:
+                        self._robots[i].ghost = finding.text
 
 
-def motion_limits(rules: GuardRules) -> list[MotionLimits]:
-    """Return the limits of each robot's motion, in the spec's length unit."""
-    lowest_mm, highest_mm = rules.limits.height_mm
-    return [
-        MotionLimits(
-            speed=speed,
-            turning=turning,
-            jump=rules.limits.jump_mm / rules.mm,
-            jump_heading=JUMP_HEADING,
-            lowest=lowest_mm / rules.mm,
-            highest=highest_mm / rules.mm,
-            tilt=rules.limits.tilt,
-            mm=rules.mm,
-        )
-        for speed, turning in zip(rules.speeds, rules.turning, strict=True)
-    ]
+def decision_by(findings: tuple[Finding, ...], pose: Pose, disobeys: bool) -> PoseDecision:
+    """Return what becomes of a pose by what checks found, of which all saw it: the first that
+    refuses it gives the reason, and then the robot `disobeys` or not."""
+    for finding in findings:
+        if isinstance(finding, Refuse):
+            return PoseDecision(None, finding.text, disobeys, findings)
+    return PoseDecision(pose, findings=findings)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Abort, Finding, Moved, Refuse, RobotPlace
+from tetractl.core.guard_findings import Abort, Finding, Moved, RobotPlace
 from tetractl.core.poses import Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S
@@ -24,12 +24,12 @@ NOISE_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class GuardChecks:
-    """The checks of a kind of robots, in the order in which they are made, and the two that the
-    guard itself asks about motion. Robots that are stopped `together` share one signal: none of
-    them can be held still while the others move."""
+    """The checks of a kind of robots, in the order in which they are made. `drift` knows how the
+    robots have moved over the trial: by it poses are carried on, and by it the guard says who is at
+    fault. Robots that are stopped `together` share one signal: none of them can be held still while
+    the others move."""
 
     checks: tuple[GuardCheck, ...]
-    motion: MotionCheck
     drift: DriftCheck
     together: bool = False
 
@@ -40,16 +40,13 @@ ChecksOf = Callable[[GuardRules], GuardChecks]
 
 def robot_checks(rules: GuardRules) -> GuardChecks:
     """Return the checks of robots that stand still when they are stopped."""
+    wheel_error = rules.limits.wheel_error
     noise = largest_error(rules)
-    motion = MotionCheck(rules.speeds, rules.wheel_radius, noise, rules.sight, rules.mm)
-    drift = drift_of(rules)
-    checks = (
-        Obeys(motion, rules),
-        StandsInPauses(motion),
-        DrivesSteadily(motion, drift),
-        Keeps(rules),
+    motion = MotionCheck(
+        rules.speeds, rules.wheel_radius, noise, wheel_error, rules.sight, rules.mm
     )
-    return GuardChecks(checks, motion, drift)
+    drift = drift_of(rules, motion)
+    return GuardChecks((motion, StandsInPauses(motion), drift, Keeps(rules)), drift)
 
 
 def largest_error(rules: GuardRules) -> float:
@@ -57,66 +54,15 @@ def largest_error(rules: GuardRules) -> float:
     return (NOISE_MM + rules.sight.largest[0]) / rules.mm
 
 
-def drift_of(rules: GuardRules) -> DriftCheck:
+def drift_of(rules: GuardRules, motion: MotionCheck) -> DriftCheck:
     """Return the check of motion over the whole trial."""
     error = rules.limits.wheel_error
-    return DriftCheck(rules.names, rules.wheel_radius, rules.mm, error, rules.sight)
+    return DriftCheck(rules.names, rules.wheel_radius, rules.mm, error, motion, rules.sight)
 
 
 def places_of(rules: GuardRules) -> Places:
     """Return where the robots must not drive."""
     return Places(rules.arena, rules.obstacles, rules.limits.reaction, largest_error(rules))
-
-
-class Check:
-    """A check that finds nothing; each check below answers some of its questions, which are those
-    of `tetractl.core.protocols.GuardCheck`."""
-
-    def start(self) -> None:
-        """Forget what was seen before."""
-
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission."""
-
-    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Check a pose in a run."""
-        yield from ()
-
-    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterator[Finding]:
-        """Check a pose in a pause."""
-        yield from ()
-
-    def frame(
-        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
-    ) -> Iterator[Finding]:
-        """Check the accepted poses of a frame."""
-        yield from ()
-
-    def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Check where the robots are at a tick."""
-        yield from ()
-
-
-class Obeys(Check):
-    """A pose is refused if it moves as no command of the last 0.3 s does."""
-
-    def __init__(self, motion: MotionCheck, rules: GuardRules) -> None:
-        self._motion = motion
-        self._wheel_error = rules.limits.wheel_error
-
-    def start(self) -> None:
-        """Forget what was seen before."""
-        self._motion.restart()
-
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission."""
-        self._motion.sent(now_ns, speed, turning, self._wheel_error)
-
-    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Check a pose in a run."""
-        fault = self._motion.take_pose(robot, before, pose)
-        if fault:
-            yield Refuse(robot, fault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +73,7 @@ class Straying:
     before: Pose
 
 
-class StandsInPauses(Check):
+class StandsInPauses(GuardCheck):
     """In a pause, a robot that has moved against its commands for UNTRACKED_STOP_S is noted: a stop
     may be lost and sent again."""
 
@@ -151,32 +97,7 @@ class StandsInPauses(Check):
             yield Moved(robot, fault)
 
 
-class DrivesSteadily(Check):
-    """The run is aborted if motion over the whole trial is none that wheels can make."""
-
-    def __init__(self, motion: MotionCheck, drift: DriftCheck) -> None:
-        self._motion = motion
-        self._drift = drift
-
-    def start(self) -> None:
-        """Forget what was seen before."""
-        self._drift.rest()
-
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission."""
-        self._drift.sent(now_ns, speed, turning)
-
-    def frame(
-        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
-    ) -> Iterator[Finding]:
-        """Check the accepted poses of a frame."""
-        fault = self._drift.frame(now_ns, times, poses, self._motion.travelled)
-        if fault.text:
-            suspect = fault.false[0] if len(fault.false) == 1 else None
-            yield Abort(fault.text, fault.false, suspect)
-
-
-class Keeps(Check):
+class Keeps(GuardCheck):
     """The run is aborted before a robot leaves the arena, enters an obstacle or touches another;
     one that was lost stands at its last pose."""
 

@@ -303,7 +303,7 @@ class InnerLoop:
         action, None if it was not sent."""
         if self._stops.to_send:
             self._repeat_stop(now)
-            self.guard.name_culprit()  # slow, so after the first stop
+            self.guard.name_culprit(self.frames)  # slow, so after the first stop
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
             return self._send_held(self._held, ruling, now)
         elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:

@@ -24,9 +24,9 @@ greatest rates that any of these allows.
 Comparison. The bounds are integrated over time, and the motion is added up from pose to pose; each
 robot's integrals end at the time of its own pose. When a pose comes, each part of the motion must
 lie between the integral of its least rate and that of its greatest, plus or minus a slack. This is
-compared over several times: until now, since each moment that a `MotionWindow` keeps, of about the
-last second. A pose that is out of bounds since any of them contradicts the commands; its motion is
-not counted. Every other pose is *consistent*.
+compared over several times: until now, since each of the *moments* of about the last second, which
+are those of consistent poses, SPACING_NS apart or more. A pose that is out of bounds since any of
+them contradicts the commands; its motion is not counted. Every other pose is *consistent*.
 
 Repeats. A pose that equals the one before to the last bit may be that of a frozen picture. Let
 bounds *exclude zero* if the rates along, or those around, are all positive or all negative. The
@@ -39,26 +39,26 @@ robot must have moved
 The second rule finds a frozen picture though robots are stopped so often that they might always
 stand by the first. If the camera measures on a grid, a pose may repeat while its robot moves: then,
 in addition, the integrals since the pose changed must say that the robot has gone further than such
-a camera may leave unseen (`MotionTolerance.unseen`).
+a camera may leave unseen.
 
 Lengths are in the spec's length unit, angles rad, positive anticlockwise, times ns on the run's
 clock. N is the number of robots. Arrays (..., 3) hold the parts along, across and around; arrays
-(2, ...) the least and the greatest.
+(2, ...) the least and the greatest; of arrays (3, 3) the rows are the motion, the least and the
+greatest.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Self
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_findings import Finding, Refuse
 from tetractl.core.poses import UNSTATED, Bools, Floats, Pose, Sight
+from tetractl.core.protocols import GuardCheck
 from tetractl.lab.command_history import CommandHistory
-from tetractl.lab.motion_faults import fault_of
-from tetractl.lab.motion_window import BoundedMotion, MotionMoment, MotionWindow
 
 DELAY_NS = 3 * SECOND // 10
 """Longest delay by radio, wheels and some lost commands."""
@@ -68,61 +68,63 @@ SLACK_S = 0.03
 """Time of driving at full speed that is allowed as slack, along and across."""
 SLACK_RAD = 0.08
 """Angle that is allowed as slack."""
+COMPARED_NS = SECOND
+"""Age up to which a moment is kept."""
+SPACING_NS = SECOND // 20
+"""Least time between two moments."""
+STANDS_SHARE = 0.3
+"""A robot that makes less than this share of the commanded motion stands still."""
+MEANT_SHARE = 0.3
+"""If less than this share of the motion is commanded, its direction is not wrong: a disturbance
+moves the robot."""
 
-
-@dataclass(frozen=True, slots=True)
-class MotionTolerance:
-    """What is tolerated of each robot, for each part of its motion (N, 3)."""
-
-    slack: Floats
-    """By how much motion may be out of its bounds: along and across, what the robot drives at its
-    greatest speed in SLACK_S, plus `noise`; around, SLACK_RAD plus twice the largest error of a
-    heading."""
-    unseen: Floats
-    """How far a robot may move while its pose on a grid repeats: the diagonal of the grid's square,
-    or a step of the heading, plus that slack without what it holds for errors of poses."""
-
-    @classmethod
-    def of(cls, speeds: Sequence[float], noise: float, sight: Sight, mm: float) -> Self:
-        """Return the tolerance of robots; arguments as of MotionCheck."""
-        robots = len(speeds)
-        _, heading_error = sight.largest
-        driven = SLACK_S * np.array(speeds)
-        displaced = driven + noise
-        turned = np.full(robots, SLACK_RAD + 2 * heading_error)
-        slack = np.column_stack([displaced, displaced, turned])
-        diagonal = math.sqrt(2) * sight.grid_mm / mm
-        steps = np.array([diagonal, diagonal, sight.grid_rad])
-        unseen = steps + np.column_stack([driven, driven, np.full(robots, SLACK_RAD)])
-        return cls(slack, unseen)
+REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
+DOES_NOT_MOVE = (
+    "does not move though commanded to: is a wheel stuck, is the robot on its back or "
+    "without power or link, or is the camera frozen?"
+)
+BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
+WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
+OF_CELLS = {
+    DOES_NOT_MOVE: "does not swim: is it stuck or dead, or is the camera frozen?",
+    BACKWARD: "moves backward: is its heading reversed, or another cell tracked in its place?",
+    WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
+}
+"""What is said instead of robots without wheels."""
+AS_NO_COMMAND = "as no command does"
+ANOTHER = (
+    f"moves {{}} {AS_NO_COMMAND}: was it pushed, or does the camera track another body as "
+    "this robot?"
+)
+"""Holds a place for one of KINDS."""
+KINDS = ("along its heading", "sideways", "around")
+"""The names of a motion's three parts."""
 
 
 class MotionSinceRest:
     """The motion of N robots since they started from rest: by consistent poses (N, 3), and the
-    integrals of the bounds (2, N, 3), until now and until each robot's pose changed last. `slack`
-    (N, 3) is by how much motion may be out of its bounds.
+    integrals of the bounds (2, N, 3), until now and until each robot's pose changed last.
+
+    `moments` are each robot's, oldest first: a time, and the motion and integrals (3, 3) until
+    then. Those older than COMPARED_NS are dropped when a consistent pose is added. This is after it
+    was compared: the first pose after a gap is compared with older moments too.
     """
 
-    def __init__(self, slack: Floats) -> None:
-        self.travelled = np.zeros_like(slack)
-        self.integrals = np.zeros((2, *slack.shape))
-        self.integrals_at_change = np.zeros((2, *slack.shape))
-        self.windows = [MotionWindow(of_robot) for of_robot in slack]
+    def __init__(self, robots: int) -> None:
+        self.travelled = np.zeros((robots, 3))
+        self.integrals = np.zeros((2, robots, 3))
+        self.integrals_at_change = np.zeros((2, robots, 3))
+        self.moments = [deque[tuple[int, Floats]]() for _ in range(robots)]
 
 
-class MotionCheck:
-    """Compares the motion of N robots, whose greatest speeds are `speeds` (N,), with their
-    commands.
+class MotionCheck(GuardCheck):
+    """Refuses a pose if it moves as no command of the last 0.3 s does, of N robots whose greatest
+    speeds are `speeds` (N,).
 
-    `radius` is r, 0 for robots without wheels. `noise` is the largest error of a position; the
-    slack holds it once, though a motion has the errors of two. Both are in the spec's length unit,
-    which has `mm` millimetres. `sight` is what the camera can see.
-
-    `times` (N,) are those of the newest poses, 0 before the first frame. What is integrated from 0
-    to that frame means nothing: the guard calls `restart` before it compares anything.
-
-    For each frame call `take_frame`; then, for each pose, `take_pose` if its robot may have moved,
-    or `must_have_moved` if the pose repeats.
+    `radius` is r, 0 for robots without wheels, and `share` the relative error g of the wheels.
+    `noise` is the largest error of a position; the slack holds it once, though a motion has the
+    errors of two. Both are in the spec's length unit, which has `mm` millimetres. `sight` is what
+    the camera can see.
     """
 
     def __init__(
@@ -130,14 +132,28 @@ class MotionCheck:
         speeds: Sequence[float],
         radius: float,
         noise: float,
+        share: float,
         sight: Sight = UNSTATED,
         mm: float = 1.0,
     ) -> None:
         robots = len(speeds)
-        self.times = (0,) * robots
         self._radius = radius
+        self._share = share
         self._coarse = sight.coarse
-        self._tolerance = MotionTolerance.of(speeds, noise, sight, mm)
+        driven = SLACK_S * np.array(speeds)
+        _, heading_error = sight.largest
+        # by how much each part of a motion may be out of its bounds (N, 3)
+        self._slack = np.column_stack(
+            [driven + noise, driven + noise, np.full(robots, SLACK_RAD + 2 * heading_error)]
+        )
+        # how far (N, 3) a robot may move while its pose on a grid repeats: the diagonal of the
+        # grid's square, or a step of the heading, and the slack without the errors of poses
+        diagonal = math.sqrt(2) * sight.grid_mm / mm
+        steps = np.array([diagonal, diagonal, sight.grid_rad])
+        self._unseen = steps + np.column_stack([driven, driven, np.full(robots, SLACK_RAD)])
+        # times (N,) of the newest poses, 0 before the first frame: what is integrated from 0 to
+        # that frame means nothing, as robots start from rest before anything is compared
+        self._times = (0,) * robots
         # the rates that each transmission allows (2, N, 3)
         self._commanded = CommandHistory(2, robots, 3)
         # the bounds (2, N, 3) up to the newest frame
@@ -145,51 +161,47 @@ class MotionCheck:
         # for how long (N,) [s] commands that exclude zero have been in force since the last pose
         # of each robot was taken
         self._driven_s = np.zeros(robots)
-        self._since_rest = MotionSinceRest(self._tolerance.slack)
+        self._since_rest = MotionSinceRest(robots)
 
     @property
     def travelled(self) -> Floats:
         """The motion (N, 3) since the robots started from rest, by consistent poses."""
         return self._since_rest.travelled
 
-    def restart(self) -> None:
-        """Forget the motion and its integrals; called when robots start from rest.
+    def start(self) -> None:
+        """Forget the motion and its integrals: robots start from rest.
 
         A pose may repeat since before: what rule 2 counts is kept. The integrals since it changed,
         which a camera with a grid needs, begin at 0 again.
         """
-        self._since_rest = MotionSinceRest(self._tolerance.slack)
+        self._since_rest = MotionSinceRest(len(self._times))
 
-    def forget(self, i: int) -> None:
-        """Forget the moments of robot i: its next pose is taken as consistent, and the motion up to
+    def replace(self, robot: int) -> None:
+        """Forget the moments of a robot: its next pose is taken as consistent, and the motion up to
         that is not counted. What is known of a repeated pose is kept."""
-        self._since_rest.windows[i].clear()
+        self._since_rest.moments[robot].clear()
 
-    def sent(
-        self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
-    ) -> None:
-        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s], and
-        the relative error g of the wheels as `share`.
-        """
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
         v = np.array(speed)
         w = np.array(turning)
-        error = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
-        error_around = error / self._radius if self._radius else share * np.abs(w)
+        error = self._share * np.maximum(np.abs(v), np.abs(w) * self._radius)
+        error_around = error / self._radius if self._radius else self._share * np.abs(w)
         exact = np.array([v, np.zeros_like(v), w]).T
         errors = np.array([error, error, error_around]).T
         self._commanded.sent(now_ns, np.array([exact - errors, exact + errors]))
 
     # ---- a frame ----
 
-    def take_frame(self, times: tuple[int, ...]) -> None:
-        """Take the times (N,) of a frame's poses, before `take_pose` is called for these.
+    def exposed(self, times: tuple[int, ...]) -> None:
+        """Take the times (N,) of a frame's poses, before these are compared.
 
         A robot that measures its own pose may have an earlier time than before: that of its last
         accepted pose, if a later one was refused and now none comes. Integrating backward then
         takes back what was added while the commands did not change. More than DELAY_NS back it does
         not: no command is found, and what follows is counted twice, as it always is by rule 2.
         """
-        intervals = list(zip(self.times, times, strict=True))
+        intervals = list(zip(self._times, times, strict=True))
         distinct = set(intervals)
         if len(distinct) == 1:  # all poses are of one exposure: no rows need be picked
             self._integrate(slice(None), *intervals[0])
@@ -197,7 +209,7 @@ class MotionCheck:
             for interval in distinct:
                 robots = [i for i, own in enumerate(intervals) if own == interval]
                 self._integrate(robots, *interval)
-        self.times = times
+        self._times = times
 
     def _integrate(self, robots: slice | list[int], since_ns: int, until_ns: int) -> None:
         """Integrate what commands allow some of the robots between the times of two poses."""
@@ -223,7 +235,7 @@ class MotionCheck:
         """Return for how long (N,) [s] commands that exclude zero were in force between two times:
         each from its transmission to the next, for WATCHDOG_NS at most."""
         times, rates = self._commanded.acting(since_ns, until_ns)
-        driven_s = np.zeros(len(self.times))
+        driven_s = np.zeros(len(self._times))
         in_force = pairwise([*times, until_ns])
         for (sent_ns, next_ns), bounds in zip(in_force, rates, strict=True):
             begins_ns = max(sent_ns, since_ns)
@@ -234,46 +246,67 @@ class MotionCheck:
 
     # ---- a pose ----
 
-    def must_have_moved(self, i: int) -> bool:
-        """Return whether robot i, whose pose repeats, must have moved, and by as much as the camera
-        can see: "Repeats" in the head of this module.
+    def repeat(self, robot: int) -> Iterator[Finding]:
+        """Refuse a pose that repeats if its robot must have moved, and by as much as the camera can
+        see: "Repeats" in the head of this module.
 
         Rule 1 asks the bounds of all commands together: if one drives forward and one backward, or
         one drives and one turns on the spot, these do not exclude zero though each moves the robot.
         """
-        moves_now = bool(exclude_zero(self._bounds[:, i]))
-        moved_long = bool(self._driven_s[i] > DELAY_NS / SECOND)
+        moves_now = bool(exclude_zero(self._bounds[:, robot]))
+        moved_long = bool(self._driven_s[robot] > DELAY_NS / SECOND)
         if not moves_now and not moved_long:
-            return False
-        if not self._coarse:
-            return True
+            return
         since_rest = self._since_rest
-        least, most = since_rest.integrals[:, i] - since_rest.integrals_at_change[:, i]
-        unseen = self._tolerance.unseen[i]
-        return bool(np.any((least > unseen) | (most < -unseen)))
+        least, most = (since_rest.integrals - since_rest.integrals_at_change)[:, robot]
+        unseen = self._unseen[robot]
+        if not self._coarse or np.any((least > unseen) | (most < -unseen)):
+            yield Refuse(robot, REPEATS)
+
+    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
+        """Refuse a pose that contradicts the commands."""
+        fault = self.take_pose(robot, before, pose)
+        if fault:
+            yield Refuse(robot, fault)
 
     def take_pose(self, i: int, before: Pose, pose: Pose) -> str:
         """Take a pose of robot i in the newest frame; `before` is the last consistent one. Return
         how it contradicts the commands, "" if it is consistent.
 
-        The first pose after `restart` or `forget` is taken as consistent, and the motion up to it
-        is not counted. Every pose counts as changed: repeats are only to be passed in pauses.
+        The first pose after `start` or `replace` is taken as consistent, and the motion up to it is
+        not counted. Every pose counts as changed: repeats are only to be passed in pauses.
         """
         since_rest = self._since_rest
-        window = since_rest.windows[i]
+        moments = since_rest.moments[i]
         integrals = since_rest.integrals[:, i].copy()
         since_rest.integrals_at_change[:, i] = integrals
         self._driven_s[i] = 0.0
         travelled = since_rest.travelled[i].copy()
-        if not window.empty:
+        if moments:
             travelled += motion(before, pose)
-        now = MotionMoment.of(self.times[i], BoundedMotion(travelled, *integrals))
-        contradiction = window.contradiction(now)
+        now = np.array([travelled, *integrals])
+        contradiction = self._contradiction(i, now)
         if contradiction is not None:
-            return fault_of(contradiction, self._tolerance.slack[i], has_wheels=self._radius > 0)
+            return fault_of(contradiction, self._slack[i], has_wheels=self._radius > 0)
         since_rest.travelled[i] = travelled
-        window.add(now)
+        now_ns = self._times[i]
+        if not moments or now_ns - moments[-1][0] >= SPACING_NS:
+            moments.append((now_ns, now))
+        while now_ns - moments[0][0] > COMPARED_NS:  # the newest is younger: it stays
+            moments.popleft()
         return ""
+
+    def _contradiction(self, i: int, now: Floats) -> Floats | None:
+        """Return the motion of robot i and its bounds (3, 3) since the newest moment since which it
+        is out of these by more than the slack; None if there is no such moment."""
+        moments = self._since_rest.moments[i]
+        if not moments:
+            return None
+        since = now - np.array([moment for _, moment in moments])
+        contradicts = out_of_bounds(since, self._slack[i]).any(axis=1)
+        if not contradicts.any():
+            return None
+        return since[np.flatnonzero(contradicts)[-1]]
 
 
 def exclude_zero(bounds: Floats) -> Bools:
@@ -281,6 +314,13 @@ def exclude_zero(bounds: Floats) -> Bools:
     positive or all negative. Those across never are."""
     least, most = bounds
     return ((least > 0.0) | (most < 0.0)).any(axis=-1)
+
+
+def out_of_bounds(motion: Floats, slack: Floats) -> Bools:
+    """Return which parts (..., 3) of motions (..., 3, 3) are out of their bounds by more than
+    `slack` (3,)."""
+    travelled = motion[..., 0, :]
+    return (travelled < motion[..., 1, :] - slack) | (travelled > motion[..., 2, :] + slack)
 
 
 def motion(before: Pose, pose: Pose) -> Floats:
@@ -302,3 +342,41 @@ def chord(turned: float) -> float:
     sin(h) / h, where h is half the angle."""
     half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
     return math.sin(half) / half if half else 1.0
+
+
+def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
+    """Return what is said of a motion (3, 3) of which a part is out of its bounds by more than
+    `slack` (3,).
+
+    What is commanded is the middle of the bounds. A part *stands* if it is smaller than
+    STANDS_SHARE of what is commanded. It is *against* the command if their signs differ and what is
+    commanded is greater than MEANT_SHARE of it. The first row that holds is said:
+
+        it does not move             along is out of bounds and stands; or around is out of bounds
+                                     and stands, and along is smaller than its slack
+        it moves backward            along is out of bounds, and against the command
+        it turns the wrong way       around is out of bounds, and against the command
+        it moves as no command does  of along, across and around, the first that is out of bounds
+    """
+    along, across, around = out_of_bounds(motion, slack)
+    travelled, least, most = motion
+    commanded = (least + most) / 2
+    stands = np.abs(travelled) < STANDS_SHARE * np.abs(commanded)
+    is_meant = np.abs(commanded) > MEANT_SHARE * np.abs(travelled)
+    is_against = (travelled * commanded < 0.0) & is_meant
+    stands_along = along and stands[0]
+    stands_around = around and stands[2] and abs(travelled[0]) < slack[0]
+    if stands_along or stands_around:
+        return of_kind(DOES_NOT_MOVE, has_wheels)
+    if along and is_against[0]:
+        return of_kind(BACKWARD, has_wheels)
+    if around and is_against[2]:
+        return of_kind(WRONG_WAY, has_wheels)
+    if along:
+        return ANOTHER.format(KINDS[0])
+    return ANOTHER.format(KINDS[1] if across else KINDS[2])
+
+
+def of_kind(fault: str, has_wheels: bool) -> str:
+    """Return how a fault is said of a robot with wheels or without."""
+    return fault if has_wheels else OF_CELLS[fault]

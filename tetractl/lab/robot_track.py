@@ -1,8 +1,11 @@
-"""What the guard remembers of one robot. Times are ns on the run's clock."""
+"""What the guard remembers of one robot, and decides on its pose. Times are ns on the run's
+clock."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_findings import Finding
+from tetractl.core.poses import Pose
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S
 from tetractl.lab.accepted_poses import AcceptedPoses
 
@@ -10,24 +13,16 @@ FORGIVEN = 0.25
 """Share of the time for which a robot is seen that is taken off the time for which it was not."""
 
 
-@dataclass(slots=True)
-class Absence:
-    """For how long a robot was not seen in runs [ns], less `FORGIVEN` of the time it was seen."""
+@dataclass(frozen=True, slots=True)
+class PoseDecision:
+    """What becomes of a robot's pose: it is `accepted`, or why it is `refused`, and whether that is
+    since the robot disobeys; neither if there is none. `findings` are what checks found besides.
+    """
 
-    unseen_ns: float = 0.0
-    _counted_ns: int = 0  # time until which it is counted
-
-    def leave_out(self, until_ns: int) -> None:
-        """Count from a time on only: before it there was no run."""
-        self._counted_ns = until_ns
-
-    def count(self, now_ns: int, seen_until_ns: float) -> None:
-        """Count up to a frame of a run, before its poses; the robot counts as seen until its last
-        pose is too old."""
-        unseen_ns = max(0.0, now_ns - max(self._counted_ns, seen_until_ns))
-        seen_ns = now_ns - self._counted_ns - unseen_ns
-        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN * seen_ns)
-        self._counted_ns = now_ns
+    accepted: Pose | None = None
+    refused: str = ""
+    disobeys: bool = False
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(slots=True)
@@ -40,7 +35,14 @@ class RobotTrack:
     poses: AcceptedPoses
     newest_ns: int = 0
     """When the newest frame was exposed, 0 before the first: all that follows is as of then."""
-    absence: Absence = field(default_factory=Absence)
+    read_ns: int = 0
+    """The time of its pose in that frame, or of the one accepted before if there is none."""
+    is_new: bool = True
+    """Whether that frame, if there is a pose in it, shows a new measurement."""
+    unseen_ns: float = 0.0
+    """For how long it was not seen in runs, less `FORGIVEN` of the time it was seen."""
+    _counted_ns: int = 0
+    """Time until which that is counted."""
     refused: str = ""
     """Why the newest pose was refused, "" if it was accepted or missing."""
     disobeys: bool = False
@@ -81,6 +83,25 @@ class RobotTrack:
     def start_run(self) -> None:
         """Forget how the robot moved before a run: it may have been carried."""
         self.poses.start_run()
-        self.absence.leave_out(self.poses.last_ns)
+        self._counted_ns = self.poses.last_ns
         self.refused = ""
         self.disobeys = False
+
+    def read(self, newest_ns: int, read_ns: int, own_times: bool) -> None:
+        """Take the times of the newest frame and of the robot's pose in it.
+
+        Where poses have times of their own, a frame may show a pose again that was measured for one
+        before: it is new only if it is later than that accepted, and than that read, last.
+        """
+        self.is_new = not own_times or read_ns > max(self.poses.last_ns, self.read_ns)
+        self.newest_ns = newest_ns
+        self.read_ns = read_ns
+
+    def count_absence(self, stale_ns: float) -> None:
+        """Count for how long the robot was not seen, up to the newest frame of a run, before its
+        poses; it counts as seen until its last pose is `stale_ns` old."""
+        seen_until_ns = self.poses.last_ns + stale_ns
+        unseen_ns = max(0.0, self.newest_ns - max(self._counted_ns, seen_until_ns))
+        seen_ns = self.newest_ns - self._counted_ns - unseen_ns
+        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN * seen_ns)
+        self._counted_ns = self.newest_ns

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 
 from tetractl.core.guard_findings import Finding, Lose, RobotPlace, Warn
 from tetractl.core.poses import Pose
+from tetractl.core.protocols import GuardCheck
 from tetractl.lab.guard_checks import (
-    Check,
     Coming,
     GuardChecks,
     drift_of,
@@ -28,35 +28,26 @@ NOISE = 0.0
 
 def cell_checks(rules: GuardRules) -> GuardChecks:
     """Return the checks of cells."""
-    motion = MotionCheck(rules.speeds, rules.wheel_radius, NOISE, rules.sight, rules.mm)
-    checks = Swims(motion, rules), Stays(rules)
-    return GuardChecks(checks, motion, drift_of(rules), together=True)
+    swims = Swims(rules)
+    return GuardChecks((swims, Stays(rules)), drift_of(rules, swims), together=True)
 
 
-class Swims(Check):
+class Swims(MotionCheck):
     """The operator is warned of a cell that moves as no command does, and it is compared again."""
 
-    def __init__(self, motion: MotionCheck, rules: GuardRules) -> None:
-        self._motion = motion
+    def __init__(self, rules: GuardRules) -> None:
+        super().__init__(rules.speeds, rules.wheel_radius, NOISE, WANDERS, rules.sight, rules.mm)
         self._names = rules.names
-
-    def start(self) -> None:
-        """Forget what was seen before."""
-        self._motion.restart()
-
-    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission."""
-        self._motion.sent(now_ns, speed, turning, WANDERS)
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Check a pose in a run."""
-        fault = self._motion.take_pose(robot, before, pose)
+        fault = self.take_pose(robot, before, pose)
         if fault:
-            self._motion.forget(robot)
+            self.replace(robot)
             yield Warn(f"{self._names[robot]} {fault}")
 
 
-class Stays(Check):
+class Stays(GuardCheck):
     """A cell that leaves the arena is lost; the run is aborted if two come too close."""
 
     def __init__(self, rules: GuardRules) -> None:

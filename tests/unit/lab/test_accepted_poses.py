@@ -1,12 +1,23 @@
 """Which poses a robot can have reached since it was last seen."""
 
+from dataclasses import replace
+
 import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
-from tetractl.lab.accepted_poses import AcceptedPoses, MotionLimits
+from tetractl.core.setup import Bounds
+from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.accepted_poses import AcceptedPoses
+from tetractl.lab.guard_records import GuardRules
 
-LIMITS = MotionLimits(speed=100.0, turning=2.0, jump=30.0, jump_heading=0.7)
+RULES = GuardRules(
+    names=("green",),
+    speeds=(100.0,),
+    turning=(2.0,),
+    arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
+    limits=LabLimits(jump_mm=30.0),
+)
 DT = SECOND // 2
 
 
@@ -22,7 +33,7 @@ DT = SECOND // 2
     ],
 )
 def test_a_pose_beyond_twice_the_speed_and_one_allowance_is_a_jump(pose, jumps):
-    poses = AcceptedPoses(LIMITS)
+    poses = AcceptedPoses(RULES, 0)
     poses.accept(Pose(0.0, 0.0, 0.0), 0)
     assert poses.fault(pose, DT, driving=True) == ("its pose jumped" if jumps else "")
     assert poses.fault(pose, DT, driving=False) == "", "robots may be carried"
@@ -30,7 +41,7 @@ def test_a_pose_beyond_twice_the_speed_and_one_allowance_is_a_jump(pose, jumps):
 
 def test_the_allowance_is_given_once_in_a_second():
     """Each pose is 30 mm from the last, 1/50 s later; 2 x 100 mm/s x 0.8 s + 30 mm are allowed."""
-    poses = AcceptedPoses(LIMITS)
+    poses = AcceptedPoses(RULES, 0)
     poses.accept(Pose(0.0, 0.0, 0.0), 0)
     for k in range(1, 41):
         now_ns = k * SECOND // 50
@@ -45,7 +56,7 @@ def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
 
     Poses come every 1/120 s and are true for 0.49 s; then each is 10 mm from the last.
     """
-    poses = AcceptedPoses(LIMITS)
+    poses = AcceptedPoses(RULES, 0)
     since_ns = 49 * SECOND // 100
     x_mm = 0.0
     for k in range(120):
@@ -60,10 +71,10 @@ def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
     assert poses.last.x <= 200.0 * (creeps_s + spacing_s) + 30.0
 
 
-def started(heights_mm, limits=LIMITS):
+def started(heights_mm, rules=RULES):
     """Return the poses of a robot that stood for half a second, whose heights were seen in turn,
     when a run began."""
-    poses = AcceptedPoses(limits)
+    poses = AcceptedPoses(rules, 0)
     for k in range(51):
         height = heights_mm[k % len(heights_mm)]
         poses.accept(Pose(0.0, 0.0, 0.0, height=height), k * SECOND // 100)
@@ -114,7 +125,7 @@ def test_a_robot_lifted_in_a_pause_is_noticed_in_the_next_run():
 
 
 def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
-    metres = MotionLimits(speed=0.1, turning=2.0, jump=0.03, jump_heading=0.7, mm=1000.0)
+    metres = replace(RULES, speeds=(0.1,), mm=1000.0)
     poses = started([0.06], metres)
     assert poses.fault(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) == ""
     assert "60 mm higher" in poses.fault(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True)

@@ -1,14 +1,15 @@
 """Which of one robot, the camera, the radio and two numbers is named, of robots seen at 120 Hz."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Pose
-from tetractl.lab.culprit import CAMERA, RADIO, SWAPPED, Culprit
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.culprit import CAMERA, RADIO, RECENT_NS, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.motion_check import motion
-from tetractl.lab.motion_faults import ANOTHER, DOES_NOT_MOVE, WRONG_WAY
+from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
 
 NAMES = ("green", "blue", "red")
 PAIR = NAMES[:2]
@@ -104,14 +105,14 @@ def accused(
     every STEP_NS, and the guard suspects one of them for this reason."""
     random = np.random.default_rng(seed)
     count = len(names)
-    drift = DriftCheck(names, 40.0, 1.0, 0.12)
-    culprit = Culprit(names, drift, 1.0)
+    motions = SimpleNamespace(travelled=np.zeros((count, 3)))
+    drift = DriftCheck(names, 40.0, 1.0, 0.12, motions)
+    frames = []
     robots = Robots(random, count, delay_s, obeys)
     camera = Camera(random, false_by, ages[:count])
     learnt_until_s = FAULT_S if obeys is None else EXCHANGE_S
     direction = 0.0
     before = None
-    way = np.zeros((count, 3))
     for now_ns in range(FRAME_NS, END_NS, FRAME_NS):
         if begins(now_ns, STEP_NS):
             direction = random.uniform(-2, 2)
@@ -121,14 +122,14 @@ def accused(
             robots.send(now_ns, SPEEDS[:count], turning)
         robots.move(now_ns)
         poses = camera.poses(robots.places, now_ns)
-        times_ns = [now_ns - age * FRAME_NS for age in camera.ages]
-        culprit.see(now_ns, poses, times_ns)
+        times_ns = tuple(now_ns - age * FRAME_NS for age in camera.ages)
+        frames.append(CameraFrame(len(frames), now_ns, now_ns, poses, exposed_ns=times_ns))
         if before is not None and seconds_left(now_ns) > learnt_until_s:
-            way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
-            drift.frame(now_ns, times_ns, poses, way)
+            motions.travelled += [motion(*pair) for pair in zip(before, poses, strict=True)]
+            drift.frame(now_ns, times_ns, poses)
         before = poses
-    culprit.suspect = suspect
-    return culprit.why(reason)
+    shown = [frame for frame in frames if now_ns - frame.sampled_ns <= RECENT_NS]
+    return Culprit(names, drift, 1.0, shown).why(suspect, reason)
 
 
 def pushed(who):

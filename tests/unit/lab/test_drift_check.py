@@ -1,6 +1,7 @@
 """Poses that leave their robots slowly, of three robots that drive as commanded, at 120 Hz."""
 
 import re
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -66,9 +67,9 @@ class Watched:
     """A check, and how far each robot has come in the poses that it was given."""
 
     def __init__(self):
-        self.check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
+        self.motions = SimpleNamespace(travelled=np.zeros((3, 3)))
+        self.check = DriftCheck(NAMES, 40.0, 1.0, 0.12, self.motions)
         self.before = None
-        self.way = np.zeros((3, 3))
 
     def see(self, now_ns, poses):
         """Return what the check says of these poses, "" at first."""
@@ -76,8 +77,10 @@ class Watched:
         self.before = poses
         if before is None:
             return ""
-        self.way += [motion(then, pose) for then, pose in zip(before, poses, strict=True)]
-        return self.check.frame(now_ns, [now_ns] * len(poses), poses, self.way).text
+        pairs = zip(before, poses, strict=True)
+        self.motions.travelled += [motion(then, pose) for then, pose in pairs]
+        aborts = self.check.frame(now_ns, [now_ns] * len(poses), poses)
+        return aborts[0].text if aborts else ""
 
 
 class Said(NamedTuple):
@@ -115,7 +118,7 @@ def drifting(
             turning = random.uniform(-most, most, 3)
             watched.check.sent(now_ns - RADIO_NS, [SPEED] * 3, turning)
         if now_ns == rest_ns:
-            watched.check.rest()
+            watched.check.start()
         t = now_ns / SECOND
         robots.move(SPEED, turning, t)
         text = watched.see(now_ns, camera.poses(robots.places, t))
@@ -237,8 +240,7 @@ def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
 
 
 def test_of_a_trial_without_motion_no_turns_are_known():
-    check = DriftCheck(NAMES, 40.0, 1.0, 0.12)
-    assert check.turning() == ((), ())
+    assert Watched().check.turning() == ((), ())
 
 
 def turning_of_straight_robots(seconds, astray):

@@ -4,6 +4,7 @@ import math
 import random
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Lose, Warn
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard import Guard
-from tetractl.lab.guard_checks import Check, robot_checks
+from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState
 
 pytestmark = pytest.mark.slow
@@ -231,7 +233,7 @@ def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_l
     assert guard.reason.startswith(("green", "blue"))
 
 
-class Writes(Check):
+class Writes(GuardCheck):
     """Stands for a check that writes down by which question it was asked about which robot."""
 
     def __init__(self):
@@ -501,12 +503,14 @@ def test_a_drift_is_the_same_in_every_unit():
     """Green drives an arc, and is seen to do a little more than it is commanded."""
 
     def worst_drift(mm):
-        check = DriftCheck(("green",), 40.0 / mm, mm, 0.12)
+        motions = SimpleNamespace()
+        check = DriftCheck(("green",), 40.0 / mm, mm, 0.12, motions)
         seen_rates = np.array([[210.0 / mm, 3.0 / mm, 1.02]])
         for now_ns in range(0, 20 * SECOND, FRAME):
             t = now_ns / SECOND
             check.sent(now_ns, (200.0 / mm,), (1.0,))
-            check.frame(now_ns, [now_ns], (Pose(0.0, 0.0, t),), seen_rates * t)
+            motions.travelled = seen_rates * t
+            check.frame(now_ns, [now_ns], (Pose(0.0, 0.0, t),))
         return check.worst
 
     assert worst_drift(mm=1.0) == pytest.approx(worst_drift(mm=1000.0))
@@ -546,7 +550,7 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
     assert guard.refusals == refused + 4 * FRAMES_A_SECOND
 
 
-class Finds(Check):
+class Finds(GuardCheck):
     """Stands for a check that finds what it was given, at each tick."""
 
     def __init__(self, *findings):

@@ -177,7 +177,7 @@ def test_a_loop_that_is_not_ready_steers_nothing():
     assert lab.actuator.sent == []
 
 
-def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
+def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(monkeypatch):
     """Regression: naming the culprit takes some 10 ms, and the stop waited for it."""
     lab = fake_lab(experiment().setup)
     lab.plant.open()
@@ -188,16 +188,18 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault():
     class Asked:
         """Stands for who finds the culprit; it looks what was sent last when it is asked."""
 
-        suspect = None
+        def __init__(self, names, drift, mm, frames):
+            assert frames
 
-        def why(self, reason):
+        def why(self, suspect, reason):
             sent.append(lab.actuator.sent[-1].direction)
             return "the camera"
 
-    guard.culprit = Asked()
+    monkeypatch.setattr("tetractl.lab.guard.Culprit", Asked)
     guard.abort("green moves as no command does", suspect=0)
     lab.plant.rig.loop.step()
-    assert sent[0] is None  # a stop
+    lab.plant.rig.loop.step()
+    assert sent == [None]  # asked once, after a stop
     assert guard.reason == "the camera"
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
-from tetractl.lab.motion_check import MotionCheck
-from tetractl.lab.motion_faults import DOES_NOT_MOVE
+from tetractl.lab.motion_check import DOES_NOT_MOVE, MotionCheck
 
 pytestmark = pytest.mark.slow
 
@@ -107,7 +106,7 @@ def drive(
     The direction u is the next one every 0.2 s. From FAULT_S on `seen_as` is what the camera makes
     of the robot's pose at t. It is commanded to `stop` at some t.
     """
-    check = MotionCheck([SPEED], RADIUS, 2.0)
+    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
     random = np.random.default_rng(seed)
     robot = WheeledRobot(delay, lag, gains, stuck)
     next_ns = 0
@@ -119,7 +118,7 @@ def drive(
             heading = 0.0 if before is None else before.heading
             speed = 0.0 if t > stop else SPEED
             turning = 0.0 if t > stop else A * math.sin(u - heading)
-            check.sent(next_ns, [speed], [turning], 0.12)
+            check.sent(next_ns, [speed], [turning])
             if random.random() >= lost:
                 robot.send(next_ns, speed, turning)
             next_ns += SEND
@@ -127,7 +126,7 @@ def drive(
         pose = seen_as(t, robot.pose) if t > 0 else robot.pose
         dx, dy, turned = random.normal(0, 1.0, 3) * NOISE
         pose = Pose(pose.x + dx, pose.y + dy, pose.heading + turned)
-        check.take_frame((now_ns,))
+        check.exposed((now_ns,))
         text = "" if before is None else check.take_pose(0, before, pose)
         if text:
             return Fault(text, t)
@@ -201,13 +200,13 @@ def test_a_robot_of_stuck_wheels_is_noticed_within_0_3_s(stuck):
 
 def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
     """Regression: it was said to move around as no command does."""
-    check = MotionCheck([SPEED], RADIUS, 2.0)
+    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
     for k in range(40):
-        check.sent(k * SEND, [0.0], [A], 0.12)
+        check.sent(k * SEND, [0.0], [A])
     stands = Pose(900.0, 800.0, 0.0)
     faults = []
     for now in range(20 * SEND, 40 * SEND, FRAME):
-        check.take_frame((now,))
+        check.exposed((now,))
         faults.append(check.take_pose(0, stands, stands))
     assert set(faults) == {"", DOES_NOT_MOVE}
 
@@ -227,18 +226,18 @@ def test_a_standing_robot_that_is_seen_to_move_or_turn_is_noticed(camera, within
 
 
 def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
-    check = MotionCheck([SPEED], RADIUS, 2.0)
+    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
     for k in range(20):
-        check.sent(k * SEND, [SPEED], [0.0], 0.12)
+        check.sent(k * SEND, [SPEED], [0.0])
     last_ns = 19 * SEND  # of the packets
     stands_ns = last_ns + WATCHDOG
 
     def pose_at(now_ns):
         return Pose(SPEED * min(now_ns, stands_ns) / SECOND, 0, 0)
 
-    check.take_frame((last_ns,))
+    check.exposed((last_ns,))
     for now_ns in range(last_ns + FRAME, 2 * SECOND, FRAME):
-        check.take_frame((now_ns,))
+        check.exposed((now_ns,))
         assert check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)) == ""
 
 
@@ -247,22 +246,22 @@ def refused_repeats(seen_as, goes_ns, rests_ns, *, ends=NEVER_S, delay=0.25):
     commanded to drive for `goes_ns`, to stand for `rests_ns`, and so on; nothing is sent from
     `ends` [s] on.
     """
-    check = MotionCheck([SPEED], RADIUS, 2.0)
+    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
     robot = WheeledRobot(delay, FRAME_S / 50, (1.0, 1.0), (NEVER_S, NEVER_S))
     refused = []
     before = robot.pose
     for now_ns in range(FRAME, 3 * SECOND, FRAME):
         if now_ns < ends * SECOND:
             speed = SPEED if now_ns % (goes_ns + rests_ns) < goes_ns else 0.0
-            check.sent(now_ns, [speed], [0.0], 0.12)
+            check.sent(now_ns, [speed], [0.0])
             robot.send(now_ns, speed, 0.0)
         robot.move(now_ns, 0.0)
         pose = seen_as(robot.pose)
-        check.take_frame((now_ns,))
+        check.exposed((now_ns,))
         if pose != before:
             assert check.take_pose(0, before, pose) == ""
             before = pose
-        elif check.must_have_moved(0):
+        elif list(check.repeat(0)):
             refused.append(now_ns / SECOND)
     return refused
 
@@ -288,14 +287,14 @@ def test_a_robot_that_its_watchdog_has_stopped_may_repeat_its_pose():
 
 def test_a_gap_in_the_frames_is_bridged():
     """A robot on a circle of 60 mm, by 180 mm/s and 3 rad/s, is not seen for 0.29 s."""
-    check = MotionCheck([SPEED], RADIUS, 2.0)
+    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
     for step in range(60):
-        check.sent(step * SEND, [SPEED], [3.0], 0.12)
+        check.sent(step * SEND, [SPEED], [3.0])
     before = None
     for t in (0.5, 0.51, 0.8):
         turned = 3 * t
         pose = Pose(60 * math.sin(turned), 60 * (1 - math.cos(turned)), turned)
-        check.take_frame((round(t * SECOND),))
+        check.exposed((round(t * SECOND),))
         assert check.take_pose(0, before or pose, pose) == ""
         before = pose
 
@@ -303,18 +302,18 @@ def test_a_gap_in_the_frames_is_bridged():
 @pytest.mark.parametrize(("radius", "part"), [(RADIUS, "drive"), (0.0, "field's sign")])
 def test_a_cell_has_no_drive(radius, part):
     """It is seen to turn to the right while it is commanded to turn to the left."""
-    check = MotionCheck([SPEED], radius, 2.0)
+    check = MotionCheck([SPEED], radius, 2.0, 0.12)
 
     def pose_at(now_ns):
         t = now_ns / SECOND
         return Pose(900 + SPEED * t, 800.0, -2.0 * t)
 
-    check.sent(FRAME, [SPEED], [2.0], 0.12)
-    check.take_frame((FRAME,))
+    check.sent(FRAME, [SPEED], [2.0])
+    check.exposed((FRAME,))
     faults = []
     for now_ns in range(2 * FRAME, 2 * SECOND, FRAME):
-        check.sent(now_ns, [SPEED], [2.0], 0.12)
-        check.take_frame((now_ns,))
+        check.sent(now_ns, [SPEED], [2.0])
+        check.exposed((now_ns,))
         faults.append(check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)))
     first_fault = next(filter(None, faults))
     assert part in first_fault

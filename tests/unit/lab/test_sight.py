@@ -20,8 +20,7 @@ from tetractl.experiment.plants import on_plant
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_records import GuardRules, GuardState
-from tetractl.lab.motion_check import SLACK_S
-from tetractl.lab.motion_faults import REPEATS
+from tetractl.lab.motion_check import REPEATS, SLACK_S
 
 MS = 1_000_000
 MAT = Sight(grid_mm=1.36, grid_rad=math.radians(1.0), rate_hz=100.0)

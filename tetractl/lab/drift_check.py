@@ -75,7 +75,7 @@ class Columns(NamedTuple):
     """Weights of the delays of turning."""
     known: slice = slice(1, 13)
     """All that are constant over a trial."""
-    own: slice = slice(13, 16)
+    velocity: slice = slice(13, 16)
     """A constant velocity of one robot."""
     picture: slice = slice(16, 20)
     """Shift, turn and growth of the picture."""
@@ -341,7 +341,7 @@ class DriftCheck(GuardCheck):
         x[:, around, AT.radius] = w
         x[:, around, AT.difference] = v / r if r else 0.0
         x[:, around, AT.taps_around] = later[:, :, 1]
-        x[:, :, AT.own] = np.eye(3) * dt_s[:, None, None]
+        x[:, :, AT.velocity] = np.eye(3) * dt_s[:, None, None]
         x[:, :2, AT.picture] = self._picture_moves([block.before for block in blocks], dt_s)
         x[:, around, AT.picture.start + 2] = dt_s
         unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt_s[:, None]
@@ -425,7 +425,8 @@ class DriftCheck(GuardCheck):
         gains = self._gains_of_shift(changes, g, shift[g])
         i = int(gains.argmax())
         if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
-            return (Abort(TOGETHER, tuple(range(len(self._names)))),)
+            everybody = range(len(self._names))
+            return (Abort(TOGETHER, tuple(everybody)),)
         return self._of_one(i, pulls[g, i] * velocity[g, i])
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:

@@ -95,7 +95,7 @@ from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.lab.motion_check import DOES_NOT_MOVE, REPEATS
-from tetractl.lab.robot_track import PoseDecision, RobotTrack
+from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
@@ -223,7 +223,7 @@ class Guard:
     @property
     def refused(self) -> tuple[str, ...]:
         """The reason why each robot's newest pose was refused (N,); "" if it was not refused."""
-        return tuple(robot.refused for robot in self._robots)
+        return tuple(robot.decision.refused for robot in self._robots)
 
     @property
     def lost(self) -> dict[int, int]:
@@ -300,8 +300,8 @@ class Guard:
         if not self._status.abort(reason, emergency, suspect):
             return
         for robot in self._robots:
-            if robot.refused and robot.hidden:
-                robot.ghost = robot.refused
+            if robot.decision.refused and robot.hidden:
+                robot.ghost = robot.decision.refused
 
     def correct_reason(self, reason: str) -> None:
         """Give a better reason of an abort."""
@@ -474,7 +474,7 @@ class Guard:
         robot = self._robots[i]
         last = robot.poses.last
         if pose is None or robot.lost:
-            return PoseDecision()
+            return MISSING
         if not robot.is_new:
             return None
         fault = robot.ghost or robot.poses.fault(pose, robot.read_ns, self._pace.driven)
@@ -484,12 +484,12 @@ class Guard:
             return PoseDecision(pose)
         checks = self._checks.checks
         if not in_run:
-            found = [check.pause(i, last, pose, robot.read_ns) for check in checks]
-            return PoseDecision(pose, findings=tuple(chain(*found)))
+            findings = [check.pause(i, last, pose, robot.read_ns) for check in checks]
+            return PoseDecision(pose, findings=tuple(chain(*findings)))
         if pose == last:
             return self._decide_repeat(i, pose)
-        found = [check.pose(i, last, pose) for check in checks]
-        return decision_by(tuple(chain(*found)), pose, disobeys=True)
+        findings = [check.pose(i, last, pose) for check in checks]
+        return decision_by(tuple(chain(*findings)), pose, disobeys=True)
 
     def _decide_repeat(self, i: int, pose: Pose) -> PoseDecision:
         """Return what becomes of a pose that equals the last one: it is no motion to compare.
@@ -498,18 +498,17 @@ class Guard:
         frozen picture; then equal poses are refused until another one comes, whatever is commanded
         meanwhile.
         """
-        if self._robots[i].refused == REPEATS:
+        if self._robots[i].decision.refused == REPEATS:
             return PoseDecision(refused=REPEATS)
-        found = [check.repeat(i) for check in self._checks.checks]
-        return decision_by(tuple(chain(*found)), pose, disobeys=False)
+        findings = [check.repeat(i) for check in self._checks.checks]
+        return decision_by(tuple(chain(*findings)), pose, disobeys=False)
 
     def _record_poses(self, decisions: Sequence[PoseDecision | None]) -> None:
         """Let the decisions on all robots' poses take effect, and then what checks have found."""
         for robot, decision in zip(self._robots, decisions, strict=True):
             if decision is None:
                 continue
-            robot.refused = decision.refused
-            robot.disobeys = decision.disobeys
+            robot.decision = decision
             if decision.refused:
                 self._stream.refused += 1
             if decision.accepted is not None:
@@ -524,7 +523,7 @@ class Guard:
         fresh: list[bool] = []
         times: list[int] = []
         for robot, pose in zip(self._robots, frame.poses, strict=True):
-            in_frame = pose is not None and not robot.refused
+            in_frame = pose is not None and not robot.decision.refused
             poses.append(robot.poses.last)
             fresh.append(in_frame and not robot.lost and not robot.hidden)
             times.append(robot.poses.last_ns)
@@ -571,9 +570,9 @@ class Guard:
         for i, robot in enumerate(self._robots):
             if robot.lost:
                 continue
-            may_stand = self.rules.goes_on and robot.refused == DOES_NOT_MOVE
-            if robot.disobeys and robot.hidden and not may_stand:
-                self.abort(f"{robot.name} {robot.refused}", suspect=i)
+            may_stand = self.rules.goes_on and robot.decision.refused == DOES_NOT_MOVE
+            if robot.decision.disobeys and robot.hidden and not may_stand:
+                self.abort(f"{robot.name} {robot.decision.refused}", suspect=i)
             elif robot.untracked_ns >= limit_ns:
                 self.lose_robot(i, robot.untracked_text)
             elif robot.unseen_ns >= RARELY * limit_ns:

@@ -25,6 +25,10 @@ class PoseDecision:
     findings: tuple[Finding, ...] = ()
 
 
+MISSING = PoseDecision()
+"""There is no pose."""
+
+
 @dataclass(slots=True)
 class RobotTrack:
     """What the guard remembers of one robot; a body that replaces a lost one has a track of its
@@ -43,10 +47,8 @@ class RobotTrack:
     """For how long it was not seen in runs, less `FORGIVEN` of the time it was seen."""
     _counted_ns: int = 0
     """Time until which that is counted."""
-    refused: str = ""
-    """Why the newest pose was refused, "" if it was accepted or missing."""
-    disobeys: bool = False
-    """Whether it was refused since it moves as no command does."""
+    decision: PoseDecision = MISSING
+    """What became of its newest pose."""
     ghost: str = ""
     """Why its poses are refused for good, "" if they are not."""
     lost_ns: int | None = None
@@ -67,7 +69,7 @@ class RobotTrack:
     @property
     def untracked_text(self) -> str:
         """A text that the robot is not tracked, since when and, if known, why."""
-        why = f": {self.refused}" if self.refused else ""
+        why = f": {self.decision.refused}" if self.decision.refused else ""
         return f"{self.name} is not tracked{why} ({self.untracked_ns / SECOND:.2f} s)"
 
     @property
@@ -84,8 +86,7 @@ class RobotTrack:
         """Forget how the robot moved before a run: it may have been carried."""
         self.poses.start_run()
         self._counted_ns = self.poses.last_ns
-        self.refused = ""
-        self.disobeys = False
+        self.decision = MISSING
 
     def read(self, newest_ns: int, read_ns: int, own_times: bool) -> None:
         """Take the times of the newest frame and of the robot's pose in it.

@@ -8,12 +8,13 @@
                       and scales both by s < 1 if a wheel would be too fast
     times             an action is sent again at the actuator's rate, by `next_due_ns`
 
-A stop is sent STOPS times. Actions before the first step are not compared, nor late repetitions on
-a computer so slow that more than UNTIMELY_SHARE of the control steps were late, too.
+A stop is sent STOPS times. Actions before the first step are not compared. In real time a busy
+computer sends late: of repetitions a smaller share than of control steps in 25 of 25 emulated
+trials, on two cores with up to 13 processes.
 """
 
 from collections.abc import Iterator
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -45,8 +46,8 @@ DOUBLED_NS = MILLISECOND // 5
 """Time between two transmissions of which one was added [ns]: the least of 1,900 on a busy computer
 was 1 ms."""
 UNTIMELY_SHARE = 0.1
-"""Largest share of transmissions that may be later in real time, as a busy computer sends some
-late, and of those that may be earlier, as in logs before 2026-12."""
+"""Largest share of transmissions that may be later in real time, unless more control steps are, and
+of those that may be earlier, as in logs before 2026-12."""
 
 
 def command_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -169,16 +170,26 @@ def _times(
             due_ns = now_ns + period_ns  # at the latest
         due_ns = next_due_ns(due_ns, now_ns, period_ns)
         before = command
-    most = UNTIMELY_SHARE * count if real_time else 0
+    share = max(UNTIMELY_SHARE, _late_steps(log)) if real_time else 0
+    most = share * count
     doubled_ns = [gap_ns for gap_ns in early_ns if gap_ns < DOUBLED_NS]
     if doubled_ns or len(early_ns) > most:
         text = f"sent again after {early_ns[0] / MILLISECOND:g} ms"
         yield Difference(None, "commands", text)
-    missed = sum(step.deadline_missed for step in log.steps)
-    is_too_slow = real_time and missed > UNTIMELY_SHARE * len(log.steps)
-    if len(late_ns) > most and not is_too_slow:
+    if len(late_ns) > most:
         text = f"{len(late_ns)} of {count} come later than the actuator's rate, the first at"
         yield Difference(None, "commands", f"{text} {late_ns[0]} ns")
+
+
+def _late_steps(log: TrialLog) -> float:
+    """Return the share of control steps that were sent late."""
+    due_ns = round(log.experiment.controller.period * SECOND) + LATE_NS
+    gaps_ns = [
+        after.command.sent_ns - step.command.sent_ns
+        for step, after in pairwise(log.steps)
+        if not step.plan.pauses
+    ]
+    return sum(gap_ns > due_ns for gap_ns in gaps_ns) / max(len(gaps_ns), 1)
 
 
 def _stops(log: TrialLog, sent: list[Command], result: Result) -> Iterator[Difference]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from tetractl.core.plan import Outcome
 from tetractl.core.tour import STOOD
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.open_batch import Batch, counts
+from tetractl.results.open_batch import Batch, counts, errors_known
 from tetractl.results.outcomes import SAFETY
 from tetractl.results.turning import turned_otherwise
 from tetractl.tools.table.table import plural
@@ -62,7 +62,7 @@ def trial_notes(trial: ResultSummary) -> list[str]:
         notes.append(f"{trial.warnings} {plural('warning', trial.warnings)}")
     if trial.recovered:
         notes.append("read from a damaged log")
-    if not counts(trial) or result.reason.endswith(STOOD):
+    if not errors_known(trial) or result.reason.endswith(STOOD):
         notes.append(result.reason or "its errors are unknown")
     return notes
 

@@ -98,7 +98,12 @@ def _key(trial: ResultSummary) -> tuple[int, int]:
 
 
 def counts(trial: ResultSummary) -> bool:
-    """Whether a trial's errors enter the means: it is complete and its errors are known."""
+    """Whether a trial's errors enter the means: they are known, and its log is whole."""
+    return errors_known(trial) and not trial.recovered
+
+
+def errors_known(trial: ResultSummary) -> bool:
+    """Whether a trial is complete and its errors are known."""
     errors = (trial.result.total_error, *trial.result.robot_errors)
     return trial.outcome.complete and all(map(math.isfinite, errors))
 

@@ -20,7 +20,7 @@ from tetractl.results.contrast import BatchComparison, Contrast
 from tetractl.results.describe import BatchStatistics
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged
-from tetractl.results.open_batch import counts, listing
+from tetractl.results.open_batch import listing
 from tetractl.results.outcomes import unsafe
 from tetractl.results.trial_tables import trials_table
 from tetractl.tools.table.table import NONE, Column, Table, fixed, lengths, p_value
@@ -266,11 +266,6 @@ def _errors_title(groups: Sequence[BatchStatistics]) -> str:
     first = groups[0]
     if len(groups) == 1:
         valid = f"{first.counted} of {len(first.batch.trials)} trials valid"
-        damaged = sum(trial.recovered and counts(trial) for trial in first.batch.trials)
-        if damaged:
-            valid += (
-                f", {damaged} of these from {'a damaged log' if damaged == 1 else 'damaged logs'}"
-            )
         return f"{first.experiment.name}, {first.origin}: final error [{first.unit}], {valid}"
     plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
     title = f"Final total errors of {len(groups)} batches, {plants}"

@@ -185,7 +185,7 @@ def test_a_trial_in_the_lab_can_be_done_again_but_not_given_twice():
     again = replace(first, log="again.mcap", digest="other")
     torn = replace(first, log="torn.mcap", digest=None, recovered=True)
     torn_too = replace(torn, log="too.mcap")
-    assert group([first, second, again, torn, torn_too]).counted == 5
+    assert group([first, second, again, torn, torn_too]).counted == 3  # those of whole logs
     copy = replace(second, log="copy.mcap")
     with pytest.raises(UsageError, match="are the same trial"):
         group([first, second, copy])

@@ -88,16 +88,17 @@ def test_the_summary_says_what_is_not_usual_and_where():
     rows = labelled(lines[5:-1])
     assert rows["outcomes"].startswith("19 sequence completed (every signal")
     assert rows["left the arena"].startswith("19 of 20 (95 % interval")
-    assert "; trial-003: blue left the arena, read from a damaged log" in rows["flagged"]
+    damaged = "; trial-003: excluded, blue left the arena, read from a damaged log"
+    assert damaged in rows["flagged"]
     assert "; trial-004: excluded, pulled" in rows["flagged"]
-    assert lines[0].endswith("19 of 20 trials valid, 1 of these from a damaged log")
+    assert lines[0].endswith("18 of 20 trials valid")
 
 
 def test_the_summary_of_two_batches_names_the_unusual_one():
     usual = described(ERRORS[:9] * 2, name="b")
     lines = printed(odd_batch(), usual, layout=summary).splitlines()
     assert lines[6].startswith("a - b: no significant difference, ")
-    assert lines[6].endswith(" (paired t, 17 pairs)")  # of 18, without the aborted one
+    assert lines[6].endswith(" (paired t, 16 pairs)")  # of 18, without these two
     rows = labelled(lines[7:-1])
     assert rows["outcomes"].startswith("a: 19 sequence completed, 1 aborted; b: 18 ")
     assert rows["left the arena"] == "a: 19 of 20 (centres)"
@@ -184,10 +185,10 @@ def test_trials_left_out_are_listed_with_their_reason():
     trials[1] = replace(trials[1], result=PULLED)
     trials[2] = replace(trials[2], recovered=True)
     text = printed(group(trials))
-    assert "3 of 4 trials valid" in text
+    assert "2 of 4 trials valid" in text
     assert "trial-001.mcap   aborted" in text
     assert "excluded, pulled" in text
-    assert "sequence completed   read from a damaged log" in text
+    assert "sequence completed   excluded, read from a damaged log" in text
 
 
 def test_a_batch_without_odd_trials_lists_none():

@@ -30,9 +30,9 @@ from solverbench.report import load, progress
 from unmodelled import run
 
 from tetractl.control import (
-    body_model,
     corners,
     filter,
+    filter_start,
     lengths,
     margins,
     mpc,
@@ -174,9 +174,9 @@ def _bee_lines(problem: Any, grid: Any) -> Any:
     return gaps.ravel()
 
 
-def _alone(bank: Any, step_s: Any, prior: Any) -> Any:
+def _alone(bank: Any, prior: Any) -> Any:
     """Return times of which the other robots say nothing: the prior of each filter's dead time."""
-    common = _common(bank, step_s, prior)
+    common = _common(bank, prior)
     deviations = (bank.dead_time_s - prior.dead_time) / (prior.dead_time_std or 1.0)
     likely = np.exp(-(deviations**2) / 2)
     return common._replace(near=np.broadcast_to(likely, common.near.shape).copy())
@@ -297,7 +297,7 @@ RULES = {
     "turn bias": Rule((_prior(heading_bias_std=0.0),), ("marker", "wander")),
     "flow": Rule((_prior(flow_std=0.0),), ("slide", "cells", "cells-shear")),
     "a cell's frequencies": Rule(
-        ((body_model, "FREQUENCIES", (1.0,)),), ("cells", "cells-body", "cells-pause")
+        ((filter_start, "FREQUENCIES", (1.0,)),), ("cells", "cells-body", "cells-pause")
     ),
     "outlier gate": Rule((), ("stale", "marker", "cells-body"), (("gate", 1e12),)),
     "missed commands": Rule((), ("lossy-radio", "silent"), (("lost", 1e-12),)),

@@ -45,9 +45,9 @@ def course_by(sent: SentDirections, late_s: float = 0.0) -> TurnedCourse:
     return TurnedCourse(times, np.array(headings))
 
 
-def check(turned: list[TurnedCourse], sent: SentDirections) -> None:
+def check(turned: list[TurnedCourse], sent: SentDirections) -> float:
     readings = [image("p.csv", "c.csv", sent), *other_readings("c.csv", sent, 1 / 30)]
-    check_directions(turned, sent, DELAYS_S, readings)
+    return check_directions(turned, sent, DELAYS_S, readings)
 
 
 def test_directions_that_act_a_step_late_are_not_taken_for_their_mirror_image():
@@ -110,3 +110,35 @@ def test_directions_in_degrees_that_count_on_by_small_steps_are_refused(name):
     check(turned, right)
     with pytest.raises(UsageError, match=r"c.csv: robots turn by its directions if .* degrees"):
         check(turned, replace(right, angles=np.degrees(right.angles)))
+
+
+def a_quarter_lost(sent):
+    """Four of the directions, each sent once, did not reach the robot."""
+    kept = np.ones(len(sent.times), dtype=bool)
+    kept[[3, 6, 7, 12]] = False
+    return SentDirections(sent.times[kept], sent.angles[kept])
+
+
+FOLLOWED = {
+    "as they are": lambda: course_by(RANDOM),
+    "after 1.4 s": lambda: course_by(RANDOM, late_s=1.4),
+    "a quarter of them lost": lambda: course_by(a_quarter_lost(RANDOM)),
+    "rotated": lambda: course_by(replace(RANDOM, angles=RANDOM.angles + 0.4)),
+}
+
+
+@pytest.mark.parametrize("name", FOLLOWED)
+def test_directions_that_robots_follow_explain_most_turns(name):
+    assert check([FOLLOWED[name]()], RANDOM) > 0.4
+
+
+def test_directions_of_another_robot_explain_few_turns():
+    """Regression: an a of 1.50 (1.30 to 1.74) for 4, exit code 0."""
+    of_another = sent_every_1_5_s(np.random.default_rng(8).uniform(-3, 3, 16))
+    assert check([course_by(RANDOM)], of_another) < 0.2
+
+
+def test_robots_that_hardly_turn_show_nothing():
+    times = np.arange(0, DRIVE_S, GRID_S)
+    noise = np.random.default_rng(1).normal(0, 0.003, len(times))
+    assert check([TurnedCourse(times, 1.0 + noise)], sent_every_1_5_s(np.full(16, 1.0))) == 1.0

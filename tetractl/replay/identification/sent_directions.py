@@ -26,6 +26,8 @@ LONGEST_GAP_S = 0.25  # a longer gap between two positions separates a path
 SHORTEST_S = 2.0  # least duration of a piece of a path
 STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
 EXPLAINED = 0.4  # least share of the turning that a response to directions explains
+TURNS = 0.3
+"""Deviation of turning rates from which robots do turn [rad/s]."""
 SURELY_MORE = 0.2
 """By how much more another reading of the directions explains if theirs is wrong. In 40 trials of
 the emulated bench the directions that were sent explained .58 or more of the turning, others at
@@ -132,19 +134,19 @@ def check_directions(
     sent: SentDirections,
     delays_s: Floats,
     readings: Sequence[DirectionReading],
-) -> None:
-    """Raise UsageError if robots turn by another reading of the directions that they were sent,
-    which act after one of `delays_s`: of several, by that which explains most.
+) -> float:
+    """Return the share of the turning that directions explain which act after one of `delays_s`.
+    UsageError if robots turn by another reading of them: of several, by that which explains most.
 
     Directions that are only rotated are no problem: the heading bias is the angle. Nothing is known
-    of robots that were seen for less than ENOUGH_S.
+    of robots that were seen for less than ENOUGH_S, or hardly turn: the share is 1.
     """
     longest = _longest(turned)
     if sum(len(course.times) for course in longest) * GRID_S < ENOUGH_S:
-        return
+        return 1.0
     as_stated = _best_delay(longest, sent, delays_s, towards)
     if as_stated.share >= EXPLAINED:
-        return
+        return as_stated.share
     only_rotated = _best_delay(longest, sent, delays_s, rotated)
     by_share = [
         (_best_delay(longest, reading.sent, reading.delays_s, reading.response), reading)
@@ -153,6 +155,8 @@ def check_directions(
     best, reading = max(by_share, key=lambda pair: pair[0].share)
     if best.share >= max(EXPLAINED, only_rotated.share + SURELY_MORE):
         raise reading.problem(best.delay_s)
+    rates = np.concatenate([np.diff(course.angle) / GRID_S for course in longest])
+    return only_rotated.share if rates.std() > TURNS else 1.0
 
 
 def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReading:

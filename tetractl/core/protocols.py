@@ -236,31 +236,28 @@ class Controller(Protocol):
 
 
 class Observer(Protocol):
-    """An object that is notified of the events of a trial, such as the log writer or live view."""
+    """An object that is notified of the events of a trial, such as the log writer or live view.
+
+    What a subclass does not define does nothing.
+    """
 
     def on_start(self, start: Start) -> None:
         """Called before the first step."""
-        ...
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Called with new camera frames, oldest first, each once."""
-        ...
 
     def on_step(self, step: Step) -> None:
         """Called after each control step, instead of `on_command` for the step's command."""
-        ...
 
     def on_command(self, command: Command) -> None:
         """Called for a command outside control steps, as in the square before the first plan."""
-        ...
 
     def on_note(self, note: Note) -> None:
         """Called for a message to the operator, such as that a robot does not move as commanded."""
-        ...
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Called after the robots were stopped, for any reason."""
-        ...
 
 
 class PlacementPrompt(Protocol):

@@ -97,7 +97,7 @@ def _of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
         return [StatisticValue(KEY, "", Unknown())]
     turns = list(_turns(trials))
     if not turns:
-        return [StatisticValue(KEY, LABEL, Worded(None, _too_few(trials[0])))]
+        return [StatisticValue(KEY, LABEL, Worded(None, _too_few(trials[0])), unusual=False)]
     odd = [turn for turn in turns if turn.odd]
     odd_trials = len({turn.log for turn in odd})
     number = Worded(odd_trials, _compared(turns, odd))

@@ -20,13 +20,13 @@ from queue import SimpleQueue
 import numpy as np
 
 from tetractl.control.sequence import SequenceController, SequenceSection
-from tetractl.core.commands import Command, Note, PlantInfo, Sample
+from tetractl.core.commands import Command, PlantInfo, Sample
 from tetractl.core.errors import TetractlError, UsageError, demand, whole_number
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Observation, Poses
-from tetractl.core.protocols import LabSupervision
+from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.setup import Setup
-from tetractl.core.trial import EPOCH_NS, Result, Start, Step
+from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.load import LoadedSpec, parse_spec, start_of, with_controller, with_seed
 from tetractl.model.obstacles import Obstacles
@@ -65,7 +65,7 @@ def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
     return parse_spec(with_controller(spec, section).text, spec.name)
 
 
-class TruthWatch:
+class TruthWatch(Observer):
     """An observer of the true paths: whether a robot entered an obstacle or left the arena, as far
     as camera frames show it. The trial's result knows it from the finest samples.
 
@@ -94,21 +94,6 @@ class TruthWatch:
         outside = self._arena.inside(x, y) < 0
         entered = self._obstacles.cross(x_before, y_before, x, y)
         self.failed = self.failed or bool(outside.any() or entered.any())
-
-    def on_start(self, start: Start) -> None:
-        """Do nothing."""
-
-    def on_step(self, step: Step) -> None:
-        """Do nothing."""
-
-    def on_command(self, command: Command) -> None:
-        """Do nothing."""
-
-    def on_note(self, note: Note) -> None:
-        """Do nothing."""
-
-    def on_stop(self, stop: Command, result: Result) -> None:
-        """Do nothing."""
 
 
 class DroppedError(BaseException):

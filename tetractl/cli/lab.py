@@ -15,7 +15,8 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, argument, option, out_option, switch
 from tetractl.cli.unread import hung_up_unread
 from tetractl.core.errors import Exit, UsageError
-from tetractl.lab.serial_port import PortHeldError, stop_beside
+from tetractl.lab.port_holder import stop_beside
+from tetractl.lab.serial_port import PortHeldError
 from tetractl.run.interrupt import interrupted_once
 from tetractl.tools.files import save_whole
 from tetractl.view.terminal.keys import NO_KEY, SAYS, StopKey

@@ -50,14 +50,6 @@ class ClientPort(SerialPort, ABC):
             raise AbortError(self.failure, self._hint)
         return self._clock.now()
 
-    def set_baud(self, baud: int) -> None:
-        """Do nothing: a client has no baud rate."""
-
-    def _end(self, why: str) -> None:
-        if not self._closing.is_set():
-            self.failure = self.failure or why
-            self._heard(b"", self._clock.now())
-
     def _read(self) -> None:
         try:
             self.connect()

@@ -9,6 +9,9 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import LabLimits
 
+NOISE_MM = 2.0
+"""Largest error of a pose [mm], in addition to that which the camera's section states."""
+
 
 class GuardState(StrEnum):
     """The guard's states."""
@@ -40,6 +43,11 @@ class GuardRules:
     wheel_radius: float = 0.0  # 0 for robots without wheels
     goes_on: bool = False
     sight: Sight = UNSTATED
+
+    @property
+    def largest_error(self) -> float:
+        """The largest error of a position [length unit]."""
+        return (NOISE_MM + self.sight.largest[0]) / self.mm
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,76 +1,128 @@
-"""Where robots must not drive: out of the arena, and into obstacles.
+"""Where robots must not drive: out of the arena, into obstacles, and into each other.
 
 Obstacles are grown by the radius of a body, so that they are compared with centres. Lengths are in
 the spec's length unit.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core.guard_findings import Abort, Finding, RobotPlace
 from tetractl.core.poses import Pose
+from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
-from tetractl.core.shape import Shape
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import chord
 
 
-class Places:
-    """The arena and the grown obstacles. Robots are predicted over `reaction` [s]; `noise` is the
-    largest error of a position."""
+class Keeps(GuardCheck):
+    """The run is aborted before a robot leaves the arena, enters an obstacle or touches another;
+    one that was lost stands at its last pose."""
 
-    def __init__(
-        self, arena: Bounds, obstacles: Sequence[Shape], reaction: float, noise: float
-    ) -> None:
-        self._arena = arena
-        self._obstacles = obstacles
-        self._reaction = reaction
-        self._noise = noise
-        self._rates: tuple[Sequence[float], Sequence[float]] | None = None
+    def __init__(self, rules: GuardRules) -> None:
+        self._rules = rules
+        self._speeds: Sequence[float] = (0.0,) * len(rules.names)  # of the last transmission
+        self._turning: Sequence[float] = (0.0,) * len(rules.names)
         self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
 
-    def restart(self) -> None:
-        """Forget where the robots were; called when a run starts."""
+    def start(self) -> None:
+        """Forget where the robots were."""
         self._least.clear()
 
-    def sent(self, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        self._rates = speed, turning
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take a transmission."""
+        self._speeds = speed
+        self._turning = turning
 
-    def outside(self, pose: Pose) -> float:
-        """Return a pose's distance from the arena, 0 inside."""
-        arena = self._arena
-        return math.hypot(
-            max(arena.left - pose.x, 0.0, pose.x - arena.right),
-            max(arena.bottom - pose.y, 0.0, pose.y - arena.top),
-        )
+    def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
+        """Check where the robots are."""
+        arena = self._rules.arena
+        coming: list[Coming] = []
+        for i, robot in enumerate(robots):
+            name = self._rules.names[i]
+            pose = robot.last if robot.lost else robot.pose
+            if pose is None:
+                continue
+            then = driven(pose, robot.way)
+            if outside(arena, then) > outside(arena, pose):
+                yield Abort(f"{name} is about to leave the arena")
+            if self.enters(i, pose):
+                yield Abort(f"{name} is about to enter an obstacle")
+            coming.append(Coming(name, pose, then))
+        yield from too_close(coming, self._rules)
 
     def enters(self, i: int, pose: Pose) -> bool:
         """Return whether robot i is in an obstacle or will be after its reaction, at the rates of
         the last transmission. A robot that has touched one since the run started may leave it, but
         not go deeper.
         """
+        noise = self._rules.largest_error
         depth = self._depth(pose.x, pose.y)
         least = self._least[i] = min(depth, self._least.get(i, depth))
-        if least > -self._noise:
-            return depth > max(least, 0.0) + self._noise
+        if least > -noise:
+            return depth > max(least, 0.0) + noise
         return depth > 0.0 or self._depth(*self._ahead(i, pose)) > 0.0
 
     def _ahead(self, i: int, pose: Pose) -> tuple[float, float]:
-        if self._rates is None:
-            return pose.x, pose.y
-        way, turned = (rate[i] * self._reaction for rate in self._rates)
-        gone = way * chord(turned)
+        """Return where robot i will be after its reaction."""
+        reaction_s = self._rules.limits.reaction
+        way = self._speeds[i] * reaction_s
+        turned = self._turning[i] * reaction_s
+        chord_length = way * chord(turned)
         course = pose.heading + turned / 2
-        return pose.x + gone * math.cos(course), pose.y + gone * math.sin(course)
+        return pose.x + chord_length * math.cos(course), pose.y + chord_length * math.sin(course)
 
     def _depth(self, x: float, y: float) -> float:
         """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""
         deepest = -math.inf
-        near = self._noise
-        for shape in self._obstacles:
+        near = self._rules.largest_error
+        for shape in self._rules.obstacles:
             left, bottom, right, top = shape.box
             if left - near <= x <= right + near and bottom - near <= y <= top + near:
                 distance = shape.distance(np.array(x), np.array(y))
                 deepest = max(deepest, -float(distance))
         return deepest
+
+
+def outside(arena: Bounds, pose: Pose) -> float:
+    """Return a pose's distance from the arena, 0 inside."""
+    return math.hypot(
+        max(arena.left - pose.x, 0.0, pose.x - arena.right),
+        max(arena.bottom - pose.y, 0.0, pose.y - arena.top),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Coming:
+    """A robot where it is now, and where it will be when it can be stopped."""
+
+    name: str
+    now: Pose
+    then: Pose
+
+
+def driven(pose: Pose, way: float) -> Pose:
+    """Return a pose moved along its heading by `way`."""
+    dx = way * math.cos(pose.heading)
+    dy = way * math.sin(pose.heading)
+    return Pose(pose.x + dx, pose.y + dy, pose.heading)
+
+
+def too_close(coming: Sequence[Coming], rules: GuardRules) -> Iterator[Finding]:
+    """Yield an abort for each two robots that come nearer than the least distance."""
+    for i, robot in enumerate(coming):
+        for neighbour in coming[:i]:
+            now = distance(robot.now, neighbour.now)
+            then = distance(robot.then, neighbour.then)
+            if then <= now and then * rules.mm < rules.limits.separation_mm:
+                yield Abort(
+                    f"{neighbour.name} and {robot.name} are too close: {now * rules.mm:.0f} mm"
+                )
+
+
+def distance(first: Pose, second: Pose) -> float:
+    """Return the distance of two poses."""
+    return math.hypot(first.x - second.x, first.y - second.y)

@@ -179,9 +179,6 @@ class UdpPort(SerialPort):
                 return
         raise AbortError(self._no_listener, self._hint)
 
-    def set_baud(self, baud: int) -> None:
-        """Do nothing: a network has no baud rate."""
-
     def close(self) -> None:
         """End the reader's thread and close the socket; may be called twice, never raises."""
         super().close()

@@ -19,7 +19,8 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.base import Positive
-from tetractl.lab.serial_port import Ports, SerialPort, holder
+from tetractl.lab.port_holder import holder
+from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl_emulator.faults import Begin, Undo, fault_kind, switching
 
 AFTER_NS = SECOND

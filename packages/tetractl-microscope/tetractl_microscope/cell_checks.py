@@ -9,16 +9,10 @@ from collections.abc import Iterator, Sequence
 from tetractl.core.guard_findings import Finding, Lose, RobotPlace, Warn
 from tetractl.core.poses import Pose
 from tetractl.core.protocols import GuardCheck
-from tetractl.lab.guard_checks import (
-    Coming,
-    GuardChecks,
-    drift_of,
-    driven,
-    places_of,
-    too_close,
-)
+from tetractl.lab.guard_checks import GuardChecks, drift_of
 from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import MotionCheck
+from tetractl.lab.places import Coming, driven, outside, too_close
 
 WANDERS = 0.7
 """Relative error of a cell's speed and turning rate: cells wander, by far more than wheels slip."""
@@ -52,7 +46,6 @@ class Stays(GuardCheck):
 
     def __init__(self, rules: GuardRules) -> None:
         self._rules = rules
-        self._places = places_of(rules)
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
         """Check where the robots are."""
@@ -62,7 +55,7 @@ class Stays(GuardCheck):
                 continue
             name = self._rules.names[i]
             then = driven(robot.pose, robot.way)
-            if self._places.outside(then) > self._places.outside(robot.pose):
+            if outside(self._rules.arena, then) > outside(self._rules.arena, robot.pose):
                 yield Lose(i, f"{name} is about to leave the arena")
             coming.append(Coming(name, robot.pose, then))
         yield from too_close(coming, self._rules)

@@ -56,9 +56,6 @@ class BluetoothPort(SerialPort):
             asyncio.run_coroutine_threadsafe(call, self._loop)
         return self._clock.now()
 
-    def set_baud(self, baud: int) -> None:
-        """Do nothing: Bluetooth has no baud rate."""
-
     def close(self) -> None:
         """Disconnect and end the thread; may be called twice, never raises."""
         self._closing.set()

@@ -11,8 +11,9 @@ from support.running import PATIENCE_S, TETRACTL, environment
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.lab import serial_port as module
-from tetractl.lab.serial_port import PortHeldError, SerialPort, command_line, holder, stop_beside
+from tetractl.lab import port_holder as module
+from tetractl.lab.port_holder import command_line, holder, stop_beside
+from tetractl.lab.serial_port import PortHeldError, SerialPort
 
 pytestmark = [
     pytest.mark.slow,

@@ -7,14 +7,26 @@ import numpy as np
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.lab.places import Places
+from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.places import Keeps
 
 DISC = Shape(np.array([[500.0, 500.0]]), 100.0)
 
 
+RULES = GuardRules(
+    names=("green",),
+    speeds=(200.0,),
+    turning=(math.pi,),
+    arena=Bounds(0.0, 0.0, 1000.0, 1000.0),
+    limits=LabLimits(reaction=0.5),
+    obstacles=(DISC,),
+)
+
+
 def places(speed=0.0, turning=0.0):
-    checked_places = Places(Bounds(0.0, 0.0, 1000.0, 1000.0), (DISC,), 0.5, 2.0)
-    checked_places.sent((speed,), (turning,))
+    checked_places = Keeps(RULES)
+    checked_places.sent(0, (speed,), (turning,))
     return checked_places
 
 
@@ -37,5 +49,5 @@ def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deep
     assert not checked_places.enters(0, Pose(410.0, 500.0, 0.0))
     assert not checked_places.enters(0, Pose(405.0, 500.0, 0.0))
     assert checked_places.enters(0, Pose(408.0, 500.0, 0.0))
-    checked_places.restart()
+    checked_places.start()
     assert not checked_places.enters(0, Pose(408.0, 500.0, 0.0))

@@ -12,7 +12,8 @@ import pytest
 from tetractl.core.clock import MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.experiment.lab_section import STOPS
-from tetractl.lab.serial_port import PortHeldError, SerialPort, holder, stop_all_at
+from tetractl.lab.port_holder import holder
+from tetractl.lab.serial_port import PortHeldError, SerialPort, stop_all_at
 from tetractl.lab.udp_port import REFUSALS_MAX, UdpPort, address_of, lock_file, open_port
 
 PATIENCE_S = 60

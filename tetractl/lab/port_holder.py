@@ -1,0 +1,108 @@
+"""Finds the process that has a port open, stops its robots beside it, and ends it."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from tetractl.core.errors import AbortError
+from tetractl.lab.serial_port import SWITCH_OFF
+
+ENDING_SIGNALS = (
+    (0.0, signal.SIGTERM, "asked the process to stop its robots and end"),
+    (1.0, signal.SIGTERM, "asked the process to end at once"),
+    (4.0, signal.SIGKILL, "killed the process; `tetractl recover` mends its log"),
+)
+"""Signals to a process that has the port: the time of each [s], and what is said of it."""
+
+
+def holder(port: str) -> int | None:
+    """Return the id of the process that has locked a port; None if there is none, and on systems
+    other than Linux.
+    """
+    with suppress(OSError):
+        status = Path(port).stat()
+        device = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+        for line in Path("/proc/locks").read_text().splitlines():
+            words = line.split()  # 1: FLOCK ADVISORY WRITE pid device start end
+            if words[1] == "FLOCK" and words[5] == device:
+                return int(words[4])
+    return None
+
+
+def command_line(pid: int) -> list[str]:
+    """Return the command line of a process as a list, empty if the process has ended."""
+    with suppress(OSError):
+        line = Path(f"/proc/{pid}/cmdline").read_bytes()
+        return line.decode(errors="replace").split("\0")[:-1]
+    return []
+
+
+def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
+    """Stop the robots of the run that has a port open, and end that run, if needed by SIGKILL.
+
+    `stops` sends stops on the port and returns a summary; it is called until the port is free,
+    since a hanging run may still drive robots. `say` prints a line, after the first stops, and must
+    not raise. AbortError if the process that has the port open cannot be ended: it is unknown,
+    another user's, or not tetractl.
+    """
+    began = time.monotonic()
+    failure = ""  # why the newest stops could not be sent to all
+    said = False
+    pid = holder(port)
+    due = list(ENDING_SIGNALS)
+    words = command_line(pid) if pid else []
+    name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
+    unsaid = [f"{port}: {name} has this port open"]
+    unendable = _why_unendable(pid, words)
+    while True:
+        if pid and not unendable and due and time.monotonic() - began >= due[0][0]:
+            _, number, did = due.pop(0)
+            with suppress(ProcessLookupError):
+                try:
+                    os.kill(pid, number)
+                    os.kill(pid, signal.SIGCONT)  # a suspended process would not receive signals
+                except PermissionError:
+                    unendable = "belongs to another user"
+            if not unendable:
+                unsaid.append(f"{did}, after {time.monotonic() - began:.1f} s")
+        try:
+            sent = stops()
+        except AbortError as error:
+            failure = error.message
+            time.sleep(0.05)
+        else:
+            failure = ""
+            if not said:
+                unsaid.append(f"{sent}, while that process has the port open")
+            said = True
+        for line in unsaid:
+            say(line)
+        unsaid.clear()
+        if unendable:
+            raise _left(name, unendable, failure)
+        if holder(port) != pid:
+            say(f"the process released the port after {time.monotonic() - began:.1f} s")
+            return
+        if time.monotonic() - began > 6.0:
+            raise _left(name, "does not end even after SIGKILL", failure)
+
+
+def _why_unendable(pid: int | None, words: Sequence[str]) -> str:
+    """Return why this program does not end a process with this command line, "" if it does."""
+    if pid is None:
+        return "is unknown"
+    if any(Path(word).name == "tetractl" for word in words[:3]):
+        return ""
+    return "is not a tetractl process that can be ended"
+
+
+def _left(name: str, why: str, failure: str) -> AbortError:
+    """Return the error for a program that keeps the port open; `failure` is why not all stops could
+    be sent, empty if they could."""
+    text = f"{name} still has the port: it {why}"
+    if failure:
+        text += f"; the stops failed: {failure}"
+    return AbortError(text, f"end it yourself; {SWITCH_OFF}")

@@ -33,6 +33,12 @@ class AcceptedFrame:
         return self.poses[i] if self.fresh[i] else None
 
 
+def as_shown(frame: CameraFrame) -> AcceptedFrame:
+    """Return a frame as if the guard had accepted every pose in it."""
+    fresh = tuple(pose is not None for pose in frame.poses)
+    return AcceptedFrame(frame, frame.poses, fresh, frame.exposed_ns)
+
+
 class FrameBuffer:
     """The last accepted frames, oldest first; the inner loop appends, any thread reads."""
 

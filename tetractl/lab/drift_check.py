@@ -73,7 +73,7 @@ class Columns(NamedTuple):
     """Weights of the delays of driving, without the nominal one."""
     taps_around: slice = slice(10, 13)
     """Weights of the delays of turning."""
-    known: slice = slice(1, 13)
+    constants: slice = slice(1, 13)
     """All that are constant over a trial."""
     velocity: slice = slice(13, 16)
     """A constant velocity of one robot."""
@@ -88,7 +88,7 @@ AT = Columns()
 PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
 """Standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
 ERRORS = np.zeros((3, len(PRIOR)))
-"""Errors of the left and right wheel and of the heading, by the columns `known`."""
+"""Errors of the left and right wheel and of the heading, by the columns `constants`."""
 ERRORS[:, AT.speed - 1] = (1, 1, 0)
 ERRORS[:, AT.difference - 1] = (-1, 1, 0)
 ERRORS[:, AT.heading - 1] = (0, 0, 1)
@@ -296,7 +296,7 @@ class DriftCheck(GuardCheck):
             x, walk = self._regressors([block], way[None])
             total = total + x[0]
             variance = variance + walk[0]
-        regressors = total[:, AT.known]
+        regressors = total[:, AT.constants]
         variance = variance + np.einsum("rp,pq,rq->r", regressors, self._spread[i], regressors)
         spread = np.sqrt(variance)
         residual = total[:, AT.residual] - regressors @ self._fit[i]
@@ -373,7 +373,7 @@ class DriftCheck(GuardCheck):
         x, walk = self._regressors(blocks, motions)
         spread = np.sqrt(2 * self._noise**2 + walk)
         x /= spread[:, :, None]
-        regressors = x[:, :, AT.known]
+        regressors = x[:, :, AT.constants]
         expected = (regressors @ self._fit[robots, :, None])[..., 0]
         bound = CLIP * np.sqrt(1 + ((regressors @ self._spread[robots]) * regressors).sum(axis=2))
         residual = x[:, :, AT.residual].copy()
@@ -384,8 +384,8 @@ class DriftCheck(GuardCheck):
     def _fault(self) -> tuple[Abort, ...]:
         """Fit the constants again; return what is wrong."""
         sums = self._sums
-        self._spread = np.linalg.inv(sums[:, AT.known, AT.known] + np.diag(PRIOR**-2.0))
-        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, AT.known, AT.residual])
+        self._spread = np.linalg.inv(sums[:, AT.constants, AT.constants] + np.diag(PRIOR**-2.0))
+        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, AT.constants, AT.residual])
         self.worst = 0.0
         change = self._worst_change()
         if self.blocks - max(self._grid) >= SPACING:
@@ -405,7 +405,7 @@ class DriftCheck(GuardCheck):
         if not old:
             return ()
         sums = self._sums
-        fitted = np.einsum("np,np->n", self._fit, sums[:, AT.known, AT.residual])
+        fitted = np.einsum("np,np->n", self._fit, sums[:, AT.constants, AT.residual])
         squares = sums[:, AT.residual, AT.residual] - fitted  # (N,) what is left over in all
         count = 3.0 * max(self.blocks, 1)
         changes = self._changes(np.array(old), squares, count)
@@ -433,7 +433,7 @@ class DriftCheck(GuardCheck):
         """Return what is left of the motion since moments with the sums `old` (G, N, ...), if
         `squares` (N,) of `count` residuals are left over in all."""
         since = self._sums - old
-        mixed = since[..., AT.known, AT.motion]
+        mixed = since[..., AT.constants, AT.motion]
         unexplained = since[..., AT.motion, AT.motion] - mixed.swapaxes(2, 3) @ self._spread @ mixed
         pulls = since[..., AT.motion, AT.residual] - (self._fit[:, None] @ mixed)[..., 0, :]
         noise = np.maximum(1.0, squares / count)[:, None]

@@ -315,8 +315,8 @@ class Guard:
         if suspect is None:
             return
         self._status.suspect = None
-        shown = [accepted.frame for accepted in frames.last(RECENT_NS)]
-        culprit = Culprit(self.rules.names, self.drift, self.rules.mm, shown)
+        recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
+        culprit = Culprit(self.rules.names, self.drift, self.rules.mm, recent)
         self._status.reason = culprit.why(suspect, self.reason) or self.reason
 
     def lose_robot(self, i: int, reason: str) -> None:

@@ -338,7 +338,9 @@ class InnerLoop:
     def _send_held(self, held: HeldAction, ruling: Ruling, now: int) -> Transmission | None:
         """Send the action if the actuator's period has passed, it is new, or a robot must stop;
         return the transmission, None if there is none."""
-        if now < self._transmit_ns and not held.is_new and not self._some_must_stop(ruling):
+        pairs = zip(self._moving, ruling.moving, strict=False)  # none before the first
+        some_must_stop = any(before and not now_moving for before, now_moving in pairs)
+        if now < self._transmit_ns and not held.is_new and not some_must_stop:
             return None
         if any(ruling.moving) or not self.guard.together:
             newest = self.frames.newest
@@ -351,11 +353,6 @@ class InnerLoop:
         self._moving = ruling.moving
         held.is_new = False
         return sent
-
-    def _some_must_stop(self, ruling: Ruling) -> bool:
-        """Return whether a robot that was allowed to move by the last transmission is not now."""
-        pairs = zip(self._moving, ruling.moving, strict=False)  # none before the first
-        return any(before and not now for before, now in pairs)
 
     def _send_idle(self, direction: float, ruling: Ruling, now: int) -> None:
         """Send a direction to all robots before a run; send a stop if frames are missing."""

@@ -9,7 +9,7 @@ from tetractl.core.commands import EMULATED_DEVICES, Health, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
-from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.accepted_frame import AcceptedFrame, as_shown
 from tetractl.lab.frame_rate import rate_hz
 from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
@@ -110,8 +110,10 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
         robots = [replace(robots[i], status=status) for i, status in enumerate(statuses)]
     elif "camera" not in failures:
         health = rig.camera.check()
-        frame = rig.frames.newest or _unguarded(rig)
-        robots = [_robot(rig, i, frame) for i in range(len(names))]
+        newest = rig.frames.newest
+        frames = [] if newest else rig.camera.frames()  # which no guard has checked
+        newest = as_shown(frames[-1]) if frames else newest
+        robots = [_robot(rig, i, newest) for i in range(len(names))]
     return Preflight(
         robots=tuple(robots),
         latency_ms=None,
@@ -121,15 +123,6 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
         facts=health.facts,
         questions=health.questions,
     )
-
-
-def _unguarded(rig: Rig) -> AcceptedFrame | None:
-    """Return the camera's newest frame, which no guard has checked, None if there is none."""
-    frames = rig.camera.frames()
-    if not frames:
-        return None
-    poses = frames[-1].poses
-    return AcceptedFrame(frames[-1], poses, tuple(pose is not None for pose in poses))
 
 
 def inspect(rig: Rig) -> Preflight:

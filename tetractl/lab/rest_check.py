@@ -27,7 +27,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
-from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.accepted_frame import AcceptedFrame, as_shown
 from tetractl.lab.guard_records import GuardState
 from tetractl.lab.rig import Rig
 
@@ -78,23 +78,37 @@ STANDS_STILL = RestFinding()
 @dataclass(frozen=True, slots=True)
 class Rest:
     """How robots came to rest after a trial: the `fault` why it does not count, "" if all stood
-    within STANDSTILL_S; and which robots still do not, as text: those that are seen to move, or for
-    whom a latched stop was needed, and what is to be done; and those that are not seen.
+    within STANDSTILL_S; the names of the robots that are still seen `moving`, and of those that are
+    `unseen`; and whether a `latched` stop was needed.
     """
 
     fault: str = ""
-    moving: str = ""
-    unseen: str = ""
+    moving: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+    latched: bool = False
 
     @property
     def reason(self) -> str:
         """Why the trial does not count, with the robots that move; the fault names unseen ones."""
-        return joined(self.fault, self.moving)
+        return joined(self.fault, self._restless)
 
     @property
     def unrest(self) -> str:
         """What a person has to know of robots that may still drive, "" for nothing."""
-        return joined(self.moving, self.unseen)
+        if not self.unseen:
+            return self._restless
+        them = "it" if len(self.unseen) == 1 else "them"
+        return joined(
+            self._restless, f"not seen to stand: {', '.join(self.unseen)}: look at {them}"
+        )
+
+    @property
+    def _restless(self) -> str:
+        """What is said of robots that still move, or once all stand by a latched stop."""
+        if not self.moving:
+            return LATCHED if self.latched else ""
+        them = "it" if len(self.moving) == 1 else "them"
+        return f"still moves: {', '.join(self.moving)}: switch {them} off"
 
 
 def joined(*texts: str) -> str:
@@ -135,12 +149,18 @@ def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest
     fault = ""
     latched = False
     while True:
-        lines = _stream_lost(rig) or (moving_robots(rig) if halts else _untracked(rig))
+        newest = rig.frames.newest
+        lines = _stream_lost(rig)
+        if not lines and halts:
+            lines = moving_robots(rig)
+        elif not lines and newest is not None:
+            lines = [rig.not_tracked(i) for i in rig.left if not newest.fresh[i]]
         waited_s = (rig.clock.now() - began_ns) / SECOND
         aborted = rig.guard.state is GuardState.ABORT
         watched = waited_s >= WATCHED_S or not (halts and aborted) or hurried()
-        if not lines and watched and (not halts or _watched_since(rig, began_ns)):
-            return Rest(fault, _told_moving([], latched))
+        seen_ns = 0 if newest is None else newest.frame.received_ns - began_ns
+        if not lines and watched and (not halts or seen_ns >= REST_NS):
+            return Rest(fault, latched=latched)
         if lines and waited_s >= STANDSTILL_S:
             fault = fault or f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
         if lines and waited_s >= (PLAIN_S if aborted else STANDSTILL_S):
@@ -151,7 +171,7 @@ def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest
                 rig.loop.stop()
             ends = hurried() or waited_s >= UNREST_S or not moving
             if fault and watched and ends:
-                return Rest(fault, _told_moving(moving, latched), _told_unseen(unseen))
+                return Rest(fault, tuple(moving), tuple(unseen), latched)
         if halts and waited_s >= 2 * REST_NS / SECOND and moving_robots(rig, LONGER[:1]):
             rig.loop.stop()
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
@@ -163,7 +183,7 @@ def _restless(rig: Rig) -> tuple[list[str], list[str]]:
     window = rig.frames.last(LONGER[1] * REST_NS)
     if not window or _stream_lost(rig):
         return [], [rig.setup.names[i] for i in rig.left]
-    shown = [_as_shown(frame) for frame in window]
+    shown = [as_shown(accepted.frame) for accepted in window]
     findings = [_at_rest(rig, i, shown, LONGER[:2]) for i in rig.left]
     moving: list[str] = []
     unseen: list[str] = []
@@ -175,35 +195,6 @@ def _restless(rig: Rig) -> tuple[list[str], list[str]]:
     return [] if _moving_alike(findings) else moving, unseen
 
 
-def _as_shown(frame: AcceptedFrame) -> AcceptedFrame:
-    """Return a frame as if the guard had accepted every pose in it."""
-    poses = frame.frame.poses
-    fresh = tuple(pose is not None for pose in poses)
-    return AcceptedFrame(frame.frame, poses, fresh, frame.frame.exposed_ns)
-
-
-def _told_moving(names: Sequence[str], latched: bool) -> str:
-    """Return what is said of robots that still move, or once all stand by a latched stop."""
-    if names:
-        return f"still moves: {', '.join(names)}: switch {_them(names)} off"
-    return LATCHED if latched else ""
-
-
-def _told_unseen(names: Sequence[str]) -> str:
-    """Return what is said of robots that are not seen to stand, "" for none."""
-    return f"not seen to stand: {', '.join(names)}: look at {_them(names)}" if names else ""
-
-
-def _them(names: Sequence[str]) -> str:
-    return "it" if len(names) == 1 else "them"
-
-
-def _watched_since(rig: Rig, began_ns: int) -> bool:
-    """Return whether frames have come for `REST_NS` since a time."""
-    newest = rig.frames.newest
-    return newest is not None and newest.frame.received_ns - began_ns >= REST_NS
-
-
 def _stream_lost(rig: Rig) -> list[str]:
     """Return a line that says that no camera frames arrive; [] if frames arrive."""
     silent_ns = rig.silent_ns()
@@ -211,13 +202,6 @@ def _stream_lost(rig: Rig) -> list[str]:
         why = rig.guard.why_no_frame(silent_ns)
         return [f"the cameras do not show that the robots stand: {why}"]
     return []
-
-
-def _untracked(rig: Rig) -> list[str]:
-    """Return a line for each robot that is not in the newest frame."""
-    newest = rig.frames.newest
-    fresh = (False,) * len(rig.setup.names) if newest is None else newest.fresh
-    return [rig.not_tracked(i) for i in rig.left if not fresh[i]]
 
 
 def _at_rest(

@@ -11,7 +11,6 @@ descriptions than protocol 4.3 defines. Before 4.1 a data set has to be measured
 data set of unknown layout, and `ModelDef.complete` is then False.
 """
 
-from collections.abc import Callable
 from functools import cache
 from struct import Struct
 from typing import Any, NamedTuple
@@ -132,18 +131,29 @@ def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
     layout = layout_of(version)
     cursor = Cursor(payload, len(payload) - layout.suffix.size)
     number = cursor.i32()
-    _skip(cursor, layout, 5, _skip_marker_set)
-    _skip(cursor, layout, 12)  # other markers
+    for _ in _unskipped(cursor, layout, 5):  # marker sets
+        cursor.name()
+        cursor.skip_elements(12)
+    for _ in _unskipped(cursor, layout, 12):  # other markers
+        cursor.skip(12)
     count = cursor.count(BODY)
     if layout.sized and cursor.size(count, BODY) != count * BODY:
         raise WireError("the stated size of the rigid bodies is wrong")
     bodies = tuple(_body(cursor, layout) for _ in range(count))
-    _skip(cursor, layout, 8, _skip_skeleton)
+    for _ in _unskipped(cursor, layout, 8):  # skeletons
+        cursor.skip(4)
+        for _ in range(cursor.count(BODY)):
+            _body(cursor, layout)
     if layout.sized:
-        _skip(cursor, layout, 12)  # assets
-    _skip(cursor, layout, 26 if layout.timed else 22)  # labelled markers
+        _unskipped(cursor, layout, 12)  # assets
+    marker = 26 if layout.timed else 22
+    for _ in _unskipped(cursor, layout, marker):  # labelled markers
+        cursor.skip(marker)
     for _ in range(layout.channels):
-        _skip(cursor, layout, 8, _skip_channels)
+        for _ in _unskipped(cursor, layout, 8):
+            cursor.skip(4)
+            for _ in range(cursor.count(4)):
+                cursor.skip_elements(4)
     if cursor.left:
         raise WireError(f"{cursor.left} bytes between the last section and the suffix")
     fields = layout.suffix.unpack_from(payload, cursor.end)
@@ -158,38 +168,15 @@ def _body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
     return natnet.RigidBody(number, (*pose[:3],), (*pose[3:],), bool(params & 1))
 
 
-def _skip(
-    cursor: Cursor,
-    layout: Layout,
-    smallest: int,
-    skip_one: Callable[[Cursor, Layout], None] | None = None,
-) -> None:
-    """Skip a section of elements of at least `smallest` bytes, or of just those."""
+def _unskipped(cursor: Cursor, layout: Layout, smallest: int) -> range:
+    """Read the count of a section's elements, which have at least `smallest` bytes each; skip the
+    section if it states its size, and return a range over the elements that are still to be read.
+    """
     count = cursor.count(smallest)
-    if layout.sized:
-        cursor.skip(cursor.size(count, smallest))
-    elif skip_one is None:
-        cursor.skip(count * smallest)
-    else:
-        for _ in range(count):
-            skip_one(cursor, layout)
-
-
-def _skip_marker_set(cursor: Cursor, layout: Layout) -> None:
-    cursor.name()
-    cursor.skip_elements(12)
-
-
-def _skip_skeleton(cursor: Cursor, layout: Layout) -> None:
-    cursor.skip(4)
-    for _ in range(cursor.count(BODY)):
-        _body(cursor, layout)
-
-
-def _skip_channels(cursor: Cursor, layout: Layout) -> None:
-    cursor.skip(4)
-    for _ in range(cursor.count(4)):
-        cursor.skip_elements(4)
+    if not layout.sized:
+        return range(count)
+    cursor.skip(cursor.size(count, smallest))
+    return range(0)
 
 
 MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)

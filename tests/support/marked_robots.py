@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from tetractl.core.registries import TRIAL_ROBOTS
 from tetractl.experiment.experiment import Experiment, Robot
-from tetractl.experiment.prepared import PreparedTrial
+from tetractl.experiment.plants import PreparedTrial
 from tetractl.experiment.trial_robots import StandIn, TrialRobots
 
 

@@ -2,11 +2,13 @@
 
 A lab that a command chooses again is checked by the rules of sections alone, SECTION_RULES. A spec
 in a log, which tetractl has written, may have places that a person's spec may not have: there,
-starts may have been measured.
+starts may have been measured. Warnings, for which a spec is not refused, are findings of the same
+kind: `tetractl.run.plausibility` has their rules.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -17,7 +19,6 @@ from tetractl.experiment.experiment import Arena, Experiment, Robot
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.section_abilities import KeepsClear
 from tetractl.experiment.shape_section import ShapeSection
-from tetractl.experiment.spec_finding import SpecFinding, error
 from tetractl.experiment.yaml.problems import Loc
 
 MEMORY_GB = 1.0
@@ -27,6 +28,38 @@ GB_PER_NUMBER = 8e-9
 ROUNDING = 1e-9
 """Bodies whose distance differs from two radii by less than this fraction touch but for rounding,
 and do not overlap."""
+
+
+class Severity(StrEnum):
+    """Whether a spec can be run nevertheless."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True, slots=True)
+class SpecFinding:
+    """One thing that is wrong with a spec, at the location `where`.
+
+    `text` goes on after the name and the value of the field at that location: "is outside the
+    arena". `hint` says what to do; an error says that in its text.
+    """
+
+    where: Loc
+    text: str
+    severity: Severity
+    hint: str = ""
+
+
+def error(where: Loc, text: str) -> SpecFinding:
+    """Return a finding for which a spec is refused."""
+    return SpecFinding(where, text, Severity.ERROR)
+
+
+def warning(where: Loc, text: str, hint: str) -> SpecFinding:
+    """Return a finding for which a spec is not refused."""
+    return SpecFinding(where, text, Severity.WARNING, hint)
+
 
 Findings = Iterator[SpecFinding]
 

@@ -16,11 +16,10 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
-from tetractl.core.poses import Poses
+from tetractl.core.poses import Floats, Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.tour import HoldTask, LossRule
-from tetractl.experiment.assignment import dealt
 from tetractl.experiment.base import (
     Finite,
     Length,
@@ -33,11 +32,10 @@ from tetractl.experiment.base import (
 )
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
-from tetractl.experiment.or_mapping import OrMapping
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.shape_section import ShapeSection
-from tetractl.experiment.strength import PerStrength, rate, unit_of
+from tetractl.experiment.strength import PerStrength, TurningRate, rate, unit_of
 from tetractl.experiment.trial_robots import OrTrialRobots, TrialRobots
 
 
@@ -86,7 +84,7 @@ class Robot(Model):
     """Way-points [x, y] before the target, in order [length unit]; all robots pass their way-points
     together, so all have the same number of them.
     """
-    a: Annotated[float | PerStrength, OrMapping(PerStrength, Positive)]
+    a: TurningRate
     """Turning rate a towards the common direction [rad/s], in the paper's equation (3); or a
     mapping, if it is in proportion to the spec's `strength`.
     """
@@ -370,3 +368,15 @@ def _stand_ins(rule: TrialRobots, arena: Arena) -> tuple[Robot, ...]:
         )
         for stand_in in rule.stand_ins
     )
+
+
+def dealt(starts: Floats, targets: Floats) -> list[int]:
+    """Return the index (N,) of the target that each start gets: starts (N, 2), targets (M, 2).
+
+    M must be at least N. The sum of the squared distances from start to target is minimal, which
+    minimises the motion that is not common to all robots.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
+
+    squares = np.square(starts[:, None] - targets).sum(axis=2)
+    return linear_sum_assignment(squares)[1].tolist()

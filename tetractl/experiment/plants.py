@@ -1,13 +1,20 @@
-"""Selects the plant of an experiment, and applies a calibration file to its lab."""
+"""Selects the plant of an experiment, and applies a calibration file to its lab.
+
+`Prepare` is the type of a function that finds the robots of a trial on its plant, see
+`TrialRobots`.
+"""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from pydantic import Field, ValidationError
 
+from tetractl.core.clock import Clock
 from tetractl.core.errors import SpecError, UsageError, printable
+from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import PLANTS
 from tetractl.experiment.base import Model
 from tetractl.experiment.consistency import section_errors
@@ -20,6 +27,20 @@ from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.yaml.document import Document, file_of_spec, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 from tetractl.experiment.yaml.settings import holder_of, make_way, put
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedTrial:
+    """An experiment with the robots that were found, and their plant."""
+
+    experiment: Experiment
+    plant: Plant
+
+
+Prepare = Callable[[Experiment, Clock, np.random.SeedSequence, LabSupervision], PreparedTrial]
+"""Finds the robots of a trial. The clock and the seed are the trial's; only real robots need the
+supervision. UsageError if robots cannot be found on the experiment's plant, AbortError if they were
+not found."""
 
 
 class Calibration(Model):

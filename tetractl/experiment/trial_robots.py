@@ -35,7 +35,7 @@ class TrialRobots(Model):
     key: ClassVar[str]
     """The name of the class in the registry, which the mapping must have as a key."""
     prepare: ClassVar[str]
-    """The function that finds the robots of a trial, a `tetractl.experiment.prepared.Prepare`, as
+    """The function that finds the robots of a trial, a `tetractl.experiment.plants.Prepare`, as
     "module:function"."""
 
     @property

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from tetractl.control.near_targets import kept_apart
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
-from tetractl.experiment.consistency import nearest
+from tetractl.experiment.consistency import SpecFinding, nearest, warning
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec
@@ -31,7 +31,6 @@ from tetractl.experiment.section_abilities import (
     Modelled,
     PlansSignals,
 )
-from tetractl.experiment.spec_finding import SpecFinding, warning
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
 from tetractl.experiment.yaml.settings import SpecSetting, with_settings

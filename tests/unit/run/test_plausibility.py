@@ -7,9 +7,8 @@ import pytest
 from support.bounded import best_plan, spec
 from support.paths import ROOT
 
-from tetractl.experiment.consistency import same_names
+from tetractl.experiment.consistency import Severity, same_names
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.experiment.spec_finding import Severity
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 

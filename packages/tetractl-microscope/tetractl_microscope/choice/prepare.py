@@ -9,7 +9,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.prepared import PreparedTrial
+from tetractl.experiment.plants import PreparedTrial
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import RigSection
 from tetractl.plant.random_streams import RandomStream, generator

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tetractl.replay.verify import Verification
-    from tetractl.results.contrast import BatchComparison
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.results.open_batch import Batch
     from tetractl.run.batch import Ending, RunObserver
     from tetractl.run.interrupt import Interrupt
@@ -389,8 +388,7 @@ def compare(
     """Compare the total errors of every two batches; differences are the first batch minus the
     second. Batches given as folders have the folders' names, others those of `summarise`.
     """
-    from tetractl.results.contrast import contrast
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchStatistics, contrast
 
     compared = list[BatchStatistics]()
     for batch in batches:
@@ -415,8 +413,7 @@ def plot(
     trials, those of a batch or its folder too. Statistics and comparisons are shown by "batch",
     whatever `kind` is.
     """
-    from tetractl.results.contrast import BatchComparison
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.draw import draw

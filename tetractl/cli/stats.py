@@ -11,8 +11,7 @@ from tetractl.tools.table.table_files import csv_text, json_text
 from tetractl.tools.table.terminal_table import TEXTS, print_tables
 
 if TYPE_CHECKING:
-    from tetractl.results.contrast import BatchComparison
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.results.open_batch import Source
 
 Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
@@ -64,7 +63,7 @@ def stats(
 
     Example: tetractl stats logs/slip
     """
-    from tetractl.results.contrast import contrast
+    from tetractl.results.describe import contrast
     from tetractl.results.open_batch import one_source, sources
 
     for path in paths:
@@ -91,8 +90,8 @@ def stats(
 
 def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
     """Print batches and their comparisons to stdout, as a table in short or in `full`."""
-    from tetractl.results.as_json import comparison_items
-    from tetractl.results.tables import data_table, summary, tables
+    from tetractl.results.as_json import comparison_items, data_table
+    from tetractl.results.tables import summary, tables
 
     tables_of = tables if full else summary
     if form == "table":

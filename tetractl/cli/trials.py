@@ -364,8 +364,7 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
     poses.
     """
     from tetractl.cli.stats import show
-    from tetractl.results.contrast import contrast
-    from tetractl.results.describe import describe
+    from tetractl.results.describe import contrast, describe
     from tetractl.results.open_batch import open_batch
 
     try:

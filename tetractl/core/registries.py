@@ -131,7 +131,7 @@ STATISTICS = Registry(  # in the order in which tables show them
         "time_inside": "tetractl.results.outcomes:TIME_INSIDE",
         "disc": "tetractl.results.disc:DISC",
         "lost": "tetractl.results.outcomes:LOST",
-        "turn": "tetractl.results.turning:TURN",
+        "turn": "tetractl.results.outcomes:TURN",
         "recovered": "tetractl.results.outcomes:RECOVERED",
         "solve_ms": "tetractl.results.outcomes:SOLVE_MS",
         "deadline_misses": "tetractl.results.outcomes:DEADLINE_MISSES",

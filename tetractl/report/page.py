@@ -22,17 +22,16 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.trial_data import packed, trial_data
 from tetractl.results.as_json import comparison_items
-from tetractl.results.batch_rows import texts_by_label
-from tetractl.results.contrast import BatchComparison, contrast
-from tetractl.results.describe import BatchStatistics, describe
+from tetractl.results.describe import BatchComparison, BatchStatistics, contrast, describe
+from tetractl.results.flagged import SAFETY
 from tetractl.results.open_batch import Source, counts, sources
-from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import (
     decimals_shown,
     differences_table,
     error_format,
     page_trials,
     tables,
+    texts_by_label,
 )
 from tetractl.tools.table.table import NONE, Column, Table
 from tetractl.tools.table.table_files import plain
@@ -261,7 +260,11 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     ]
     texts = [texts_by_label(group) for group in groups]
     columns += [_safety_column(label, texts) for label in SAFETY]
-    plants = [f"{group.name}: {group.origin}, {counted_by(group.experiment)}" for group in groups]
+    plants: list[str] = []
+    for group in groups:
+        radius = group.experiment.controller.body_radius
+        checked = f"bodies of radius {radius:g} {group.unit}" if radius else "centres"
+        plants.append(f"{group.name}: {group.origin}, {checked}")
     return Table(
         "",
         tuple(columns),

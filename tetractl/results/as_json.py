@@ -1,4 +1,5 @@
-"""The JSON of batches, of their comparisons and of single trials, key by key.
+"""What `stats` writes for other programs: the JSON of batches and of their comparisons, key by key,
+and the CSV table.
 
 Lengths are in the unit that is stated, times in the unit with which their key ends. Numbers are not
 rounded; unknown ones are NaN or None, which JSON writes as null.
@@ -6,13 +7,13 @@ rounded; unknown ones are NaN or None, which JSON writes as null.
 
 from typing import Any
 
-from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.contrast import BatchComparison, Contrast
-from tetractl.results.describe import BatchStatistics, ScaledError
+from tetractl.log.read.trial_log import Origin
+from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, ScaledError
 from tetractl.results.flagged import flagged
-from tetractl.results.open_batch import counts
-from tetractl.results.statistic import statistics
-from tetractl.results.statistic_text import json_items
+from tetractl.results.statistic import trial_items
+from tetractl.results.trial_tables import trials_table
+from tetractl.tools.table.table import Table
+from tetractl.tools.table.table_files import flat
 
 
 def comparison_items(comparison: BatchComparison) -> dict[str, Any]:
@@ -28,11 +29,24 @@ def comparison_items(comparison: BatchComparison) -> dict[str, Any]:
     }
 
 
+def data_table(comparison: BatchComparison) -> Table:
+    """Return the table of `stats --format csv`: for one batch, a row per trial, earlier attempts
+    last; for several batches, a row per comparison, with the same numbers as the JSON.
+    """
+    if len(comparison.groups) == 1:
+        return trials_table(comparison.groups[0].batch)
+    rows = [flat(contrast_items(contrast)) for contrast in comparison.contrasts]
+    return Table.of_records("comparisons", rows)
+
+
 def batch_items(group: BatchStatistics) -> dict[str, Any]:
     """Return the items of a batch: errors, plant, statistics and trials."""
     batch = group.batch
     experiment = group.experiment
     robots = zip(experiment.setup.names, group.robots, strict=True)
+    statistics: dict[str, Any] = {}
+    for figure in group.figures:
+        statistics |= figure.items
     return {
         "experiment": experiment.name,
         "unit": group.unit,
@@ -46,7 +60,7 @@ def batch_items(group: BatchStatistics) -> dict[str, Any]:
         "n_counted": group.counted,
         "reference": _reference(group),
         "scaled": group.scaled and _scaled(group.scaled),
-        **json_items(group.values),
+        **statistics,
         "n_attempts": group.attempts,
         "damaged": batch.lost,
         "trials": [trial_items(trial) for trial in batch.trials],
@@ -83,29 +97,6 @@ def _scaled(scaled: ScaledError) -> dict[str, Any]:
         "published_mean": scaled.published_mean,
         "published_body_lengths": scaled.published_body_lengths,
     }
-
-
-def trial_items(trial: ResultSummary) -> dict[str, Any]:
-    """Return the items of one trial, those of the registered statistics among them."""
-    result = trial.result
-    items = {
-        "log": trial.log,
-        "trial": trial.trial,
-        "seed": trial.seed,
-        "total_error": result.total_error,
-        "robot_errors": list(result.robot_errors),
-        "steps": result.steps,
-        "duration_s": result.duration_s,
-        "origin": trial.origin.value,
-        "outcome": result.outcome.value,
-        "reason": result.reason,
-        "warnings": trial.warnings,
-        "processor": trial.processor,
-    }
-    for statistic in statistics():
-        items |= statistic.of_trial(trial)
-    items["counted"] = counts(trial)
-    return items
 
 
 def contrast_items(contrast: Contrast) -> dict[str, Any]:

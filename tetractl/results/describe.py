@@ -1,22 +1,40 @@
-"""Describes a batch of trials in numbers: errors with intervals, the published result, statistics.
+"""Describes batches of trials, such as two folders or the arms of a study, and compares them.
 
-There are no words here: the modules `batch_rows` and `as_json` make rows of tables and JSON of a
-description.
+`describe` returns the numbers of one batch: errors with intervals, the difference from the
+published result, statistics. `contrast` compares the total errors of every two batches. `tables`
+and `as_json` write what they return.
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Scale
-from tetractl.log.read.trial_log import Origin
-from tetractl.results.estimate import Distribution, Interval, distributions
-from tetractl.results.mean_difference import MeanDifference, welch
-from tetractl.results.open_batch import Batch, counts, experiment_of
-from tetractl.results.statistic import statistics
-from tetractl.results.statistic_value import StatisticValue
+from tetractl.log.read.trial_log import Origin, ResultSummary
+from tetractl.results import mean_difference
+from tetractl.results.estimate import CONFIDENCE, Distribution, Interval, distributions
+from tetractl.results.mean_difference import MeanDifference, from_both_intervals, welch
+from tetractl.results.open_batch import (
+    Batch,
+    counts,
+    differences,
+    directions_given,
+    experiment_of,
+)
+from tetractl.results.statistic import Figure, statistics
+
+ENOUGH = 8
+"""Least number of pairs or, without pairs, of trials on each side, for a verdict."""
+_NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
+"""Sections of a spec that do not change the disturbances of a trial."""
+
+
+# ---- One batch ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +87,8 @@ class BatchStatistics:
     """The mean total error minus the published one; None if the spec names no published result."""
     scaled: ScaledError | None = field(repr=False)
     """The error of a robot of another kind; None if the spec names no such robot."""
-    values: tuple[StatisticValue, ...] = field(repr=False)
-    """The values of all registered statistics, over all trials."""
+    figures: tuple[Figure, ...] = field(repr=False)
+    """The figures of all registered statistics, over all trials."""
 
     @property
     def unit(self) -> str:
@@ -101,9 +119,9 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
     errors = np.array([result.robot_errors for result in valid], dtype=float)
     errors = errors.reshape(len(valid), len(experiment.robots))
     (total,) = distributions(totals[None], experiment.error_bound)
-    values: list[StatisticValue] = []
+    figures: list[Figure] = []
     for statistic in statistics():
-        values += statistic.of_batch(batch.trials)
+        figures += statistic.of_batch(batch.trials)
     return BatchStatistics(
         name=name or experiment.name,
         batch=batch,
@@ -115,7 +133,7 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
         robots=tuple(distributions(errors.T)),
         from_published=_from_published(experiment, total, origin),
         scaled=_scaled(experiment, total, origin),
-        values=tuple(values),
+        figures=tuple(figures),
     )
 
 
@@ -150,3 +168,250 @@ def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Scal
         ci95=Interval(ci95.low * factor, ci95.high * factor, reason=ci95.reason),
         published_mean=published.mean * factor if published else math.nan,
     )
+
+
+# ---- Comparisons ----
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The verdict "lower", "higher" or "undecided"; or None, with the reason."""
+
+    verdict: str | None
+    reason: str | None = None
+
+    @classmethod
+    def none(cls, reason: str) -> "Decision":
+        """Return that there is no verdict."""
+        return cls(None, reason)
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """Comparison of the total errors of two batches; differences are `first` minus `second`.
+
+    `pairs` is the number of pairs of trials with the same disturbances; without pairs,
+    `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
+    Welch's t test; `from_both_means` is another interval of this difference, computed from the
+    intervals of the two means. `rank_p` is the p-value of Wilcoxon's signed-rank test or, without
+    pairs, rank-sum test. `p_holm` and `rank_p_holm` are the p-values for means and ranks, corrected
+    for the number of contrasts. `detects` is the difference that the test finds in 80 % of all
+    studies of this size, in standard deviations of the paired differences or, without pairs, of the
+    values. `differs` lists the fields in which both specs differ. Groups with different plants
+    (`alike` False) are not tested: their p-values are NaN. Nor are batches of which one had its
+    directions given, perhaps with hindsight (`no_controller`): it has no rank among controllers.
+    """
+
+    first: BatchStatistics
+    second: BatchStatistics
+    alike: bool
+    no_controller: bool
+    pairs: int
+    why_unpaired: str
+    difference: MeanDifference
+    from_both_means: Interval
+    rank_p: float
+    detects: float
+    differs: tuple[str, ...]
+    p_holm: float = math.nan
+    rank_p_holm: float = math.nan
+
+    @property
+    def verdict(self) -> str | None:
+        """The verdict, None if there is none."""
+        return self.decision.verdict
+
+    @property
+    def reason(self) -> str | None:
+        """Why there is no verdict."""
+        return self.decision.reason
+
+    @property
+    def decision(self) -> Decision:
+        """The verdict, or why there is none.
+
+        "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
+        difference below or above 0, and a corrected p below 0.05.
+        """
+        if not self.alike:
+            return Decision.none("plants are not alike")
+        if self.no_controller:
+            return Decision.none("directions were given: no controller decided")
+        if self.compared < ENOUGH:
+            what = "pairs" if self.pairs else "complete trials on each side"
+            return Decision.none(f"a verdict needs {ENOUGH} {what}")
+        intervals = [self.difference.ci95]
+        if not self.pairs:
+            intervals.append(self.from_both_means)
+        for interval in intervals:
+            if not interval.known:
+                return Decision.none(f"no interval: {interval.reason}")
+        if self.p_holm < 1 - CONFIDENCE:
+            if all(interval.high < 0 for interval in intervals):
+                return Decision("lower")
+            if all(interval.low > 0 for interval in intervals):
+                return Decision("higher")
+        return Decision("undecided")
+
+    @property
+    def compared(self) -> int:
+        """The number of pairs or, without pairs, of trials of the smaller batch."""
+        return self.pairs or min(self.first.counted, self.second.counted)
+
+    @property
+    def name(self) -> str:
+        """Names of the batches as "one - other"."""
+        return f"{self.first.name} - {self.second.name}"
+
+    @property
+    def test_of_means(self) -> str:
+        """The name of the test of the means."""
+        return "paired t" if self.pairs else "Welch's t"
+
+    @property
+    def tests(self) -> str:
+        """Names of the tests of means and of ranks, as "paired t, signed rank"."""
+        return f"{self.test_of_means}, {'signed rank' if self.pairs else 'rank sum'}"
+
+    @property
+    def counted(self) -> str:
+        """Number of trials compared, as "20 pairs" or "20 and 9"."""
+        if self.pairs:
+            return f"{self.pairs} pairs"
+        return f"{self.first.counted} and {self.second.counted}"
+
+
+@dataclass(frozen=True, slots=True)
+class BatchComparison:
+    """Batches, and the contrasts of every two batches or of each batch with a baseline."""
+
+    groups: tuple[BatchStatistics, ...]
+    contrasts: tuple[Contrast, ...] = field(default=(), repr=False)
+
+    @property
+    def unit(self) -> str:
+        """The length unit of every error."""
+        return self.groups[0].unit
+
+    @property
+    def whole(self) -> bool:
+        """Whether no log of any batch is damaged."""
+        return all(group.batch.whole for group in self.groups)
+
+
+def contrast(
+    groups: Sequence[BatchStatistics], baseline: BatchStatistics | None = None
+) -> BatchComparison:
+    """Compare each pair of batches or, with a baseline, each batch with the baseline.
+
+    Raises UsageError if batches have different units of length.
+    """
+    batches = (*groups, baseline) if baseline else tuple(groups)
+    _check_units(batches)
+    if baseline is None:
+        sides = list(combinations(groups, 2))
+    else:
+        sides = [(group, baseline) for group in groups]
+    tests = sum(first.origin is second.origin for first, second in sides)
+    contrasts = [_contrast(first, second, max(tests, 1)) for first, second in sides]
+    return BatchComparison(batches, tuple(_corrected(contrasts)))
+
+
+def _check_units(groups: Sequence[BatchStatistics]) -> None:
+    first = groups[0]
+    for group in groups:
+        if group.unit != first.unit:
+            units = f"{group.name} has errors in {group.unit}, {first.name} in {first.unit}"
+            raise UsageError(units, "compare groups with the same length unit")
+
+
+def _corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
+    """Return contrasts with their p-values corrected for the number of tests."""
+    means = mean_difference.holm([comparison.difference.p_value for comparison in contrasts])
+    ranks = mean_difference.holm([comparison.rank_p for comparison in contrasts])
+    return [
+        replace(comparison, p_holm=p_holm, rank_p_holm=rank_p_holm)
+        for comparison, p_holm, rank_p_holm in zip(contrasts, means, ranks, strict=True)
+    ]
+
+
+def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
+    """Compare two batches; p-values are not corrected yet."""
+    ours = first.total
+    theirs = second.total
+    pairing = pair_up(first, second)
+    pairs = len(pairing.differences)
+    if pairs:
+        difference = mean_difference.paired_t(pairing.differences)
+        rank_p = mean_difference.signed_rank(pairing.differences)
+        detects = mean_difference.detectable(pairs, tests=tests)
+    else:
+        difference = mean_difference.welch(
+            ours.n, ours.mean, ours.std, theirs.n, theirs.mean, theirs.std
+        )
+        rank_p = mean_difference.rank_sum(first.totals, second.totals)
+        detects = mean_difference.detectable(ours.n, theirs.n, tests)
+    alike = first.origin is second.origin
+    no_controller = directions_given(first.experiment) or directions_given(second.experiment)
+    if no_controller or not alike:
+        difference = replace(difference, p_value=math.nan)
+        rank_p = math.nan
+        detects = math.nan
+    return Contrast(
+        first=first,
+        second=second,
+        alike=alike,
+        no_controller=no_controller,
+        pairs=pairs,
+        why_unpaired=pairing.why_none,
+        difference=difference,
+        from_both_means=from_both_intervals(ours, theirs),
+        rank_p=rank_p,
+        detects=detects,
+        differs=tuple(differences(first.experiment, second.experiment)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """The differences (n,) between the total errors of paired trials, the first batch minus the
+    second, and "" or the reason why there are no pairs.
+    """
+
+    differences: Floats
+    why_none: str = ""
+
+    @classmethod
+    def none(cls, why: str) -> "Pairing":
+        """Return that there are no pairs."""
+        return cls(np.zeros(0), why)
+
+
+def pair_up(first: BatchStatistics, second: BatchStatistics) -> Pairing:
+    """Pair the trials of two batches.
+
+    A pair is two simulated trials with the same seed, number and disturbances, which do not depend
+    on the controller.
+    """
+    if not (first.origin.simulated and second.origin.simulated):
+        return Pairing.none("no two trials in a lab have the same disturbances")
+    if _world(first) != _world(second):
+        return Pairing.none("the batches differ in more than the controller")
+    ours = _errors_by_trial(first.batch.trials)
+    theirs = _errors_by_trial(second.batch.trials)
+    pairs = [error - theirs[trial] for trial, error in ours.items() if trial in theirs]
+    if not pairs:
+        return Pairing.none("the batches have no seed and trial in common")
+    return Pairing(np.array(pairs))
+
+
+def _world(group: BatchStatistics) -> dict[str, object]:
+    """Return all of a batch's spec but the controller and what does not change a trial."""
+    return group.experiment.model_dump(mode="json", exclude=_NOT_THE_WORLD)
+
+
+def _errors_by_trial(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
+    """Return the total error of each counted trial by the trial's seed and number."""
+    return {
+        (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
+    }

@@ -16,8 +16,7 @@ from tetractl.core.poses import Floats
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
 from tetractl.results.estimate import distributions
-from tetractl.results.statistic import Statistic
-from tetractl.results.statistic_value import Mean, StatisticValue
+from tetractl.results.statistic import Figure, Statistic, mean_figure
 
 SHARE = 0.95
 """Share of the time for which a robot is in its disc."""
@@ -56,17 +55,17 @@ def _of_trial(trial: ResultSummary) -> dict[str, Any]:
     return {f"disc_{name}": diameter for name, diameter in zip(names, diameters, strict=True)}
 
 
-def _of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+def _of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
     """Return the mean of each robot's diameter over the trials, with its 95 % interval."""
     rows = [_of_trial(trial) for trial in trials]
     unit = trials[0].experiment.units.length
-    values: list[StatisticValue] = []
+    figures: list[Figure] = []
     for key in rows[0]:
         diameters = [row[key] for row in rows if row[key] is not None]
         (distribution,) = distributions(np.array([diameters], dtype=float))
         label = f"diameter of the disc of 95 % of the hold ({key}), mean [{unit}]"
-        values.append(StatisticValue(key, label, Mean(distribution, states_n=True)))
-    return values
+        figures.append(mean_figure(key, label, distribution, states_n=True))
+    return figures
 
 
 DISC = Statistic(_of_batch, _of_trial)

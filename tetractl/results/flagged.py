@@ -1,16 +1,30 @@
-"""The logs of a batch that should be examined, each with the reasons."""
+"""Which logs of a batch should be examined, and why: trials that do not count, unsafe robots, lost
+robots, damage, and robots that turned otherwise than in the other trials.
+"""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import compress
 
+from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.tour import STOOD
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import Batch, counts, errors_known
-from tetractl.results.outcomes import SAFETY
 from tetractl.results.turning import turned_otherwise
 from tetractl.tools.table.table import plural
 
 ATTEMPT = "an earlier attempt, excluded"
+
+ENTERED = "entered an obstacle"
+LEFT = "left the arena"
+TOUCHED_EACH_OTHER = "touched one another"
+SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
+    ENTERED: Verdict.in_obstacle,
+    LEFT: Verdict.over_edge,
+    TOUCHED_EACH_OTHER: Verdict.touched,
+}
+"""What must not happen, with a function that returns which robots of a given radius did it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +64,7 @@ def flagged(batch: Batch) -> list[Flagged]:
 def trial_notes(trial: ResultSummary) -> list[str]:
     """Return the reasons to flag a trial, without regard to the other ones."""
     result = trial.result
-    notes = _unsafe_robots(trial)
+    notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]
     lost = sum(result.lost)
     if lost:
         notes.append(f"{lost} {plural('robot', lost)} lost")
@@ -67,14 +81,13 @@ def trial_notes(trial: ResultSummary) -> list[str]:
     return notes
 
 
-def _unsafe_robots(trial: ResultSummary) -> list[str]:
-    """Return texts such as "green, red left the arena"."""
+def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
+    """Return which robots of a trial did what must not happen, by its label in SAFETY."""
     names = [robot.name for robot in trial.experiment.robots]
     radius = trial.experiment.controller.body_radius
-    notes: list[str] = []
+    robots_by_label: dict[str, list[str]] = {}
     for label, robots_that_did in SAFETY.items():
         did = robots_that_did(trial.result.verdict, radius)
         if any(did):
-            robots = [name for name, unsafe in zip(names, did, strict=True) if unsafe]
-            notes.append(f"{', '.join(robots)} {label}")
-    return notes
+            robots_by_label[label] = list(compress(names, did))
+    return robots_by_label

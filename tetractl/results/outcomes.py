@@ -1,5 +1,5 @@
-"""Statistics of a batch: how its trials ended, how near robots came to obstacles, to the arena's
-edge and to one another, and solve times.
+"""The built-in statistics of a batch: how its trials ended, how near robots came to obstacles, to
+the arena's edge and to one another, what must not happen, and solve times.
 
 Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
 in a lab; percentiles of solve times are over all steps of all trials.
@@ -7,6 +7,7 @@ in a lab; percentiles of solve times are over all steps of all trials.
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,52 +15,45 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
-from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.statistic import Statistic
-from tetractl.results.statistic_value import (
-    Count,
-    OutcomeCounts,
-    Scalar,
-    Share,
-    StatisticValue,
-    Unknown,
-)
-from tetractl.tools.table.table import digits, lengths
+from tetractl.results.flagged import ENTERED, LEFT, SAFETY, TOUCHED_EACH_OTHER
+from tetractl.results.open_batch import listing
+from tetractl.results.statistic import Figure, Statistic, share_figure
+from tetractl.results.turning import LEAST, Turn, hidden_rad_s, turn_columns, turns_of
+from tetractl.tools.table.table import NONE, digits, lengths
 
 # ---- How trials ended ----
 
 
-def _outcomes(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
     counts = Counter(trial.outcome for trial in trials)
-    return [
-        StatisticValue("outcomes", "outcomes", OutcomeCounts(counts)),
-        StatisticValue("aborted", "", Count(counts[Outcome.ABORTED])),
-        StatisticValue("interrupted", "", Count(counts[Outcome.INTERRUPTED])),
-    ]
+    ways = counts.most_common()
+    items = {
+        "outcomes": {way.value: counts[way] for way in Outcome},
+        "aborted": counts[Outcome.ABORTED],
+        "interrupted": counts[Outcome.INTERRUPTED],
+    }
+    text = "; ".join(f"{n} {way.value} ({way.meaning})" for way, n in ways)
+    return [Figure("outcomes", text, items, brief=", ".join(f"{n} {way.value}" for way, n in ways))]
 
 
-def _arrived(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+def _arrived(trials: Sequence[ResultSummary]) -> list[Figure]:
     if trials[0].experiment.controller.arrival_tolerance <= 0:
-        return _unknown_share("arrived", "arrived", "no arrival_tolerance")
+        return [_unknown_share("arrived", "arrived", "no arrival_tolerance")]
     arrived = sum(trial.outcome is Outcome.ARRIVED for trial in trials)
-    return [StatisticValue("arrived", "arrived", Share(arrived, len(trials)), unusual=False)]
+    return [share_figure("arrived", "arrived", arrived, len(trials), unusual=False)]
 
 
-def _unknown_share(
-    key: str, label: str, reason: str, unusual: bool = False
-) -> list[StatisticValue]:
-    """Return the values of a share that is not known: JSON has the keys of one that is."""
-    return [
-        StatisticValue(key, label, Unknown(reason), unusual),
-        StatisticValue(f"{key}_ci95", "", Unknown()),
-    ]
+def _unknown_share(key: str, label: str, reason: str, unusual: bool = False) -> Figure:
+    """Return a share that is not known: JSON has the keys of one that is."""
+    items = {key: None, f"{key}_ci95": None}
+    return Figure(label, f"{NONE} ({reason})", items, unusual)
 
 
-def _recovered(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+def _recovered(trials: Sequence[ResultSummary]) -> list[Figure]:
     recovered = sum(trial.recovered for trial in trials)
-    count = Count(recovered)
-    return [StatisticValue("recovered", "read from damaged logs", count, unusual=recovered > 0)]
+    items = {"recovered": recovered}
+    return [Figure("read from damaged logs", str(recovered), items, unusual=recovered > 0)]
 
 
 OUTCOMES = Statistic(_outcomes)
@@ -84,12 +78,12 @@ def least(key: str, label: str, distances_in: Distances) -> Statistic:
         nearest = min(distances_in(trial.result.verdict), default=float("inf"))
         return {key: nearest if nearest < float("inf") else None}
 
-    def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
         distances = [of_trial(trial)[key] for trial in trials]
         nearest = min((value for value in distances if value is not None), default=None)
-        number = Unknown() if nearest is None else Scalar(nearest, lengths(nearest))
+        text = NONE if nearest is None else lengths(nearest)(nearest)
         unit = trials[0].experiment.units.length
-        return [StatisticValue(key, f"{label} [{unit}]", number, unusual=False)]
+        return [Figure(f"{label} [{unit}]", text, {key: nearest}, unusual=False)]
 
     return Statistic(of_batch, of_trial)
 
@@ -99,31 +93,6 @@ EDGE = least("edge", "centre nearest to the arena's edge", lambda verdict: verdi
 APART = least("apart", "centres nearest to one another", lambda verdict: verdict.apart)
 
 # ---- What must not happen ----
-
-ENTERED = "entered an obstacle"
-LEFT = "left the arena"
-TOUCHED_EACH_OTHER = "touched one another"
-SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
-    ENTERED: Verdict.in_obstacle,
-    LEFT: Verdict.over_edge,
-    TOUCHED_EACH_OTHER: Verdict.touched,
-}
-"""What must not happen, with a function that returns which robots of a given radius did it."""
-
-
-def unsafe(trial: ResultSummary) -> list[str]:
-    """Return the labels in SAFETY of what any robot of a trial did."""
-    radius = trial.experiment.controller.body_radius
-    verdict = trial.result.verdict
-    return [
-        label for label, robots_that_did in SAFETY.items() if any(robots_that_did(verdict, radius))
-    ]
-
-
-def counted_by(experiment: Experiment) -> str:
-    """Return text that states whether bodies or centres are counted."""
-    radius = experiment.controller.body_radius
-    return f"bodies of radius {radius:g} {experiment.units.length}" if radius else "centres"
 
 
 def safety(
@@ -147,26 +116,22 @@ def safety(
         columns[body_key] = any(did(verdict, radius)) if radius else None
         return columns
 
-    def share_of(trials: Sequence[ResultSummary], radius: float, counting: str) -> Share:
-        unsafe_trials = sum(any(did(trial.result.verdict, radius)) for trial in trials)
-        return Share(unsafe_trials, len(trials), counting)
-
-    def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        n = len(trials)
         radius = trials[0].experiment.controller.body_radius
-        bodies = share_of(trials, radius, "bodies") if radius else None
-        centres = share_of(trials, 0.0, "centres") if centre_key is not None else None
-        happened = any(share.count for share in (bodies, centres) if share is not None)
-        unusual = happened or label == ENTERED
-        if bodies is not None:
-            values = [StatisticValue(body_key, label, bodies, unusual)]
-        elif centres is not None:
-            values = _unknown_share(body_key, "", "no radius")
+        verdicts = [trial.result.verdict for trial in trials]
+        bodies = sum(any(did(verdict, radius)) for verdict in verdicts) if radius else 0
+        centres = 0 if centre_key is None else sum(any(did(verdict, 0.0)) for verdict in verdicts)
+        unusual = bodies > 0 or centres > 0 or label == ENTERED
+        centre_label = "" if radius else label  # tables show one of the two
+        if radius:
+            figures = [share_figure(body_key, label, bodies, n, "bodies", unusual)]
         else:
-            values = _unknown_share(body_key, label, "no radius", unusual)
-        if centre_key is not None and centres is not None:
-            centre_label = label if bodies is None else ""  # tables show one of the two
-            values.append(StatisticValue(centre_key, centre_label, centres, unusual))
-        return values
+            body_label = label if centre_key is None else ""
+            figures = [_unknown_share(body_key, body_label, "no radius", unusual)]
+        if centre_key is not None:
+            figures.append(share_figure(centre_key, centre_label, centres, n, "centres", unusual))
+        return figures
 
     return Statistic(of_batch, of_trial)
 
@@ -212,15 +177,15 @@ def mean_of_each(
 ) -> Statistic:
     """Return a statistic with the mean over all trials of each column that `of_trial` returns."""
 
-    def of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
         rows = [of_trial(trial) for trial in trials]
-        values: list[StatisticValue] = []
+        figures: list[Figure] = []
         for key in rows[0]:
             numbers = [row[key] for row in rows if row[key] is not None]
             mean = float(np.mean(numbers)) if numbers else None
-            number = Scalar(mean, show, n=len(numbers))
-            values.append(StatisticValue(key, f"{label} ({key})", number))
-        return values
+            text = NONE if mean is None else f"{show(mean)} (n {len(numbers)})"
+            figures.append(Figure(f"{label} ({key})", text, {key: mean}))
+        return figures
 
     return Statistic(of_batch, of_trial)
 
@@ -237,26 +202,62 @@ PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
 """Percentiles of the solve time by their keys."""
 
 
-def _solve_ms(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+def _solve_ms(trials: Sequence[ResultSummary]) -> list[Figure]:
     solve_ns = [ns for trial in trials for ns in trial.result.solve_ns]
     solve_ms = np.array(solve_ns, dtype=float) / MILLISECOND
-    values: list[StatisticValue] = []
+    figures: list[Figure] = []
+    times_ms: dict[str, float | None] = {}  # by the keys in PERCENTILES
     for key, percentile in PERCENTILES.items():
         time_ms = float(np.percentile(solve_ms, percentile)) if solve_ns else None
-        label = f"solve time {key} [ms]"
-        number = Scalar(time_ms, digits)
-        values.append(StatisticValue(key, label, number, unusual=False, within="solve_ms"))
-    return values
+        times_ms[key] = time_ms
+        text = NONE if time_ms is None else digits(time_ms)
+        figures.append(Figure(f"solve time {key} [ms]", text, unusual=False))
+    return [*figures, Figure("", "", {"solve_ms": times_ms})]
 
 
-def _deadline_misses(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
+def _deadline_misses(trials: Sequence[ResultSummary]) -> list[Figure]:
     """Return how many deadlines were missed; only where time is real did they delay a command."""
     misses = sum(trial.result.deadline_misses for trial in trials)
     unusual = misses > 0 and trials[0].experiment.plant.real_time
-    return [StatisticValue("deadline_misses", "deadline misses", Count(misses), unusual)]
+    return [Figure("deadline misses", str(misses), {"deadline_misses": misses}, unusual)]
 
 
 SOLVE_MS = Statistic(_solve_ms)
 DEADLINE_MISSES = Statistic(
     _deadline_misses, lambda trial: {"deadline_misses": trial.result.deadline_misses}
 )
+
+# ---- Robots that turn by themselves ----
+
+
+def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
+    """Return in how many trials a robot turned otherwise than in the others."""
+    label = "less certain"
+    key = "less_certain"
+    if not any(trial.result.verdict.turn for trial in trials):
+        return [Figure("", "", {key: None})]
+    turns = list(turns_of(trials))
+    if not turns:
+        text = (
+            f"in fewer than {LEAST} trials it is not noticed if a marker turns on its robot, by up "
+            f"to {hidden_rad_s(trials[0]):.1f} rad/s, and errors are wrong"
+        )
+        return [Figure(label, text, {key: None}, unusual=False)]
+    odd = [turn for turn in turns if turn.odd]
+    odd_trials = len({turn.log for turn in odd})
+    return [Figure(label, _compared(turns, odd), {key: odd_trials}, unusual=bool(odd))]
+
+
+def _compared(turns: Sequence[Turn], odd: Sequence[Turn]) -> str:
+    """Return the text on trials that were compared, of which some are odd."""
+    trials = len({turn.log for turn in turns})
+    odd_trials = len({turn.log for turn in odd})
+    text = f"{odd_trials} of {trials} trials"
+    if not odd:
+        largest = max(turn.limit for turn in turns)
+        return f"{text}, turns above {largest:.2f} rad/s would be seen"
+    named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in odd]
+    return f"{text}, by wheels that changed or false poses: {listing(named, '; ')}"
+
+
+TURN = Statistic(_turned, turn_columns)

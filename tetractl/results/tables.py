@@ -2,8 +2,9 @@
 
 summary        `stats`, and the end of a run: the errors, the verdict and what is unusual
 tables         `stats --full`: every table
-data_table     `stats --format csv`
 page_trials    the trials of a batch on the report page
+
+`as_json` has the same numbers for other programs, in JSON and CSV.
 """
 
 import math
@@ -14,17 +15,13 @@ from pathlib import Path
 
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.as_json import contrast_items
-from tetractl.results.batch_rows import PUBLISHED, batch_rows, published_text, texts_by_label
-from tetractl.results.contrast import BatchComparison, Contrast
-from tetractl.results.describe import BatchStatistics
+from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, ScaledError
 from tetractl.results.estimate import Distribution, Interval, known_distribution
-from tetractl.results.flagged import flagged
-from tetractl.results.open_batch import listing
-from tetractl.results.outcomes import unsafe
-from tetractl.results.trial_tables import trials_table
-from tetractl.tools.table.table import NONE, Column, Table, fixed, lengths, p_value
-from tetractl.tools.table.table_files import flat
+from tetractl.results.flagged import flagged, unsafe
+from tetractl.results.mean_difference import MeanDifference
+from tetractl.results.open_batch import GIVEN_DIRECTIONS, directions_given, listing
+from tetractl.results.statistic import Figure
+from tetractl.tools.table.table import NONE, Column, Table, digits, fixed, lengths, p_value
 from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIMALS_MAX = 9
@@ -33,6 +30,10 @@ SIDE_BY_SIDE = 3
 """Most batches in one table of trials: more columns of words are too wide."""
 PROCESSORS_NAMED = 4
 """Most types of processor that a note names."""
+PUBLISHED = "difference from published"
+"""Label of the difference from the published result."""
+TINY = 1e-6
+"""Errors below this share of the arena are tiny, however many times the median they are."""
 PAIR = "one - other"
 """The column that names the two batches of a comparison."""
 
@@ -112,10 +113,11 @@ def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
 
 def _remarks(group: BatchStatistics, several: bool) -> Iterator[_Remark]:
     """Yield what is unusual about a batch, shortly if it is one of several."""
-    for row in batch_rows(group):
-        text = row.brief if several else row.text
-        if row.unusual and text:
-            yield _Remark(row.label, text, group.name)
+    for figure in figures_of(group):
+        brief = figure.text if figure.brief is None else figure.brief
+        text = brief if several else figure.text
+        if figure.unusual and text:
+            yield _Remark(figure.label, text, group.name)
     logs = flagged(group.batch)
     notes = [", ".join(log.notes) for log in logs]
     stems = [Path(log.log).stem for log in logs]
@@ -125,6 +127,85 @@ def _remarks(group: BatchStatistics, several: bool) -> Iterator[_Remark]:
     elif logs:  # the first one: `stats` of this batch alone names them all
         more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
         yield _Remark("flagged", f"{stems[0]} ({notes[0]}){more}", group.name)
+
+
+# ---- The figures of a batch ----
+
+
+def figures_of(group: BatchStatistics) -> list[Figure]:
+    """Return the figures of a batch that tables show below its errors, in their order."""
+    return [
+        *_plant(group),
+        _usual("valid trials", f"{group.counted} of {len(group.batch.trials)}"),
+        _tail(group),
+        *(_with_others(group) if group.counted else ()),
+        *(figure for figure in group.figures if figure.label),
+        _count("earlier attempts, excluded", group.attempts),
+        _count("logs that cannot be read", len(group.batch.lost)),
+    ]
+
+
+def texts_by_label(group: BatchStatistics) -> dict[str, str]:
+    """Return the texts of the figures of a batch."""
+    return {figure.label: figure.text for figure in figures_of(group)}
+
+
+def _usual(label: str, text: str) -> Figure:
+    return Figure(label, text, unusual=False)
+
+
+def _count(label: str, count: int) -> Figure:
+    """Return the number of what there should be none of."""
+    return Figure(label, str(count), unusual=count > 0)
+
+
+def _plant(group: BatchStatistics) -> Iterator[Figure]:
+    """Yield what the trials were run on, and by what."""
+    yield _usual("plant", str(group.origin))
+    if directions_given(group.experiment):
+        yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
+    if group.origin is Origin.DISTURBED:
+        # the title of several batches says so
+        yield Figure("disturbances", "assumed in the spec, not measured", brief="")
+
+
+def _tail(group: BatchStatistics) -> Figure:
+    """Return how many errors are far above the others."""
+    arena = group.experiment.arena
+    tail = group.total.tail
+    tiny = group.total.max < TINY * max(arena.width, arena.height)
+    text = tail.text(group.unit)
+    return Figure(tail.label, text, unusual=tail.above > 0 and not tiny)
+
+
+def _with_others(group: BatchStatistics) -> Iterator[Figure]:
+    """Yield how the errors compare with those published and of robots of another kind."""
+    if group.from_published is not None:
+        yield _usual(PUBLISHED, published_text(group.from_published, group))
+    if group.scaled is not None:
+        yield from _scaled(group.scaled)
+
+
+def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
+    """Return the difference of a batch's mean error from the published one as text."""
+    if not group.origin.comparable:
+        return f"{NONE} (not real robots)"
+    text = difference.text(group.unit, lengths(difference.value), difference.p_value)
+    return f"{text} (Welch's t)"
+
+
+def _scaled(scaled: ScaledError) -> Iterator[Figure]:
+    """Yield the error of a robot of another kind, and the published one."""
+    scale = scaled.scale
+    show = lengths(scaled.mean)
+    yield _usual(f"robot error scaled to {scale.name} [{scale.unit}]", show(scaled.mean))
+    yield _usual(f"  its 95 % interval [{scale.unit}]", scaled.ci95.text(show))
+    yield _usual("  in body lengths", digits(scaled.body_lengths))
+    published = scaled.published_mean
+    if math.isfinite(published):
+        bodies = digits(scaled.published_body_lengths)
+        text = f"{lengths(published)(published)} ({bodies} body lengths)"
+        yield _usual(f"  published error scaled [{scale.unit}]", text)
 
 
 # ---- Every table ----
@@ -349,17 +430,7 @@ def _basis(contrasts: Sequence[Contrast]) -> Table:
     return Table.of_texts("What the comparisons rest on", header, rows)
 
 
-# ---- For other programs, and for the report page ----
-
-
-def data_table(comparison: BatchComparison) -> Table:
-    """Return the table of `stats --format csv`: for one batch, a row per trial, earlier attempts
-    last; for several batches, a row per comparison, with the same numbers as the JSON.
-    """
-    if len(comparison.groups) == 1:
-        return trials_table(comparison.groups[0].batch)
-    rows = [flat(contrast_items(contrast)) for contrast in comparison.contrasts]
-    return Table.of_records("comparisons", rows)
+# ---- For the report page ----
 
 
 def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:

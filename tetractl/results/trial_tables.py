@@ -24,8 +24,8 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import decode_errors, refuse_brief, result_of, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
-from tetractl.results.as_json import trial_items
 from tetractl.results.open_batch import Batch
+from tetractl.results.statistic import trial_items
 from tetractl.tools.table.table import Column, Table
 
 _DISTANCES = ("clearance", "edge", "apart")

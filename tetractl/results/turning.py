@@ -17,7 +17,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import NormalDist
 from typing import Any
 
@@ -25,9 +24,6 @@ import numpy as np
 
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.open_batch import listing
-from tetractl.results.statistic import Statistic
-from tetractl.results.statistic_value import StatisticValue, Unknown, Worded
 
 CHANCE = 0.01
 """Share of batches in which a rate is beyond its limit by chance."""
@@ -37,12 +33,10 @@ FEW = 14.0
 """By how much fewer trials widen the limit: see above."""
 DEVIATION_OVER_MEDIAN = 1.4826
 """Standard deviation of normal values over the median of their distances to the median."""
-KEY = "less_certain"
-LABEL = "less certain"
 
 
 @dataclass(frozen=True, slots=True)
-class _Turn:
+class Turn:
     """How a robot turned by itself in a trial, whose log is `log` [rad/s]: `off` is by how much
     more than in the median of its trials, and `limit` is above what no chance explains.
     """
@@ -58,7 +52,7 @@ class _Turn:
         return abs(self.off) > self.limit
 
 
-def _turns(trials: Sequence[ResultSummary]) -> Iterator[_Turn]:
+def turns_of(trials: Sequence[ResultSummary]) -> Iterator[Turn]:
     """Yield the turns of every robot with enough trials in which its rate is known."""
     robots = trials[0].experiment.setup.names if trials else ()
     measured = [trial for trial in trials if trial.result.verdict.turn]
@@ -76,7 +70,7 @@ def _turns(trials: Sequence[ResultSummary]) -> Iterator[_Turn]:
         z = NormalDist().inv_cdf(1 - chance_of_one_side)
         limits = z * np.sqrt(errors**2 + unexplained)
         for trial, trial_off, limit in zip(compared, off.tolist(), limits.tolist(), strict=True):
-            yield _Turn(trial.log, robot, trial_off, limit)
+            yield Turn(trial.log, robot, trial_off, limit)
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
@@ -84,47 +78,14 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     the trial.
     """
     texts = defaultdict[str, list[str]](list)
-    for turn in _turns(trials):
+    for turn in turns_of(trials):
         if turn.odd:
             text = f"{turn.robot} turned by {turn.off:+.2f} rad/s unlike in the other trials"
             texts[turn.log].append(text)
     return texts
 
 
-def _of_batch(trials: Sequence[ResultSummary]) -> list[StatisticValue]:
-    """Return in how many trials a robot turned otherwise."""
-    if not any(trial.result.verdict.turn for trial in trials):
-        return [StatisticValue(KEY, "", Unknown())]
-    turns = list(_turns(trials))
-    if not turns:
-        return [StatisticValue(KEY, LABEL, Worded(None, _too_few(trials[0])), unusual=False)]
-    odd = [turn for turn in turns if turn.odd]
-    odd_trials = len({turn.log for turn in odd})
-    number = Worded(odd_trials, _compared(turns, odd))
-    return [StatisticValue(KEY, LABEL, number, unusual=bool(odd))]
-
-
-def _too_few(trial: ResultSummary) -> str:
-    hidden = _hidden_rad_s(trial)
-    return (
-        f"in fewer than {LEAST} trials it is not noticed if a marker turns on its robot, by up to "
-        f"{hidden:.1f} rad/s, and errors are wrong"
-    )
-
-
-def _compared(turns: Sequence[_Turn], odd: Sequence[_Turn]) -> str:
-    """Return the text on trials that were compared, of which some are odd."""
-    trials = len({turn.log for turn in turns})
-    odd_trials = len({turn.log for turn in odd})
-    text = f"{odd_trials} of {trials} trials"
-    if not odd:
-        largest = max(turn.limit for turn in turns)
-        return f"{text}, turns above {largest:.2f} rad/s would be seen"
-    named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in odd]
-    return f"{text}, by wheels that changed or false poses: {listing(named, '; ')}"
-
-
-def _hidden_rad_s(trial: ResultSummary) -> float:
+def hidden_rad_s(trial: ResultSummary) -> float:
     """Return the fastest turn [rad/s] of a pose that wheels within `wheel_error` explain: of one
     that is so much too slow and one that is so much too fast."""
     setup = trial.experiment.setup
@@ -134,7 +95,7 @@ def _hidden_rad_s(trial: ResultSummary) -> float:
     return limits.wheel_error * float(setup.speed.max()) / radius
 
 
-def _of_trial(trial: ResultSummary) -> dict[str, Any]:
+def turn_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return each robot's rate and its standard error, None if they are unknown."""
     if trial.simulated or trial.experiment.setup.wheel_radius is None:
         return {}
@@ -149,6 +110,3 @@ def _of_trial(trial: ResultSummary) -> dict[str, Any]:
         items[f"turn_{name}_rad_s"] = rate if is_measured else None
         items[f"turn_std_{name}_rad_s"] = error if is_measured else None
     return items
-
-
-TURN = Statistic(_of_batch, _of_trial)

@@ -14,9 +14,8 @@ from support.batches import DISTURBED, batch, experiment, group
 from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import contrast_items
-from tetractl.results.batch_rows import texts_by_label
-from tetractl.results.contrast import contrast
-from tetractl.results.tables import summary
+from tetractl.results.describe import contrast
+from tetractl.results.tables import summary, texts_by_label
 
 TRIALS = 20
 ERRORS = np.random.default_rng(8).gamma(4, 50, (TRIALS, 3))  # of three robots [mm]

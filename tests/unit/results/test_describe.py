@@ -17,9 +17,9 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import batch_items
-from tetractl.results.batch_rows import batch_rows
 from tetractl.results.flagged import flagged
 from tetractl.results.open_batch import Batch, Damaged
+from tetractl.results.tables import figures_of
 
 TRIALS = 20
 ERRORS = np.random.default_rng(4).gamma(4, 50, (TRIALS, 3)).tolist()  # of three robots [mm]
@@ -39,7 +39,7 @@ def test_the_order_of_the_logs_changes_nothing(random):
     shuffled = group(random.sample(trials, len(trials)))
     assert shuffled.total == in_order.total
     assert shuffled.robots == in_order.robots
-    assert batch_rows(shuffled) == batch_rows(in_order)
+    assert figures_of(shuffled) == figures_of(in_order)
 
 
 def test_only_trials_that_ran_to_their_end_enter_the_means():

@@ -39,11 +39,12 @@ def test_the_disc_is_that_of_the_true_path_without_the_first_5_s(holds):
 def test_the_mean_has_an_interval_and_a_trial_its_own(holds):
     trials = read_batch(holds).trials
     diameters = [DISC.of_trial(trial)["disc_bacterium"] for trial in trials]
-    (value,) = DISC.of_batch(trials)
-    assert value.number.distribution.mean == pytest.approx(np.mean(diameters))
-    interval = value.number.distribution.ci95
-    assert interval.low < np.mean(diameters) < interval.high
-    assert value.label == "diameter of the disc of 95 % of the hold (disc_bacterium), mean [um]"
+    (figure,) = DISC.of_batch(trials)
+    mean = figure.items["disc_bacterium"]
+    assert mean["mean"] == pytest.approx(np.mean(diameters))
+    low, high = mean["ci95"]
+    assert low < np.mean(diameters) < high
+    assert figure.label == "diameter of the disc of 95 % of the hold (disc_bacterium), mean [um]"
 
 
 def test_without_a_hold_or_a_whole_log_there_is_none(holds):

@@ -10,10 +10,9 @@ import pytest
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
 
 from tetractl.core.plan import Outcome
-from tetractl.results.as_json import comparison_items
-from tetractl.results.contrast import contrast
+from tetractl.results.as_json import comparison_items, data_table
+from tetractl.results.describe import contrast
 from tetractl.results.open_batch import Damaged
-from tetractl.results.tables import data_table
 from tetractl.tools.table.table_files import csv_text, json_text
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()

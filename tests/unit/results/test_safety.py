@@ -8,8 +8,8 @@ from support.batches import batch, experiment, group
 from tetractl.core.commands import Verdict
 from tetractl.core.poses import Poses
 from tetractl.results.as_json import batch_items
-from tetractl.results.batch_rows import texts_by_label
 from tetractl.results.flagged import flagged
+from tetractl.results.tables import texts_by_label
 from tetractl.results.trial_tables import trials_table
 
 INF = float("inf")

@@ -9,10 +9,10 @@ import pytest
 from support.batches import batch, group
 
 from tetractl.core.registries import STATISTICS
-from tetractl.results.as_json import comparison_items
-from tetractl.results.contrast import contrast
+from tetractl.results.as_json import comparison_items, data_table
+from tetractl.results.describe import contrast
 from tetractl.results.statistic import number
-from tetractl.results.tables import data_table, tables
+from tetractl.results.tables import tables
 from tetractl.tools.table.table_files import csv_text
 from tetractl.tools.table.terminal_table import TEXTS, print_tables
 

@@ -66,26 +66,13 @@ class _Carried:
 
 
 @dataclass(frozen=True, slots=True)
-class _Batches:
-    """The statistics of each batch, and what is wrong with logs."""
-
-    groups: list[BatchStatistics]
-    unread: list[str]
-
-    @property
-    def count(self) -> int:
-        """The number of all logs."""
-        return sum(len(group.batch.logs) for group in self.groups)
-
-
-@dataclass(frozen=True, slots=True)
 class _Contents:
-    """What a page shows of its logs: the trials that it carries, the figures of the batches' errors
-    over time, "" for a batch without, the first trial, and what is wrong with logs. Without plans
-    and searches it is not `complete`.
+    """What a page shows of its logs: the statistics of each batch, the trials that it carries, the
+    figures of the batches' errors over time, "" for a batch without, the first trial, and what is
+    wrong with logs. Without plans and searches it is not `complete`.
     """
 
-    batches: _Batches
+    groups: list[BatchStatistics]
     complete: bool
     carried: list[_Carried]
     errors: list[str]
@@ -109,16 +96,17 @@ def report(
     of a batch belong to several experiments, LogError if no log can be read.
     """
     contents = _read(paths, progress)
-    groups = contents.batches.groups
+    groups = contents.groups
     first = contents.first
     name = title or _title(paths, groups)
     compared = contrast(groups)
+    errors = "".join(contents.errors)
     parts = [
         _header(name, compared, contents.numbers),
         _player(contents) if first else "",
-        _error_figures(contents.errors),
+        f"<section><h2>Errors</h2>{errors}</section>" if errors else "",
         _statistics(compared, contents.numbers),
-        _first_trial(first) if first else "",
+        f"<section><h2>Figures of the first trial</h2>{of_trial(first)}</section>" if first else "",
         _provenance(first) if first else "",
     ]
     scripts = "".join(_asset(script) for script in SCRIPTS) if contents.carried else ""
@@ -130,16 +118,15 @@ def report(
 
 def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Contents:
     """Read the results of all logs, and then the trials that the page carries."""
-    batches = _batches(paths, progress)
-    several = len(batches.groups) > 1
-    complete = batches.count <= MANY
-    unread = list(batches.unread)
+    groups, unread = _batches(paths, progress)
+    several = len(groups) > 1
+    complete = sum(len(group.batch.logs) for group in groups) <= MANY
     trials: list[_Carried] = []
     errors: list[str] = []
     first: TrialLog | None = None
-    for group in batches.groups:
+    for group in groups:
         logs: list[TrialLog] = []
-        for path in group.batch.logs if complete else carried(group, len(batches.groups)):
+        for path in group.batch.logs if complete else carried(group, len(groups)):
             try:
                 log = read_trial(path)
             except LogError as error:
@@ -154,7 +141,7 @@ def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Conte
         if not complete:
             which.append(f"the {len(logs)} trials on this page")
         errors.append(of_batch(", ".join(which), logs))
-    return _Contents(batches, complete, trials, errors, first, unread)
+    return _Contents(groups, complete, trials, errors, first, unread)
 
 
 def carried(group: BatchStatistics, groups: int) -> list[Path]:
@@ -177,8 +164,12 @@ def carried(group: BatchStatistics, groups: int) -> list[Path]:
     return [Path(trial.log) for trial in logged if trial.log in chosen]
 
 
-def _batches(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Batches:
-    """Read a batch per folder and one of all single logs; LogError if no log can be read."""
+def _batches(
+    paths: Sequence[Path], progress: Callable[[int, int], None]
+) -> tuple[list[BatchStatistics], list[str]]:
+    """Read a batch per folder and one of all single logs; return their statistics and what is wrong
+    with logs. LogError if no log can be read.
+    """
     paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single_logs = [str(path) for path in paths if not path.is_dir()]
@@ -197,7 +188,7 @@ def _batches(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Ba
         unread += [f"{log}: damaged, read as far as possible" for log in damaged]
         if batch.trials or batch.attempts:
             groups.append(describe(batch, source.name))
-    return _Batches(groups, unread)
+    return groups, unread
 
 
 # ---- Parts of the page ----
@@ -259,7 +250,9 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
         Column("95 % interval", intervals),
     ]
     texts = [texts_by_label(group) for group in groups]
-    columns += [_safety_column(label, texts) for label in SAFETY]
+    for label in SAFETY:
+        numbers_of_unsafe = [of_batch[label].partition(" (")[0] for of_batch in texts]
+        columns.append(Column(label, numbers_of_unsafe))
     plants: list[str] = []
     for group in groups:
         radius = group.experiment.controller.body_radius
@@ -273,12 +266,6 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     )
 
 
-def _safety_column(label: str, texts: Sequence[Mapping[str, str]]) -> Column:
-    """Return the number of unsafe trials of each batch, without what follows in parentheses; the
-    batches' texts are by their labels."""
-    return Column(label, [of_batch[label].partition(" (")[0] for of_batch in texts])
-
-
 def _player(contents: _Contents) -> str:
     """Return the HTML of the player, with the data of the trials that the page carries."""
     options: list[str] = []
@@ -288,7 +275,7 @@ def _player(contents: _Contents) -> str:
         options.append(f'<option value="{index}">{index + 1}: {name}</option>')
         text = packed(trial.data)
         data.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
-    count = contents.batches.count
+    count = sum(len(group.batch.logs) for group in contents.groups)
     note = ""
     if not contents.complete:
         note = (
@@ -297,16 +284,9 @@ def _player(contents: _Contents) -> str:
             " best to the worst, and some that do not count. The tables hold all trials.</p>"
         )
     # the names in the options come last, as a name may contain the text of a place
-    frame = _asset("player.html").replace("@UNIT@", unit_of(contents.batches.groups[0].unit))
+    frame = _asset("player.html").replace("@UNIT@", unit_of(contents.groups[0].unit))
     frame = frame.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
     return frame + "".join(data)
-
-
-def _error_figures(figures: Sequence[str]) -> str:
-    """Return the section of the batches' errors over time, "" if no batch has a figure."""
-    if not any(figures):
-        return ""
-    return f"<section><h2>Errors</h2>{''.join(figures)}</section>"
 
 
 def _json(value: Any) -> str:
@@ -338,11 +318,6 @@ def _tables(listed: Sequence[Table]) -> str:
     """Return the HTML of tables, side by side where there is room."""
     cells = [f"<div>{html([table])}</div>" for table in listed]
     return f'<div class="tables">{"".join(cells)}</div>'
-
-
-def _first_trial(log: TrialLog) -> str:
-    """Return the section of the first trial's figures."""
-    return f"<section><h2>Figures of the first trial</h2>{of_trial(log)}</section>"
 
 
 def _provenance(log: TrialLog) -> str:

@@ -73,7 +73,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         "end": round(log.elapsed_s(until_ns), 3),
         "final": _final(log, decimals),
         "plan": _plans(log, decimals) if plans else None,
-        "history": _histories(log) if plans else None,
+        "history": [significant(step.plan.search.history) for step in log.steps] if plans else None,
         "dish": _dish(log) if plans else None,
         "events": _events(log),
         "outcome": result.outcome.value if result else "the log ends early",
@@ -163,11 +163,6 @@ def _plans(log: TrialLog, decimals: Decimals) -> list[Any]:
 def _events(log: TrialLog) -> list[dict[str, Any]]:
     """Return the trial's events."""
     return [{"t": event.time_s, "level": event.level, "text": event.text} for event in log.events]
-
-
-def _histories(log: TrialLog) -> list[list[float | None]]:
-    """Return the values of J over the iterations of each step's chosen search."""
-    return [significant(step.plan.search.history) for step in log.steps]
 
 
 def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:

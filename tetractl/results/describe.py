@@ -307,32 +307,25 @@ def contrast(
     Raises UsageError if batches have different units of length.
     """
     batches = (*groups, baseline) if baseline else tuple(groups)
-    _check_units(batches)
+    for group in batches:
+        if group.unit != batches[0].unit:
+            raise UsageError(
+                f"{group.name} has errors in {group.unit}, {batches[0].name} in {batches[0].unit}",
+                "compare groups with the same length unit",
+            )
     if baseline is None:
         sides = list(combinations(groups, 2))
     else:
         sides = [(group, baseline) for group in groups]
     tests = sum(first.origin is second.origin for first, second in sides)
     contrasts = [_contrast(first, second, max(tests, 1)) for first, second in sides]
-    return BatchComparison(batches, tuple(_corrected(contrasts)))
-
-
-def _check_units(groups: Sequence[BatchStatistics]) -> None:
-    first = groups[0]
-    for group in groups:
-        if group.unit != first.unit:
-            units = f"{group.name} has errors in {group.unit}, {first.name} in {first.unit}"
-            raise UsageError(units, "compare groups with the same length unit")
-
-
-def _corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
-    """Return contrasts with their p-values corrected for the number of tests."""
     means = mean_difference.holm([comparison.difference.p_value for comparison in contrasts])
     ranks = mean_difference.holm([comparison.rank_p for comparison in contrasts])
-    return [
+    corrected = [
         replace(comparison, p_holm=p_holm, rank_p_holm=rank_p_holm)
         for comparison, p_holm, rank_p_holm in zip(contrasts, means, ranks, strict=True)
     ]
+    return BatchComparison(batches, tuple(corrected))
 
 
 def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:

@@ -1,7 +1,8 @@
-"""How tightly robots were held: the disc round its target in which each is for 95 % of a hold.
+"""A statistic of holds: how tightly each robot was held at its target, as the diameter of a disc.
 
-Its diameter is twice the 0.95-quantile of the distances to the target, by true poses where they are
-known, without the first SETTLING_S. It is read from the log: a trial without one has none.
+A robot is in the disc round its target for 95 % of the hold. The diameter is twice the
+0.95-quantile of the distances to the target, by true poses where they are known, without the first
+SETTLING_S. It is read from the log: a trial without one has none.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Opens batches: reads each trial's result once, from its log."""
+"""Reads the results of a batch of trials, each from its log, and says which trials count."""
 
 import json
 import math
@@ -282,18 +282,13 @@ def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
         for key in ours | theirs:
             inner = f"{path}.{key}" if path else key
             yield from _differences(ours.get(key), theirs.get(key), inner)
-    elif _are_lists_of_one_length(ours, theirs):
+    elif isinstance(ours, list) and isinstance(theirs, list) and len(ours) == len(theirs):
         for i, (our_item, their_item) in enumerate(zip(ours, theirs, strict=True)):
             yield from _differences(our_item, their_item, f"{path}.{i}")
     elif isinstance(ours, dict | list) or isinstance(theirs, dict | list):
         yield path
     else:
         yield f"{path}: {_as_text(ours)} != {_as_text(theirs)}"
-
-
-def _are_lists_of_one_length(ours: Any, theirs: Any) -> bool:
-    both_lists = isinstance(ours, list) and isinstance(theirs, list)
-    return both_lists and len(ours) == len(theirs)
 
 
 def _as_text(value: Any) -> str:

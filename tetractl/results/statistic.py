@@ -64,10 +64,6 @@ def mean_figure(key: str, label: str, values: Distribution, states_n: bool = Fal
     return Figure(label, text, {key: values.as_dict()})
 
 
-def _no_columns(trial: ResultSummary) -> dict[str, Any]:
-    return {}
-
-
 @dataclass(frozen=True, slots=True)
 class Statistic:
     """How to compute a statistic: `of_batch` returns its figures for one or more trials of one
@@ -76,7 +72,7 @@ class Statistic:
     """
 
     of_batch: Callable[[Sequence[ResultSummary]], Sequence[Figure]]
-    of_trial: Callable[[ResultSummary], dict[str, Any]] = _no_columns
+    of_trial: Callable[[ResultSummary], dict[str, Any]] = lambda trial: {}
 
 
 def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statistic:

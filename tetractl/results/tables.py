@@ -132,17 +132,23 @@ def _remarks(group: BatchStatistics, several: bool) -> Iterator[_Remark]:
 # ---- The figures of a batch ----
 
 
-def figures_of(group: BatchStatistics) -> list[Figure]:
-    """Return the figures of a batch that tables show below its errors, in their order."""
-    return [
-        *_plant(group),
-        _usual("valid trials", f"{group.counted} of {len(group.batch.trials)}"),
-        _tail(group),
-        *(_with_others(group) if group.counted else ()),
-        *(figure for figure in group.figures if figure.label),
-        _count("earlier attempts, excluded", group.attempts),
-        _count("logs that cannot be read", len(group.batch.lost)),
-    ]
+def figures_of(group: BatchStatistics) -> Iterator[Figure]:
+    """Yield the figures of a batch that tables show below its errors, in their order."""
+    yield _usual("plant", str(group.origin))
+    if directions_given(group.experiment):
+        yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
+    if group.origin is Origin.DISTURBED:
+        # the title of several batches says so
+        yield Figure("disturbances", "assumed in the spec, not measured", brief="")
+    yield _usual("valid trials", f"{group.counted} of {len(group.batch.trials)}")
+    yield _tail(group)
+    if group.counted and group.from_published is not None:
+        yield _usual(PUBLISHED, published_text(group.from_published, group))
+    if group.counted and group.scaled is not None:
+        yield from _scaled(group.scaled)
+    yield from (figure for figure in group.figures if figure.label)
+    yield _of_none("earlier attempts, excluded", group.attempts)
+    yield _of_none("logs that cannot be read", len(group.batch.lost))
 
 
 def texts_by_label(group: BatchStatistics) -> dict[str, str]:
@@ -154,19 +160,9 @@ def _usual(label: str, text: str) -> Figure:
     return Figure(label, text, unusual=False)
 
 
-def _count(label: str, count: int) -> Figure:
+def _of_none(label: str, count: int) -> Figure:
     """Return the number of what there should be none of."""
     return Figure(label, str(count), unusual=count > 0)
-
-
-def _plant(group: BatchStatistics) -> Iterator[Figure]:
-    """Yield what the trials were run on, and by what."""
-    yield _usual("plant", str(group.origin))
-    if directions_given(group.experiment):
-        yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
-    if group.origin is Origin.DISTURBED:
-        # the title of several batches says so
-        yield Figure("disturbances", "assumed in the spec, not measured", brief="")
 
 
 def _tail(group: BatchStatistics) -> Figure:
@@ -176,14 +172,6 @@ def _tail(group: BatchStatistics) -> Figure:
     tiny = group.total.max < TINY * max(arena.width, arena.height)
     text = tail.text(group.unit)
     return Figure(tail.label, text, unusual=tail.above > 0 and not tiny)
-
-
-def _with_others(group: BatchStatistics) -> Iterator[Figure]:
-    """Yield how the errors compare with those published and of robots of another kind."""
-    if group.from_published is not None:
-        yield _usual(PUBLISHED, published_text(group.from_published, group))
-    if group.scaled is not None:
-        yield from _scaled(group.scaled)
 
 
 def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
@@ -216,10 +204,14 @@ def tables(comparison: BatchComparison) -> list[Table]:
     groups = comparison.groups
     parts = [groups[i : i + SIDE_BY_SIDE] for i in range(0, len(groups), SIDE_BY_SIDE)]
     trials = [_trials(part, alone=len(groups) == 1) for part in parts]
-    errors = _errors(groups, [*_totals(groups), *_robots(groups)])
-    contrasts = _contrasts(comparison.contrasts)
-    candidates = [errors, *trials, *contrasts, _flagged(groups)]
-    return [table for table in candidates if len(table)]
+    named = _totals(groups)
+    if len(groups) == 1:
+        named += zip(groups[0].experiment.setup.names, groups[0].robots, strict=True)
+    errors = _errors(groups, named)
+    shown = [errors, *trials]
+    if comparison.contrasts:
+        shown += [differences_table(comparison.contrasts), _basis(comparison.contrasts)]
+    return [table for table in (*shown, _flagged(groups)) if len(table)]
 
 
 def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
@@ -336,13 +328,6 @@ def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distrib
         yield name, known_distribution(n, mean, std, Interval.none(""))
 
 
-def _robots(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
-    """Return the errors of each robot; of several batches, none."""
-    if len(groups) > 1:
-        return []
-    return list(zip(groups[0].experiment.setup.names, groups[0].robots, strict=True))
-
-
 def _errors_title(groups: Sequence[BatchStatistics]) -> str:
     first = groups[0]
     if len(groups) == 1:
@@ -372,13 +357,6 @@ def processors_note(types: Iterable[str]) -> str:
 
 
 # ---- Comparisons ----
-
-
-def _contrasts(contrasts: Sequence[Contrast]) -> list[Table]:
-    """Return two tables: the differences of the means with their tests, and what these rest on."""
-    if not contrasts:
-        return []
-    return [differences_table(contrasts), _basis(contrasts)]
 
 
 def differences_table(contrasts: Sequence[Contrast]) -> Table:

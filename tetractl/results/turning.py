@@ -1,4 +1,4 @@
-"""Compares how each robot of a lab turned by itself with its other trials in the batch.
+"""Finds trials in the lab in which a robot turned otherwise than in its other trials of the batch.
 
 A pose that turns, with its course, from the start of a trial on looks like wheels that differ, and
 no check of one trial can tell the two apart. But a robot has the same wheels in every trial. With

@@ -39,7 +39,7 @@ def test_the_order_of_the_logs_changes_nothing(random):
     shuffled = group(random.sample(trials, len(trials)))
     assert shuffled.total == in_order.total
     assert shuffled.robots == in_order.robots
-    assert figures_of(shuffled) == figures_of(in_order)
+    assert list(figures_of(shuffled)) == list(figures_of(in_order))
 
 
 def test_only_trials_that_ran_to_their_end_enter_the_means():

@@ -100,7 +100,11 @@ def batch_figure(
     `links` maps the path of a trial to the address that its dot links to in an SVG. If `narrow`,
     one panel is above the other.
     """
-    batches = [_of_group(group) for group in groups]
+    batches: list[BatchErrors] = []
+    for group in groups:
+        paths = [trial.log for trial in group.batch.trials if counts(trial)]
+        given = directions_given(group.experiment)
+        batches.append(BatchErrors(group.name, group.totals, paths, given))
     figure = _drawn(batches, groups[0].experiment, links or {}, narrow)
     drawn = [group for group in groups if group.counted]
     plants = sorted({group.origin.value for group in drawn})
@@ -108,12 +112,6 @@ def batch_figure(
         plants = [f"{group.name}: {group.origin.value}" for group in drawn]
     style.headline(figure, "; ".join(plants))
     return figure
-
-
-def _of_group(group: BatchStatistics) -> BatchErrors:
-    """Return the errors of a batch that was described."""
-    paths = [trial.log for trial in group.batch.trials if counts(trial)]
-    return BatchErrors(group.name, group.totals, paths, directions_given(group.experiment))
 
 
 @style.styled()

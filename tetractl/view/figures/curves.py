@@ -193,7 +193,7 @@ def _of_trials(logs: Sequence[TrialLog]) -> Figure:
     Incomplete trials are drawn, but not counted in medians and bands.
     """
     arms = panels_of(logs)
-    time_s = _common_times(logs)
+    time_s = np.linspace(0, max(map(end_s, logs)), TIMES)  # until the end of the longest trial
     setups = [of_arm[0].start.setup for of_arm in arms.values()]
     figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
     signs: dict[str, Artist] = {}
@@ -247,7 +247,7 @@ def _arm_errors(logs: Sequence[TrialLog], time_s: Floats, panels: "_Panels") -> 
     signs: list[Artist] = [
         style.sign("one trial", ls="-", lw=0.5),
         *panels.total.get_legend_handles_labels()[0],
-        _middle_half(style.WHOLE),
+        Patch(color=style.WHOLE, alpha=0.25, lw=0, label="middle half of the trials"),
     ]
     if not completed.all():
         label = f"{(~completed).sum()} of {len(logs)} did not run to their end"
@@ -302,15 +302,6 @@ def _since(log: TrialLog) -> Floats:
 def end_s(log: TrialLog) -> float:
     """Return the time from the first command to the end of the trial [s], above 0."""
     return max((end_ns(log) - log.began_ns) / SECOND, 1e-9)
-
-
-def _common_times(logs: Sequence[TrialLog]) -> Floats:
-    """Return times since the first command (M,) until the end of the longest trial [s]."""
-    return np.linspace(0, max(map(end_s, logs)), TIMES)
-
-
-def _middle_half(color: str) -> Patch:
-    return Patch(color=color, alpha=0.25, lw=0, label="middle half of the trials")
 
 
 def _mark_steps(axes: Axes, log: TrialLog) -> None:

@@ -4,7 +4,7 @@ each robot's values and of the dead time.
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -16,7 +16,6 @@ from matplotlib.patches import Patch
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import LogError, unit_of
-from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
@@ -36,7 +35,6 @@ PI_TICKS = {
     "ticks": [-np.pi, -np.pi / 2, 0, np.pi / 2, np.pi],
     "labels": ["−π", "−π/2", "0", "π/2", "π"],
 }
-LETTERS = "abcdefgh"
 ROW_IN = 2.0
 """Height of a row of panels; more if names of robots need it."""
 ABOVE_NAMES_IN = 0.7
@@ -47,28 +45,9 @@ OUTLIERS = (1, 99)
 
 
 @dataclass(frozen=True, slots=True)
-class _Panel:
-    """A panel: its title, the label of its y axis, and the function that draws into it at the
-    times (K,) of the control steps; that returns the curves to name at their ends.
-    """
-
-    title: str
-    label: str
-    draw: Callable[[Axes, Floats], list[Curve]]
-
-
-@dataclass(frozen=True, slots=True)
-class _Value:
-    """What an estimate states of a quantity, of all robots (N,) or of each; None if it does not."""
-
-    mean: Floats | float | None
-    std: Floats | float | None
-
-
-@dataclass(frozen=True, slots=True)
 class _Quantity:
-    """An estimated quantity: title, label of its axis, what an estimate states of it, and the
-    factor from that to what is drawn.
+    """An estimated quantity: title and label of its axis, the estimates and their standard
+    deviations, of all robots (K,) or of each (K, N), and the factor from them to what is drawn.
 
     For a quantity that the spec states too, `spec` (N,), the difference from it is drawn, and a
     dotted line at the `true` value (N,) of a simulation.
@@ -76,7 +55,8 @@ class _Quantity:
 
     title: str
     label: str
-    value: Callable[[Estimate], _Value]
+    means: Floats
+    stds: Floats
     factor: Floats | float = 1.0
     spec: Floats | None = None
     true: Floats | None = None
@@ -93,59 +73,50 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
     """
     log = one_trial(logs)
     need_steps(log)
-    estimated = any(step.plan.estimate is not None for step in log.steps)
-    panels = [_signal(log), _solve_times(log)]
-    row_in = ROW_IN
-    if estimated:
-        panels += _estimates(log)
-        row_in = max(ROW_IN, ABOVE_NAMES_IN + NAME_IN * len(log.start.setup.names))
     time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
-    rows = math.ceil(len(panels) / 2)
+    estimated = np.array([step.plan.estimate is not None for step in log.steps])
+    quantities = _quantities(log) if estimated.any() else []
+    row_in = ROW_IN
+    if quantities:
+        row_in = max(ROW_IN, ABOVE_NAMES_IN + NAME_IN * len(log.start.setup.names))
+    panels = 2 + len(quantities)
+    rows = math.ceil(panels / 2)
     figure = style.figure(style.PAGE_IN, rows * row_in)
     places = list(figure.subplots(rows, 2, squeeze=False, sharex=True).ravel())
-    for spare in places[len(panels) :]:
+    for spare in places[panels:]:
         spare.set_axis_off()
-    curves: list[list[Curve]] = []
+    places[0].set_xlim(0, end_s(log))
+    _draw_signal(places[0], log, time_s)
+    to_name = {places[1]: _draw_solve_times(places[1], log, time_s)}
+    for axes, letter, quantity in zip(places[2:], "cdef", quantities, strict=False):
+        style.panel(axes, letter, quantity.title, SINCE, quantity.label)
+        to_name[axes] = _draw_estimates(axes, quantity, time_s[estimated], log.start.setup)
     signs: list[Artist] = []
-    for axes, letter, panel in zip(places, LETTERS, panels, strict=False):
-        style.panel(axes, letter, panel.title, SINCE, panel.label)
-        axes.set_xlim(0, end_s(log))
-        curves.append(panel.draw(axes, time_s))
+    for axes in places[:panels]:
         handles, _ = axes.get_legend_handles_labels()
         signs += handles
-    style.legend(figure, [*signs, *_signs_of_estimates(log, estimated)], 4)
-    for axes, to_name in zip(places, curves, strict=False):  # the limits are set
-        if to_name:
-            name_curves(axes, to_name)
+    if quantities and len(log.start.setup.names) < NUMBERED:
+        signs.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation"))
+    if quantities and _true(log, "a") is not None:
+        signs.append(style.sign("true value", ls=":", lw=0.9))
+    style.legend(figure, signs, 4)
+    for axes, curves in to_name.items():  # the limits are set
+        if curves:
+            name_curves(axes, curves)
     return figure
 
 
-def _signs_of_estimates(log: TrialLog, estimated: bool) -> list[Artist]:
-    if not estimated:
-        return []
-    signs: list[Artist] = []
-    if len(log.start.setup.names) < NUMBERED:
-        signs.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation"))
-    if _true(log, "a") is not None:
-        signs.append(style.sign("true value", ls=":", lw=0.9))
-    return signs
-
-
-def _signal(log: TrialLog) -> _Panel:
-    """Return the panel of the direction, held until the next step; steps without a direction, in
-    which robots stand, leave a gap.
+def _draw_signal(axes: Axes, log: TrialLog, time_s: Floats) -> None:
+    """Draw the direction, held until the next step, at the times (K,) of the control steps; steps
+    without a direction, in which robots stand, leave a gap.
     """
-
-    def direction(axes: Axes, time_s: Floats) -> list[Curve]:
-        sent = np.array([step.command.direction for step in log.steps], dtype=float)
-        u = wrap(sent)
-        wraps = np.abs(np.diff(u, append=u[-1])) > np.pi
-        axes.plot(*_held(time_s, u, wraps), color=style.WHOLE, lw=1.0, gid="direction")
-        axes.set_ylim(-1.08 * np.pi, 1.08 * np.pi)
-        axes.set_yticks(**PI_TICKS)
-        return []
-
-    return _Panel("direction sent", "direction $u$ [rad]", direction)
+    style.panel(axes, "a", "direction sent", SINCE, "direction $u$ [rad]")
+    sent = np.array([step.command.direction for step in log.steps], dtype=float)
+    u = wrap(sent)
+    wraps = np.abs(np.diff(u, append=u[-1])) > np.pi
+    axes.plot(*_held(time_s, u, wraps), color=style.WHOLE, lw=1.0, gid="direction")
+    axes.set_ylim(-1.08 * np.pi, 1.08 * np.pi)
+    axes.set_yticks(**PI_TICKS)
 
 
 def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, Floats]:
@@ -158,54 +129,37 @@ def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, F
     return x.ravel(), y.ravel()
 
 
-def _solve_times(log: TrialLog) -> _Panel:
-    """Return the panel of the solve times next to the control period."""
+def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> list[Curve]:
+    """Draw the solve times next to the control period, and return the percentiles to name."""
     period_ms = 1e3 * log.start.setup.period_s
     solve_ms = np.array([step.solve_ns for step in log.steps]) / MILLISECOND
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
-
-    def draw(axes: Axes, time_s: Floats) -> list[Curve]:
-        axes.plot(time_s, solve_ms, color=style.FAINT, lw=0.8, zorder=1)
-        axes.plot(time_s[~late], solve_ms[~late], ".", color=style.WHOLE, ms=4)
-        if late.any():
-            look = {"color": style.ALARM, "ms": 4.5, "label": "too late", "clip_on": False}
-            axes.plot(time_s[late], solve_ms[late], "v", **look)
-        axes.axhline(period_ms, **style.LIMIT, label=f"control period {period_ms:g} ms")
-        log_axis(axes, np.append(positive(solve_ms), period_ms), 0.08, 0.1)
-        if not late[0] and solve_ms[0] > period_ms:
-            axes.annotate(
-                "first plan", (time_s[0], solve_ms[0]), (6, 0), textcoords="offset points",
-                va="center", fontsize=6.5,
-            )  # fmt: skip
-        curves = []
-        for text, share in {"half within": 50, "99 % within": 99}.items():
-            within_ms = np.percentile(solve_ms, share, method="inverted_cdf")
-            name = f"{text}\n{within_ms:.3g} ms"
-            curves.append(Curve(np.array([within_ms]), style.INK, name, "share"))
-        return curves
-
-    return _Panel(
-        f"solve time: {late.sum()} of {len(late)} deadlines missed", "solve time [ms]", draw
-    )
+    title = f"solve time: {late.sum()} of {len(late)} deadlines missed"
+    style.panel(axes, "b", title, SINCE, "solve time [ms]")
+    axes.plot(time_s, solve_ms, color=style.FAINT, lw=0.8, zorder=1)
+    axes.plot(time_s[~late], solve_ms[~late], ".", color=style.WHOLE, ms=4)
+    if late.any():
+        look = {"color": style.ALARM, "ms": 4.5, "label": "too late", "clip_on": False}
+        axes.plot(time_s[late], solve_ms[late], "v", **look)
+    axes.axhline(period_ms, **style.LIMIT, label=f"control period {period_ms:g} ms")
+    log_axis(axes, np.append(positive(solve_ms), period_ms), 0.08, 0.1)
+    if not late[0] and solve_ms[0] > period_ms:
+        axes.annotate(
+            "first plan", (time_s[0], solve_ms[0]), (6, 0), textcoords="offset points",
+            va="center", fontsize=6.5,
+        )  # fmt: skip
+    curves = []
+    for text, share in {"half within": 50, "99 % within": 99}.items():
+        within_ms = np.percentile(solve_ms, share, method="inverted_cdf")
+        name = f"{text}\n{within_ms:.3g} ms"
+        curves.append(Curve(np.array([within_ms]), style.INK, name, "share"))
+    return curves
 
 
-def _estimates(log: TrialLog) -> list[_Panel]:
-    """Return a panel for each quantity that the controller estimated."""
-    steps = [k for k, step in enumerate(log.steps) if step.plan.estimate is not None]
-    estimates = [step.plan.estimate for step in log.steps if step.plan.estimate is not None]
-
-    def panel(quantity: _Quantity) -> _Panel:
-        def draw(axes: Axes, time_s: Floats) -> list[Curve]:
-            return _draw(axes, quantity, time_s[steps], estimates, log.start.setup)
-
-        return _Panel(quantity.title, quantity.label, draw)
-
-    return [panel(quantity) for quantity in _quantities(log, estimates[-1])]
-
-
-def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
-    """Return the panels for what the last estimate states."""
+def _quantities(log: TrialLog) -> list[_Quantity]:
+    """Return what the controller estimated: the quantities that its last estimate states."""
     setup = log.start.setup
+    estimates = [step.plan.estimate for step in log.steps if step.plan.estimate is not None]
     difference = "difference from the spec [%]"
     rate = "turning rate a, at the end in rad/s"
     if setup.strength:
@@ -214,7 +168,8 @@ def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
         _Quantity(
             rate,
             difference,
-            lambda estimate: _Value(estimate.a, estimate.a_std),
+            _stack([estimate.a for estimate in estimates]),
+            _stack([estimate.a_std for estimate in estimates]),
             factor=100 / setup.a,
             spec=setup.a,
             true=_true(log, "a"),
@@ -222,48 +177,44 @@ def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
         _Quantity(
             f"speed, at the end in {unit_of(setup.unit)}/s",
             difference,
-            lambda estimate: _Value(estimate.speed, estimate.speed_std),
+            _stack([estimate.speed for estimate in estimates]),
+            _stack([estimate.speed_std for estimate in estimates]),
             factor=100 / setup.speed,
             spec=setup.speed,
             true=_true(log, "speed"),
         ),
     ]
-    if last.heading_bias is not None:
+    if estimates[-1].heading_bias is not None:
         quantities.append(
             _Quantity(
                 "heading bias",
                 "heading bias [rad]",
-                lambda estimate: _Value(estimate.heading_bias, estimate.heading_bias_std),
+                _stack([estimate.heading_bias for estimate in estimates]),
+                _stack([estimate.heading_bias_std for estimate in estimates]),
             )
         )
-    if last.dead_time is not None:
+    if estimates[-1].dead_time is not None:
         quantities.append(
             _Quantity(
                 "dead time, from the sending of a direction",
                 "dead time [ms]",
-                lambda estimate: _Value(estimate.dead_time, estimate.dead_time_std),
+                _stack([estimate.dead_time for estimate in estimates]),
+                _stack([estimate.dead_time_std for estimate in estimates]),
                 factor=1e3,
             )
         )
     return quantities
 
 
-def _draw(
-    axes: Axes,
-    quantity: _Quantity,
-    time_s: Floats,
-    estimates: Sequence[Estimate],
-    setup: Setup,
-) -> list[Curve]:
-    """Draw a quantity over time, and return the curves to name at their ends: those of robots.
+def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setup) -> list[Curve]:
+    """Draw a quantity at the times (K,) of its estimates, and return the curves to name at their
+    ends: those of robots.
 
     The axis shows the range between OUTLIERS and every last value.
     """
-    stated = [quantity.value(estimate) for estimate in estimates]
-    means = _stack([value.mean for value in stated])
-    stds = _stack([value.std for value in stated]) * quantity.factor
     spec = 0.0 if quantity.spec is None else quantity.spec
-    values = (means - spec) * quantity.factor
+    values = (quantity.means - spec) * quantity.factor
+    stds = quantity.stds * quantity.factor
     band = np.stack([values - stds, values + stds])
     if values.ndim == 1:
         draw_curves(axes, time_s, [Curve(values, style.INK, "", "all", band, width=1.2)])
@@ -279,7 +230,7 @@ def _draw(
     low -= margin
     high += margin
     if quantity.spec is not None:
-        curves = _named(curves, [f"{end:.3g}" for end in means[-1]])
+        curves = _named(curves, [f"{end:.3g}" for end in quantity.means[-1]])
     if quantity.true is not None:
         true = (quantity.true - spec) * quantity.factor
         for value, curve in zip(true, curves, strict=True):

@@ -53,7 +53,9 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
         style.panel(axes, letter, title, "signal $u_1$ [rad]")
     panels[0].set_ylabel("signal $u_2$ [rad]")
     _course(panels[-1], history)
-    _cost_bar(figure, shades[0], panels.tolist(), f"$J$ over $u_1$ and $u_2$ [{unit}]")
+    bar = figure.colorbar(shades[0], ax=panels.tolist(), pad=0.01, aspect=30, format=_three_digits)
+    bar.set_label(f"$J$ over $u_1$ and $u_2$ [{unit}]")
+    bar.ax.spines["outline"].set_visible(False)
     _legend(figure, history, log.steps[0].plan.search.length)
     return figure
 
@@ -71,13 +73,6 @@ def _course(axes: Axes, history: SwarmHistory) -> None:
     axes.plot(u_1, u_2, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(u_1, u_2, "o", color=style.INK, ms=1.8, zorder=3, gid="course")
     _dots(axes, history.path_best, style.INK, 6, mew=0.6, marker="D", zorder=4)
-
-
-def _cost_bar(figure: Figure, shades: AxesImage, panels: list[Axes], label: str) -> None:
-    """Say which grey is which J."""
-    bar = figure.colorbar(shades, ax=panels, pad=0.01, aspect=30, format=_three_digits)
-    bar.set_label(label)
-    bar.ax.spines["outline"].set_visible(False)
 
 
 def _three_digits(cost: float, _: int) -> str:

@@ -67,9 +67,10 @@ def errors_by(
         log_axis(axes, errors, ROOM, ROOM)
     trials_in = min(TRIALS_ASIDE_IN, TRIALS_ROOM_IN / len(places))
     for number, (name, arms) in enumerate(curves.items()):
-        connected = numbers and _comparable(arms, only)
+        pooled = {arm.arms for arm in arms}
+        comparable = len(pooled) == 1 and (only or arms[0].arms > 1)
         x = [places[repr(arm.value)] for arm in arms]
-        curve = SweptCurve(name, arms, x, "-o" if connected else "o")
+        curve = SweptCurve(name, arms, x, "-o" if numbers and comparable else "o")
         rank = number - (len(curves) - 1) / 2
         aside_in = CURVES_ASIDE_IN * rank if field else 0
         color = style.batch_look(number)["color"]
@@ -86,12 +87,6 @@ def errors_by(
     if any(curves):
         figure.legend(loc="outside lower center", ncols=4)
     return figure
-
-
-def _comparable(arms: Sequence[ArmErrors], only: bool) -> bool:
-    """Return whether neighbouring arms differ in the field alone."""
-    pooled = {arm.arms for arm in arms}
-    return len(pooled) == 1 and (only or arms[0].arms > 1)
 
 
 def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:

@@ -50,8 +50,6 @@ ARENA_SHARE = 0.58
 NUMBERS_WANTED = 36
 NUMBERS_LEAST = 19
 """Width that the arena always leaves to the numbers."""
-NUMBERS_SHOWN = 8
-"""Least width at which numbers are shown at all."""
 NUMBERS_MOST = 58
 GAP = 2
 """Columns between arena and numbers, and between hints."""
@@ -59,8 +57,6 @@ BAR_MOST = 60
 BAR_WANTED = 12
 """Widths of the footer's bar: the greatest, and what hints leave to it."""
 ROBOT_BAR_MOST = 40
-NAME_LEAST = 4
-"""Letters of a robot's name that stay."""
 ROBOTS_LEAST = 3
 """Lines of robots that are shown even if others have no line."""
 SMALLEST = 1e-12
@@ -131,9 +127,9 @@ class _RobotColumns:
         value_width = max(len(value) for value in values)
         rest = width - value_width - 5  # the mark, three gaps, and a column to spare
         longest_name = max((len(name) for name in names), default=0)
-        name_width = min(longest_name, max(rest, NAME_LEAST))
-        bar_width = rest - name_width
-        return cls(name_width, value_width, min(max(bar_width, 0), ROBOT_BAR_MOST), decimals)
+        name_width = min(longest_name, max(rest, 0))
+        bar_width = max(rest - name_width, 0)
+        return cls(name_width, value_width, min(bar_width, ROBOT_BAR_MOST), decimals)
 
 
 class Dashboard:
@@ -169,7 +165,7 @@ class Dashboard:
         rows = self._arena(glyphs, width, body_height)
         arena_width = Segment.get_line_length(rows[0])
         numbers_width = min(width - arena_width - GAP, NUMBERS_MOST)
-        if numbers_width >= NUMBERS_SHOWN:
+        if numbers_width > 0:
             numbers = self._numbers(glyphs, numbers_width, body_height)
             for row, text in zip(rows, numbers, strict=False):
                 row += [Segment(" " * GAP), *fitted(console, text, numbers_width)]
@@ -181,7 +177,10 @@ class Dashboard:
     def _arena(self, glyphs: Glyphs, width: int, height: int) -> list[list[Segment]]:
         """Return exactly `height` rows of equal width: the arena in its frame, then blanks."""
         arena = self._moment.setup.arena
-        inside = Projection.fit(arena, max(_arena_width(width), 3) - 2, height - 2)
+        left_by_share = width - GAP - round(ARENA_SHARE * width)
+        numbers_width = min(max(left_by_share, NUMBERS_LEAST), NUMBERS_WANTED)
+        arena_width = max(width - GAP - numbers_width, 3)  # a frame, and a column inside
+        inside = Projection.fit(arena, arena_width - 2, height - 2)
         canvas = draw(self._moment, self._colors, glyphs, inside.width, inside.height)
         size = f"{arena.width:g} {glyphs.times} {arena.height:g} {self._moment.setup.unit}"
         rows = list(framed(canvas, size, glyphs))
@@ -219,8 +218,10 @@ class Dashboard:
         moment = self._moment
         step = moment.step
         until = "" if moment.end_s is None else f" / {moment.end_s:.1f}"
+        parts = self._heading.split(", ")  # the last ones are left out first
+        headings = [", ".join(parts[:count]) for count in range(len(parts), 0, -1)]
         lines = [
-            Text(_first_fitting(width, *_shortened(self._heading)), "bold", no_wrap=True),
+            Text(_first_fitting(width, *headings), "bold", no_wrap=True),
             _row(width, "time", "t", f"{moment.time_s:.1f}{until} s"),
         ]
         if step is None:
@@ -380,14 +381,6 @@ def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
         yield from Segment.adjust_line_length(row, width)
 
 
-def _arena_width(width: int) -> int:
-    """Return the greatest width of the arena with its frame on a terminal of a width."""
-    share = round(ARENA_SHARE * width)
-    with_wanted_numbers = width - GAP - NUMBERS_WANTED
-    with_least_numbers = width - GAP - NUMBERS_LEAST
-    return min(max(share, with_wanted_numbers), with_least_numbers)
-
-
 def _height_of(blocks: list[_Block]) -> int:
     return sum(len(block.lines) for block in blocks)
 
@@ -415,12 +408,6 @@ def _first_fitting(width: int, *texts: str) -> str:
     would be another number.
     """
     return next((text for text in texts if len(text) <= width), texts[-1])
-
-
-def _shortened(heading: str) -> list[str]:
-    """Return a heading, and what remains of it without its last parts."""
-    parts = heading.split(", ")
-    return [", ".join(parts[:count]) for count in range(len(parts), 0, -1)]
 
 
 def _number(value: float) -> str:

@@ -117,18 +117,14 @@ class StudyProgress(_TrialsBar):
         enough = self._results >= RESULTS_TO_EXPECT and ending.every_arm
         if enough and not (self._expected or self._quiet):
             self._expected = True
-            self._say_expected(ending.left_s)
+            if ending.left_s:
+                by = f"estimated from the first {self._results} trials"
+                self._say(f"expected duration {duration(ending.left_s)}, {by}")
         lines_before = self._lines()
         self._advance(_left(ending))
         if self._lines() > lines_before and not (self._bar or self._quiet):
             words = (f"{self._done} of {self._total} trials", _left(ending))
             self._say(", ".join(filter(None, words)))
-
-    def _say_expected(self, left_s: float | None) -> None:
-        """Print how long the other trials will take [s], if that is known."""
-        if left_s:
-            by = f"estimated from the first {self._results} trials"
-            self._say(f"expected duration {duration(left_s)}, {by}")
 
     def _lines(self) -> int:
         """Return how many of the LINES are due after the trials done."""

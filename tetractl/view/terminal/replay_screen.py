@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rich.console import Console, ConsoleDimensions, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from tetractl.core.clock import Clock
 from tetractl.core.plan import State
-from tetractl.log.read.trial_log import Event
 from tetractl.replay.player import Playback, Player, Recording
 from tetractl.tools.table.table import lengths
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
@@ -43,18 +42,6 @@ class TrialOfSeveral:
 ALONE = TrialOfSeveral()
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    """What a picture depends on: while it is the same, nothing is drawn."""
-
-    place: TrialOfSeveral
-    now_ns: int
-    rate: float
-    state: Playback
-    size: ConsoleDimensions
-    help: bool
-
-
 def play(
     console: Console,
     player: Player,
@@ -69,13 +56,14 @@ def play(
     """
     place = TrialOfSeveral(0, count)
     shows_help = False
-    drawn: _Shown | None = None
+    drawn = None
     screen = Screen(console)
     # the keyboard is the outer context: no signal interrupts before the screen is restored
     with Keyboard(leave=screen.close, back=screen.open) as keyboard, screen:
         while player.state is not Playback.QUIT:
             player.update()
-            wanted = _Shown(place, player.now, player.rate, player.state, console.size, shows_help)
+            # what a picture depends on: while it is the same, nothing is drawn
+            wanted = (place, player.now, player.rate, player.state, console.size, shows_help)
             if wanted != drawn:
                 glyphs = glyphs_for(console)
                 screen.show(Help(glyphs) if shows_help else dashboard(player, glyphs, place))
@@ -197,7 +185,7 @@ def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[_Line]:
         for index, step_ns in enumerate(recording.step_ns.tolist())
     ]
     lines += [
-        _Line(event_ns, event_line(event))
+        _Line(event_ns, f"{event.time_s:6.2f} s  {event.level}: {event.text}")
         for event_ns, event in zip(recording.event_ns.tolist(), recording.events, strict=True)
     ]
     lines.sort(key=lambda line: line.time_ns)
@@ -215,11 +203,6 @@ def result_line(recording: Recording) -> str:
     error = lengths(result.total_error)(result.total_error)
     time_s = recording.elapsed_s(recording.end_ns)
     return f"{time_s:6.2f} s  {result.outcome.value}, final total error {error} {unit} {end.known}"
-
-
-def event_line(event: Event) -> str:
-    """Return one event as a line of text."""
-    return f"{event.time_s:6.2f} s  {event.level}: {event.text}"
 
 
 def step_line(recording: Recording, index: int) -> str:

@@ -77,13 +77,12 @@ class Ensemble(PlainController):
         """Return the problem with the poses at which the decision acts."""
         return replace(self.problem, poses=self._when_acting(observation))
 
-    def decided(
-        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
-    ) -> Plan | Outcome:
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
         """Rotate the field further, switch it off, or end the trial."""
         section = self.section
         straight = _ahead(problem, problem.poses, None, section.period)
-        fall = float(gaps.sum()) - _sum(problem, straight.array())
+        error = float(problem.poses.distances(problem.targets).sum())
+        fall = error - _sum(problem, straight.array())
         driving = self._phase is None and self.k > 0  # the field stays off until V would rise
         least = 0.0 if driving else section.fall * float(problem.speed.sum()) * section.period
         if fall > least:
@@ -94,7 +93,7 @@ class Ensemble(PlainController):
             self._turn(problem)
             signals = np.array([self._phase])
             path = predict(problem, signals)
-            if self._turned > 2 * np.pi * section.turns and _sum(problem, path[-1]) >= gaps.sum():
+            if self._turned > 2 * np.pi * section.turns and _sum(problem, path[-1]) >= error:
                 return Outcome.NO_BETTER_PLAN
             plan = self._decide(problem, signals, Poses.of(path[-1]))
         self._acting.append((observation.sampled_ns + self._delay_ns, plan.direction))

@@ -83,12 +83,11 @@ class StateEstimator:
         self.filter.add_frames(observation, earlier)
         self.filter.restart(replaced)
         forecast = self.filter.forecast(self.sends(observation))
-        estimate = forecast.estimate
         self._held = forecast.directions
-        assert estimate.dead_time is not None
-        self.dead_time_s = estimate.dead_time
+        self.dead_time_s = forecast.dead_time_s
         if self.estimate is None:
             return replace(self.problem, poses=forecast.poses).only(self.left)
+        estimate = forecast.estimate
         self.estimate = estimate
         problem = replace(
             self.problem,

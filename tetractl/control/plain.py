@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Outcome, Plan, Problem
-from tetractl.core.poses import Floats, Observation
+from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection
 from tetractl.model.obstacles import Obstacles
@@ -50,15 +49,6 @@ class PlainSection(ControllerSection):
         warm_up(self.known(setup), setup.starts)
 
 
-@dataclass(frozen=True, slots=True)
-class PlainStep:
-    """A step that is to be decided: the problem with the poses at which the next direction acts,
-    and how far the robots are from their targets, (N,) [length unit]."""
-
-    problem: Problem
-    gaps: Floats
-
-
 class PlainController:
     """The controller of one trial: its number of the step, k, and its estimator; `key` seeds all
     its random numbers."""
@@ -85,25 +75,23 @@ class PlainController:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Decide what the robots do in one step, or end the trial."""
-        step = self.step(observation, last_command)
-        return step if isinstance(step, Outcome) else self.decide(step, observation)
+        problem = self.step(observation, last_command)
+        if isinstance(problem, Outcome):
+            return problem
+        decision = self.decided(problem, observation, mix(self.key, self.k))
+        self.k += 1
+        return decision
 
-    def step(self, observation: Observation, last_command: Command | None) -> "PlainStep | Outcome":
-        """Return what is known at one step, or the outcome if the trial is over."""
+    def step(self, observation: Observation, last_command: Command | None) -> Problem | Outcome:
+        """Return the problem of one step, with the poses at which the next direction acts, or the
+        outcome if the trial is over."""
         self._time.seen(observation, last_command)
         problem = self.predicted(observation, last_command)
-        gaps = problem.poses.distances(problem.targets)
-        if self._ends.arrived(gaps):
+        if self._ends.arrived(problem.poses.distances(problem.targets)):
             return Outcome.ARRIVED
         if self._time.over:
             return Outcome.TIME_LIMIT
-        return PlainStep(problem, gaps)
-
-    def decide(self, step: "PlainStep", observation: Observation) -> Plan | Outcome | End:
-        """Return the decision of a step, and go on to the next."""
-        decision = self.decided(step.problem, observation, step.gaps, mix(self.key, self.k))
-        self.k += 1
-        return decision
+        return problem
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
         """Return the problem with the poses at which the next direction acts."""
@@ -111,7 +99,6 @@ class PlainController:
 
     @abstractmethod
     def decided(
-        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
+        self, problem: Problem, observation: Observation, step_key: int
     ) -> Plan | Outcome | End:
-        """Return the decision of step k, whose random numbers `step_key` seeds, for robots that are
-        `gaps` (N,) away from their targets."""
+        """Return the decision of step k, whose random numbers `step_key` seeds."""

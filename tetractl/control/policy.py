@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.fixed_sequence import given_plan
-from tetractl.control.plain import PlainController, PlainSection, PlainStep
+from tetractl.control.plain import PlainController, PlainSection
 from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Outcome, Plan, Problem
@@ -113,15 +113,13 @@ class PolicyController(PlainController):
         self._activation = ACTIVATIONS[section.activation]
         self._last_direction: float | None = None
 
-    def step(self, observation: Observation, last_command: Command | None) -> PlainStep | Outcome:
-        """Take the direction that was sent; return what is known at this step, or the outcome."""
+    def step(self, observation: Observation, last_command: Command | None) -> Problem | Outcome:
+        """Take the direction that was sent; return the problem of this step, or the outcome."""
         if last_command is not None and last_command.direction is not None:
             self._last_direction = last_command.direction
         return super().step(observation, last_command)
 
-    def decided(
-        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
-    ) -> Plan:
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan:
         """Return the plan of one direction, the policy's."""
         outputs = forward(
             self._layers,

@@ -85,11 +85,11 @@ class Rrt(PlainController):
         self._path = setup.targets  # corners still to be passed (M, 2), the target last
 
     def decided(
-        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
+        self, problem: Problem, observation: Observation, step_key: int
     ) -> Plan | Outcome | End:
         """Point the field at the next corner of the path, or end the trial."""
         signals = np.array([self._towards(problem, step_key)])
-        ended = self._passing(problem, signals, float(gaps[0]))
+        ended = self._passing(problem, signals, float(problem.poses.distances(problem.targets)[0]))
         return ended or given_plan(problem, signals, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:

@@ -9,7 +9,7 @@ from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import End, Outcome, Plan, Problem
-from tetractl.core.poses import Floats, Observation
+from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, NonNegative
 from tetractl.experiment.controller import ALONE, Host
@@ -44,7 +44,7 @@ class SequenceController(PlainController):
         self.section = section
 
     def decided(
-        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
+        self, problem: Problem, observation: Observation, step_key: int
     ) -> Plan | Outcome | End:
         """Return the plan of the next direction, with the path predicted for up to `ahead`
         directions.

@@ -57,11 +57,11 @@ def stated_model(experiment: Experiment) -> StatedModel:
 def other_delay(estimate: Estimate, stated: StatedModel) -> str:
     """Return in words that commands act later or earlier than a spec states, by more than standard
     deviations explain; "" if they do not or it is not known."""
-    dead_time = _dead_time(estimate)
-    if dead_time is None:
+    now_s = estimate.dead_time
+    std_s = estimate.dead_time_std
+    if now_s is None or std_s is None:
         return ""
-    now_s = dead_time.value
-    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE_STDS * dead_time.std):
+    if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE_STDS * std_s):
         return ""
     text = (
         f"commands act {now_s:.3f} s after they are sent, not {stated.dead_time_s:.3f} s: "
@@ -88,57 +88,32 @@ def turning(estimate: Estimate, i: int) -> str:
     return ", ".join(parts)
 
 
-@dataclass(frozen=True, slots=True)
-class EstimatedNumber:
-    """A number of an estimate, and its standard deviation."""
-
-    value: float
-    std: float
-
-    def differs(self, before: "EstimatedNumber") -> bool:
-        """Return whether it differs by more than standard deviations explain."""
-        return abs(self.value - before.value) > SURE_STDS * math.hypot(self.std, before.std)
-
-
-def _dead_time(estimate: Estimate) -> EstimatedNumber | None:
-    """Return the dead time [s], None if it is not estimated."""
-    if estimate.dead_time is None or estimate.dead_time_std is None:
-        return None
-    return EstimatedNumber(estimate.dead_time, estimate.dead_time_std)
-
-
-def _turning_rate(estimate: Estimate, i: int) -> EstimatedNumber:
-    """Return the turning rate a of robot i [rad/s]."""
-    return EstimatedNumber(estimate.a[i], estimate.a_std[i])
-
-
-def _speed(estimate: Estimate, i: int) -> EstimatedNumber:
-    """Return the speed of robot i [length unit/s]."""
-    return EstimatedNumber(estimate.speed[i], estimate.speed_std[i])
+def differs(value: float, std: float, value_before: float, std_before: float) -> bool:
+    """Return whether two numbers differ by more than their standard deviations explain."""
+    return abs(value - value_before) > SURE_STDS * math.hypot(std, std_before)
 
 
 def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     """Yield in words what is estimated otherwise than `before`, by more than standard deviations
     explain."""
-    dead_time = _dead_time(estimate)
-    dead_time_before = _dead_time(before)
+    time_s = estimate.dead_time
+    std_s = estimate.dead_time_std
+    before_s = before.dead_time
+    before_std_s = before.dead_time_std
     if (
-        dead_time is not None
-        and dead_time_before is not None
-        and dead_time.differs(dead_time_before)
+        time_s is not None
+        and std_s is not None
+        and before_s is not None
+        and before_std_s is not None
+        and differs(time_s, std_s, before_s, before_std_s)
     ):
-        before_s = dead_time_before.value
-        yield f"commands act {dead_time.value:.3f} s after they are sent, not {before_s:.3f} s"
+        yield f"commands act {time_s:.3f} s after they are sent, not {before_s:.3f} s"
     for i, name in enumerate(setup.names):
-        a = _turning_rate(estimate, i)
-        a_before = _turning_rate(before, i)
-        if a.differs(a_before):
-            yield f"a of {name} is {a.value:.3g} rad/s, not {a_before.value:.3g}"
-        speed = _speed(estimate, i)
-        speed_before = _speed(before, i)
-        if speed.differs(speed_before):
-            now = f"{speed.value:.3g} {setup.unit}/s"
-            yield f"speed of {name} is {now}, not {speed_before.value:.3g}"
+        if differs(estimate.a[i], estimate.a_std[i], before.a[i], before.a_std[i]):
+            yield f"a of {name} is {estimate.a[i]:.3g} rad/s, not {before.a[i]:.3g}"
+        if differs(estimate.speed[i], estimate.speed_std[i], before.speed[i], before.speed_std[i]):
+            now = f"{estimate.speed[i]:.3g} {setup.unit}/s"
+            yield f"speed of {name} is {now}, not {before.speed[i]:.3g}"
         turns = turning(estimate, i)
         if turns and turns != turning(before, i):
             yield f"{name} {turns}"

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from tetractl.control.kernels.filter import likeliest
+from tetractl.control.kernels.filter import is_none, likeliest
 from tetractl.control.kernels.filter_motion import advance, parameters_of, rolled
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
@@ -149,7 +149,7 @@ def select(bank, tried, commanded, going_on):
 def _count(bank, i):
     """Return the number of robot i's filters: those after them in the bank are none."""
     count = 0
-    while count < bank.score.shape[0] and bank.score[count, i] > -math.inf:
+    while count < bank.score.shape[0] and not is_none(bank.score[count, i]):
         count += 1
     return count
 

@@ -36,7 +36,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.filter_measure import DEPENDS_ON, measure
-from tetractl.control.kernels.filter_motion import advance, parameters_of, turn_rate
+from tetractl.control.kernels.filter_motion import advance, parameters_of, stands, turn_rate
 from tetractl.control.kernels.filter_state import (
     ACROSS,
     ALONG,
@@ -155,7 +155,7 @@ def follow(bank, model, commands, frames, noisy, step_s):
             repeated = noisy and not model.coarse and _equal(pose, frames.poses[f - 1, i])
             used = frames.valid[f, i] and not frozen and not repeated
             for b in range(filters):
-                if bank.score[b, i] == -math.inf:
+                if is_none(bank.score[b, i]):
                     continue  # there is no filter in this row
                 _predict(bank, model, commands, b, i, before_s, now_s, step_s, scratch)
                 if used:
@@ -195,7 +195,7 @@ def _is_frozen(bank, model, commands, frames, f):
         for i in range(robots):
             longest_s = max(longest_s, bank.dead_time_s[b, i])
     number = _number_sent_by(commands, first_s - longest_s)
-    stopped = number > 0 and math.isnan(commands.directions[number - 1])
+    stopped = number > 0 and stands(commands.directions[number - 1])
     return not stopped
 
 
@@ -214,7 +214,7 @@ def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
         acts = acts_s <= end_s  # false for NaN, too
         next_s = max(now_s, acts_s) if acts else end_s
         for s in range(hypotheses.ln_weight.size):
-            if hypotheses.ln_weight[s] > -math.inf:
+            if not is_none(hypotheses.ln_weight[s]):
                 _predict_one(hypotheses, s, model, i, noise_scale, now_s, next_s, scratch)
         now_s = next_s
         if acts:
@@ -316,7 +316,7 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
         row, parent = _likeliest_branch(ln_branches)
         ln_weight = ln_branches[row, parent]
         ln_branches[row, parent] = -math.inf  # it is not the likeliest again
-        if not ln_weight > -math.inf:  # there is no such branch, or it is no number
+        if is_none(ln_weight):
             continue
         u_of_branch = u if row == HEARD else parents.direction[parent]
         twin = _find_twin(parents, parent, u_of_branch, hypotheses, parent_of[:taken])
@@ -391,7 +391,7 @@ def _find_twin(parents, parent, u, hypotheses, parent_of):
 def _slot_that_follows(hypotheses, u):
     """Return the first hypothesis that follows u, the stuck one aside; NO_SLOT if there is none."""
     for s in range(hypotheses.ln_weight.size - 1):
-        if hypotheses.direction[s] == u and hypotheses.ln_weight[s] > -math.inf:
+        if hypotheses.direction[s] == u and not is_none(hypotheses.ln_weight[s]):
             return s
     return NO_SLOT
 
@@ -418,7 +418,7 @@ def _hear(hypotheses, s, model, i, u_before, u, now_s, step_s):
     cov = hypotheses.cov[s]
     rate_change = _turning_rate(model, i, z, u) - _turning_rate(model, i, z, u_before)
     cov[HEADING, HEADING] += (step_s * rate_change) ** 2 / 12
-    if math.isnan(u_before) != math.isnan(u):
+    if stands(u_before) != stands(u):
         speed = parameters_of(model, i, z)[1]
         cov[X, X] += (step_s * speed) ** 2 / 12
         cov[Y, Y] += (step_s * speed) ** 2 / 12
@@ -427,7 +427,7 @@ def _hear(hypotheses, s, model, i, u_before, u, now_s, step_s):
 @compiled(**INLINE_FAST)
 def _turning_rate(model, i, z, u):
     """Return dtheta/dt of a robot that follows u [rad/s]; 0 if it stands, u = NaN."""
-    if math.isnan(u):
+    if stands(u):
         return 0.0
     parameters = parameters_of(model, i, z)
     goal = u + z[TURN_BIAS]
@@ -481,7 +481,7 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
     ln_weight = hypotheses.ln_weight
     largest = -math.inf
     for s in range(ln_weight.size):
-        if ln_weight[s] > -math.inf:
+        if not is_none(ln_weight[s]):
             z = hypotheses.state[s]
             cov = hypotheses.cov[s]
             ln_weight[s] += measure(model, i, z, cov, noise_scale, pose, scratch)
@@ -494,7 +494,7 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
         total += math.exp(ln_weight[s] - largest)  # none is above 1: no sum overflows
     ln_likelihood = largest + math.log(total)
     for s in range(ln_weight.size):
-        if ln_weight[s] > -math.inf:
+        if not is_none(ln_weight[s]):
             ln_weight[s] = max(ln_weight[s] - ln_likelihood, ASSUMED.least_ln_weight)
     return ln_likelihood
 
@@ -563,7 +563,7 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
     ln_weight = hypotheses.ln_weight
     stuck = ln_weight.size - 1
     best = likeliest(ln_weight, stuck)
-    if math.isnan(hypotheses.direction[best]) or hypotheses.until_s[best] <= now_s:
+    if stands(hypotheses.direction[best]) or hypotheses.until_s[best] <= now_s:
         ln_weight[stuck] = -math.inf
         return
     _stray(hypotheses.cov[stuck], model.sticks, seconds)
@@ -610,6 +610,13 @@ def _forget(bank, i, seconds):
 
 
 # ---- hypotheses in arrays ----
+
+
+@compiled(**INLINE_FAST)
+def is_none(ln_probability):
+    """Return whether a slot of this logarithm has no hypothesis, or a row no filter; nor has it one
+    if it is no number."""
+    return not ln_probability > -math.inf
 
 
 @compiled(**INLINE_FAST)

@@ -65,6 +65,12 @@ direction grows without bound, until rounding makes the covariance none."""
 
 
 @compiled(**INLINE_FAST)
+def stands(u):
+    """Return whether a direction is none: a robot that follows it stands."""
+    return math.isnan(u)
+
+
+@compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
     """Return a [rad/s], v [length unit/s], side and saturation of robot i in the state z."""
     a = model.parameters[i, 0] * math.exp(z[LN_A])
@@ -78,7 +84,7 @@ def advance(model, i, z, cov, u, noise_scale, seconds, products):
 
     Without a covariance, None, the compiler leaves out what it needs. `products` (3, n) is scratch.
     """
-    drives = not math.isnan(u)
+    drives = not stands(u)
     if not drives and (model.lag_s == 0 or z[PACE] < ASSUMED.still):
         z[SWING] = 0.0
         z[PACE] = 0.0

@@ -20,9 +20,9 @@ from tetractl.cli import ui
 from tetractl.core.errors import UNIX_MODULES, Exit, TetractlError, UsageError, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
-from tetractl.core.retired import INSTEAD, refuse_retired
 from tetractl.experiment.packages import not_installed
 from tetractl.tools.plugin_fault import FaultyPluginError, plugins_blamed
+from tetractl.tools.retired import INSTEAD, refuse_retired
 
 EXTRAS = {
     "dask_jobqueue": ("dask-jobqueue", "dask"),

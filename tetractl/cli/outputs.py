@@ -10,9 +10,9 @@ from typing import Annotated
 from tetractl.cli import ui
 from tetractl.cli.options import Logs, option, out_option
 from tetractl.core.errors import Exit, LogError, UsageError, printable
-from tetractl.core.retired import refuse_retired
 from tetractl.log.read.find import find_logs
 from tetractl.tools.files import save_whole
+from tetractl.tools.retired import refuse_retired
 from tetractl.tools.table.table_files import AddRows, table_files
 
 TRAJECTORY = "trajectory"

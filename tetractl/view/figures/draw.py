@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import FIGURES
-from tetractl.core.retired import refuse_retired
+from tetractl.tools.retired import refuse_retired
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

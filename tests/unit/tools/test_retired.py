@@ -1,5 +1,5 @@
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS, all_registries
-from tetractl.core.retired import INSTEAD
+from tetractl.tools.retired import INSTEAD
 
 
 def test_no_retired_name_is_a_kind():

@@ -165,10 +165,6 @@ def _known_margins(self: Mpc, problem: Any, estimate: Any) -> Any:
     return _with_margins(self, problem, estimate or self.estimator.known)
 
 
-def _good_by_cost(self: Mpc, step: Any, search: Any, candidate: Any) -> bool:
-    return search.cost <= (self.section.optimizer.good_enough or 0.0)
-
-
 def _bee_lines(problem: Any, grid: Any) -> Any:
     gaps = np.linalg.norm(grid.centres - problem.targets[:, None], axis=2)
     return gaps.ravel()
@@ -216,7 +212,6 @@ RULES = {
         ),
         TIME,
     ),
-    "good enough by its value": Rule(((Mpc, "_is_good_enough", _good_by_cost),), WALLS),
     "stop at the best moment": Rule(((Mpc, "_best_stop", _stop_now),), ("bench", "later")),
     "no late stop near a body": Rule(((Mpc, "_best_stop", _stop_unseen),), WALLS),
     "a plan that collides soon is not driven": Rule(

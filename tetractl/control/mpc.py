@@ -528,7 +528,7 @@ class Mpc:
             return Searched(step.problem, searches, [self._candidate(step, searches, 0)])
         searcher = self._searcher(step)
         alike = self._search_alike(step, searcher, warm)
-        if self._is_good_enough(step, searcher.found[-1], alike[-1]):
+        if self._is_good(step, step.problem, searcher.found[-1]):
             return Searched(step.problem, searcher.found, alike[-1:])
         candidates = alike + self._search_detours(step, searcher, warm, alike)
         candidates.sort(key=lambda candidate: candidate.value)
@@ -550,9 +550,8 @@ class Mpc:
             search = searcher.search(len(start), start)
             if search is None:  # the deadline has passed
                 break
-            candidate = self._candidate(step, searcher.found, len(searcher.found) - 1)
-            candidates.append(candidate)
-            if self._is_good_enough(step, search, candidate):
+            candidates.append(self._candidate(step, searcher.found, len(searcher.found) - 1))
+            if self._is_good(step, step.problem, search):
                 break
         return candidates
 
@@ -567,12 +566,6 @@ class Mpc:
         starts = [warm, warm[1:], np.append(warm, 0.0)]
         fitting = [start for start in starts if 0 < len(start) <= signals_max]
         return fitting or [warm[:signals_max]]
-
-    def _is_good_enough(self, step: ControlStep, search: Search, candidate: Candidate) -> bool:
-        """Return whether a plan about as long as the one under way needs no better one."""
-        good_enough = self.section.optimizer.good_enough or 0.0
-        enough = step.value.plan(good_enough, search.length, new=False)
-        return search.cost <= good_enough and candidate.value <= enough
 
     def _search_detours(
         self, step: ControlStep, searcher: Searcher, warm: Floats, alike: list[Candidate]

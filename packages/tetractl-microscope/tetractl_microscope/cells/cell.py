@@ -127,7 +127,7 @@ class Born:
     length and width [um], NaN for a blob cut off by the picture's edge.
     `certainty` is the probability of `identity`, below 1 for a lost cell that was found again.
     `divided` is the number of the cell from whose blob it separated, if no other cell had entered
-    that blob; otherwise None. `near` is the track near whose blob it was first seen, or None.
+    that blob; otherwise None.
     """
 
     identity: int
@@ -135,4 +135,3 @@ class Born:
     path: Floats
     certainty: float
     divided: int | None
-    near: int | None

@@ -161,7 +161,6 @@ class Newcomers:
                 path=own_path(path, cell.size, self._body_um),
                 certainty=certainty,
                 divided=divided,
-                near=None if near is None else near.number,
             )
         )
         return cell

@@ -41,7 +41,6 @@ from tetractl_microscope.choice.candidate import RESPONDS
 from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.kinematics import way_um
-from tetractl_microscope.film.pairs import MEDIAN_OF_NORMAL
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
 from tetractl_microscope.organisms import Organism
@@ -71,6 +70,7 @@ ROUNDS = 3
 FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
 ORDER = 6  # differences of so many successive places leave little of a path but its noise
 DIFFERENCED = math.comb(2 * ORDER, ORDER)  # their variance, over that of independent places
+MEDIAN_OF_NORMAL = 0.6745  # median absolute deviation of a normal distribution [sd]
 RATE_MIN = 6.9  # rate of pictures of tracks below which a turn of a helix is too short [Hz]
 EXACTEST = 1e-3  # least deviation of a place in a table [lengths of the cell]: it is rounded
 BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]

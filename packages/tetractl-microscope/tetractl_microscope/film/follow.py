@@ -16,7 +16,6 @@ from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.disturbances import Disturbances
 from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.organism_of import recognised
-from tetractl_microscope.film.pairs import fill_pairs
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.film.unfollowed import Unfollowed
@@ -114,7 +113,6 @@ def follow(
     tracker.finish()
     for answer in tracker.answers:
         where.answer(answer)
-    pairs = fill_pairs(where, seen_as.organism.body_um[0])
     where.split()
     where.end_at_gaps()
     contrasts = [light.contrast for light in lights if light.contrast is not None]
@@ -143,7 +141,7 @@ def follow(
         noise=noise,
         background=background,
         doubtful=tuple(where.doubtful),
-        divisions=tuple(where.divided(pairs)),
+        divisions=tuple(where.divided()),
         not_followed=unfollowed.share(film, paths, seen_as.um_px, seen_as.organism.body_um[0]),
     )
 

@@ -10,7 +10,7 @@ K is the number of pictures of a path. A `picture` is its index in the record.
 
 import math
 from bisect import bisect_left
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import count, groupby, pairwise
 
@@ -67,15 +67,6 @@ class TrackRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Parting:
-    """The cell on a `track` came out of the blob of the track `near` in a picture."""
-
-    picture: int
-    track: int
-    near: int
-
-
-@dataclass(frozen=True, slots=True)
 class Division:
     """A cell has divided in a picture: the tracks of `mother` and `daughter`."""
 
@@ -111,7 +102,6 @@ class Whereabouts:
     times: list[float] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
     tracks: dict[int, list[TrackRow]] = field(default_factory=dict)
-    partings: list[Parting] = field(default_factory=list)
     divisions: list[Division] = field(default_factory=list)
     doubtful: list[tuple[int, ...]] = field(default_factory=list)
 
@@ -158,13 +148,11 @@ class Whereabouts:
         """Yield numbers that no cell has."""
         return count(max((r.name for rows in self.tracks.values() for r in rows), default=0) + 1)
 
-    def divided(self, pairs: Container[int]) -> Iterator[tuple[int, int]]:
-        """Yield the names of mother and daughter of each division; `pairs` are tracks of cells that
-        were in another one's blob before, and have not divided.
-        """
+    def divided(self) -> Iterator[tuple[int, int]]:
+        """Yield the names of mother and daughter of each division."""
         for division in self.divisions:
             rows = self.shown_in(division.picture)
-            if division.daughter in rows and division.daughter not in pairs:
+            if division.daughter in rows:
                 yield rows[division.mother].name, rows[division.daughter].name
 
     def split(self) -> None:
@@ -261,8 +249,6 @@ class Whereabouts:
             before.append(TrackRow(self.index(seconds), cell, born.identity, born.certainty))
         self.tracks.setdefault(born.track, [])[:0] = before
         first = self.index(path[0, 0])
-        if born.near is not None:
-            self.partings.append(Parting(first, born.track, born.near))
         if born.divided is not None:
             for track, row in self.shown_in(first).items():
                 if row.name == born.divided:

@@ -12,6 +12,8 @@
 `score` gives each film in four ways: with the field's record and without, at the film's 30 Hz, and
 every third picture alone, at 10 Hz.
 
+`--without RULE` takes a rule out of the tracker first; `filmworld/taken_out.py` lists them.
+
 Every film is synthetic, except those given to `real` and `reversed`. Both renderers were made by
 the hands that made the tracker. Seeds from 9000 on are those of the published figures; smaller ones
 were used in development. Films stay in the folder --cache, and are not rendered twice.
@@ -34,6 +36,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from filmworld.rows import table
 from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.settings import SETTINGS
+from filmworld.taken_out import RULES, take_out
 from filmworld.truth import FilmTruth, write_film
 
 RENDERERS = ("first", "second")
@@ -87,7 +90,7 @@ def each(chosen: argparse.Namespace, work) -> Iterator:
     if chosen.processes == 1:
         yield from map(work, seeds)
         return
-    with get_context("spawn").Pool(chosen.processes) as pool:
+    with get_context("spawn").Pool(chosen.processes, take_out, (chosen.without,)) as pool:
         yield from pool.imap(work, seeds)
 
 
@@ -233,7 +236,9 @@ def main() -> None:
         default=8.0,
         help="of `reversed`: grey levels of a body; < 0: lighter",
     )
+    parser.add_argument("--without", choices=list(RULES), default="", help="rule to take out")
     chosen = parser.parse_args()
+    take_out(chosen.without)
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
     if chosen.part not in PARTS:
         if chosen.film is None:

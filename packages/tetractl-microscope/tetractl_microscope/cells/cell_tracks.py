@@ -69,7 +69,6 @@ class SizeTimes:
 
     seen_s: float = 0.0  # when a blob of its own last had the cell's size
     small_since_s: float = math.inf  # since when a shared blob has been as small as one cell
-    pair_until_s: float = -math.inf  # until when its blob may show two that came together
 
 
 @dataclass(slots=True, eq=False)

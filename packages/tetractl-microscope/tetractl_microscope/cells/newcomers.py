@@ -16,7 +16,7 @@ from tetractl_microscope.cells.cell import Born, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack, TrackBlob
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.meetings import FROM_BLOB
-from tetractl_microscope.cells.names import LIKELIER, Names
+from tetractl_microscope.cells.names import Names
 from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.readings import PATH, own_path
 from tetractl_microscope.cells.specks import (
@@ -34,8 +34,6 @@ HIDDEN_S = 3.0  # time without a blob for which a speck with a whole path is kep
 FROM_EDGE = 2.3  # a new cell nearer than this to the picture's edge has swum into it [lengths]
 APPEAR_AT_EDGE = 10.0  # cells that are expected to appear at the edge, in a picture's area
 APPEAR_ELSEWHERE = 0.3  # cells that are expected to appear anywhere else
-PAIR = 1.7  # a new blob this many times larger than the usual cell may show two
-USUAL_CELLS = 5  # fewest cells that tell how large the usual one is
 # a cell must swim so far [lengths], in the time that the slowest need for that
 MUST_SWIM = 1.15
 
@@ -148,11 +146,9 @@ class Newcomers:
             identity=self._names.take_number(),
         )
         cell.size_times.seen_s = now.seconds
-        if cell.size.area_um2 > self._pair_um2(cells):
-            cell.size_times.pair_until_s = now.seconds + must_swim_s(self._organism)
         near = speck.near if speck.near in cells else None
         divided = self._name(cell, near, np.array((x, y, heading)), path, now)
-        (certainty,) = certainties(self._names, [cell], now)
+        (certainty,) = self._names.probabilities([cell])
         self.specks.remove(speck)
         self.born.append(
             Born(
@@ -176,11 +172,6 @@ class Newcomers:
         expected = APPEAR_AT_EDGE if has_entered else APPEAR_ELSEWHERE
         return self._names.appear(cell, near, place, since_s, expected / now.area_um2, has_entered)
 
-    def _pair_um2(self, cells: Sequence[CellTrack]) -> float:
-        """Return the product of length and width above which a new blob may show two cells."""
-        usual = [cell.size.area_um2 for cell in cells if not cell.is_new]
-        return PAIR * float(np.median(usual)) if len(usual) >= USUAL_CELLS else math.inf
-
 
 def _lengthen(speck: Speck, entry: PathBlob, now: PictureNow) -> None:
     """Add the newest blob to a speck's path, which starts again if the speck was hidden."""
@@ -191,11 +182,3 @@ def _lengthen(speck: Speck, entry: PathBlob, now: PictureNow) -> None:
 def must_swim_s(organism: Organism) -> float:
     """Return the time [s] within which what was taken for a cell must swim like one."""
     return MUST_SWIM * organism.body_um[0] / organism.slowest_um_s
-
-
-def certainties(names: Names, cells: Sequence[CellTrack], now: PictureNow) -> list[float]:
-    """Return the probability, for each of some cells, that it has the right name."""
-    return [
-        LIKELIER if now.seconds < cell.size_times.pair_until_s else probability
-        for cell, probability in zip(cells, names.probabilities(cells), strict=True)
-    ]

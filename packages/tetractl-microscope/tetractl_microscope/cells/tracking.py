@@ -36,7 +36,6 @@ from tetractl_microscope.cells.newcomers import (
     MUST_SWIM,
     FreeBlob,
     Newcomers,
-    certainties,
     must_swim_s,
 )
 from tetractl_microscope.cells.picture_now import PictureNow
@@ -303,7 +302,7 @@ class CellTracker:
 
     def _end_cells(self, now: PictureNow) -> None:
         """Drop cells that have not been seen for long, have left the picture, or never swam."""
-        left_unseen = self._left_unseen(now)
+        left_unseen = self._left_unseen(now.seconds)
         remaining = list[CellTrack]()
         for cell in self._cells:
             x, y = self.bank.mean[cell.row, :2].tolist()
@@ -326,16 +325,16 @@ class CellTracker:
             return LOST_SOON_S / self.bank.organism.quickness
         return max(LOST_S, now.brief_s)
 
-    def _left_unseen(self, now: PictureNow) -> Collection[CellTrack]:
+    def _left_unseen(self, seconds: float) -> Collection[CellTrack]:
         """Return the cells that have left a shared blob unseen: of each blob that has been as small
         as one cell for too long the least likely cell, of equals the newest.
         """
         hidden = [
             cell
             for cell in self._cells
-            if cell.is_shared and now.seconds - cell.size_times.small_since_s > SHARED_SMALL_S
+            if cell.is_shared and seconds - cell.size_times.small_since_s > SHARED_SMALL_S
         ]
-        probabilities = certainties(self._names, hidden, now)
+        probabilities = self._names.probabilities(hidden)
         by_likelihood = sorted(
             zip(probabilities, hidden, strict=True),
             key=lambda likely_cell: (likely_cell[0], -likely_cell[1].number),
@@ -382,7 +381,7 @@ class CellTracker:
         places, _ = self.bank.expected(rows)
         means = self.bank.mean[rows]
         sds = np.sqrt(np.diagonal(self.bank.covariance[rows], axis1=1, axis2=2))
-        probabilities = certainties(self._names, cells, now)
+        probabilities = self._names.probabilities(cells)
         said = list[SeenCell]()
         for i, cell in enumerate(cells):
             x, y, axis = places[i].tolist()

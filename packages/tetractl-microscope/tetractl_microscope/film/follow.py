@@ -113,7 +113,6 @@ def follow(
     tracker.finish()
     for answer in tracker.answers:
         where.answer(answer)
-    where.split()
     where.end_at_gaps()
     contrasts = [light.contrast for light in lights if light.contrast is not None]
     contrast = float(np.median(contrasts)) if contrasts else None

@@ -2,8 +2,8 @@
 
 A track has a row for each picture that shows it: the number (name) of the cell on it, and the
 probability of that. What the tracker sees and answers is entered as it comes, and an answer changes
-rows that were entered before (`Whereabouts.enter`). At the end a part of a track in which the name
-is uncertain gets a name of its own (`split`), and the rows of each name become a path (`paths`).
+rows that were entered before (`Whereabouts.enter`). At the end a name that some pictures do not
+show is another one after them (`end_at_gaps`), and the rows of each name become a path (`paths`).
 
 K is the number of pictures of a path. A `picture` is its index in the record.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, CellAnswer, SeenCell
 from tetractl_microscope.cells.helix import STATES
-from tetractl_microscope.cells.names import ASSERTED, LIKELIER
+from tetractl_microscope.cells.names import ASSERTED
 from tetractl_microscope.cells.readings import AXIS, POSITION_UM
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.organisms import Organism
@@ -73,17 +73,6 @@ class Division:
     picture: int
     mother: int
     daughter: int
-
-
-@dataclass(frozen=True, slots=True)
-class UncertainPart:
-    """Successive rows of a track in which its name is uncertain, the name before, and the one
-    after, None if the track ends.
-    """
-
-    rows: list[TrackRow]
-    before: int
-    after: int | None
 
 
 def row_from(rows: list[TrackRow], picture: int) -> int:
@@ -144,10 +133,6 @@ class Whereabouts:
                 row_of[track] = rows[index]
         return row_of
 
-    def new_names(self) -> Iterator[int]:
-        """Yield numbers that no cell has."""
-        return count(max((r.name for rows in self.tracks.values() for r in rows), default=0) + 1)
-
     def divided(self) -> Iterator[tuple[int, int]]:
         """Yield the names of mother and daughter of each division."""
         for division in self.divisions:
@@ -155,40 +140,12 @@ class Whereabouts:
             if division.daughter in rows:
                 yield rows[division.mother].name, rows[division.daughter].name
 
-    def split(self) -> None:
-        """Give each part of a track in which the name is uncertain, and which lasts, a name of its
-        own once the name before is unlikely, or when the cell is alone again; unless the track has
-        the same name before and after, or begins with that part. A brief part has the name before
-        until the one after is likelier.
-        """
-        parts = [part for rows in self.tracks.values() for part in _uncertain_parts(rows)]
-        parts.sort(key=lambda p: (p.rows[-1].picture, p.rows[0].picture, p.rows[0].cell.track))
-        names = self.new_names()
-        for part in parts:
-            self._name_part(part, names)
-
-    def _name_part(self, part: UncertainPart, names: Iterator[int]) -> None:
-        """Give the rows of an uncertain part their names, the next one of `names` if need be."""
-        name = part.before
-        was_merged = True
-        end_s = self.times[part.rows[-1].picture]
-        for row in part.rows:
-            is_alone_again = was_merged and not row.cell.merged
-            is_unlikely = row.likely < LIKELIER
-            if name == part.before and (is_alone_again or is_unlikely):
-                if end_s - self.times[row.picture] > SHORTEST_S:
-                    name = next(names)
-                elif is_unlikely and part.after is not None:
-                    name = part.after
-            row.name = name
-            was_merged = row.cell.merged
-
     def end_at_gaps(self) -> None:
         """Give the rows of a name after pictures that do not show it another name: they may show
         another cell.
         """
-        names = self.new_names()
         rows = [row for track_rows in self.tracks.values() for row in track_rows]
+        names = count(max((row.name for row in rows), default=0) + 1)
         rows.sort(key=lambda row: (row.name, row.picture))
         for named in [list(group) for _, group in groupby(rows, key=lambda row: row.name)]:
             name = named[0].name
@@ -253,21 +210,6 @@ class Whereabouts:
             for track, row in self.shown_in(first).items():
                 if row.name == born.divided:
                     self.divisions.append(Division(first, track, born.track))
-
-
-def _uncertain_parts(rows: list[TrackRow]) -> Iterator[UncertainPart]:
-    """Yield each part of a track in which its name is uncertain, but no part whose name is the same
-    before and after, nor that with which the track begins.
-    """
-    runs = groupby(rows, lambda row: row.likely > ASSERTED)
-    before = None
-    for run, later in pairwise([*(list(run) for _, run in runs), list[TrackRow]()]):
-        if run[0].likely > ASSERTED:
-            before = run[-1].name
-            continue
-        after = later[0].name if later else None
-        if before is not None and before != after:
-            yield UncertainPart(run, before, after)
 
 
 def _sure(rows: list[TrackRow]) -> list[bool]:

@@ -433,69 +433,6 @@ def test_a_cell_needs_no_way_beyond_its_length():
     assert [path.identity for path in paths] == [1]
 
 
-def test_an_uncertain_part_has_one_name_of_its_own_though_its_cell_meets_others_in_it():
-    shares_a_blob = [True, True, False, False, True, True, False, False, False]
-    where = recorded(
-        [{7: seen_cell(3, 0.0, 0.0, 7, 0.6, merged=merged)} for merged in shares_a_blob],
-        np.arange(1, 10) / 2.0,
-    )
-    where.tracks[7].insert(0, TrackRow(-1, seen_cell(3, 0.0, 0.0, 7), 3, 1.0))
-    where.split()
-    assert [row.name for row in where.tracks[7]] == [3, 3, 3, 4, 4, 4, 4, 4, 4, 4]
-
-
-@pytest.mark.parametrize(
-    ("likely", "names"),
-    [
-        ([1.0, 0.4, 0.4, None, 0.4, 0.4], [3, 4, 4, 4, 4]),
-        ([1.0, 0.4, 0.4, None, 1.0, 1.0], [3, 3, 3, 3, 3]),  # the same number before and after
-    ],
-)
-def test_an_uncertain_part_goes_on_after_a_picture_that_does_not_show_its_track(likely, names):
-    pictures = [{} if p is None else {7: seen_cell(3, 0.0, 0.0, 7, p)} for p in likely]
-    where = recorded(pictures, np.arange(6) / 2.0)
-    where.split()
-    assert [row.name for row in where.tracks[7]] == names
-
-
-def test_a_number_likelier_than_nine_in_ten_ends_as_any_that_is_not_sure():
-    cells = [
-        seen_cell(3 if k < 60 else 4, 4.0 * k, 0.0, 7, 1.0 if k < 30 else 0.95) for k in range(90)
-    ]
-    where = recorded([{7: cell} for cell in cells], np.arange(90) / 30.0)
-    where.split()
-    where.end_at_gaps()
-    paths = list(where.paths(TETRAHYMENA))
-    sure_of = {path.identity: {cell.sure for cell in path.sightings} for path in paths}
-    assert sure_of[3] == {True}
-    assert 4 not in sure_of
-
-
-@pytest.mark.parametrize(
-    ("after", "rate_hz", "merged", "names"),
-    [
-        (4, 2.0, False, [3, 5, 5, 5, 5, 4]),  # seconds of doubt between two names
-        (4, 2.0, True, [3, 3, 3, 5, 5, 4]),  # the same in a shared blob: once 3 is unlikely
-        (4, 12.0, False, [3, 3, 3, 4, 4, 4]),  # too brief for a cell: until 4 is likelier
-        (3, 2.0, False, [3, 3, 3, 3, 3, 3]),
-    ],
-)
-def test_a_part_of_a_track_in_which_the_name_is_uncertain_has_a_name_of_its_own(
-    after, rate_hz, merged, names
-):
-    likely = [1.0, 0.6, 0.5, 0.4, 0.4, 1.0]
-    where = recorded(
-        [
-            {7: seen_cell(name, 0.0, 0.0, 7, p, merged=merged)}
-            for name, p in zip([3, 3, 3, 3, 3, after], likely, strict=True)
-        ],
-        np.arange(6) / rate_hz,
-    )
-    where.split()
-    assert [row.name for row in where.tracks[7]] == names
-    assert [row.likely for row in where.tracks[7]] == likely
-
-
 @pytest.mark.parametrize(
     ("head", "says"),
     [(b'<?xml version="1.0"?><TrackMate/>', "is XML"), (b"PK\3\4rest", "is a zip archive")],

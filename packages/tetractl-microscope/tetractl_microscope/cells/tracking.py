@@ -261,8 +261,7 @@ class CellTracker:
         if group.newest.is_shared:
             return shared_readings(group.cells, group.newest, group.expected, now, body_um)
         (cell,) = group.cells
-        (expected,) = group.expected
-        return [own_reading(cell, group.newest, expected, now, body_um)]
+        return [own_reading(cell, group.newest, now.um_px, body_um)]
 
     # ---- step 4: which cell is which ----
 

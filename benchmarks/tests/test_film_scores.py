@@ -6,6 +6,7 @@ import sys
 import numpy as np
 from filmworld.rows import table
 from filmworld.scores import Shown, score_film
+from filmworld.taken_out import RULES
 from filmworld.truth import FilmTruth, write_film
 from support.needs_opencv import cv2
 from support.paths import ROOT
@@ -122,3 +123,9 @@ def test_the_second_renderer_shares_no_code_with_tetractl():
     root = ROOT / "benchmarks"
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_each_rule_that_can_be_taken_out_is_there():
+    for replaced in RULES.values():
+        for owner, name, _ in replaced:
+            assert hasattr(owner, name), f"{owner.__name__} has no {name}"

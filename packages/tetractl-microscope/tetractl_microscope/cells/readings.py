@@ -105,13 +105,23 @@ def own_path(path: Floats, size: BodySize, body_um: float) -> Floats:
     return path[int(np.flatnonzero(is_other).max(initial=-1)) + 1 :]
 
 
-def own_reading(cell: CellTrack, newest: TrackBlob, um_px: float, body_um: float) -> BlobReading:
-    """Return what a cell's own blob says: little, if it is too large, too small or cut off."""
+def own_reading(
+    cell: CellTrack, newest: TrackBlob, expected: Floats, now: PictureNow, body_um: float
+) -> BlobReading:
+    """Return what a cell's own blob says. A blob that is too large shows something else, too, on
+    the other side of its middle from where the cell is `expected` (3,).
+    """
     x, y, axis, long, wide = newest.place.tolist()
-    if _is_odd(cell, newest):
+    if newest.is_large and not newest.blob.at_edge:
+        opposite = (*(2 * newest.place[:2] - expected[:2]), axis)
+        points = now.points_of(newest.blob)
+        x, y = match.parted([cell, cell], np.array([expected, opposite]), points)[0].tolist()
+        sd_um = MERGED[0] * body_um
+    else:
         sd_um = max(ODD[0] * body_um, OFF_SHARE * (long - cell.size.long))
+    if _is_odd(cell, newest):
         return BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, ODD[1]))
-    least_um = POSITION_UM + POSITION_PX * um_px
+    least_um = POSITION_UM + POSITION_PX * now.um_px
     axis_sd = AXIS / max(1 - wide / long, ROUND)
     return BlobReading(cell, newest, (x, y, axis), (least_um, least_um, axis_sd))
 

@@ -261,7 +261,8 @@ class CellTracker:
         if group.newest.is_shared:
             return shared_readings(group.cells, group.newest, group.expected, now, body_um)
         (cell,) = group.cells
-        return [own_reading(cell, group.newest, now.um_px, body_um)]
+        (expected,) = group.expected
+        return [own_reading(cell, group.newest, expected, now, body_um)]
 
     # ---- step 4: which cell is which ----
 

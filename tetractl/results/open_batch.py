@@ -278,11 +278,12 @@ def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
     """Yield the differences between two values at a path of a spec."""
     if ours == theirs:
         return
+    both_lists = isinstance(ours, list) and isinstance(theirs, list)
     if isinstance(ours, dict) and isinstance(theirs, dict):
         for key in ours | theirs:
             inner = f"{path}.{key}" if path else key
             yield from _differences(ours.get(key), theirs.get(key), inner)
-    elif isinstance(ours, list) and isinstance(theirs, list) and len(ours) == len(theirs):
+    elif both_lists and len(ours) == len(theirs):
         for i, (our_item, their_item) in enumerate(zip(ours, theirs, strict=True)):
             yield from _differences(our_item, their_item, f"{path}.{i}")
     elif isinstance(ours, dict | list) or isinstance(theirs, dict | list):

@@ -34,7 +34,8 @@ def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
         "interrupted": counts[Outcome.INTERRUPTED],
     }
     text = "; ".join(f"{n} {way.value} ({way.meaning})" for way, n in ways)
-    return [Figure("outcomes", text, items, brief=", ".join(f"{n} {way.value}" for way, n in ways))]
+    brief = ", ".join(f"{n} {way.value}" for way, n in ways)
+    return [Figure("outcomes", text, items, brief=brief)]
 
 
 def _arrived(trials: Sequence[ResultSummary]) -> list[Figure]:

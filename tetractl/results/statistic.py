@@ -116,7 +116,8 @@ def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
-        return [share_figure(key, label, sum(map(holds, trials)), len(trials))]
+        holding = sum(map(holds, trials))
+        return [share_figure(key, label, holding, len(trials))]
 
     return Statistic(of_batch)
 

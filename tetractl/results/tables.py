@@ -147,8 +147,8 @@ def figures_of(group: BatchStatistics) -> Iterator[Figure]:
     if group.counted and group.scaled is not None:
         yield from _scaled(group.scaled)
     yield from (figure for figure in group.figures if figure.label)
-    yield _of_none("earlier attempts, excluded", group.attempts)
-    yield _of_none("logs that cannot be read", len(group.batch.lost))
+    yield _undesired("earlier attempts, excluded", group.attempts)
+    yield _undesired("logs that cannot be read", len(group.batch.lost))
 
 
 def texts_by_label(group: BatchStatistics) -> dict[str, str]:
@@ -160,7 +160,7 @@ def _usual(label: str, text: str) -> Figure:
     return Figure(label, text, unusual=False)
 
 
-def _of_none(label: str, count: int) -> Figure:
+def _undesired(label: str, count: int) -> Figure:
     """Return the number of what there should be none of."""
     return Figure(label, str(count), unusual=count > 0)
 
@@ -208,10 +208,11 @@ def tables(comparison: BatchComparison) -> list[Table]:
     if len(groups) == 1:
         named += zip(groups[0].experiment.setup.names, groups[0].robots, strict=True)
     errors = _errors(groups, named)
-    shown = [errors, *trials]
+    candidates = [errors, *trials]
     if comparison.contrasts:
-        shown += [differences_table(comparison.contrasts), _basis(comparison.contrasts)]
-    return [table for table in (*shown, _flagged(groups)) if len(table)]
+        candidates += [differences_table(comparison.contrasts), _basis(comparison.contrasts)]
+    candidates.append(_flagged(groups))
+    return [table for table in candidates if len(table)]
 
 
 def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:

@@ -103,8 +103,8 @@ def batch_figure(
     batches: list[BatchErrors] = []
     for group in groups:
         paths = [trial.log for trial in group.batch.trials if counts(trial)]
-        given = directions_given(group.experiment)
-        batches.append(BatchErrors(group.name, group.totals, paths, given))
+        no_controller = directions_given(group.experiment)
+        batches.append(BatchErrors(group.name, group.totals, paths, no_controller))
     figure = _drawn(batches, groups[0].experiment, links or {}, narrow)
     drawn = [group for group in groups if group.counted]
     plants = sorted({group.origin.value for group in drawn})

@@ -46,13 +46,8 @@ def path(lane):
     return CellPath(lane, frames / 30, frames, tuple(gathered))
 
 
-def rows_of(tracked):
-    """In how many pictures cells were followed, all cells together."""
-    return sum(len(path.sightings) for path in tracked.paths)
-
-
-@pytest.mark.parametrize(("lanes", "share"), [((0, 1), 0.0), ((0,), 0.5), ((0, 2), 0.5)])
-def test_the_share_of_what_moves_without_a_path_is_counted(lanes, share):
+def share_not_followed(paths):
+    """The share that is counted of the bodies of all lanes."""
     counted = Unfollowed()
     for number in range(COUNT):
         places = [middle(lane, number) for lane in range(3)]
@@ -60,8 +55,18 @@ def test_the_share_of_what_moves_without_a_path_is_counted(lanes, share):
         blobs = [Blob(x, y, 0.0, LONG, WIDE, 80.0, body, (0, 0), False) for x, y in places]
         counted.add(number, number / 30, LIMIT, blobs)
     pictures = [(number, picture(number)) for number in range(COUNT)]
+    return counted.share(pictures, paths, UM_PX, BODY_UM)
+
+
+def rows_of(tracked):
+    """In how many pictures cells were followed, all cells together."""
+    return sum(len(path.sightings) for path in tracked.paths)
+
+
+@pytest.mark.parametrize(("lanes", "share"), [((0, 1), 0.0), ((0,), 0.5), ((0, 2), 0.5)])
+def test_the_share_of_what_moves_without_a_path_is_counted(lanes, share):
     paths = [path(lane) for lane in lanes]
-    assert counted.share(pictures, paths, UM_PX, BODY_UM) == pytest.approx(share, abs=0.02)
+    assert share_not_followed(paths) == pytest.approx(share, abs=0.02)
 
 
 def test_no_share_is_stated_of_few_blobs_or_without_a_path():
@@ -93,16 +98,9 @@ def test_a_film_says_that_half_of_its_cells_are_not_followed(monkeypatch):
 
 
 def test_a_number_without_a_blob_and_one_beside_a_body_follow_nothing():
-    counted = Unfollowed()
-    for number in range(COUNT):
-        places = [middle(lane, number) for lane in range(3)]
-        body = np.ones((1, 1), np.uint8)
-        blobs = [Blob(x, y, 0.0, LONG, WIDE, 80.0, body, (0, 0), False) for x, y in places]
-        counted.add(number, number / 30, LIMIT, blobs)
-    pictures = [(number, picture(number)) for number in range(COUNT)]
     ghost = path(0)
     unseen = tuple(replace(cell, has_blob=False) for cell in ghost.sightings)
     beside_um = 0.4 * LONG * UM_PX  # nearer than half of a body's length, and further than its edge
     beside = tuple(replace(cell, y=cell.y + beside_um) for cell in path(1).sightings)
     paths = [replace(ghost, sightings=unseen), replace(path(1), sightings=beside)]
-    assert counted.share(pictures, paths, UM_PX, BODY_UM) == pytest.approx(1.0, abs=0.02)
+    assert share_not_followed(paths) == pytest.approx(1.0, abs=0.02)

@@ -60,9 +60,10 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
 
 def experiment_schema() -> dict[str, Any]:
     """Return the JSON schema of a spec, with the kinds that installed packages add."""
-    from tetractl.experiment import schema
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.experiment.schema import schema_of
 
-    return schema.experiment_schema()
+    return schema_of(Experiment)
 
 
 Spec = LoadedSpec | str | Path | Mapping[str, Any]

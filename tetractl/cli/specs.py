@@ -341,10 +341,11 @@ def schema(
 
     Example: tetractl schema -o experiment.schema.json
     """
-    from tetractl.experiment.schema import experiment_schema, schema_json
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.experiment.schema import schema_json, schema_of
     from tetractl.study.load_study import study_schema
 
-    text = schema_json(study_schema() if study else experiment_schema())
+    text = schema_json(study_schema() if study else schema_of(Experiment))
     if out is None:
         print(text, end="")
     else:

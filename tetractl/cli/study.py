@@ -131,7 +131,12 @@ def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", h
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive outside of `watch`
     with chosen as executor:
         if not how.quiet:
-            _tell_plan(loaded, len(tasks), executor.workers)
+            arms = len(loaded.arms)
+            count = loaded.study.trials.count
+            ui.tell(
+                f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of "
+                f"{arms * count} to run, {executor.workers} at a time"
+            )
         display = StudyProgress(open_console(stderr=True), len(tasks), how.quiet)
         with interrupt.watch(), display as progress:
             run_batch(tasks, store, executor, progress, how.fail_fast)
@@ -153,16 +158,6 @@ def _processors() -> int:
     if hasattr(os, "sched_getaffinity"):  # Linux only
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _tell_plan(loaded: "LoadedStudy", to_run: int, workers: int) -> None:
-    """Print how many trials will run, and how many at a time."""
-    arms = len(loaded.arms)
-    count = loaded.study.trials.count
-    ui.tell(
-        f"{loaded.study.name}: {arms} arms of {count} trials, {to_run} of {arms * count} to run,"
-        f" {workers} at a time"
-    )
 
 
 def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:

@@ -4,8 +4,7 @@ import gc
 import time
 from collections.abc import Callable
 
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.registry_fields import packages
+from tetractl.experiment.experiment import Experiment, packages
 from tetractl.experiment.section_abilities import Modelled, Searches
 from tetractl.tools.cache import compiling
 from tetractl.tools.plugin_fault import plugins_blamed

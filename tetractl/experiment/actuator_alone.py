@@ -4,7 +4,6 @@ A stop needs the actuator's ports and the names of its robots. Their motion, the
 controller and the calibration do not matter to it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -37,7 +36,17 @@ def actuator_alone(spec: Document) -> ActuatorAlone | None:
     section = _valid_actuator(spec.data.get("plant")) or _valid_actuator(spec.data.get("lab"))
     if section is None:
         return None
-    return ActuatorAlone(section, _setup_of(_robot_names(section)))
+    parts = dict(section).get("robots", ())
+    names = [part.name for part in parts if isinstance(part, RobotPart)]
+    contents = {
+        "name": "stop",
+        "arena": {"left": 0.0, "bottom": 0.0, "width": 1.0, "height": 1.0},
+        # without names, one robot stands for all cells in a field
+        "robots": tuple({"name": name, **STAND_IN} for name in names or ("all",)),
+        "wheels": {"radius": STAND_IN_WHEEL_RADIUS},
+    }
+    experiment = Experiment.model_validate(contents, strict=True, context=STRICT)
+    return ActuatorAlone(section, experiment.setup)
 
 
 def _valid_actuator(lab: Any) -> ActuatorSection | None:
@@ -49,20 +58,3 @@ def _valid_actuator(lab: Any) -> ActuatorSection | None:
         return adapter.validate_python(with_tuples(lab["actuator"]), strict=True, context=STRICT)
     except ValidationError:
         return None
-
-
-def _robot_names(section: ActuatorSection) -> list[str]:
-    """Return the names of the robots that a section lists, none if it lists no robots."""
-    parts = dict(section).get("robots", ())
-    return [part.name for part in parts if isinstance(part, RobotPart)]
-
-
-def _setup_of(names: Sequence[str]) -> Setup:
-    """Return a setup of robots of these names, or of one that stands for all cells in a field."""
-    contents = {
-        "name": "stop",
-        "arena": {"left": 0.0, "bottom": 0.0, "width": 1.0, "height": 1.0},
-        "robots": tuple({"name": name, **STAND_IN} for name in names or ("all",)),
-        "wheels": {"radius": STAND_IN_WHEEL_RADIUS},
-    }
-    return Experiment.model_validate(contents, strict=True, context=STRICT).setup

@@ -17,7 +17,8 @@ from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
 from tetractl.core.poses import Floats, Poses
-from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
+from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES, SPEC_REGISTRIES, TRIAL_ROBOTS
+from tetractl.core.registry import Registry
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.tour import HoldTask, LossRule
 from tetractl.experiment.base import (
@@ -33,7 +34,7 @@ from tetractl.experiment.base import (
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
-from tetractl.experiment.registry_fields import KindSection
+from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.strength import PerStrength, TurningRate, rate, unit_of
 from tetractl.experiment.trial_robots import OrTrialRobots, TrialRobots
@@ -380,3 +381,33 @@ def dealt(starts: Floats, targets: Floats) -> list[int]:
 
     squares = np.square(starts[:, None] - targets).sum(axis=2)
     return linear_sum_assignment(squares)[1].tolist()
+
+
+def packages(spec: Model) -> dict[str, str]:
+    """Return {name: version} of packages other than tetractl that provide kinds used in a spec."""
+    used = (registry.kind(name) for registry, name in _kinds(spec))
+    return {kind.package: kind.version for kind in used if kind.package}
+
+
+def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
+    """Yield registry and name of every kind that is used in a section or a tuple of sections."""
+    if isinstance(value, tuple):
+        for item in value:
+            yield from _kinds(item)
+    if isinstance(value, TrialRobots):
+        yield TRIAL_ROBOTS, value.key
+    if isinstance(value, Model):
+        fields = dict(value)
+        name = fields.get("type")
+        for registry in SPEC_REGISTRIES:  # two registries may have a kind of the same name
+            if isinstance(name, str) and name in registry and type(value) is registry.load(name):
+                yield registry, name
+        for field, about in type(value).model_fields.items():
+            inner = fields[field]
+            yield from _kinds(inner)
+            for mark in about.metadata:
+                if isinstance(mark, KindName) and isinstance(inner, str):
+                    yield mark.registry, inner
+                brought = isinstance(mark, KindSection) and mark.registry not in SPEC_REGISTRIES
+                if brought and isinstance(inner, Model):  # a registry that a package brings
+                    yield mark.registry, dict(inner)["type"]

@@ -15,7 +15,6 @@ from tetractl.experiment.schema import (
     alternatives,
     child,
     describe,
-    experiment_schema,
     homes,
     schema_of,
     tag,
@@ -96,14 +95,11 @@ def validated(model: type[Section], document: Document) -> Section:
     return section
 
 
-def explain(
-    error: ValidationError, document: Document, schema: Schema | None = None
-) -> Iterator[SpecProblem]:
+def explain(error: ValidationError, document: Document, schema: Schema) -> Iterator[SpecProblem]:
     """Yield pydantic's errors as problems, except errors already in the document.
 
-    `schema` is the JSON schema of the file, by default the schema of a spec.
+    `schema` is the JSON schema of the file.
     """
-    schema = schema or experiment_schema()
     for details in error.errors(include_url=False, include_input=False)[:ERRORS_MAX]:
         loc = data_loc(details, document.data)
         mistake = Mistake(
@@ -283,16 +279,12 @@ def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
 def _hint(kind: str, value: Any) -> str:
     """Return how a value was probably meant, "" if nothing says so."""
     if isinstance(value, str):
-        return with_space(value) or _with_point(value)
+        comma = re.fullmatch(r"([+-]?\d+),(\d+)", value)
+        point = f"a decimal number has a point: {comma[1]}.{comma[2]}" if comma else ""
+        return with_space(value) or point
     if kind == "too_long" and all(isinstance(entry, int | float) for entry in value):
         return "a decimal number has a point, not a comma"
     return ""
-
-
-def _with_point(text: str) -> str:
-    """Return a hint for a number with a decimal comma; "" for other texts."""
-    match = re.fullmatch(r"([+-]?\d+),(\d+)", text)
-    return f"a decimal number has a point: {match[1]}.{match[2]}" if match else ""
 
 
 def _quotes(kind: str, value: Any) -> str:

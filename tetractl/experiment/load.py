@@ -36,11 +36,13 @@ from tetractl.experiment.experiment import (
     DEFAULT_CONTROLLER,
     Experiment,
     Trials,
+    packages,
 )
 from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.policy_weights import put_layers, read_weights
-from tetractl.experiment.registry_fields import STRICT, packages
+from tetractl.experiment.registry_fields import STRICT
+from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_document
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
@@ -311,7 +313,7 @@ def validated_experiment(document: Document, written: bool) -> Experiment:
             with_tuples(document.data), strict=True, context=STRICT
         )
     except ValidationError as error:
-        document.problems.extend(explain(error, document))
+        document.problems.extend(explain(error, document, schema_of(Experiment)))
         raise InvalidSpecError(document.all_problems) from None
     for error in errors_of(experiment, written):
         place = document.place(error.where)

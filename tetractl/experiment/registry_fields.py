@@ -1,17 +1,13 @@
-"""Fields of a spec whose values are names in a registry, and the packages that provide them."""
+"""Fields of a spec whose values are names in a registry."""
 
-from collections.abc import Iterator
 from typing import Any, LiteralString
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from tetractl.core.registries import SPEC_REGISTRIES, TRIAL_ROBOTS
 from tetractl.core.registry import Registry
-from tetractl.experiment.base import Model
 from tetractl.experiment.packages import not_installed
-from tetractl.experiment.trial_robots import TrialRobots
 
 STRICT = {"strict": True}
 """Validation context in which values of another type are refused, as when a spec is read."""
@@ -113,33 +109,3 @@ class KindName:
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
         return {"type": "string", "enum": list(self.registry.names())}
-
-
-def packages(spec: Model) -> dict[str, str]:
-    """Return {name: version} of packages other than tetractl that provide kinds used in a spec."""
-    used = (registry.kind(name) for registry, name in _kinds(spec))
-    return {kind.package: kind.version for kind in used if kind.package}
-
-
-def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
-    """Yield registry and name of every kind that is used in a section or a tuple of sections."""
-    if isinstance(value, tuple):
-        for item in value:
-            yield from _kinds(item)
-    if isinstance(value, TrialRobots):
-        yield TRIAL_ROBOTS, value.key
-    if isinstance(value, Model):
-        fields = dict(value)
-        name = fields.get("type")
-        for registry in SPEC_REGISTRIES:  # two registries may have a kind of the same name
-            if isinstance(name, str) and name in registry and type(value) is registry.load(name):
-                yield registry, name
-        for field, about in type(value).model_fields.items():
-            inner = fields[field]
-            yield from _kinds(inner)
-            for mark in about.metadata:
-                if isinstance(mark, KindName) and isinstance(inner, str):
-                    yield mark.registry, inner
-                brought = isinstance(mark, KindSection) and mark.registry not in SPEC_REGISTRIES
-                if brought and isinstance(inner, Model):  # a registry that a package brings
-                    yield mark.registry, dict(inner)["type"]

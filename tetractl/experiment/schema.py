@@ -1,4 +1,4 @@
-"""The JSON schema of a spec, and its parts by the path of a field."""
+"""The JSON schema of a type of YAML file, such as a spec, and its parts by the path of a field."""
 
 import json
 from collections.abc import Iterator
@@ -7,20 +7,14 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.yaml.problems import Loc
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
 @cache
-def experiment_schema() -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of an experiment; callers must not change it."""
-    return schema_of(Experiment)
-
-
 def schema_of(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON schema of a type of YAML file."""
+    """Return the JSON schema (draft 2020-12) of a type of file; callers must not change it."""
     return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
 
 
@@ -29,13 +23,11 @@ def schema_json(schema: dict[str, Any]) -> str:
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
-def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[str, Any]:
+def describe(loc: Loc, data: Any, root: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of the value at `loc` in a file's data, {} if there is none.
 
-    The `type` in `data` selects the alternative of a union; `root` is the schema of the file, by
-    default the schema of a spec.
+    The `type` in `data` selects the alternative of a union; `root` is the schema of the file.
     """
-    root = root or experiment_schema()
     node = _resolved(root, data, root)
     for step in loc:
         data = child(data, step)
@@ -59,7 +51,7 @@ def child(data: Any, step: str | int) -> Any:
     return None
 
 
-def alternatives(node: dict[str, Any], root: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+def alternatives(node: dict[str, Any], root: dict[str, Any]) -> list[dict[str, Any]]:
     """Return a union's alternative schemas, without null; [] for a schema that is not a union."""
     listed = node.get("anyOf") or node.get("oneOf") or []
     return [_resolved(option, None, root) for option in listed if option.get("type") != "null"]
@@ -70,9 +62,8 @@ def tag(node: dict[str, Any]) -> str | None:
     return node.get("properties", {}).get("type", {}).get("const")
 
 
-def homes(key: str, root: dict[str, Any] | None = None) -> Iterator[str]:
+def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
     """Yield the dotted paths, as for `--set`, of all fields called `key`."""
-    root = root or experiment_schema()
 
     def walk(node: dict[str, Any], path: str) -> Iterator[str]:
         node = dereferenced(node, root)
@@ -88,7 +79,7 @@ def homes(key: str, root: dict[str, Any] | None = None) -> Iterator[str]:
     yield from dict.fromkeys(walk(root, ""))
 
 
-def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> dict[str, Any]:
+def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any]) -> dict[str, Any]:
     node = dereferenced(node, root)
     options = alternatives(node, root)
     if len(options) == 1:
@@ -106,11 +97,11 @@ def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> d
     return fitting[0] if len(fitting) == 1 else node
 
 
-def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> dict[str, Any]:
+def dereferenced(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
     """Return the schema that a node's `$ref` names, merged with the node's other entries."""
     if "$ref" not in node:
         return node
-    target = (root or experiment_schema())["$defs"][node["$ref"].rpartition("/")[2]]
+    target = root["$defs"][node["$ref"].rpartition("/")[2]]
     return {**target, **{key: value for key, value in node.items() if key != "$ref"}}
 
 

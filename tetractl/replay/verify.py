@@ -14,7 +14,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from tetractl.core.plan import Outcome
-from tetractl.experiment.registry_fields import packages
+from tetractl.experiment.experiment import packages
 from tetractl.log import provenance
 from tetractl.log.read.raw_log import ALTERED, RawLog
 from tetractl.log.read.reader import trial_of

@@ -24,9 +24,9 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.experiment import packages
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.plants import Prepare
-from tetractl.experiment.registry_fields import packages
 from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller

@@ -19,9 +19,8 @@ from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result
-from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.experiment import Experiment, packages
 from tetractl.experiment.load import LoadedSpec
-from tetractl.experiment.registry_fields import packages
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_briefly, run_logged

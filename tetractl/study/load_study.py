@@ -15,7 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -200,19 +200,14 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
     if isinstance(base.source, Path) and not base.source.exists():
         text = f"there is no such file: {printable(str(base.source))}{near_files(base.source)}"
         raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
-    _refuse_study_as_base(base, document)
+    if isinstance(base.source, Path) and _has_keys_of_study(base.document):
+        text = "is a study, not a spec, as a base must be"
+        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
     arms = _arms(study, base, document)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
     if disagreements:
         raise InvalidSpecError(disagreements)
     return LoadedStudy(study, tuple(_with_unique_names(arms)))
-
-
-def _refuse_study_as_base(base: Base, document: Document) -> None:
-    """Raise InvalidSpecError, at the study's base, if that is a study."""
-    if isinstance(base.source, Path) and _has_keys_of_study(base.document):
-        text = "is a study, not a spec, as a base must be"
-        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
 
 
 def _arms(study: Study, base: Base, document: Document) -> list[Arm]:
@@ -243,7 +238,6 @@ def _has_keys_of_study(document: Document) -> bool:
     return "base" in document.data and "robots" not in document.data
 
 
-@cache
 def study_schema() -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of a study; callers must not change it."""
     return schema_of(Study)
@@ -333,7 +327,9 @@ def _arm(base: Base, study: Study, combination: Combination, document: Document)
         locations = {f"--set {printable(setting.text, 200)}": setting.loc for setting in settings}
         placed = [_placed(problem, locations, document) for problem in error.problems]
         raise InvalidSpecError(placed) from None
-    _check_runs(spec, base, document)
+    if not spec.experiment.plant.simulated:
+        text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
+        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
     return Arm(
         name=combination.name,
         controller=combination.controller,
@@ -343,13 +339,6 @@ def _arm(base: Base, study: Study, combination: Combination, document: Document)
         hash=arm_hash(spec.experiment),
         code=code_of(spec.experiment),
     )
-
-
-def _check_runs(spec: LoadedSpec, base: Base, document: Document) -> None:
-    """Raise InvalidSpecError, at the study's base, if a study cannot run a spec."""
-    if not spec.experiment.plant.simulated:
-        text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
-        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
 
 
 def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Document) -> SpecProblem:

@@ -52,13 +52,10 @@ class Grid(Sweep):
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
         """Return every combination of the values."""
-        axes = [_axis(path, values) for path, values in self.fields.items()]
+        axes: list[list[Setting]] = []
+        for path, values in self.fields.items():
+            axes.append([Setting(value, ("fields", path, i)) for i, value in enumerate(values)])
         return [dict(zip(self.fields, point, strict=True)) for point in itertools.product(*axes)]
-
-
-def _axis(path: str, values: Sequence[Any]) -> list[Setting]:
-    """Return the settings of a grid's field."""
-    return [Setting(value, ("fields", path, i)) for i, value in enumerate(values)]
 
 
 Point = Annotated[dict[FieldPath, Any], Field(min_length=1)]

@@ -11,11 +11,12 @@ import sys
 from pathlib import Path
 from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.experiment.load import load_spec
-from tetractl.experiment.schema import experiment_schema
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.schema import schema_of
 for registry in SPEC_REGISTRIES:
     for name in registry.names():
         registry.load(name)
-experiment_schema()
+schema_of(Experiment)
 load_spec(Path(sys.argv[1]))
 print(sorted({"numba", "matplotlib", "cv2", "serial", "scipy"} & set(sys.modules)))
 """

@@ -7,8 +7,9 @@ import make_reference
 import pytest
 from support.paths import ROOT, SPECS
 
+from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec, resolved_yaml
-from tetractl.experiment.schema import experiment_schema, schema_json
+from tetractl.experiment.schema import schema_json, schema_of
 from tetractl.experiment.yaml.document import parse_document
 
 pytestmark = pytest.mark.slow
@@ -31,7 +32,7 @@ def packages():
 
 @pytest.mark.usefixtures("packages")
 def test_the_committed_schema_is_that_of_the_models():
-    assert COMMITTED.read_text(encoding="utf-8") == schema_json(experiment_schema()), (
+    assert COMMITTED.read_text(encoding="utf-8") == schema_json(schema_of(Experiment)), (
         f"run: tetractl schema -o {COMMITTED.relative_to(ROOT)}"
     )
 
@@ -51,7 +52,7 @@ def test_the_walk_through_quotes_the_experiment_it_walks_through():
 
 
 def test_every_field_and_kind_has_a_description():
-    schema = experiment_schema()
+    schema = schema_of(Experiment)
     bare = [
         f"{model}.{name}"
         for model, node in {"Experiment": schema, **schema["$defs"]}.items()

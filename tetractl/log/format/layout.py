@@ -43,45 +43,31 @@ class PlotCurve:
 def layout(setup: Setup) -> str:
     """Return the layout for an experiment: the arena from above, and plots of four quantities."""
     parts = json.loads((_FILES / "layout.json").read_text())
+    period_ns = str(round(setup.period_s * 1e9))
+    error = [
+        PlotCurve(f"{ERROR}.total", "total", WHOLE),  # as `layout_error.ts` publishes it
+        *_robot_curves(setup, f"{ERROR}.robots"),
+    ]
+    cost = [
+        PlotCurve(f"{channels.STEP}.cost", "J", WHOLE),
+        PlotCurve(f"{channels.STEP}.target_cost", "without obstacles", LIGHT),
+    ]
+    time = [
+        PlotCurve(f"{channels.HOST_TIMING}.solve_ns", "solve time", WHOLE),
+        PlotCurve(period_ns, "control period", GREY),
+    ]
+    estimate = _robot_curves(setup, f"{channels.STEP}.estimate.a")
     plots = {
-        f"Plot!{name}": _plot(parts, title, curves)
-        for name, title, curves in (
-            ("error", f"error [{setup.unit}]", _error_curves(setup)),
-            ("cost", f"cost of the plan [{setup.unit}]", _cost_curves()),
-            ("time", "solve time [ns]", _time_curves(setup)),
-            ("estimate", "estimated a [rad/s]", _estimate_curves(setup)),
-        )
+        "Plot!error": _plot(parts, f"error [{setup.unit}]", error),
+        "Plot!cost": _plot(parts, f"cost of the plan [{setup.unit}]", cost),
+        "Plot!time": _plot(parts, "solve time [ns]", time),
+        "Plot!estimate": _plot(parts, "estimated a [rad/s]", estimate),
     }
     window = parts["whole"]
     window["configById"] = {"3D!arena": _view(setup, parts["view"]), **plots}
     window["userNodes"]["tetractl-error"]["sourceCode"] = _error_script(setup)
     window["layout"]["second"] = _column(list(plots))
     return json.dumps(window, ensure_ascii=False) + "\n"
-
-
-def _error_curves(setup: Setup) -> list[PlotCurve]:
-    """Return the curves of the error, as the script publishes it: in total, and of each robot."""
-    total = PlotCurve(f"{ERROR}.total", "total", WHOLE)
-    return [total, *_robot_curves(setup, f"{ERROR}.robots")]
-
-
-def _cost_curves() -> list[PlotCurve]:
-    return [
-        PlotCurve(f"{channels.STEP}.cost", "J", WHOLE),
-        PlotCurve(f"{channels.STEP}.target_cost", "without obstacles", LIGHT),
-    ]
-
-
-def _time_curves(setup: Setup) -> list[PlotCurve]:
-    period_ns = str(round(setup.period_s * 1e9))
-    return [
-        PlotCurve(f"{channels.HOST_TIMING}.solve_ns", "solve time", WHOLE),
-        PlotCurve(period_ns, "control period", GREY),
-    ]
-
-
-def _estimate_curves(setup: Setup) -> list[PlotCurve]:
-    return _robot_curves(setup, f"{channels.STEP}.estimate.a")
 
 
 def _robot_curves(setup: Setup, values: str) -> list[PlotCurve]:

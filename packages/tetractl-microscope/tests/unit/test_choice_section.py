@@ -8,8 +8,8 @@ from support.paths import EXAMPLES
 from tetractl_microscope.choice.section import Choice, choice_of
 
 from tetractl.core.errors import SpecError
+from tetractl.experiment.experiment import packages
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.experiment.registry_fields import packages
 from tetractl.log.read.reader import read_trial
 from tetractl.run.spec_trial import run_logged
 

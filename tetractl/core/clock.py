@@ -79,8 +79,11 @@ class MonotonicClock:
 
 def next_due_ns(due_ns: int, sent_ns: int, period_ns: int) -> int:
     """Return when what is sent every period is next due, if it was due at `due_ns` and sent at
-    `sent_ns`: the rate is kept in the mean, but nothing follows within half a period."""
-    return max(due_ns + period_ns, sent_ns + period_ns // 2)
+    `sent_ns`: the rate is kept in the mean, but nothing follows within half a period, nor later
+    than after two, as it would where new values come faster than the period."""
+    earliest_ns = sent_ns + period_ns // 2
+    latest_ns = sent_ns + 2 * period_ns
+    return min(max(due_ns + period_ns, earliest_ns), latest_ns)
 
 
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""Finds the process that has a port open, stops its robots beside it, and ends it."""
+"""Finds the process that has a port open, stops its robots for it, and ends it."""
 
 import os
 import signal

@@ -39,7 +39,12 @@ def _along(x: Floats, y: Floats, heading: Floats, half: Floats, way: Floats) -> 
 
 
 def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
-    """Return a step and its derivatives: the chord t v sin(h)/h at heading + h, h = w/2."""
+    """Return a step of `t` [s] and its derivatives: the chord t v sin(h)/h at heading + h, h = w/2.
+
+    c and s are cos and sin of the heading, cu and su those of the direction u, `robot` begins with
+    a and v. Names end in what they are derivatives by: phi = u - heading, h, and the logarithms of
+    a and of the speed, by which d/d(ln a) = a d/da.
+    """
     a, v = robot[:2]
     h = 0.5 * t * a * (su * c - cu * s)
     h_phi = 0.5 * t * a * (cu * c + su * s)  # dh/dphi

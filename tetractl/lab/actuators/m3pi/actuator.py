@@ -30,8 +30,14 @@ class M3piActuator(WheeledActuator):
         self.drivetrains = drivetrains(self.robots)
         radii = [robot.radius_mm for robot in self.robots]
         commands = WheelCommands(setup, clock, radii, self.drivetrains, RADIO_NS)
-        rest = section.rate, section.battery_warn
-        super().__init__(setup, self.link, self._radio.poll, commands, *rest)
+        super().__init__(
+            setup,
+            link=self.link,
+            ask=self._radio.poll,
+            commands=commands,
+            rate=section.rate,
+            warn_v=section.battery_warn,
+        )
 
     def check(self) -> Health:
         """Return the radio's questions to the operator."""

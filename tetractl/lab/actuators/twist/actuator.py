@@ -32,8 +32,14 @@ class TwistActuator(WheeledActuator):
         commands = WheelCommands(
             setup, clock, stated_radii_mm, wheels, round(section.delay * SECOND)
         )
-        rest = section.rate, section.battery_warn
-        super().__init__(setup, self.link, self.link.poll, commands, *rest)
+        super().__init__(
+            setup,
+            link=self.link,
+            ask=self.link.poll,
+            commands=commands,
+            rate=section.rate,
+            warn_v=section.battery_warn,
+        )
 
     def check(self) -> Health:
         """Return nothing: a port that takes lines has nothing to report."""
@@ -46,10 +52,12 @@ class TwistActuator(WheeledActuator):
         return self._transmission(sent_ns, Stop(), np.zeros((2, count)), (False,) * count)
 
     def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
-        speeds = outputs.astype(float)
-        pairs = speeds if self.section.sends == "wheels" else self._twists(speeds)
-        sent_ns = self.link.drive([(int(first), int(second)) for first, second in pairs.T])
-        wheels = pairs if self.section.sends == "wheels" else self._wheels(pairs)
+        wheels = outputs.astype(float)
+        sent = wheels
+        if self.section.sends != "wheels":
+            sent = self._twists(wheels)
+            wheels = self._wheels(sent)  # as the robots compute them from rounded numbers
+        sent_ns = self.link.drive([(int(first), int(second)) for first, second in sent.T])
         return self._transmission(sent_ns, action, wheels * self._gain, moving)
 
     def _twists(self, wheels: Floats) -> Floats:
@@ -69,6 +77,9 @@ class TwistActuator(WheeledActuator):
 def drivetrains(gain: Floats, speed_max_mm_s: float) -> Drivetrains:
     """Return wheels whose counts are the speeds sent [mm/s], for their gains (2, N)."""
     count = gain.shape[1]
-    limit = np.full(count, int(speed_max_mm_s), dtype=np.int64)
-    zeros = np.zeros((2, count), dtype=np.int64)
-    return Drivetrains(gain, zeros, limit, np.zeros(count, dtype=np.bool_))
+    return Drivetrains(
+        gain=gain,
+        dead_zone=np.zeros((2, count), dtype=np.int64),
+        limit=np.full(count, int(speed_max_mm_s), dtype=np.int64),
+        swap=np.zeros(count, dtype=np.bool_),
+    )

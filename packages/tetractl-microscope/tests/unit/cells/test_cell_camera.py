@@ -72,7 +72,8 @@ def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path
     for frame in frames:
         truth = synthetic.body[frame.number - 1]
         for pose, cell in zip(frame.poses, (1, 0), strict=True):
-            if pose is not None:
+            # of a cell whose middle has left the picture, the part that is seen has another one
+            if pose is not None and 0 < truth[cell, 1] < 512 * 2.3:
                 assert math.dist((pose.x, pose.y), truth[cell, :2]) < 15
                 checked += 1
     assert checked > 60

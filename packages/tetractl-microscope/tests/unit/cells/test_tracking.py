@@ -187,26 +187,6 @@ def drawn(cells, size):
     return level.astype(np.uint8)
 
 
-@pytest.mark.long
-def test_a_cell_that_may_be_two_has_a_doubtful_name_only_at_first():
-    halves = [(12.0, 6.0)] * 6 + [(16.0, 9.0)]
-    rows = 40.0 + 40 * np.arange(7)
-    since = [0] * 6 + [20]
-
-    def picture(k):
-        cells = [(30 + 5 * (k - since[i]), rows[i], *halves[i]) for i in range(7) if k >= since[i]]
-        return drawn(cells, (320, 600))
-
-    tracker = CellTracker(2.3, field_known=False)
-    stated = []
-    tracker.finder.learn([picture(12 * k) for k in range(9)])
-    for k in range(80):
-        looked = [c for c in tracker.see(picture(k), k / 30, no_field) if c.wide_um > 34]
-        stated += [(k, cell.probability) for cell in looked]
-    assert {p for k, p in stated if k < 50} == {0.5}
-    assert {p for k, p in stated if k > 60} == {1.0}
-
-
 def test_what_returns_from_the_edge_where_a_cell_left_may_be_another_cell():
     def picture(k):  # a cell leaves the picture where another one enters
         return drawn([(380 - abs(300 - 6 * k), 100.0, 12.0, 6.0)], (200, 380))

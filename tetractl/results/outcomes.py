@@ -19,7 +19,7 @@ from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.flagged import ENTERED, LEFT, SAFETY, TOUCHED_EACH_OTHER
 from tetractl.results.open_batch import listing
 from tetractl.results.statistic import Figure, Statistic, share_figure
-from tetractl.results.turning import LEAST, Turn, hidden_rad_s, turn_columns, turns_of
+from tetractl.results.turning import LEAST, TrialTurn, hidden_rad_s, turn_columns, turns_of
 from tetractl.tools.table.table import NONE, digits, lengths
 
 # ---- How trials ended ----
@@ -249,7 +249,7 @@ def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
     return [Figure(label, _compared(turns, odd), {key: odd_trials}, unusual=bool(odd))]
 
 
-def _compared(turns: Sequence[Turn], odd: Sequence[Turn]) -> str:
+def _compared(turns: Sequence[TrialTurn], odd: Sequence[TrialTurn]) -> str:
     """Return the text on trials that were compared, of which some are odd."""
     trials = len({turn.log for turn in turns})
     odd_trials = len({turn.log for turn in odd})

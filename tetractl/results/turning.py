@@ -36,7 +36,7 @@ DEVIATION_OVER_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class TrialTurn:
     """How a robot turned by itself in a trial, whose log is `log` [rad/s]: `off` is by how much
     more than in the median of its trials, and `limit` is above what no chance explains.
     """
@@ -52,7 +52,7 @@ class Turn:
         return abs(self.off) > self.limit
 
 
-def turns_of(trials: Sequence[ResultSummary]) -> Iterator[Turn]:
+def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
     """Yield the turns of every robot with enough trials in which its rate is known."""
     robots = trials[0].experiment.setup.names if trials else ()
     measured = [trial for trial in trials if trial.result.verdict.turn]
@@ -70,7 +70,7 @@ def turns_of(trials: Sequence[ResultSummary]) -> Iterator[Turn]:
         z = NormalDist().inv_cdf(1 - chance_of_one_side)
         limits = z * np.sqrt(errors**2 + unexplained)
         for trial, trial_off, limit in zip(compared, off.tolist(), limits.tolist(), strict=True):
-            yield Turn(trial.log, robot, trial_off, limit)
+            yield TrialTurn(trial.log, robot, trial_off, limit)
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:

@@ -64,11 +64,14 @@ def test_every_shipped_experiment_brings_its_robots_near_their_targets(path, tmp
     experiment = load_spec(path).experiment
     circle_radii = np.zeros_like(experiment.setup.a)
     trials = 1
+    settings = []
     if experiment.hold is not None:
         # cells that stay at their targets circle there: where one trial ends is chance
         circle_radii = experiment.setup.speed / experiment.setup.a
         trials = 4
-    run(path, "--trials", trials, "--plant", "sim", "--out", "logs", "--quiet", cwd=tmp_path).ok()
+        settings = ["--set", "hold.time=10"]  # s: long enough for many turns of the circle
+    words = ["--trials", trials, "--plant", "sim", "--out", "logs", "--quiet", *settings]
+    run(path, *words, cwd=tmp_path).ok()
     results = [read_result(tmp_path / "logs" / f"trial-00{i}.mcap") for i in range(trials)]
     assert all(result.outcome.complete and not result.recovered for result in results)
     errors = np.mean([result.result.robot_errors for result in results], axis=0)

@@ -25,8 +25,9 @@ NOISE_UNSTATED = (
     "headings are not as predicted, and the camera's noise is not stated: "
     "controller.prior.position_noise, heading_noise"
 )
-"""What headings that do not fit say of cells whose camera's noise is unknown: in three specs that
-did not state it a held for 40 of 43 such robots, and for all with it (docs/decisions/filter.md)."""
+"""What is said if headings of cells do not fit whose camera's noise is unknown. In three specs that
+did not state it, the interval of the turning rate was right for 40 of 43 such robots, and for all
+with it (docs/decisions/filter.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,22 +137,19 @@ def later(estimate: Estimate, names: Sequence[str]) -> Iterator[tuple[str, str]]
 
 @dataclass(slots=True)
 class ModelNews:
-    """Tells changes of how a controller's model fits: each heading that does not fit once, until
-    all have fitted for FITS_S. Meanwhile, but once a trial, that commands act at another time than
-    `stated`: it questions the spec, which a trial does not change. What robots do otherwise is said
-    once a trial too: screen and log show every time."""
+    """Tells what is new about a controller's model, once a trial each (`_once`): that it does not
+    fit, which robots stand or receive commands late, and that commands act at another time than
+    `stated`. Only a misfit is told again, once all have fitted for FITS_S since."""
 
     stated: StatedModel | None = None
-    _said: set[str] = field(default_factory=set)  # what does not fit
-    _before: Estimate | None = None  # the estimate when it was said
-    _unfit_ns: int = 0  # time at which something last did not fit
-    _dead_time_questioned: bool = False  # whether the stated one was said to differ
-    _said_once: set[str] = field(default_factory=set)  # texts that are not said again
+    _said: set[str] = field(default_factory=set)  # keys of what was said in this trial
     _later_since_ns: dict[str, int] = field(default_factory=dict)  # of robots that are later now
-    _said_later: set[str] = field(default_factory=set)  # robots that were said to be later
+    _unfit: set[str] = field(default_factory=set)  # what was said not to fit
+    _unfit_ns: int = 0  # time at which something last did not fit
+    _before: Estimate | None = None  # the estimate when that began, None while all fit
 
     def of(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
-        """Yield level and text of what is news in an estimate."""
+        """Yield level and text of what is news in an estimate, and note that it is said."""
         for name in estimate.standing(setup.names):
             yield from self._once("info", f"{name} stands although it is sent a direction")
         for part in sorted(estimate.strays(setup.names)):
@@ -164,30 +162,21 @@ class ModelNews:
         else:
             yield from self._fit(unfit, estimate, setup, now_ns)
 
-    def _once(self, level: str, text: str) -> Iterator[tuple[str, str]]:
-        """Yield level and text, and note that the text is said, unless it is."""
-        if text not in self._said_once:
-            self._said_once.add(text)
+    def _once(self, level: str, text: str, key: str = "") -> Iterator[tuple[str, str]]:
+        """Yield level and text unless it, or another text with its `key`, was said."""
+        key = key or text
+        if key not in self._said:
+            self._said.add(key)
             yield level, text
 
     def _later(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
-        """Yield level and text, once a trial, of each robot on which commands have acted later than
-        on another one for LATER_FOR_S."""
+        """Yield level and text of each robot on which commands have acted later than on another one
+        for LATER_FOR_S."""
         texts = dict(later(estimate, setup.names))
         self._later_since_ns = {name: self._later_since_ns.get(name, now_ns) for name in texts}
         for name, since_ns in self._later_since_ns.items():
-            if now_ns - since_ns >= LATER_FOR_S * SECOND and name not in self._said_later:
-                self._said_later.add(name)
-                yield "warning", texts[name]
-
-    def _question_dead_time(self, estimate: Estimate) -> Iterator[tuple[str, str]]:
-        """Yield level and text, once a trial, that commands act at another time than is stated."""
-        if self.stated is None or self._dead_time_questioned:
-            return
-        question = other_delay(estimate, self.stated)
-        if question:
-            self._dead_time_questioned = True
-            yield "warning", question
+            if now_ns - since_ns >= LATER_FOR_S * SECOND:
+                yield from self._once("warning", texts[name], key=f"later: {name}")
 
     def _fit(
         self, unfit: set[str], estimate: Estimate, setup: Setup, now_ns: int
@@ -196,13 +185,15 @@ class ModelNews:
         if unfit:
             self._before = self._before or estimate
             self._unfit_ns = now_ns
-            new = unfit - self._said
+            new = unfit - self._unfit
             if new:
-                self._said |= new
+                self._unfit |= new
                 yield "warning", f"the model does not fit: {', '.join(sorted(new))}"
-            yield from self._question_dead_time(estimate)
+            question = other_delay(estimate, self.stated) if self.stated is not None else ""
+            if question:  # of the spec, which a trial does not change
+                yield from self._once("warning", question, key="dead time")
         elif self._before and now_ns - self._unfit_ns >= FITS_S * SECOND:
             changes = "; ".join(learnt(estimate, self._before, setup)) or "with the same values"
-            self._said = set()
+            self._unfit = set()
             self._before = None
             yield "info", f"the model fits again: {changes}"

@@ -139,7 +139,7 @@ def later(estimate: Estimate, names: Sequence[str]) -> Iterator[tuple[str, str]]
 class ModelNews:
     """Tells what is new about a controller's model, once a trial each (`_once`): that it does not
     fit, which robots stand or receive commands late, and that commands act at another time than
-    `stated`. Only a misfit is told again, once all have fitted for FITS_S since."""
+    `stated`. Only a misfit is reported again, once all have fitted for FITS_S since."""
 
     stated: StatedModel | None = None
     _said: set[str] = field(default_factory=set)  # keys of what was said in this trial

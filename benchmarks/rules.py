@@ -17,7 +17,7 @@ import csv
 import math
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -141,23 +141,8 @@ def _stop_unseen(self: Mpc, problem: Any, within_s: float) -> Any:
     return best_stop(problem, self.estimator.held_at_action, within_s)
 
 
-def _one_bisection(self: Searcher, least: int, length: int, good: Callable[[Any], bool]) -> None:
-    failed = least - 1
-    while failed < length - 1:
-        middle = (failed + length) // 2
-        search = self.search(middle)
-        if search is None:
-            return
-        if good(search):
-            length = middle
-        else:
-            failed = middle
-
-
-_starts = Mpc._starts
 _with_margins = Mpc._with_margins
 _reopen = FilterBank._reopen
-_longer = lengths.longer
 _common = filter_state.CommonTimes.of
 
 
@@ -183,34 +168,6 @@ RULES = {
     "polish before a stop near the time limit": Rule(
         ((Mpc, "_near_the_limit", _as_usual),),
         ("sticking-5hz controller.time_limit=20", "saturated-2 controller.time_limit=15"),
-    ),
-    "detours": Rule((_returns(Mpc, "_search_detours", []),), (*TIME, "sticking-5hz")),
-    "detours above the last length": Rule(
-        ((mpc, "longer", lambda count, most, after: _longer(count, most, 0)),), (*TIME, "later")
-    ),
-    "a plan without its next signal": Rule(
-        (
-            (
-                Mpc,
-                "_starts",
-                lambda *words: (
-                    [s for s in _starts(*words) if s.size != words[2].size - 1] or [words[2][:1]]
-                ),
-            ),
-        ),
-        TIME,
-    ),
-    "a plan with one more signal": Rule(
-        (
-            (
-                Mpc,
-                "_starts",
-                lambda *words: (
-                    [s for s in _starts(*words) if s.size <= words[2].size] or _starts(*words)
-                ),
-            ),
-        ),
-        TIME,
     ),
     "stop at the best moment": Rule(((Mpc, "_best_stop", _stop_now),), ("bench", "later")),
     "no late stop near a body": Rule(((Mpc, "_best_stop", _stop_unseen),), WALLS),
@@ -238,8 +195,12 @@ RULES = {
     "ways of a tree round obstacles": Rule(((passage, "_grid_ways", _bee_lines),), ("gap",)),
     "a tree's nodes differ": Rule(((Tree, "unlike", lambda _, order: order),), ("gap",)),
     # lengths and values
-    "shortening": Rule((_returns(Searcher, "_shorten", None),), TIME),
-    "shortening repeated": Rule(((Searcher, "_shorten", _one_bisection),), TIME),
+    "shortening": Rule(
+        ((Searcher, "shorten", lambda self, *_: self.found[-1].length),), (*TIME, "sticking-5hz")
+    ),
+    "four first plans": Rule(((lengths, "TRIES", 1),), TIME),
+    "slack": Rule(((mpc, "SLACK", 1.0),), (*TIME, "sticking-5hz")),
+    "longer plans": Rule((_returns(Mpc, "_search_longer", None),), (*TIME, "sticking-5hz")),
     "six signals a robot": Rule(((lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
     "work after which no longer plan is tried": Rule(
         ((lengths, "SPREAD_WORK", math.inf),), ("gap",)

@@ -1,21 +1,26 @@
 """The searches of one control step of `mpc`: the lengths to try, and their limits.
 
-A search at rest begins with the shortest plan that could reach the targets. Near the end of a plan
-the few signals left cannot correct the 2N coordinates of N robots; longer sequences (detours) lead
-the robots away from their targets and back.
+A search at rest begins with plans about as long as the way; if none of a length is good, with
+longer ones. A good plan is then *shortened*: drawn together in time and polished, as long as it
+stays good. So is the plan under way, in each step. If that one is no longer good, as near the end
+the few signals left cannot correct the 2N coordinates of N robots, it is drawn out, or longer ones
+(detours) lead the robots away from their targets and back.
 """
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
 
 from tetractl.control.rng import mix
 from tetractl.core.plan import Limits, Problem, Search, never
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Optimizer
 
-GROWTH = 1.2  # ratio of successive lengths tried for a detour
+GROWTH = 1.2  # ratio of successive lengths tried for a longer plan, under way
 SPREAD = 1.3  # ratio of successive lengths tried at rest
-VAIN = 10  # number of searches in a row that find no shorter plan, after which none is tried
+TRIES = 4  # number of first plans that are shortened at rest
+CUT = 1 / 8  # share of a plan's length that is tried first to shorten it
 SPREAD_WORK = 3e7  # evaluations x signals x robots after which no longer ones are tried: 0.25 s
 SIGNALS_PER_ROBOT = 6  # least number of signals per robot in a plan for several robots
 
@@ -35,16 +40,19 @@ def least_length(problem: Problem) -> int:
     return max(straight, SIGNALS_PER_ROBOT * len(gaps) if len(gaps) > 1 else 1)
 
 
-def longer(count: int, most: int, after: int) -> Iterator[int]:
-    """Yield growing lengths [signals] from `count` + 2 to `most`, beginning with those above
-    `after`; `count` is the length of the plan under way."""
-    lengths = list[int]()
-    length = count + 2
+def longer(count: int, most: int) -> Iterator[int]:
+    """Yield growing lengths [signals] above `count`, that of the plan under way, up to `most`."""
+    length = count + 1
     while length <= most:
-        lengths.append(length)
+        yield length
         length = max(length + 1, round(GROWTH * length))
-    yield from (n for n in lengths if n > after)
-    yield from (n for n in lengths if n <= after)
+
+
+def resampled(signals: Floats, length: int) -> Floats:
+    """Return signals (L,), drawn together or out in time to (length,)."""
+    count = len(signals)
+    times = (np.arange(length) + 0.5) * (count / length) - 0.5
+    return np.interp(times, np.arange(count), np.unwrap(signals))
 
 
 class Searcher:
@@ -87,50 +95,48 @@ class Searcher:
 
     def spread(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
         """Search growing lengths, of which `least` is the shortest and `most` the longest that can
-        be good, until a plan is good, and then shorter ones; return whether one was found."""
-        length = self._grow(least, most, good)
-        if length is None:
-            return False
-        self._shorten(least, length, good)
-        return True
+        be good, until a plan is good, and shorten it; do so several times, as plans that begin with
+        other random numbers come to other lengths. Return whether one was found."""
+        reached = False
+        for _ in range(TRIES):
+            if self._grow(least, most, good):
+                most = self.shorten(least, good)
+                reached = True
+        return reached
 
-    def _grow(self, least: int, most: int, good: Callable[[Search], bool]) -> int | None:
-        """Search growing lengths until a plan is good; return its length, None if none is."""
+    def _grow(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
+        """Search growing lengths until a plan is good; return whether one is."""
         # several robots hardly ever reach their targets along straight lines
         several = self.problem.a.size > 1
         length = min(round(SPREAD * least) if several else least, most)
         while True:
             search = self.search(length)
             if search is None:
-                return None
+                return False
             if good(search):
-                return length
+                return True
             spent = sum(search.evaluations * search.length for search in self.found)
             if length == most or spent * self.problem.a.size > SPREAD_WORK:
-                return None
+                return False
             length = min(most, max(length + 1, round(SPREAD * length)))
 
-    def _shorten(self, least: int, length: int, good: Callable[[Search], bool]) -> None:
-        """Search plans shorter than a good one of `length` by bisection from `least` on.
-
-        A search of a length fails by chance, and the shorter the plan the more often. The bisection
-        is therefore repeated, with other random numbers, until VAIN searches in a row were in vain.
-        """
-        failed = least - 1
-        vain = 0
-        while length > least and vain < VAIN:
-            middle = (failed + length) // 2
-            search = self.search(middle)
-            if search is None:
-                return
-            if good(search):
-                length = middle
-                vain = 0
+    def shorten(self, least: int, good: Callable[[Search], bool]) -> int:
+        """Draw the plan found last, which is good, together in time, as far as it stays good when
+        it is polished, but not below `least`; return its length then."""
+        best = self.found[-1]
+        cut = max(1, round(CUT * best.length))
+        while cut > 0:
+            shorter = best.length - cut
+            search = None
+            if shorter >= least:
+                search = self.search(shorter, resampled(best.signals, shorter))
+                if search is None:
+                    break
+            if search and good(search):
+                best = search
             else:
-                failed = middle
-                vain += 1
-            if failed >= length - 1:
-                failed = least - 1
+                cut //= 2
+        return best.length
 
     def onward(
         self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]

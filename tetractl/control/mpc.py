@@ -86,7 +86,7 @@ from tetractl.control.fixed_sequence import (
     make_plan,
 )
 from tetractl.control.holding import CircleSearch
-from tetractl.control.lengths import Searcher, least_length, longer
+from tetractl.control.lengths import Searcher, least_length, longer, resampled
 from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.near_targets import kept_apart, parted
@@ -130,6 +130,9 @@ any other would be left to choose. Chosen, not measured."""
 SILENT_ROOM = 0.2
 """Clearance of robots that receive nothing, as a fraction of their radius: with 0.4, trials took
 27 s for 21 (n 6, docs/decisions/safety.md)."""
+SLACK = 1.15
+"""Ratio of lengths of the plan under way and of the least one, below which it is not shortened: a
+plan without slack cannot be mended, as robots do not drive faster."""
 END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg begins, if there is one."""
 
@@ -521,18 +524,22 @@ class Mpc:
         return self._standing(searched.problem, State.RESTING, searched.searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
-        """Search plans about as long as the one under way, until one is good enough; if none is,
-        also detours. Within a signal that is kept, the plan is followed as it is."""
+        """Polish the plan under way; shorten it if it is good, and search longer ones if it is not.
+        Within a signal that is kept, it is followed as it is."""
         if self._is_kept(step, warm):
             searches = [given_search(step.problem, warm, compiled_foresee(step.problem, warm))]
             return Searched(step.problem, searches, [self._candidate(step, searches, 0)])
         searcher = self._searcher(step)
-        alike = self._search_alike(step, searcher, warm)
-        if self._is_good(step, step.problem, searcher.found[-1]):
-            return Searched(step.problem, searcher.found, alike[-1:])
-        candidates = alike + self._search_detours(step, searcher, warm, alike)
-        candidates.sort(key=lambda candidate: candidate.value)
-        return Searched(step.problem, searcher.found, candidates)
+        signals = warm if len(warm) > 0 else np.zeros(1)  # robots that cannot stand need a plan
+        start = signals[: max(step.signals_max, 1)]
+        polished = searcher.search(len(start), start)
+        assert polished is not None  # the first search is always done
+        is_good = partial(self._is_good, step, step.problem)
+        if is_good(polished):
+            searcher.shorten(math.ceil(SLACK * least_length(step.problem)), is_good)
+        else:
+            self._search_longer(step, searcher, start)
+        return self._searched(step, step.problem, searcher.found, by_tree=False)
 
     def _is_kept(self, step: ControlStep, warm: Floats) -> bool:
         """Return whether the present signal is kept to its end, as the radio lets few directions
@@ -542,53 +549,22 @@ class Mpc:
         fits = len(warm) <= step.signals_max
         return self.estimator.is_radio_sparse and is_within_signal and fits
 
-    def _search_alike(self, step: ControlStep, searcher: Searcher, warm: Floats) -> list[Candidate]:
-        """Search plans that begin with the signals left (`_starts`), up to one that is good enough.
-        There is at least one, as the first search is always done."""
-        candidates: list[Candidate] = []
-        for start in self._starts(step, warm):
-            search = searcher.search(len(start), start)
-            if search is None:  # the deadline has passed
-                break
-            candidates.append(self._candidate(step, searcher.found, len(searcher.found) - 1))
-            if self._is_good(step, step.problem, search):
-                break
-        return candidates
-
-    def _starts(self, step: ControlStep, warm: Floats) -> list[Floats]:
-        """Return the signals (L,) to begin with: what is left of the plan under way, without its
-        first signal, and with one more; those that fit into the time left.
-
-        If none does, as when a late step comes near the limit of time, the plan is cut to fit:
-        robots that cannot stand need one to follow.
-        """
-        signals_max = max(step.signals_max, 1)
-        starts = [warm, warm[1:], np.append(warm, 0.0)]
-        fitting = [start for start in starts if 0 < len(start) <= signals_max]
-        return fitting or [warm[:signals_max]]
-
-    def _search_detours(
-        self, step: ControlStep, searcher: Searcher, warm: Floats, alike: list[Candidate]
-    ) -> list[Candidate]:
-        """Search longer plans afresh, as far as these can have a lower value than those found: near
-        the end of a plan, the few signals left cannot correct what has gone wrong.
-
-        A deadline ends the searches of most steps, so these go on above the length that the step
-        before searched last.
-        """
-        last = self.progress.last
-        assert last is not None
-        detours: list[Candidate] = []
-        least = min(candidate.value for candidate in alike)
-        for length in longer(len(warm), step.signals_max, after=last.searches[-1].length):
-            if step.value.plan(0.0, length, new=True) >= least:
-                continue  # it could not win even if it led exactly to the targets
-            if searcher.search(length) is None:  # the deadline has passed
-                break
-            detour = self._candidate(step, searcher.found, len(searcher.found) - 1)
-            detours.append(detour)
-            least = min(least, detour.value)
-        return detours
+    def _search_longer(self, step: ControlStep, searcher: Searcher, start: Floats) -> None:
+        """Search the plan under way without its next signal, and longer ones, as far as these can
+        have a lower value than those found: near the end of a plan, the few signals left cannot
+        correct what has gone wrong. With one signal more it is still the plan under way."""
+        if len(start) > 1:
+            searcher.search(len(start) - 1, start[1:])
+        numbers = range(len(searcher.found))
+        least = min(self._candidate(step, searcher.found, number).value for number in numbers)
+        for length in longer(len(start), step.signals_max):
+            is_new = length > len(start) + 1
+            if step.value.plan(0.0, length, is_new) >= least:
+                return  # it could not win even if it led exactly to the targets
+            if searcher.search(length, None if is_new else resampled(start, length)) is None:
+                return  # the deadline has passed
+            found = len(searcher.found) - 1
+            least = min(least, self._candidate(step, searcher.found, found).value)
 
     # under way through a passage
 

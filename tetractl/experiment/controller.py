@@ -54,15 +54,6 @@ class OptimizerSection(Model):
     ) -> Search:
         """Search sequences of `length` signals; see `tetractl.core.protocols.Optimizer`."""
 
-    def contradictions(self, search: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield the fields of a logged search that this optimiser cannot have produced.
-
-        `warmed` is whether the search had a warm start. Properties of all optimisers, such as a
-        history that never rises, are checked elsewhere.
-        """
-        if search.evaluations < 1:
-            yield "evaluations"
-
 
 @dataclass(frozen=True, slots=True)
 class Host:

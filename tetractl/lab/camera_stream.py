@@ -1,8 +1,9 @@
-"""The order in which a camera's frames come, and how many are of no use. Times are ns on the run's
+"""The order and the rate of a camera's frames, and how many are of no use. Times are ns on the run's
 clock.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
@@ -66,6 +67,15 @@ class CameraStream:
         while totals[0][0] < now_ns - SECOND:
             totals.popleft()
         return total - totals[0][1]
+
+
+def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
+    """Return the rate [Hz] of frames or pictures with these numbers, received at these times, those
+    between them included; None for fewer than two.
+    """
+    if len(numbers) < 2 or received_ns[-1] <= received_ns[0]:
+        return None
+    return (numbers[-1] - numbers[0]) * SECOND / (received_ns[-1] - received_ns[0])
 
 
 def no_frame_text(silent_ns: int) -> str:

@@ -10,7 +10,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.accepted_frame import AcceptedFrame, as_shown
-from tetractl.lab.frame_rate import rate_hz
+from tetractl.lab.camera_stream import rate_hz
 from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 
@@ -140,7 +140,9 @@ def inspect(rig: Rig) -> Preflight:
     if not watched:
         problems.append(rig.guard.why_no_frame(rig.silent_ns()))
     latency_ms = _latency_ms(watched)
-    comes_hz = rate_hz(watched)
+    comes_hz = rate_hz(
+        [frame.number for frame in watched], [frame.received_ns for frame in watched]
+    )
     own_hz = rig.setup.sight.rate_hz
     slow = comes_hz is not None and comes_hz < 0.8 * own_hz
     warnings = [f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}"] if slow else []

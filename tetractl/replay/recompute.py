@@ -25,6 +25,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.control.cost import evaluate
+from tetractl.control.optimizers.pso import Pso
+from tetractl.control.stop import reason_to_stop
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Problem, Search, StopReason
@@ -205,11 +207,44 @@ def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterat
     history = logged.history
     if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
         yield Difference(None, f"{name}.history", "does not decrease to the stated cost")
-    warmed = request.warm is not None
-    for field in request.optimizer.contradictions(logged, warmed, request.limits):
-        value = getattr(logged, field)
-        text = f"logged {value}, which contradicts its history and the spec's limits"
+    for field in _impossible_fields(request, logged):
+        text = (
+            f"logged {getattr(logged, field)}, which contradicts its history and the spec's limits"
+        )
         yield Difference(None, f"{name}.{field}", text)
+
+
+def _impossible_fields(request: SearchRequest, logged: Search) -> Iterator[str]:
+    """Yield the fields of a logged search that its optimiser cannot have produced: the history of a
+    swarm fixes the number of evaluations and the reason for its end."""
+    swarm = request.optimizer
+    if not isinstance(swarm, Pso):
+        if logged.evaluations < 1:
+            yield "evaluations"
+    elif len(logged.history):  # a search without a history is reported above
+        warm_starts = 0 if request.warm is None else 1
+        if logged.evaluations != swarm.particles * len(logged.history) + warm_starts:
+            yield "evaluations"
+        if logged.stopped not in _possible_ends(swarm, logged.history, request.limits):
+            yield "stopped"
+
+
+def _possible_ends(swarm: Pso, history: Floats, limits: Limits) -> set[StopReason]:
+    """Return the reasons for which a search by a swarm with this history may have ended: more than
+    one only if a limit cut it short."""
+    if len(history) > 1:
+        with np.errstate(invalid="ignore"):  # logarithms fail if a logged history rises
+            reason = reason_to_stop(history, swarm.stop)
+        if reason is not None:
+            return {reason}
+    if len(history) > swarm.iterations:
+        return {StopReason.ITERATIONS}
+    cut_short = set[StopReason]()
+    if limits.evaluations is not None:
+        cut_short.add(StopReason.EVALUATIONS)
+    if limits.timed:
+        cut_short.add(StopReason.DEADLINE)
+    return cut_short
 
 
 # ---- The decisions of a trial ----

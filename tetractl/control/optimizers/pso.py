@@ -16,7 +16,7 @@ lb = -pi and ub = pi of each signal, (12). (20) is `tetractl.control.stop`. Arra
 each particle, (L, P). The moves (14)-(17) and the costs are compiled (`tetractl.control.kernels`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -26,7 +26,7 @@ from pydantic import Field
 from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
 from tetractl.control.stop import PaperStop, StopCriterion, reason_to_stop
-from tetractl.core.plan import Limits, Problem, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import OptimizerSection
 from tetractl.model.motion.motion import DIRECTION
@@ -108,39 +108,6 @@ class Pso(OptimizerSection):
         cost_of_one = compiled_costs(problem, 1)
         cost = float(cost_of_one(warm[:, None])[0])
         return replace(scattered, best=Best(warm.copy(), cost))
-
-    def contradictions(self, search: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield "evaluations" if the logged number of evaluations of a search contradicts its
-        history, and "stopped" if the logged reason for its end does.
-
-        A history fixes the number of evaluations. It fixes the reason for the end too, unless a
-        limit cut the search short. `warmed` is whether the search had a warm start, which is
-        evaluated once. A search without a history is reported elsewhere.
-        """
-        if not len(search.history):
-            return
-        scattered_and_moved = self.particles * len(search.history)
-        if search.evaluations != (scattered_and_moved + 1 if warmed else scattered_and_moved):
-            yield "evaluations"
-        if search.stopped not in self._possible_ends(search.history, limits):
-            yield "stopped"
-
-    def _possible_ends(self, history: Floats, limits: Limits) -> set[StopReason]:
-        """Return the reasons for which a search with this history may have ended."""
-        iterations = len(history) - 1
-        if iterations > 0:
-            with np.errstate(invalid="ignore"):  # logarithms fail if a logged history rises
-                reason = reason_to_stop(history, self.stop)
-            if reason is not None:
-                return {reason}
-        if iterations >= self.iterations:
-            return {StopReason.ITERATIONS}
-        cut_short = set[StopReason]()
-        if limits.evaluations is not None:
-            cut_short.add(StopReason.EVALUATIONS)
-        if limits.timed:
-            cut_short.add(StopReason.DEADLINE)
-        return cut_short
 
 
 @dataclass(frozen=True, slots=True)

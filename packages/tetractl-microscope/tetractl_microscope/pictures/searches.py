@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.frame_rate import rate_hz
+from tetractl.lab.camera_stream import rate_hz
 
 KEPT_SEARCHES = 20  # number of last pictures whose results are kept
 SLOW_HZ = 20.0  # below this rate, one lost picture looks like a lost stream
@@ -48,7 +48,9 @@ def stream_lines(
         problems.append(ended)
     elif not searches or now_ns - searches[-1].received_ns > SECOND // 2:
         problems.append(f"no picture comes from {source} any more")
-    rate = rate_hz(searches)
+    rate = rate_hz(
+        [search.number for search in searches], [search.received_ns for search in searches]
+    )
     if rate is not None and declared_hz is not None and rate < 0.8 * declared_hz:
         warnings.append(
             f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: is there too "

@@ -194,8 +194,8 @@ def verify(logs: Logs, as_json: AsJson = False) -> int:
     Every number must be the same to the last bit. If one is not, and processor or versions
     (tetractl, Python, NumPy, numba) differ from those that wrote the log, only the costs of the
     logged plans are evaluated again; the output names the check that was made. If processor and
-    versions agree, a simulation is run again as well, and the two logs are compared record by
-    record.
+    versions agree, a simulation is run again, which decides every step again, and the two logs are
+    compared record by record.
 
     If anything differs, exits with 1 and names the first step and field that differ.
 

@@ -118,7 +118,15 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path, sets):
         assert verification.notes == (note,)
     else:
         assert verification.notes == ()
-    assert recompute(read_trial(path), search_again=False).difference is None
+    for search_again in (True, False):
+        assert recompute(read_trial(path), search_again).difference is None
+
+
+def test_decisions_of_a_simulation_that_repeats_are_not_computed_twice(log, monkeypatch):
+    monkeypatch.setattr("tetractl.replay.verify.recompute", lambda *_, **__: pytest.fail("twice"))
+    verification = verify(log)
+    assert verification.ok
+    assert verification.checked == verification.steps > 0
 
 
 class LateClock:

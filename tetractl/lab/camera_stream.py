@@ -1,5 +1,5 @@
-"""The order and the rate of a camera's frames, and how many are of no use. Times are ns on the run's
-clock.
+"""The order and the rate of a camera's frames, and how many are of no use. Times are ns on the
+run's clock.
 """
 
 from collections import deque
@@ -7,21 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
-
-
-@dataclass(frozen=True, slots=True)
-class Outdated:
-    """Frames that came since the newest one but were exposed before it, or together with it: how
-    many, and by how much the last of them was behind [ns].
-    """
-
-    count: int = 0
-    behind_ns: int = 0
-
-    @property
-    def behind(self) -> str:
-        """A text on how old the last of them was."""
-        return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
 
 
 @dataclass(slots=True)
@@ -32,8 +17,10 @@ class CameraStream:
     """When the newest frame was exposed, None before the first."""
     own_times: bool = False
     """Whether its poses have times of their own."""
-    outdated: Outdated = Outdated()
-    """The frames that came too late since the newest."""
+    outdated: int = 0
+    """How many frames came since the newest but were exposed before it, or together with it."""
+    behind_ns: int = 0
+    """By how much the last of these was behind."""
     dropped: int = 0
     """How many came too late since the last start of a run."""
     refused: int = 0
@@ -52,12 +39,25 @@ class CameraStream:
         """
         if self.exposed_ns is not None and exposed_ns <= self.exposed_ns:
             self.dropped += 1
-            self.outdated = Outdated(self.outdated.count + 1, self.exposed_ns - exposed_ns)
+            self.outdated += 1
+            self.behind_ns = self.exposed_ns - exposed_ns
             return False
         self.exposed_ns = exposed_ns
         self.own_times = own_times
-        self.outdated = Outdated()
+        self.outdated = 0
         return True
+
+    @property
+    def outdated_text(self) -> str:
+        """A text on how old the last outdated frame was."""
+        return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
+
+    def frameless_text(self, silent_ns: int) -> str:
+        """Return a text that no new frame has come for so long, with those that came too late."""
+        text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
+        if not self.outdated:
+            return text
+        return f"{text}: {self.outdated} outdated frames came, the last {self.outdated_text}"
 
     def damaged_recently(self, now_ns: int, total: int) -> int:
         """Take the total of pictures or datagrams that could not be read; return by how much it
@@ -76,15 +76,3 @@ def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
     if len(numbers) < 2 or received_ns[-1] <= received_ns[0]:
         return None
     return (numbers[-1] - numbers[0]) * SECOND / (received_ns[-1] - received_ns[0])
-
-
-def no_frame_text(silent_ns: int) -> str:
-    """Return a text that no new frame has come for so long."""
-    return f"no new camera frame for {silent_ns / SECOND:.2f} s"
-
-
-def with_outdated(text: str, outdated: Outdated) -> str:
-    """Return a text on missing frames, with those that came too late if there are any."""
-    if not outdated.count:
-        return text
-    return f"{text}: {outdated.count} outdated frames came, the last {outdated.behind}"

@@ -89,7 +89,7 @@ from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.accepted_frame import AcceptedFrame, FrameBuffer
 from tetractl.lab.accepted_poses import AcceptedPoses
-from tetractl.lab.camera_stream import CameraStream, no_frame_text, with_outdated
+from tetractl.lab.camera_stream import CameraStream
 from tetractl.lab.culprit import RECENT_NS, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
@@ -259,7 +259,7 @@ class Guard:
 
     def why_no_frame(self, silent_ns: int) -> str:
         """Return why no new frame has come for `silent_ns`: after an abort, its reason."""
-        return self.reason or with_outdated(no_frame_text(silent_ns), self._stream.outdated)
+        return self.reason or self._stream.frameless_text(silent_ns)
 
     # ---- states ----
 
@@ -387,8 +387,7 @@ class Guard:
             self.abort(frame.fault)
         if not self._stream.advance(frame.sampled_ns, own_times=bool(frame.exposed_ns)):
             if self._in_run and self._stream.dropped == 1:
-                behind = self._stream.outdated.behind
-                self._warnings.add_once(f"a camera frame {behind} was dropped")
+                self._warnings.add_once(f"a camera frame {self._stream.outdated_text} was dropped")
             return None
         in_run = self._in_run
         times = frame.times([robot.poses.last_ns for robot in self._robots])
@@ -399,8 +398,11 @@ class Guard:
         if in_run:
             for robot in self._robots:
                 robot.count_absence(self.rules.limits.stale * SECOND)
-        if self.rules.goes_on:
-            self._lose_unseen()
+        if self.rules.goes_on:  # what a frame shows after so long may be another body
+            limit_ns = self.rules.limits.untracked_abort * SECOND
+            for i, robot in enumerate(self._robots):
+                if robot.untracked_ns >= limit_ns:
+                    self.lose_robot(i, robot.untracked_text)
         decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(frame.poses)]
         self._record_poses(decisions)
         accepted = self._accepted(frame)
@@ -410,29 +412,25 @@ class Guard:
         return accepted
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
-        """Decide which robots may move now.
+        """Decide which robots may move now. In a run, first look for what ends it.
 
         `damaged` is the number of pictures or datagrams so far that the camera could not read,
         `failure` is why the actuator cannot send any more, None if it can.
+
+        The controller's thread may end or abort a run at any time: robots move only if the state is
+        one of a run after all has been decided.
         """
         self.check_awake(now_ns)
         if failure:
             self.abort(failure)
         recently_damaged = self._stream.damaged_recently(now_ns, damaged)
         poses = tuple(self._pose_now(i, robot) for i, robot in enumerate(self._robots))
+        moving = self._nobody()
+        warnings: tuple[str, ...] = ()
         if self._in_run:
-            return self._rule_run(now_ns, recently_damaged, poses)
-        return Ruling(self.state, self._nobody(), poses, self.reason, ())
-
-    def _rule_run(self, now_ns: int, damaged: int, poses: tuple[Pose | None, ...]) -> Ruling:
-        """Rule on a run: check it first, and then, if nothing has ended it, let robots move.
-
-        The controller's thread may end or abort it at any time: robots move only if the state is
-        one of a run after all has been decided.
-        """
-        self._check_run(now_ns, damaged, poses)
-        warnings = self._warnings.take()
-        moving = self._moving(now_ns)
+            self._check_run(now_ns, recently_damaged, poses)
+            warnings = self._warnings.take()
+            moving = self._moving(now_ns)
         if self._in_run:
             self._status.enter(GuardState.HOLD if self._must_hold(moving) else GuardState.RUN)
         state = self.state
@@ -446,14 +444,6 @@ class Guard:
 
     # ---- a frame ----
 
-    def _lose_unseen(self) -> None:
-        """Lose each robot that was not tracked until the newest frame, even if it is in it: after
-        so long, what is shown there may be another body."""
-        limit_ns = self.rules.limits.untracked_abort * SECOND
-        for i, robot in enumerate(self._robots):
-            if robot.untracked_ns >= limit_ns:
-                self.lose_robot(i, robot.untracked_text)
-
     def _decide_pose(self, i: int, pose: Pose | None, in_run: bool) -> PoseDecision | None:
         """Return what becomes of the pose of robot i in the newest frame, None if that was decided
         in a frame before; only its checks remember anything of it.
@@ -465,11 +455,13 @@ class Guard:
             the robot is a ghost, or cannot have come there         refused
             it is the robot's first one, or no run has begun yet    accepted
             no run is on, but one was: it may show a motion         accepted, and checks note it
-            it equals the last one to the bit                       `_decide_repeat`
+            it equals the last one to the bit, so no motion         as checks find
             it shows a motion, which commands explain or not        as checks find
 
         Robots that move although no run is on have perhaps not heard the stop, which is then sent
-        again.
+        again. A robot whose pose repeats may stand. But if its commands must have moved it by now,
+        the camera shows a frozen picture; then equal poses are refused until another one comes,
+        whatever is commanded meanwhile.
         """
         robot = self._robots[i]
         last = robot.poses.last
@@ -486,22 +478,15 @@ class Guard:
         if not in_run:
             findings = [check.pause(i, last, pose, robot.read_ns) for check in checks]
             return PoseDecision(pose, findings=tuple(chain(*findings)))
-        if pose == last:
-            return self._decide_repeat(i, pose)
-        findings = [check.pose(i, last, pose) for check in checks]
-        return decision_by(tuple(chain(*findings)), pose, disobeys=True)
-
-    def _decide_repeat(self, i: int, pose: Pose) -> PoseDecision:
-        """Return what becomes of a pose that equals the last one: it is no motion to compare.
-
-        The robot may stand. But if its commands must have moved it by now, the camera shows a
-        frozen picture; then equal poses are refused until another one comes, whatever is commanded
-        meanwhile.
-        """
-        if self._robots[i].decision.refused == REPEATS:
+        repeats = pose == last
+        if repeats and robot.decision.refused == REPEATS:
             return PoseDecision(refused=REPEATS)
-        findings = [check.repeat(i) for check in self._checks.checks]
-        return decision_by(tuple(chain(*findings)), pose, disobeys=False)
+        each = [check.repeat(i) if repeats else check.pose(i, last, pose) for check in checks]
+        findings = tuple(chain(*each))
+        for finding in findings:  # the first that refuses gives the reason, all have seen the pose
+            if isinstance(finding, Refuse):
+                return PoseDecision(None, finding.text, not repeats, findings)
+        return PoseDecision(pose, findings=findings)
 
     def _record_poses(self, decisions: Sequence[PoseDecision | None]) -> None:
         """Let the decisions on all robots' poses take effect, and then what checks have found."""
@@ -558,7 +543,7 @@ class Guard:
             silent_s = undirected_ns / SECOND
             self.abort(f"{late}: the controller gave no direction for {silent_s:.1f} s")
         elif frameless_ns >= rules.limits.stream_lost * SECOND:
-            self.abort(with_outdated(no_frame_text(frameless_ns), self._stream.outdated))
+            self.abort(self._stream.frameless_text(frameless_ns))
 
     def _check_tracking(self) -> None:
         """For each robot that is not lost: abort if it disobeys for as long as stops it; lose it if
@@ -639,12 +624,3 @@ class Guard:
                     self.abort(finding.text, suspect=finding.suspect)
                     for i in finding.false:
                         self._robots[i].ghost = finding.text
-
-
-def decision_by(findings: tuple[Finding, ...], pose: Pose, disobeys: bool) -> PoseDecision:
-    """Return what becomes of a pose by what checks found, of which all saw it: the first that
-    refuses it gives the reason, and then the robot `disobeys` or not."""
-    for finding in findings:
-        if isinstance(finding, Refuse):
-            return PoseDecision(None, finding.text, disobeys, findings)
-    return PoseDecision(pose, findings=findings)

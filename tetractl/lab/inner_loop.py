@@ -266,7 +266,9 @@ class InnerLoop:
         self.guard.check_awake(now)
         self._take_frames()
         self._obey_operator(now)
-        failure = self._failure()
+        failure: object = self._actuator.failure
+        if not isinstance(failure, str | None):
+            raise WrongValueError(self._actuator, "an actuator", "a failure that is no text")
         ruling = self.guard.decide(now, self._camera.damaged, failure)
         self._warnings.extend((now, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT:
@@ -288,13 +290,6 @@ class InnerLoop:
         if self._emergency.is_set() and not self.guard.emergency:
             self.guard.abort("emergency stop by the operator", emergency=True)
             self._begin_stops(now)
-
-    def _failure(self) -> str | None:
-        """Return why the actuator cannot send any more, None if it can."""
-        failure: object = self._actuator.failure
-        if not isinstance(failure, str | None):
-            raise WrongValueError(self._actuator, "an actuator", "a failure that is no text")
-        return failure
 
     # ---- transmissions ----
 
@@ -389,7 +384,15 @@ class InnerLoop:
 
 def frame_fault(frame: CameraFrame, robots: int) -> str:
     """Return what is wrong with a camera's frame of N robots, "" if nothing is."""
-    if not _holdable(frame, robots):
+    numbers = [frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns]
+    known = [pose for pose in frame.poses if pose is not None]
+    is_loggable = (
+        len(frame.poses) == robots
+        and len(frame.exposed_ns) in (0, robots)
+        and all(_all_small((pose.x, pose.y, pose.heading)) for pose in known)
+        and all(_is_whole(number) for number in numbers)
+    )
+    if not is_loggable:
         return "a frame that no log can hold"
     if frame.received_ns < frame.sampled_ns:
         return f"a frame received {frame.sampled_ns - frame.received_ns} ns before exposure"
@@ -398,42 +401,26 @@ def frame_fault(frame: CameraFrame, robots: int) -> str:
     return ""
 
 
-def _holdable(frame: CameraFrame, robots: int) -> bool:
-    """Return whether a log can hold a camera's frame of N robots."""
-    if len(frame.poses) != robots or len(frame.exposed_ns) not in (0, robots):
-        return False
-    for pose in frame.poses:
-        if pose is not None and not _all_small((pose.x, pose.y, pose.heading)):
-            return False
-    times: tuple[object, ...] = (
-        frame.number,
-        frame.sampled_ns,
-        frame.received_ns,
-        *frame.exposed_ns,
-    )
-    return all(isinstance(time, int) and abs(time) < NEVER for time in times)
-
-
 def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
     """Return what is wrong with what an actuator says that it has sent, "" if nothing is."""
-    if not (isinstance(sent, Transmission) and _loggable(sent, robots)):
-        return "a transmission that no log can hold"
+    unloggable = "a transmission that no log can hold"
+    if not isinstance(sent, Transmission):
+        return unloggable
+    if not _is_whole(sent.sent_ns) or len(sent.moving) != robots:
+        return unloggable
+    for speeds in (sent.speed, sent.turning, sent.left, sent.right):
+        if speeds is not None and not (
+            np.shape(speeds) == (robots,) and _all_small(np.asarray(speeds))
+        ):
+            return unloggable
     if not 0 <= sent.sent_ns <= now_ns:
         return f"a transmission sent at {sent.sent_ns} ns, not between 0 and now, {now_ns} ns"
     return ""
 
 
-def _loggable(sent: Transmission, robots: int) -> bool:
-    """Return whether a log can hold a transmission to N robots."""
-    sent_ns: object = sent.sent_ns
-    if not isinstance(sent_ns, int) or len(sent.moving) != robots:
-        return False
-    for speeds in (sent.speed, sent.turning, sent.left, sent.right):
-        if speeds is None:
-            continue
-        if np.shape(speeds) != (robots,) or not _all_small(np.asarray(speeds)):
-            return False
-    return True
+def _is_whole(number: object) -> bool:
+    """Return whether a value is a whole number of a size that logs hold."""
+    return isinstance(number, int) and abs(number) < NEVER
 
 
 def _all_small(values: Iterable[float]) -> bool:

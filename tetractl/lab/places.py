@@ -5,8 +5,7 @@ the spec's length unit.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -40,19 +39,20 @@ class Keeps(GuardCheck):
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
         """Check where the robots are."""
         arena = self._rules.arena
-        coming: list[Coming] = []
+        now: dict[str, Pose] = {}
+        then: dict[str, Pose] = {}
         for i, robot in enumerate(robots):
             name = self._rules.names[i]
             pose = robot.last if robot.lost else robot.pose
             if pose is None:
                 continue
-            then = driven(pose, robot.way)
-            if outside(arena, then) > outside(arena, pose):
+            now[name] = pose
+            then[name] = driven(pose, robot.way)
+            if outside(arena, then[name]) > outside(arena, pose):
                 yield Abort(f"{name} is about to leave the arena")
             if self.enters(i, pose):
                 yield Abort(f"{name} is about to enter an obstacle")
-            coming.append(Coming(name, pose, then))
-        yield from too_close(coming, self._rules)
+        yield from too_close(now, then, self._rules)
 
     def enters(self, i: int, pose: Pose) -> bool:
         """Return whether robot i is in an obstacle or will be after its reaction, at the rates of
@@ -95,15 +95,6 @@ def outside(arena: Bounds, pose: Pose) -> float:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Coming:
-    """A robot where it is now, and where it will be when it can be stopped."""
-
-    name: str
-    now: Pose
-    then: Pose
-
-
 def driven(pose: Pose, way: float) -> Pose:
     """Return a pose moved along its heading by `way`."""
     dx = way * math.cos(pose.heading)
@@ -111,16 +102,18 @@ def driven(pose: Pose, way: float) -> Pose:
     return Pose(pose.x + dx, pose.y + dy, pose.heading)
 
 
-def too_close(coming: Sequence[Coming], rules: GuardRules) -> Iterator[Finding]:
-    """Yield an abort for each two robots that come nearer than the least distance."""
-    for i, robot in enumerate(coming):
-        for neighbour in coming[:i]:
-            now = distance(robot.now, neighbour.now)
-            then = distance(robot.then, neighbour.then)
-            if then <= now and then * rules.mm < rules.limits.separation_mm:
-                yield Abort(
-                    f"{neighbour.name} and {robot.name} are too close: {now * rules.mm:.0f} mm"
-                )
+def too_close(
+    now: Mapping[str, Pose], then: Mapping[str, Pose], rules: GuardRules
+) -> Iterator[Finding]:
+    """Yield an abort for each two robots that come nearer than the least distance, by where they
+    are `now`, and will be `then`, when they can be stopped."""
+    names = list(now)
+    for i, name in enumerate(names):
+        for neighbour in names[:i]:
+            gap = distance(now[name], now[neighbour])
+            gap_then = distance(then[name], then[neighbour])
+            if gap_then <= gap and gap_then * rules.mm < rules.limits.separation_mm:
+                yield Abort(f"{neighbour} and {name} are too close: {gap * rules.mm:.0f} mm")
 
 
 def distance(first: Pose, second: Pose) -> float:

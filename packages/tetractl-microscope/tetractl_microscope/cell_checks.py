@@ -12,7 +12,7 @@ from tetractl.core.protocols import GuardCheck
 from tetractl.lab.guard_checks import GuardChecks, drift_of
 from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import MotionCheck
-from tetractl.lab.places import Coming, driven, outside, too_close
+from tetractl.lab.places import driven, outside, too_close
 
 WANDERS = 0.7
 """Relative error of a cell's speed and turning rate: cells wander, by far more than wheels slip."""
@@ -49,13 +49,14 @@ class Stays(GuardCheck):
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
         """Check where the robots are."""
-        coming: list[Coming] = []
+        now: dict[str, Pose] = {}
+        then: dict[str, Pose] = {}
         for i, robot in enumerate(robots):
             if robot.pose is None:
                 continue
             name = self._rules.names[i]
-            then = driven(robot.pose, robot.way)
-            if outside(self._rules.arena, then) > outside(self._rules.arena, robot.pose):
+            now[name] = robot.pose
+            then[name] = driven(robot.pose, robot.way)
+            if outside(self._rules.arena, then[name]) > outside(self._rules.arena, robot.pose):
                 yield Lose(i, f"{name} is about to leave the arena")
-            coming.append(Coming(name, robot.pose, then))
-        yield from too_close(coming, self._rules)
+        yield from too_close(now, then, self._rules)

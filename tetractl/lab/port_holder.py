@@ -48,46 +48,53 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     not raise. AbortError if the process that has the port open cannot be ended: it is unknown,
     another user's, or not tetractl.
     """
-    began = time.monotonic()
-    failure = ""  # why the newest stops could not be sent to all
-    said = False
+    began_s = time.monotonic()
     pid = holder(port)
-    due = list(ENDING_SIGNALS)
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
-    unsaid = [f"{port}: {name} has this port open"]
     unendable = _why_unendable(pid, words)
+    due = list(ENDING_SIGNALS)
+    unsaid = [f"{port}: {name} has this port open"]
+    stopped = False  # whether all have been sent stops
     while True:
-        if pid and not unendable and due and time.monotonic() - began >= due[0][0]:
+        if pid and not unendable and due and time.monotonic() - began_s >= due[0][0]:
             _, number, did = due.pop(0)
-            with suppress(ProcessLookupError):
-                try:
-                    os.kill(pid, number)
-                    os.kill(pid, signal.SIGCONT)  # a suspended process would not receive signals
-                except PermissionError:
-                    unendable = "belongs to another user"
+            unendable = _end(pid, number)
             if not unendable:
-                unsaid.append(f"{did}, after {time.monotonic() - began:.1f} s")
+                unsaid.append(f"{did}, after {time.monotonic() - began_s:.1f} s")
+        failure = ""  # why the newest stops could not be sent to all
         try:
             sent = stops()
         except AbortError as error:
             failure = error.message
             time.sleep(0.05)
         else:
-            failure = ""
-            if not said:
+            if not stopped:
                 unsaid.append(f"{sent}, while that process has the port open")
-            said = True
-        for line in unsaid:
-            say(line)
-        unsaid.clear()
-        if unendable:
-            raise _left(name, unendable, failure)
-        if holder(port) != pid:
-            say(f"the process released the port after {time.monotonic() - began:.1f} s")
+            stopped = True
+        while unsaid:
+            say(unsaid.pop(0))
+        if pid and not unendable and holder(port) != pid:
+            say(f"the process released the port after {time.monotonic() - began_s:.1f} s")
             return
-        if time.monotonic() - began > 6.0:
-            raise _left(name, "does not end even after SIGKILL", failure)
+        if not unendable and time.monotonic() - began_s > 6.0:
+            unendable = "does not end even after SIGKILL"
+        if unendable:
+            text = f"{name} still has the port: it {unendable}"
+            if failure:
+                text += f"; the stops failed: {failure}"
+            raise AbortError(text, f"end it yourself; {SWITCH_OFF}")
+
+
+def _end(pid: int, number: signal.Signals) -> str:
+    """Send a signal to a process; return why that is not allowed, "" if it is."""
+    with suppress(ProcessLookupError):
+        try:
+            os.kill(pid, number)
+            os.kill(pid, signal.SIGCONT)  # a suspended process would not receive signals
+        except PermissionError:
+            return "belongs to another user"
+    return ""
 
 
 def _why_unendable(pid: int | None, words: Sequence[str]) -> str:
@@ -97,12 +104,3 @@ def _why_unendable(pid: int | None, words: Sequence[str]) -> str:
     if any(Path(word).name == "tetractl" for word in words[:3]):
         return ""
     return "is not a tetractl process that can be ended"
-
-
-def _left(name: str, why: str, failure: str) -> AbortError:
-    """Return the error for a program that keeps the port open; `failure` is why not all stops could
-    be sent, empty if they could."""
-    text = f"{name} still has the port: it {why}"
-    if failure:
-        text += f"; the stops failed: {failure}"
-    return AbortError(text, f"end it yourself; {SWITCH_OFF}")

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tetractl.core.commands import FrameAddition, Sample, Verdict
-from tetractl.core.poses import Floats, Observation, Pose, Poses
+from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.device_abilities import AddsToFrames
 from tetractl.lab.rig import Rig
@@ -46,8 +46,12 @@ class LabFrames:
                 self._additions[addition.sampled_ns] = addition
         observations = [self._observation(frame) for frame in frames]
         for observation in observations:
-            self._keep(observation)
+            addition = self._additions.get(observation.sampled_ns)
+            messages = addition.messages if addition else ()
+            self._recent.append(observation)
+            self._samples.append(Sample(observation, None, messages))
         if observations:
+            self.newest = observations[-1]
             self._check_paths(observations)
         if self.newest is not None:  # frames that the guard rejected give no sample
             for sampled_ns in list(self._additions):
@@ -76,42 +80,28 @@ class LabFrames:
         return camera if isinstance(camera, AddsToFrames) else None
 
     def _observation(self, accepted: AcceptedFrame) -> Observation:
-        """Return the observation of a frame, the next after all before."""
-        poses = self._unwrapped(accepted.poses)
-        self._heading = poses.heading
-        frame = accepted.frame
-        return Observation(
-            frame.number,
-            frame.sampled_ns,
-            frame.received_ns,
-            poses,
-            np.array(accepted.fresh),
-            accepted.exposed_ns,
-        )
-
-    def _unwrapped(self, accepted: Sequence[Pose | None]) -> Poses:
-        """Return the poses with headings unwrapped relative to the last poses.
-
-        A robot that has had no pose so far counts as being at its start.
+        """Return the observation of a frame, the next after all before, with headings unwrapped
+        relative to the last ones. A robot that has had no pose so far counts as being at its start.
         """
         starts = self._rig.setup.starts
         x = starts.x.copy()
         y = starts.y.copy()
         heading = self._heading.copy()
-        for i, pose in enumerate(accepted):
+        for i, pose in enumerate(accepted.poses):
             if pose is not None:
                 x[i] = pose.x
                 y[i] = pose.y
                 heading[i] += math.remainder(pose.heading - heading[i], math.tau)
-        return Poses(x, y, heading)
-
-    def _keep(self, observation: Observation) -> None:
-        """Keep a frame as the newest, and its sample with what the camera adds to it."""
-        addition = self._additions.get(observation.sampled_ns)
-        messages = addition.messages if addition else ()
-        self.newest = observation
-        self._recent.append(observation)
-        self._samples.append(Sample(observation, None, messages))
+        self._heading = heading
+        frame = accepted.frame
+        return Observation(
+            frame.number,
+            frame.sampled_ns,
+            frame.received_ns,
+            Poses(x, y, heading),
+            np.array(accepted.fresh),
+            accepted.exposed_ns,
+        )
 
     def _check_paths(self, observations: Sequence[Observation]) -> None:
         """Add frames to the check of the paths."""

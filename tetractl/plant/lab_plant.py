@@ -104,7 +104,9 @@ class LabNews:
 
     def read(self) -> list[Command | Note]:
         """Return what was added since the last call, in the order of time."""
-        events = sorted(self._events, key=_time_ns)
+        events = sorted(
+            self._events, key=lambda item: item.t_ns if isinstance(item, Note) else item.sent_ns
+        )
         self._events.clear()
         return events
 
@@ -340,10 +342,6 @@ class LabPlant:
         if isinstance(sent.action, Stop):
             delivered = (True,) * len(sent.moving)
         return Command(sent.action, sent.sent_ns, delivered, sent.left, sent.right)
-
-
-def _time_ns(item: Command | Note) -> int:
-    return item.t_ns if isinstance(item, Note) else item.sent_ns
 
 
 def _facts(findings: Preflight) -> dict[str, str]:

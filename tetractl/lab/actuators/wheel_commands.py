@@ -45,33 +45,33 @@ class Reply:
     rejected: int
 
 
-Hear = Callable[[float], Iterable[Reply]]
-"""Waits for replies to a poll for at most a time [s], and returns those that have come."""
+class PolledLink(Protocol):
+    """A connection by which robots are polled, and reply."""
 
+    @property
+    def failure(self) -> str | None:
+        """The reason why nothing can be sent any more; None without a fault."""
+        ...
 
-@dataclass(frozen=True, slots=True)
-class Poll:
-    """A poll that was sent: with which `sequence`, when [ns], and what hears its replies."""
+    def ask(self) -> tuple[int, int]:
+        """Send a poll; return its sequence, and when it was sent [ns]. What came before is
+        dropped."""
+        ...
 
-    sequence: int
-    sent_ns: int
-    hear: Hear
+    def hear(self, timeout_s: float) -> Iterable[Reply]:
+        """Wait for replies for at most a time [s]; return those that have come."""
+        ...
 
 
 def polled(
-    ask: Callable[[], Poll],
-    failed: Callable[[], bool],
-    indices: Sequence[int],
-    clock: Clock,
-    timeout_s: float,
-    slot_ms: int,
+    link: PolledLink, indices: Sequence[int], clock: Clock, timeout_s: float, slot_ms: int
 ) -> list[Reply | None]:
     """Poll robots with the numbers `indices` until each has replied, at most TRIES times; a robot
-    without a reply gives None. Ends at once if the link has `failed`.
+    without a reply gives None. Ends at once if the link has failed.
 
-    `ask` sends a poll, to which robot i replies i slots later. A reply counts if its sequence is
-    that of one of these polls: what answers an earlier command, or was made up without hearing
-    this one, says nothing of the robot now. A time in which the computer slept counts as one try.
+    Robot i replies to a poll i slots later. A reply counts if its sequence is that of one of these
+    polls: what answers an earlier command, or was made up without hearing this one, says nothing of
+    the robot now. A time in which the computer slept counts as one try.
     """
     replies = dict[int, Reply]()
     wanted = set(indices)
@@ -79,19 +79,19 @@ def polled(
     wait_ns = (max(indices) + 2) * slot_ms * MILLISECOND + SECOND // 10
     tries_in_time = round(timeout_s * SECOND) // wait_ns
     for _ in range(max(1, min(TRIES, tries_in_time))):
-        poll = ask()
-        sequences.add(poll.sequence)
-        until_ns = poll.sent_ns + wait_ns
+        sequence, sent_ns = link.ask()
+        sequences.add(sequence)
+        until_ns = sent_ns + wait_ns
         while not wanted <= replies.keys():
             remaining_ns = until_ns - clock.now()
             if remaining_ns <= 0:
                 break
-            for reply in poll.hear(remaining_ns / SECOND):
+            for reply in link.hear(remaining_ns / SECOND):
                 if reply.sequence in sequences:
                     replies[reply.id] = reply
-            if failed():
+            if link.failure is not None:
                 break
-        if failed() or wanted <= replies.keys():
+        if link.failure is not None or wanted <= replies.keys():
             break
     return [replies.get(index) for index in indices]
 

@@ -5,7 +5,7 @@ from collections import deque
 from tetractl.core.clock import VirtualClock
 from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import decode_command, encode_reply
-from tetractl.lab.actuators.wheel_commands import Poll, Reply, Status, polled
+from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
 
 HONEST_MV = 4800
 FORGED_MV = 9999
@@ -91,13 +91,14 @@ def test_a_late_reply_to_the_try_before_still_counts():
     coming = deque([[], [reply_of(0, 1)]])
     sequences = iter((1, 2, 3, 4, 5))
 
-    def ask():
-        replies = coming.popleft()
+    class LateRobot:
+        failure = None
 
-        def hear(timeout_s):
+        def ask(self):
+            return next(sequences), clock.now()
+
+        def hear(self, timeout_s):
             clock.sleep_until(clock.now() + round(timeout_s * 1e9))
-            return replies
+            return coming.popleft()
 
-        return Poll(next(sequences), clock.now(), hear)
-
-    assert polled(ask, lambda: False, [0], clock, 1.0, 20) == [reply_of(0, 1)]
+    assert polled(LateRobot(), [0], clock, 1.0, 20) == [reply_of(0, 1)]

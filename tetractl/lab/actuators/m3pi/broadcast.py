@@ -15,7 +15,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError, WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
-from tetractl.lab.actuators.wheel_commands import Poll, Reply, Status, polled
+from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.serial_port import SWITCH_OFF
@@ -85,6 +85,7 @@ class Broadcaster:
         self._clock = clock
         self._indices = tuple(indices)
         self._sequence = clock.now() % 256  # a first number that no one can foretell
+        self._splitter = cobs.Splitter()  # of what has come since the last poll
 
     def drive(self, counts: Sequence[Counts]) -> int:
         """Send every robot its wheel counts in one frame; return the time of sending [ns]."""
@@ -102,25 +103,27 @@ class Broadcaster:
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
         """Poll all robots; a robot without a reply gives None. Ends at once if the link fails."""
-        indices = self._indices
-        return polled(self._ask, self._failed, indices, self._clock, timeout_s, REPLY_SLOT_MS)
+        return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
-    def _failed(self) -> bool:
-        return self._link.failure is not None
+    @property
+    def failure(self) -> str | None:
+        """The reason why nothing can be sent any more; None without a fault."""
+        return self._link.failure
 
-    def _ask(self) -> Poll:
-        """Send a poll; what has come before is dropped."""
-        splitter = cobs.Splitter()
+    def ask(self) -> tuple[int, int]:
+        """Send a poll; return its sequence, and when it was sent [ns]. What came before is
+        dropped."""
+        self._splitter = cobs.Splitter()
         self._link.fetch()
-
-        def hear(timeout_s: float) -> Iterator[Reply]:
-            self._link.wait(timeout_s)
-            for frame in splitter.feed(b"".join(self._link.fetch())):
-                with suppress(WireError):
-                    yield decode_reply(frame)
-
         sent_ns = self.send(cobs.Flag.POLL)
-        return Poll(self._sequence, sent_ns, hear)
+        return self._sequence, sent_ns
+
+    def hear(self, timeout_s: float) -> Iterator[Reply]:
+        """Wait for replies for at most a time [s]; yield those that have come."""
+        self._link.wait(timeout_s)
+        for frame in self._splitter.feed(b"".join(self._link.fetch())):
+            with suppress(WireError):
+                yield decode_reply(frame)
 
 
 def stop_all(module: XbeeSection, clock: Clock, alone: bool = True) -> str:

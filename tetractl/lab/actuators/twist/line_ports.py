@@ -14,7 +14,7 @@ from tetractl.lab.actuators.twist.lines import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.wheel_commands import Poll, Reply, polled
+from tetractl.lab.actuators.wheel_commands import Reply, polled
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Heard, Ports, SerialPort
 from tetractl.lab.udp_port import open_port
@@ -84,22 +84,19 @@ class TwistLink:
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
         """Poll all robots; a robot without a reply gives None. Ends at once if a port fails."""
-        indices = self._indices
-        return polled(self._ask, self._failed, indices, self._clock, timeout_s, REPLY_SLOT_MS)
+        return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
-    def _ask(self) -> Poll:
-        """Send a poll; what has come before is dropped."""
-
-        def hear(timeout_s: float) -> list[Reply]:
-            wait_for(self._clock, lambda: bool(self._replies) or self._failed(), timeout_s)
-            return drained(self._replies)
-
+    def ask(self) -> tuple[int, int]:
+        """Send a poll; return its sequence, and when it was sent [ns]. What came before is
+        dropped."""
         self._replies.clear()
         sent_ns = self._send(Flag.POLL, [])
-        return Poll(self._sequence, sent_ns, hear)
+        return self._sequence, sent_ns
 
-    def _failed(self) -> bool:
-        return self.failure is not None
+    def hear(self, timeout_s: float) -> list[Reply]:
+        """Wait for replies for at most a time [s]; return those that have come."""
+        wait_for(self._clock, lambda: bool(self._replies) or self.failure is not None, timeout_s)
+        return drained(self._replies)
 
     def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
         self._sequence = (self._sequence + 1) % 256

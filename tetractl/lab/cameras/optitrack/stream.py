@@ -157,25 +157,20 @@ class OpenRequests:
             case _:
                 pass
 
-    def allow(self, message: natnet.ServerMessage) -> bool:
-        """Return whether a message answers an open request, or is of a kind that needs none."""
+    def close(self, message: natnet.ServerMessage) -> bool:
+        """Close the request that a message answers; return False if it answers none, but is of a
+        kind that needs one."""
         match message:
             case natnet.ServerInfo() | natnet.ModelDef():
-                return self._counts[type(message)] > 0
+                is_asked = self._counts[type(message)] > 0
+                self._counts[type(message)] -= 1 if is_asked else 0
             case natnet.EchoResponse(client):
-                return client in self._echoes
+                is_asked = client in self._echoes
+                if is_asked:
+                    self._echoes.remove(client)
             case _:
-                return True
-
-    def close(self, answer: natnet.ServerMessage) -> None:
-        """Close the request that a message answers, if it is one of those that need one."""
-        match answer:
-            case natnet.ServerInfo() | natnet.ModelDef():
-                self._counts[type(answer)] -= 1
-            case natnet.EchoResponse(client):
-                self._echoes.remove(client)
-            case _:
-                pass
+                is_asked = True
+        return is_asked
 
     def take_text(self) -> str | None:
         """Close the last request that is text, and return it; None if it has been answered."""
@@ -249,10 +244,9 @@ class Stream:
         """Take one datagram; return its message, None if the datagram was dropped and counted."""
         try:
             message = parse(datagram, self.version)
-            if not self._requests.allow(message):
+            if not self._requests.close(message):
                 self.counts.unasked += 1
                 return None
-            self._requests.close(message)
             self._take(message, received_ns)
         except WireError:
             self._unread(datagram)

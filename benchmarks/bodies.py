@@ -33,7 +33,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result, Step
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.obstacles import Obstacles
 from tetractl.results.estimate import percent, proportion_interval

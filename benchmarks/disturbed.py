@@ -41,7 +41,7 @@ from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.results.estimate import distributions, percent
 from tetractl.run.checked_controller import CheckedController, build_controller
 from tetractl.run.control_loop import Trial

@@ -48,7 +48,8 @@ from tetractl.core.clock import MonotonicClock  # noqa: E402
 from tetractl.core.commands import PlantInfo  # noqa: E402
 from tetractl.core.protocols import LabSupervision, Observer  # noqa: E402
 from tetractl.core.trial import EPOCH_NS  # noqa: E402
-from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
+from tetractl.experiment.load import load_spec, parse_spec  # noqa: E402
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of  # noqa: E402
 from tetractl.log.format.channels import FRAMES  # noqa: E402
 from tetractl.log.format.packed_columns import unpack_columns  # noqa: E402
 from tetractl.log.format.tetractl_pb2 import CameraFrames  # noqa: E402

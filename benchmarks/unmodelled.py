@@ -35,7 +35,7 @@ from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.plant.simulation import SimPlant
 from tetractl.plant.wheel_drive import WheelDrive

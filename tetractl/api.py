@@ -23,7 +23,7 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result
 from tetractl.experiment import load
-from tetractl.experiment.load import LoadedSpec
+from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.trial_log import TrialLog
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt

@@ -8,7 +8,8 @@ from support.cli import tetractl
 from support.mutate import rewrite
 from support.tampering import SIM
 
-from tetractl.experiment.load import LoadedSpec, parse_spec
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog

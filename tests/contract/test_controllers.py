@@ -13,7 +13,7 @@ from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Outcome, Plan
-from tetractl.experiment.load import LoadedSpec
+from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import verify

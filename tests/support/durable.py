@@ -30,7 +30,8 @@ from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.run.control_loop import Trial
-from tetractl.experiment.load import parse_spec, start_of
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.loaded_spec import start_of
 
 spec = parse_spec(sys.argv[1], "spec.yaml")
 warm_up(spec.experiment, print)

@@ -13,7 +13,7 @@ from tetractl.core.commands import Command, PlantInfo, Sample, Steer, Stop, Turn
 from tetractl.core.plan import Outcome, Plan, Search
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
 

@@ -14,7 +14,7 @@ from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.log import provenance
 from tetractl.log.format.codec import drawn
 from tetractl.log.write.writer import LogWriter

@@ -14,7 +14,7 @@ from tetractl.core.errors import Exit
 from tetractl.log.read.find import find_log
 
 if TYPE_CHECKING:
-    from tetractl.experiment.load import LoadedSpec
+    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.log.read.trial_log import TrialLog
 
 PLANT_NAMES = {"sim": "simulated", "lab": "of the lab"}
@@ -94,7 +94,8 @@ def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec
     No calibration file is read of a log of the lab: its spec has the calibration's values.
     """
     from tetractl.experiment.lab_section import LabSection
-    from tetractl.experiment.load import LoadedSpec, parse_written
+    from tetractl.experiment.load import parse_written
+    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.experiment.plants import lab_as, on_plant
 
     start = trial.start

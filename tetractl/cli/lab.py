@@ -129,8 +129,7 @@ def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
     from tetractl.experiment.actuator_alone import actuator_alone
     from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import lab_of, on_plant, settings_on
-    from tetractl.experiment.yaml.document import read_document
-    from tetractl.experiment.yaml.settings import with_settings
+    from tetractl.experiment.yaml.document import read_document, with_settings
 
     document = read_document(spec)
     settings = settings_on(document, sets, "lab")

@@ -53,8 +53,7 @@ def run(
     """
     from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import read_document
-    from tetractl.experiment.yaml.settings import FieldValue, SpecSetting
+    from tetractl.experiment.yaml.document import FieldValue, SpecSetting, read_document
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")

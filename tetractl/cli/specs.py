@@ -221,7 +221,7 @@ def _check(path: Path, sets: list[str] | None) -> _Checked:
 def _valid(file: str, experiment: "Experiment", warnings: "Sequence[PlacedWarning]") -> _Checked:
     """Return what is said of a valid spec."""
     from tetractl.analysis.reach import reach
-    from tetractl.experiment.load import spec_hash
+    from tetractl.experiment.loaded_spec import spec_hash
     from tetractl.model.bounds import least_total_error
     from tetractl.run.plausibility import CheckContext
 

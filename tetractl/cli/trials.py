@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from tetractl.core.protocols import Observer
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.load import LoadedSpec
+    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.batch import Report, RunObserver
     from tetractl.run.executors import Executor
     from tetractl.run.store import Store
@@ -110,7 +110,7 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
     """Print what a run would do: the resolved spec, then the rest in YAML comments, so that the
     whole text is a valid spec.
     """
-    from tetractl.experiment.load import resolved_yaml
+    from tetractl.experiment.loaded_spec import resolved_yaml
     from tetractl.run.spec_trial import log_path
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")

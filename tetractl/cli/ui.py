@@ -19,8 +19,8 @@ from tetractl.tools.table.terminal_table import open_console, print_tables
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.load import LoadedSpec
-    from tetractl.experiment.yaml.settings import SpecSetting
+    from tetractl.experiment.loaded_spec import LoadedSpec
+    from tetractl.experiment.yaml.document import SpecSetting
     from tetractl.lab.rig import Rig
     from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.plant.lab_plant import RigSection

@@ -120,7 +120,7 @@ def _is_reported_already(mistake: Mistake, document: Document) -> bool:
     if mistake.kind == "too_short" and len(mistake.value or ()) >= mistake.context["min_length"]:
         return True  # pydantic counts only valid entries; the invalid ones are reported
     enclosing = [mistake.loc[:depth] for depth in range(len(mistake.loc) + 1)]
-    return any(loc in document.refused for loc in enclosing)
+    return any(loc in document.places and document.places[loc].refused for loc in enclosing)
 
 
 def data_loc(details: ErrorDetails, data: Any) -> Loc:
@@ -194,7 +194,7 @@ def _not_installed(mistake: Mistake, document: Document, schema: Schema) -> Spec
 def _wrong_value(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
     message = _words(mistake)
     place = document.place(mistake.loc)
-    is_written = mistake.loc in document.values
+    is_written = mistake.loc in document.places
     if mistake.value is None and is_written and mistake.kind != "inconsistent":
         return place.problem(mistake.loc, f"has no value; {message}")
     text = place.text if is_written else None

@@ -10,7 +10,6 @@ from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.explain import validated
 from tetractl.experiment.yaml.document import Document, Place, read_document
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
-from tetractl.experiment.yaml.settings import holder_of, put
 
 
 class IdentifiedValue(Model):
@@ -68,18 +67,12 @@ def read_identified(path: Path) -> tuple[Identified, str]:
     identified = validated(Identified, document)
     for name, robot in identified.robots.items():
         if robot.a.value <= 0:
-            _refuse(document, ("robots", name, "a", "value"), "must be greater than 0")
+            document.refuse(("robots", name, "a", "value"), "must be greater than 0")
         if robot.speed.value < 0:
-            _refuse(document, ("robots", name, "speed", "value"), "must be at least 0")
+            document.refuse(("robots", name, "speed", "value"), "must be at least 0")
     if document.all_problems:
         raise InvalidSpecError(document.all_problems)
     return identified, document.text
-
-
-def _refuse(document: Document, loc: Loc, message: str) -> None:
-    """Add the problem of the value at a location to a document."""
-    place = document.place(loc)
-    document.problems.append(place.problem(loc, message, place.text))
 
 
 def merge(document: Document, identified: Identified, origin: str, estimates: bool) -> None:
@@ -103,13 +96,13 @@ def merge(document: Document, identified: Identified, origin: str, estimates: bo
         values = identified.robots.get(str(robot.get("name")))
         if values is not None:
             _put_rate(document, ("robots", i, "a"), values.a.value, identified.strength, place)
-            put(document, ("robots", i, "speed"), values.speed.value, place)
+            document.put(("robots", i, "speed"), values.speed.value, place)
     controller = document.data.setdefault("controller", {})
     if isinstance(controller, dict):
         dead_time_s = identified.dead_time.value
         if not estimates:
             dead_time_s += identified.frame_age
-        put(document, ("controller", "dead_time"), dead_time_s, place)
+        document.put(("controller", "dead_time"), dead_time_s, place)
 
 
 def _length_unit(document: Document) -> Any:
@@ -130,12 +123,12 @@ def _put_rate(
     document: Document, loc: Loc, a_rad_s: float, strength: float | None, place: Place
 ) -> None:
     """Replace a robot's a, at a location, by one that was identified at a strength."""
-    stated = holder_of(document, loc).get("a")
+    stated = document.holder(loc).get("a")
     if not isinstance(stated, dict) or len(stated) != 1:
-        put(document, loc, a_rad_s, place)
+        document.put(loc, a_rad_s, place)
     elif strength is None:
         message = "is per strength in the spec, but its logs state no strength"
         document.problems.append(place.problem(loc, message))
     else:
         (key,) = stated
-        put(document, (*loc, key), a_rad_s / strength, place)
+        document.put((*loc, key), a_rad_s / strength, place)

@@ -21,12 +21,17 @@ from tetractl.experiment.consistency import section_errors
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.explain import validated
 from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.load import LoadedSpec, attach
+from tetractl.experiment.loaded_spec import LoadedSpec, attach
 from tetractl.experiment.packages import not_installed
 from tetractl.experiment.plant import PlantSection
-from tetractl.experiment.yaml.document import Document, file_of_spec, parse_document, read_text
+from tetractl.experiment.yaml.document import (
+    Document,
+    file_of_spec,
+    make_way,
+    parse_document,
+    read_text,
+)
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
-from tetractl.experiment.yaml.settings import holder_of, make_way, put
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +160,8 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     for measured in _measured_values(document):
         place = document.place(measured.loc)
         loc = make_way(merged, ("plant", *measured.path), place)
-        if measured.value != {} or loc[-1] not in holder_of(merged, loc):
-            put(merged, loc, measured.value, place)
+        if measured.value != {} or loc[-1] not in merged.holder(loc):
+            merged.put(loc, measured.value, place)
     updated = validated(Experiment, merged)
     for error in section_errors(updated):
         where = dotted(error.where)

@@ -20,7 +20,6 @@ from tetractl.core.poses import Floats
 from tetractl.experiment.base import Model
 from tetractl.experiment.yaml.document import Document, Place, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
-from tetractl.experiment.yaml.settings import put
 
 WIDTH_MAX = 1000
 """Largest number of inputs or outputs of a layer."""
@@ -143,4 +142,4 @@ def _packed(layer: Any) -> dict[str, Any]:
 def put_layers(document: Document, layers: list[dict[str, Any]], origin: str) -> None:
     """Replace the name of a file of weights, in a spec, by the file's layers."""
     del document.data["controller"]["weights"]
-    put(document, ("controller", "layers"), layers, Place(origin))
+    document.put(("controller", "layers"), layers, Place(origin))

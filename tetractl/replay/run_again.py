@@ -9,7 +9,7 @@ from mcap.records import Attachment
 
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome, StopReason
-from tetractl.experiment.load import LoadedSpec
+from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.format.channels import WRITER, Entry
 from tetractl.log.provenance import CODE
 from tetractl.log.read import limits

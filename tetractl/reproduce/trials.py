@@ -4,8 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tetractl.experiment.load import LoadedSpec, load_spec
-from tetractl.experiment.yaml.settings import FieldValue
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.loaded_spec import LoadedSpec
+from tetractl.experiment.yaml.document import FieldValue
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.reproduce.paper import Paper, Runs, Work

@@ -28,7 +28,8 @@ from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.controller import ControllerSection
-from tetractl.experiment.load import LoadedSpec, parse_spec, start_of, with_controller, with_seed
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
 from tetractl.model.obstacles import Obstacles
 from tetractl.run import spec_trial
 from tetractl.run.control_loop import Trial

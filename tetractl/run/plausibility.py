@@ -19,7 +19,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import SpecFinding, nearest, warning
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.load import LoadedSpec
+from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.experiment.section_abilities import (
     Accepting,
     Clearance,
@@ -31,9 +31,8 @@ from tetractl.experiment.section_abilities import (
     Modelled,
     PlansSignals,
 )
-from tetractl.experiment.yaml.document import parse_document
+from tetractl.experiment.yaml.document import SpecSetting, parse_document, with_settings
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
-from tetractl.experiment.yaml.settings import SpecSetting, with_settings
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out

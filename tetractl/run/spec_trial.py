@@ -25,7 +25,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import packages
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.experiment.plants import Prepare
 from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter

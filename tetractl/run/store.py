@@ -17,7 +17,7 @@ from typing import Any
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import arm_hash
+from tetractl.experiment.loaded_spec import arm_hash
 from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary

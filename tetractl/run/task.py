@@ -20,7 +20,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment, packages
-from tetractl.experiment.load import LoadedSpec
+from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_briefly, run_logged

@@ -27,13 +27,8 @@ from tetractl.core.registries import SWEEPS
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
 from tetractl.experiment.explain import validated
-from tetractl.experiment.load import (
-    LoadedSpec,
-    arm_hash,
-    as_text,
-    load_document,
-    without_lines,
-)
+from tetractl.experiment.load import as_text, load_document, without_lines
+from tetractl.experiment.loaded_spec import LoadedSpec, arm_hash
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.document import Document, parse_document, read_document

@@ -158,9 +158,9 @@ def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecPro
             fields = list(side.Settings.model_fields)
             guess = did_you_mean(str(loc[-1]), fields) or f"; known here: {', '.join(fields)}"
             return document.key(loc).problem(loc, f"unknown key{guess}")
-    place = document.keys.get(loc) if details["type"] == "extra_forbidden" else None
+    place = document.key(loc) if details["type"] == "extra_forbidden" else document.place(loc)
     message = words(details, details["input"])
     if details["type"] == "tuple_type" and loc[0] == "faults" and len(loc) > 2:
         kind = sides.faults[document.data["faults"][loc[1]]["fault"]]
         message = f"must be {list_of(kind.model_json_schema()['properties'][loc[2]])}"
-    return (place or document.place(loc)).problem(loc, message)
+    return place.problem(loc, message)

@@ -78,8 +78,7 @@ def survey(
     from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.experiment.yaml.core_yaml import dump
-    from tetractl.experiment.yaml.document import parse_document
-    from tetractl.experiment.yaml.settings import with_settings
+    from tetractl.experiment.yaml.document import parse_document, with_settings
     from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choice.ranked import alike, ranked
     from tetractl_microscope.choice.section import Choice

@@ -9,7 +9,8 @@ from support.paths import ROOT
 from support.targets import spec_text
 
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec, resolved_yaml, spec_hash
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.loaded_spec import resolved_yaml, spec_hash
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import parse_document
 

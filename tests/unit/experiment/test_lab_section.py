@@ -5,7 +5,8 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.load import load_spec, parse_spec, resolved_yaml
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.loaded_spec import resolved_yaml
 from tetractl.experiment.plants import calibrated, lab_of, on_plant
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.plant.sim_section import SimSection

@@ -15,17 +15,10 @@ from support.trials import experiment
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue, merge
-from tetractl.experiment.load import (
-    attach,
-    load_spec,
-    parse_spec,
-    parse_written,
-    resolved_yaml,
-    spec_hash,
-)
-from tetractl.experiment.yaml.document import parse_document
+from tetractl.experiment.load import load_spec, parse_spec, parse_written
+from tetractl.experiment.loaded_spec import attach, resolved_yaml, spec_hash
+from tetractl.experiment.yaml.document import FieldValue, parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.experiment.yaml.settings import FieldValue
 from tetractl.log.format import channels
 
 EXPERIMENTS = ROOT / "experiments"

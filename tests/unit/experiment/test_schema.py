@@ -8,7 +8,8 @@ import pytest
 from support.paths import ROOT, SPECS
 
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import load_spec, resolved_yaml
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.loaded_spec import resolved_yaml
 from tetractl.experiment.schema import schema_json, schema_of
 from tetractl.experiment.yaml.document import parse_document
 

@@ -3,7 +3,8 @@
 import pytest
 
 from tetractl.experiment.identified import Identified, merge
-from tetractl.experiment.load import parse_spec, resolved_yaml
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.loaded_spec import resolved_yaml
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.replay.identification.identify import QUANTITIES

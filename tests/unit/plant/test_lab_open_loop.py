@@ -9,7 +9,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import PlantInfo
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import EPOCH_NS
-from tetractl.experiment.load import LoadedSpec, start_of
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
 

@@ -1,6 +1,12 @@
-"""A spec's text as plain data, with the location of each value in the text."""
+"""A spec's text as plain data, with the place of each value: where it is written, or what put it.
 
-from collections.abc import Iterator
+A location is a tuple of keys and list indices, such as ("robots", 0, "a"). A value that is put into
+a document (by `--set`, by another option, or from a file that the spec names) takes the place of
+what put it: problems with this value name that option or file.
+"""
+
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +14,15 @@ from typing import Any
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from tetractl.core.errors import SpecError, printable
-from tetractl.experiment.yaml.core_yaml import CORE, STR, compose, scalar, short_tag, within_limits
+from tetractl.experiment.yaml.core_yaml import (
+    CORE,
+    MAX_DEPTH,
+    STR,
+    compose,
+    scalar,
+    short_tag,
+    within_limits,
+)
 from tetractl.experiment.yaml.problems import (
     SHOWN_LENGTH,
     InvalidSpecError,
@@ -23,12 +37,18 @@ MAX_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The file, line and column (from 1) of a value or a key, and the text of that value or key."""
+    """The file, line and column (from 1) of a value or a key, and the text of that value or key.
+
+    Of a value in a mapping, `key` is the place of its key. `refused` is the problem of a value that
+    is no YAML of ours, in whose stead the data has None.
+    """
 
     origin: str
     line: int | None = None
     column: int | None = None
     text: str | None = None
+    key: "Place | None" = None
+    refused: SpecProblem | None = None
 
     def problem(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
         """Return a problem at this location."""
@@ -37,39 +57,67 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A parsed spec: data, the location of every value and key, and problems.
+    """A parsed spec: its data, the place of every value in it, and problems so far.
 
-    `refused` holds the errors of refused values, which are None in `data`. `text` is the spec as
-    written, and `path` its file, None for a text that comes from no file.
+    `text` is the spec as written, and `path` its file, None for a text that comes from no file.
     """
 
     origin: str
     data: dict[str, Any] = field(default_factory=dict)
-    values: dict[Loc, Place] = field(default_factory=dict)
-    keys: dict[Loc, Place] = field(default_factory=dict)
+    places: dict[Loc, Place] = field(default_factory=dict)
     problems: list[SpecProblem] = field(default_factory=list)
-    refused: dict[Loc, SpecProblem] = field(default_factory=dict)
     text: str = field(default="", repr=False)
     path: Path | None = None
 
     @property
     def all_problems(self) -> list[SpecProblem]:
         """The document's problems so far, including refused values."""
-        return [*self.problems, *self.refused.values()]
+        refused = [place.refused for place in self.places.values() if place.refused]
+        return [*self.problems, *refused]
 
     def key(self, loc: Loc) -> Place:
-        """Return the location of a key or, if unknown, of its value or the enclosing node."""
-        return self.keys.get(loc) or self.place(loc)
+        """Return the place of a key or, if unknown, of its value or the enclosing node."""
+        written = self.places.get(loc)
+        return (written and written.key) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:
-        """Return the location of a value or, if unknown, of the nearest enclosing node."""
-        while loc and loc not in self.values:
+        """Return the place of a value or, if unknown, of the nearest enclosing node."""
+        while loc and loc not in self.places:
             loc = loc[:-1]
-        return self.values.get(loc) or Place(self.origin)
+        return self.places.get(loc) or Place(self.origin)
 
     def problem_at(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem at the location of a value."""
+        """Return a problem at the place of a value."""
         return self.place(loc).problem(loc, message, value)
+
+    def refuse(self, loc: Loc, message: str) -> None:
+        """Add the problem of the value at a location, with its text."""
+        place = self.place(loc)
+        self.problems.append(place.problem(loc, message, place.text))
+
+    def copied(self) -> "Document":
+        """Return a document that can be changed without changing this one."""
+        return replace(
+            self,
+            data=deepcopy(self.data),
+            places=dict(self.places),
+            problems=list(self.problems),
+        )
+
+    def holder(self, loc: Loc) -> Any:
+        """Return the mapping or list that holds, or will hold, the value at a location."""
+        holder: Any = self.data
+        for step in loc[:-1]:
+            holder = holder[step]
+        return holder
+
+    def put(self, loc: Loc, value: Any, place: Place) -> None:
+        """Replace the value at a location, whose holder exists, by one that is given at `place`."""
+        self.holder(loc)[loc[-1]] = value
+        stale = [inner for inner in self.places if inner[: len(loc)] == loc]
+        for inner in stale:
+            del self.places[inner]
+        self.places[loc] = place
 
 
 def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
@@ -127,7 +175,7 @@ def read_document(path: Path) -> Document:
 def parse_document(text: str, origin: str) -> Document:
     """Parse a spec's text; raise InvalidSpecError if it is not readable as YAML.
 
-    Errors that leave the rest readable are in the document's `problems` and `refused`.
+    Errors that leave the rest readable are among the document's `all_problems`.
     """
     document = Document(printable(origin), text=text)
     text = text.removeprefix("\ufeff")
@@ -139,7 +187,7 @@ def parse_document(text: str, origin: str) -> Document:
     if not isinstance(root, MappingNode):
         message = "the top level must be a mapping of keys such as 'name:' and 'robots:'"
         raise InvalidSpecError([builder.place(root).problem((), message)])
-    data = builder.build(root, (), 0)
+    data = builder.build(root, ())
     document.data.update(data or {})
     return document
 
@@ -154,7 +202,7 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
     try:
         root = compose(text, origin)
         if root is not None:
-            value = _Builder(text, document).build(root, loc, 0)
+            value = _Builder(text, document).build(root, loc)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
     if document.all_problems:
@@ -171,14 +219,18 @@ class _Builder:
         self.document = document
         self.count = 0
 
-    def build(self, node: Node, loc: Loc, depth: int) -> Any:
-        """Return the plain data of a node, and store the location of each value."""
+    def build(self, node: Node, loc: Loc, depth: int = 0, key: Place | None = None) -> Any:
+        """Return the plain data of a node, and store the place of each value; `key` is that of the
+        node's own key."""
         self.count += 1
         within_limits(self.document.origin, depth, self.count, node.start_mark)
-        self.document.values[loc] = self.place(node)
+        places = self.document.places
+        places[loc] = self.place(node, key)
         if isinstance(node, MappingNode) and node.tag == CORE + "map":
-            items = self._items(node, loc)
-            return {key: self.build(value, (*loc, key), depth + 1) for key, value in items}
+            return {
+                name: self.build(value, (*loc, name), depth + 1, key)
+                for name, key, value in self._items(node, loc)
+            }
         if isinstance(node, SequenceNode) and node.tag == CORE + "seq":
             return [self.build(child, (*loc, i), depth + 1) for i, child in enumerate(node.value)]
         try:
@@ -186,12 +238,13 @@ class _Builder:
                 return scalar(node.tag, node.value)
             raise ValueError(f"the tag {short_tag(node.tag)} does not fit here; leave it out")
         except ValueError as error:
-            problem = self.document.values[loc].problem(loc, printable(str(error), 200))
-            self.document.refused[loc] = problem
+            problem = places[loc].problem(loc, printable(str(error), 200))
+            places[loc] = replace(places[loc], refused=problem)
             return None
 
-    def _items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Node]]:
-        keys = self.document.keys
+    def _items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Place, Node]]:
+        """Yield each key of a mapping, its place and the node of its value; a later one is asked
+        for once the value is built."""
         for key, value in node.value:
             place = self.place(key)
             if not isinstance(key, ScalarNode) or key.tag != STR:
@@ -200,18 +253,128 @@ class _Builder:
                     said += "; a decimal number has a point, not a comma"
                 problem = place.problem(loc, said, place.text)
                 self.document.problems.append(problem)
-            elif (*loc, key.value) in keys:
-                first = keys[*loc, key.value].line
+            elif (*loc, key.value) in self.document.places:
+                first = self.document.key((*loc, key.value)).line
                 message = f"is given twice, first in line {first}; keep one"
                 self.document.problems.append(place.problem((*loc, key.value), message))
             else:
-                keys[*loc, key.value] = place
-                yield key.value, value
+                yield key.value, place, value
 
-    def place(self, node: Node) -> Place:
-        """Return the location of a node, with its text if that is on a single line."""
+    def place(self, node: Node, key: Place | None = None) -> Place:
+        """Return the place of a node with this key, with its text if that is on a single line."""
         start = node.start_mark
         text = self.text[start.index : node.end_mark.index].strip()
         one_line = "\n" not in text and not isinstance(node, MappingNode)
         excerpt = printable(text, SHOWN_LENGTH) if one_line and text else None
-        return Place(self.document.origin, start.line + 1, start.column + 1, excerpt)
+        return Place(self.document.origin, start.line + 1, start.column + 1, excerpt, key)
+
+
+# ---- values that are put into a document ----
+
+
+@dataclass(frozen=True, slots=True)
+class FieldValue:
+    """The value that an option such as `--seed 3` states for the field at a path, such as
+    `trials.seed`; problems with the value name the option.
+    """
+
+    path: str
+    value: Any
+    option: str
+
+    @property
+    def origin(self) -> str:
+        """The option and its value, as typed."""
+        return f"{self.option} {self.value}"
+
+
+SpecSetting = str | FieldValue
+"""A value of one field: `PATH=VALUE`, with a value in YAML, or a `FieldValue`."""
+
+
+def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Document:
+    """Return a copy of a document with settings; errors are added to the copy's problems.
+
+    A step of a setting's path is a key, an index, or the `name` of an entry: `robots.0.a`,
+    `robots.green.a`. Mappings that the spec omits are created.
+    """
+    changed = document.copied()
+    for setting in settings:
+        try:
+            if isinstance(setting, str):
+                _put_text(changed, setting)
+            else:
+                _put_field(changed, setting)
+        except InvalidSpecError as error:
+            changed.problems.extend(error.problems)
+    return changed
+
+
+def _put_text(document: Document, setting: str) -> None:
+    """Put the value of a setting such as `robots.0.a=6`, which is YAML, in its place."""
+    place = Place(f"--set {printable(setting, 200)}")
+    path, equals, text = setting.partition("=")
+    path = path.strip()
+    if not (equals and path):
+        message = "must be PATH=VALUE, for instance controller.optimizer.particles=200"
+        raise InvalidSpecError([place.problem((), message)])
+    steps = path.split(".")
+    if len(steps) > MAX_DEPTH:
+        raise InvalidSpecError([place.problem((), f"the path has more than {MAX_DEPTH} steps")])
+    loc = make_way(document, steps, place)
+    value = parse_value(text, place.origin, loc)
+    document.put(loc, value, replace(place, text=printable(text, 60) or None))
+
+
+def _put_field(document: Document, setting: FieldValue) -> None:
+    """Put the value of an option in its place."""
+    place = Place(setting.origin, text=str(setting.value))
+    loc = make_way(document, setting.path.split("."), place)
+    document.put(loc, setting.value, place)
+
+
+def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
+    """Return the location that a path means, after creating the mappings on the way to it.
+
+    A step is a key, the `name` of a list's entry, or an index. InvalidSpecError, at the `place`
+    where the path is given, if there is none.
+    """
+    loc: Loc = ()
+    holder: Any = document.data
+    for step in steps[:-1]:
+        loc = (*loc, _key(holder, loc, step, place))
+        if isinstance(holder, dict) and holder.get(step) is None:
+            document.put(loc, {}, replace(place, text=None))
+        holder = holder[loc[-1]]
+    return (*loc, _key(holder, loc, steps[-1], place))
+
+
+def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
+    """Return the key or index that a step of a path means in `holder`, the value at `loc`."""
+    if isinstance(holder, list):
+        return _index(holder, loc, step, place)
+    if not isinstance(holder, dict):
+        message = f"has no '{printable(step, 60)}'; it is a single value"
+        raise InvalidSpecError([place.problem(loc, message)])
+    if not step:
+        raise InvalidSpecError([place.problem(loc, "a step of the path is empty")])
+    return step
+
+
+def _index(entries: list[Any], loc: Loc, step: str, place: Place) -> int:
+    """Return the index of the list's entry that a step means: by index, or by its name."""
+    names = {
+        i: str(entry["name"])
+        for i, entry in enumerate(entries)
+        if isinstance(entry, dict) and "name" in entry
+    }
+    for i in range(len(entries)):
+        if step in (str(i), names.get(i)):
+            return i
+    choices = "none: it is empty"
+    if entries:
+        choices = f"0 to {len(entries) - 1}"
+    if names:
+        choices += f" or {', '.join(names.values())}"
+    message = f"has no entry '{printable(step, 60)}'; its entries are {choices}"
+    raise InvalidSpecError([place.problem(loc, message)])

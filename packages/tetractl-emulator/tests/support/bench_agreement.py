@@ -20,7 +20,8 @@ import tetractl
 from tetractl import TrialLog
 from tetractl.core.commands import PlantInfo
 from tetractl.core.trial import EPOCH_NS, TrialRecords
-from tetractl.experiment.load import LoadedSpec, load_spec, start_of
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.sim_section import SimSection

@@ -13,7 +13,8 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.tour import TourMeasure
 from tetractl.core.trial import Result
-from tetractl.experiment.load import parse_spec, start_of
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.loaded_spec import start_of
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import trial_path
 from tetractl.log.write.writer import LogWriter

@@ -1,6 +1,12 @@
 import pytest
 
-from tetractl.experiment.yaml.document import MAX_BYTES, parse_document, parse_value, read_text
+from tetractl.experiment.yaml.document import (
+    MAX_BYTES,
+    parse_document,
+    parse_value,
+    read_text,
+    with_settings,
+)
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
 pytestmark = pytest.mark.slow
@@ -21,7 +27,7 @@ note: >
 
 def place(document, *loc):
     """The line, column and text of a value, None if it is a list, a mapping or a block."""
-    value = document.values[loc]
+    value = document.places[loc]
     return value.line, value.column, value.text
 
 
@@ -34,7 +40,7 @@ def test_every_value_has_its_place_and_text():
     assert place(document, "robots", 1) == (4, 5, None)
     assert place(document, "robots", 1, "start", 1) == (7, 9, '"2"')
     assert place(document, "note") == (8, 7, None)
-    assert document.keys["robots", 0, "start"].column == 17
+    assert document.key(("robots", 0, "start")).column == 17
 
 
 def test_a_byte_order_mark_and_windows_line_ends_do_not_shift_places():
@@ -131,3 +137,12 @@ def test_files_that_are_no_text(tmp_path, raw, words):
     with pytest.raises(InvalidSpecError) as caught:
         read_text(path)
     assert words in str(caught.value)
+
+
+def test_settings_leave_the_parsed_document_as_it_was():
+    document = parse_document("robots: [{name: red, a: 3}]", "s.yaml")
+    changed = with_settings(document, ["robots.red.a=4", "robots.red.a=5", "nonsense"])
+    assert changed.data == {"robots": [{"name": "red", "a": 5}]}
+    assert document.data == {"robots": [{"name": "red", "a": 3}]}
+    assert document.place(("robots", 0, "a")).origin == "s.yaml"
+    assert document.problems == []

@@ -289,7 +289,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         if message.HasField("estimate")
         else None,
         instead=None if isinstance(command.action, Steer) else command.action,
-        state=_decode_state(message.state),
+        state=State.DRIVING if message.state in FORMER_STATES else State(message.state),
         leg=message.leg,
         delay_ns=message.delay_ns,
     )
@@ -309,11 +309,6 @@ def _decode_path(message: pb.ControllerStep, robots: int) -> Floats:
     y = _floats(message.path_y)
     heading = np.full_like(x, np.nan)
     return np.stack([x, y, heading], axis=-1).reshape(-1, robots, 3)
-
-
-def _decode_state(text: str) -> State:
-    """Decode what the robots do; one of FORMER_STATES is `driving`."""
-    return State.DRIVING if text in FORMER_STATES else State(text)
 
 
 def encode_timing(step: Step) -> pb.StepTiming:

@@ -65,7 +65,10 @@ def layout(setup: Setup) -> str:
     }
     window = parts["whole"]
     window["configById"] = {"3D!arena": _view(setup, parts["view"]), **plots}
-    window["userNodes"]["tetractl-error"]["sourceCode"] = _error_script(setup)
+    script = (_FILES / "layout_error.ts").read_text()  # publishes the error of the camera's poses
+    script = script.replace("%TARGETS%", json.dumps(setup.targets.tolist()))
+    script = script.replace("%STEP%", channels.STEP).replace("%ERROR%", ERROR)
+    window["userNodes"]["tetractl-error"]["sourceCode"] = script
     window["layout"]["second"] = _column(list(plots))
     return json.dumps(window, ensure_ascii=False) + "\n"
 
@@ -85,13 +88,6 @@ def _plot(parts: dict[str, Any], title: str, curves: Iterable[PlotCurve]) -> dic
     paths = [parts["curve"] | asdict(curve) for curve in curves]
     titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
     return parts["plot"] | titles | {"paths": paths}
-
-
-def _error_script(setup: Setup) -> str:
-    """Return the script that publishes the error of the camera's poses."""
-    script = (_FILES / "layout_error.ts").read_text()
-    script = script.replace("%TARGETS%", json.dumps(setup.targets.tolist()))
-    return script.replace("%STEP%", channels.STEP).replace("%ERROR%", ERROR)
 
 
 def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:

@@ -7,9 +7,10 @@
 2. Each column is replaced by its fourth differences, as if zeros were before it: numbers that
    change smoothly become small. Of 100 102 104 106 the first differences are 100 2 2 2, and the
    second ones 100 -98 0 0. A single row stays as it is.
-3. Small negative integers become small positive ones (`_zigzag`): 0 -1 1 -2 become 0 1 2 3.
-4. The lowest bytes of all numbers come first, column after column, then the next higher ones
-   (`_byte_planes`): the high bytes, nearly all 0, are together.
+3. Small negative integers become small positive ones, 2 n for n >= 0 and -2 n - 1 for n < 0:
+   0 -1 1 -2 become 0 1 2 3.
+4. The lowest bytes of all numbers come first, column after column, then the next higher ones: the
+   high bytes, nearly all 0, are together.
 """
 
 from typing import Any
@@ -27,7 +28,11 @@ def pack_columns(columns: NDArray[Any]) -> bytes:
     if len(integers) > 1:
         before = np.zeros((DIFFERENCES, integers.shape[1]), integers.dtype)
         integers = np.diff(np.concatenate([before, integers]), DIFFERENCES, axis=0)
-    return _byte_planes(_zigzag(integers))
+    sign_bit = 8 * integers.itemsize - 1
+    zigzag = (integers << 1) ^ (integers >> sign_bit)
+    by_column = np.ascontiguousarray(zigzag.T)
+    by_number = by_column.view(np.uint8).reshape(-1, integers.itemsize)
+    return by_number.T.tobytes()
 
 
 def unpack_columns(data: bytes, width: int, kind: str) -> NDArray[Any]:
@@ -35,33 +40,12 @@ def unpack_columns(data: bytes, width: int, kind: str) -> NDArray[Any]:
     another number of bytes."""
     if not data:
         return np.zeros((0, width), kind)
-    integers = _from_zigzag(_from_byte_planes(data, width, np.dtype(kind).itemsize))
+    size = np.dtype(kind).itemsize
+    planes = np.frombuffer(data, np.uint8).reshape(size, width, -1)
+    by_number = np.ascontiguousarray(planes.transpose(2, 1, 0))
+    zigzag = by_number.view(f"<u{size}")[..., 0]
+    integers = (zigzag >> 1) ^ -(zigzag & 1)
     if len(integers) > 1:
         for _ in range(DIFFERENCES):
             integers = np.cumsum(integers, axis=0, dtype=integers.dtype)
     return integers.view(kind)
-
-
-def _zigzag(signed: NDArray[Any]) -> NDArray[Any]:
-    """Return 2 n for n >= 0 and -2 n - 1 for n < 0."""
-    sign_bit = 8 * signed.itemsize - 1
-    return (signed << 1) ^ (signed >> sign_bit)
-
-
-def _from_zigzag(unsigned: NDArray[Any]) -> NDArray[Any]:
-    """Undo `_zigzag`, modulo the size of the integers."""
-    return (unsigned >> 1) ^ -(unsigned & 1)
-
-
-def _byte_planes(integers: NDArray[Any]) -> bytes:
-    """Return the bytes of integers (M, C), in the order (byte, column, row)."""
-    by_column = np.ascontiguousarray(integers.T)
-    by_number = by_column.view(np.uint8).reshape(-1, integers.itemsize)
-    return by_number.T.tobytes()
-
-
-def _from_byte_planes(data: bytes, width: int, size: int) -> NDArray[Any]:
-    """Undo `_byte_planes`, as unsigned integers (M, `width`) of `size` bytes."""
-    planes = np.frombuffer(data, np.uint8).reshape(size, width, -1)
-    by_number = np.ascontiguousarray(planes.transpose(2, 1, 0))
-    return by_number.view(f"<u{size}")[..., 0]

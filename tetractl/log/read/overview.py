@@ -13,8 +13,7 @@ from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import CHANNELS, COMMANDS, LOG, STEP, SUMMARY, Entry
 from tetractl.log.format.run_records import run_items
 from tetractl.log.provenance import is_version
-from tetractl.log.read.damage import with_alteration
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.raw_log import ALTERED, RawLog
 from tetractl.log.read.reader import decode_errors, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Event
@@ -73,6 +72,10 @@ def overview(path: Path) -> Overview:
     with decode_errors(contents):
         needed = contents.records if contents.problems else _shown(contents)
     trial = trial_of(replace(contents, records=needed))
+    damage = trial.damage
+    if contents.altered:
+        before = damage or Damage((), ())
+        damage = Damage((*before.problems, ALTERED), before.lost)
     last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)
     return Overview(
         log=str(path),
@@ -90,7 +93,7 @@ def overview(path: Path) -> Overview:
         digest=contents.content_digest,
         stated_digest=trial.digest,
         brief=contents.brief,
-        damage=with_alteration(contents, trial.damage),
+        damage=damage,
     )
 
 

@@ -87,7 +87,10 @@ class RawLog:
         if channels.TRACK in self.attachments:
             message = f"{self.path}: was written by `tetractl track`, and holds no trial"
             raise UsageError(message, "tetractl track shows such a log")
-        self._refuse_formats_1_and_2()
+        stated = {item.name: item.metadata for item in self.metadata}
+        early_run = stated.get("tetractl.run", {})
+        if "format_version" in early_run:  # the first two formats stated the run as metadata
+            raise self._of_format(early_run["format_version"], stated.get("tetractl.host", {}))
         if not self.by_topic[channels.RUN]:
             raise self._without_run()
         try:
@@ -98,13 +101,6 @@ class RawLog:
         if run.format_version != channels.FORMAT_VERSION:
             raise self._of_format(str(run.format_version), self.facts)
         return run
-
-    def _refuse_formats_1_and_2(self) -> None:
-        """Raise LogError for the first two formats, which stated the run as metadata."""
-        stated = {item.name: item.metadata for item in self.metadata}
-        run = stated.get("tetractl.run", {})
-        if "format_version" in run:
-            raise self._of_format(run["format_version"], stated.get("tetractl.host", {}))
 
     def _without_run(self) -> LogError:
         """Return the error for a file without the record of a run."""
@@ -128,6 +124,11 @@ class RawLog:
     def result(self) -> Result | None:
         """The result stated in the log, None if it cannot be read."""
         return self._result_or_reason if isinstance(self._result_or_reason, Result) else None
+
+    @property
+    def damaged(self) -> bool:
+        """Whether the log is torn, recovered or unfinished; `TrialLog.damage` says how."""
+        return bool(self.problems) or self.recovered is not None or self.result is None
 
     @property
     def why_no_result(self) -> str:

@@ -33,10 +33,9 @@ from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import decode_plant
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import validate
-from tetractl.log.read.damage import damage_of, is_damaged
 from tetractl.log.read.raw_log import RawLog, writer
 from tetractl.log.read.salvage import peek, scan
-from tetractl.log.read.trial_log import Origin, ResultSummary, TrialLog
+from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
 
 
@@ -109,9 +108,23 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | 
         digest=contents.stated_digest,
         pictures=_pictures(contents, start.start_unix_ns),
     )
+    if not contents.damaged:
+        return trial
     # damage is stated with a time since the first direction, which the trial knows
     until_s = trial.elapsed_s(int(frames.received_ns.max(initial=0)))
-    return replace(trial, damage=damage_of(contents, until_s))
+    return replace(trial, damage=_damage(contents, until_s))
+
+
+def _damage(contents: RawLog, until_s: float) -> Damage:
+    """Return how a log is torn, recovered and unfinished; its last frame was received at `until_s`
+    [s]."""
+    source = contents.recovered or Damage((), ())
+    problems = [*source.problems, *contents.problems]
+    lost = [*source.lost, *contents.lost]
+    if contents.result is None:
+        problems.append(contents.why_no_result)
+        lost.append(f"the result and everything after {until_s:.3f} s")
+    return Damage(tuple(problems), tuple(lost))
 
 
 def _pictures(contents: RawLog, start_unix_ns: int) -> tuple[tuple[int, bytes], ...]:
@@ -127,7 +140,7 @@ def read_result(path: Path) -> ResultSummary:
     """Read only the result of a trial, found by the file's index if file and result are whole;
     raises the errors of `result_of`."""
     contents = peek(Path(path))
-    if contents is None or is_damaged(contents):
+    if contents is None or contents.damaged:
         contents = scan(Path(path))
     return result_of(contents)
 
@@ -149,7 +162,7 @@ def result_of(contents: RawLog) -> ResultSummary:
         trial=start.trial,
         origin=Origin.of(experiment, start.plant),
         result=result,
-        recovered=is_damaged(contents),
+        recovered=contents.damaged,
         digest=contents.stated_digest,
         warnings=contents.warnings,
         processor=provenance.processor(contents.facts),

@@ -10,12 +10,11 @@ from mcap.records import Attachment
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import RECOVERED, Entry
 from tetractl.log.format.tetractl_pb2 import Recovered
-from tetractl.log.read.damage import losses
 from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_log import Damage
+from tetractl.log.read.trial_log import Damage, TrialLog, frame_gaps, step_gaps
 from tetractl.log.write.sink import Sink
 
 PART_SUFFIX = ".recovering"
@@ -85,6 +84,20 @@ def _examine(contents: RawLog) -> Damage:
         return Damage((*contents.problems, why), lost)
     problems = trial.damage.problems if trial.damage else ()
     return Damage(problems, losses(contents, trial))
+
+
+def losses(raw: RawLog, trial: TrialLog) -> tuple[str, ...]:
+    """Return what a log has lost: nothing if its records match both digests that it states, unless
+    its source had lost something.
+    """
+    lost = trial.damage.lost if trial.damage else ()
+    if trial.digest and not raw.altered and not raw.host_altered:
+        return lost if raw.recovered else ()
+    gaps = [*frame_gaps(trial), *step_gaps(trial)]
+    lost += tuple(map(str, gaps))
+    if trial.stop is None:
+        lost += ("the stop at the end",)
+    return lost or ("a record covered by the log's digest or its host digest",)
 
 
 def _write(contents: RawLog, damage: Damage, path: Path) -> None:

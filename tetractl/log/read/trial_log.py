@@ -44,7 +44,16 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """The problems and losses of a log, one sentence each."""
+    """The problems and losses of a log that is not whole, one sentence each. Such a log is
+
+        torn        records of the file cannot be read
+        recovered   it was copied from a torn log, of which it has lost records
+        unfinished  it has no result, or one that tetractl does not write
+
+    Numbers of camera frames or control steps that are missing are no damage by themselves: a camera
+    of a lab may lose frames. Nor is it damage if records do not match the digests that the log
+    states (`RawLog.altered`), which is known only once all of them have been hashed.
+    """
 
     problems: tuple[str, ...]
     lost: tuple[str, ...]

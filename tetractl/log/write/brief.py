@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 
-from mcap.records import Attachment
-
 from tetractl.core.commands import Command
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import (
@@ -32,60 +30,50 @@ LEFT_OUT = frozenset({LAYOUT, ENVIRONMENT})
 """The attachments of a whole log that a brief one lacks."""
 
 
-class _KeptRecords:
-    """A sink that hashes all records, and keeps those of a brief log."""
+class _BriefFile:
+    """A sink that hashes all records, and writes those of a brief log to a file in memory."""
 
     def __init__(self) -> None:
-        self._whole = LogDigests()
-        self._records: list[Entry | Attachment] = []
+        self._of_whole_log = LogDigests()
+        self._stream = BytesIO()
+        self._mcap = FileWriter(self._stream)
 
     def messages(self, entries: Iterable[Entry]) -> None:
-        """Hash messages, and keep those of a brief log."""
-        added = list(entries)
-        self._whole.messages(added)
-        self._records += [entry for entry in added if entry.topic in TOPICS]
+        """Hash messages, and write those of a brief log."""
+        for entry in entries:
+            self._of_whole_log.messages([entry])
+            if entry.topic in TOPICS:
+                self._mcap.add_entry(entry)
 
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Hash an attachment, and keep it if a brief log has it."""
-        self._whole.attachment(name, media_type, unix_ns, data)
+        """Hash an attachment, and write it if a brief log has it."""
+        self._of_whole_log.attachment(name, media_type, unix_ns, data)
         if name not in LEFT_OUT:
-            self._records.append(Attachment(unix_ns, unix_ns, name, media_type, data))
+            self._mcap.flush()
+            self._mcap.attach(name, media_type, unix_ns, data)
 
     def flush(self) -> None:
         """Do nothing: the attachments alone divide a brief log."""
 
-    def file(self, end_ns: int) -> bytes:
-        """Return the brief log's file, with the digests at the end of the trial [Unix ns]."""
-        stream = BytesIO()
-        writer = FileWriter(stream)
-        digests = LogDigests()
-        for record in self._records:
-            if isinstance(record, Entry):
-                digests.messages([record])
-                writer.add_entry(record)
-            else:
-                digests.attachment(record.name, record.media_type, record.log_time, record.data)
-                writer.flush()
-                writer.add_attachment(
-                    0, record.log_time, record.name, record.media_type, record.data
-                )
-        of_whole_log = self._whole.stated()
-        of_brief_log = digests.stated()
+    def finished(self, end_ns: int) -> bytes:
+        """End the file with the digests at the end of the trial [Unix ns], and return it."""
+        of_whole_log = self._of_whole_log.stated()
+        of_brief_log = self._mcap.digests.stated()
         stated = Digests(
             content=of_whole_log.content, host=of_brief_log.host, brief=of_brief_log.content
         )
-        writer.add_entry(Entry(DIGESTS, end_ns, end_ns, stated.SerializeToString()))
-        writer.finish()
-        return stream.getvalue()
+        self._mcap.add_entry(Entry(DIGESTS, end_ns, end_ns, stated.SerializeToString()))
+        self._mcap.finish()
+        return self._stream.getvalue()
 
 
 class BriefLog(Encoder):
     """An observer that holds the records of a trial's brief log until they are saved."""
 
     def __init__(self) -> None:
-        self._kept = _KeptRecords()
+        self._brief = _BriefFile()
         self._end_ns = 0
-        super().__init__(self._kept, hosted=True)
+        super().__init__(self._brief, hosted=True)
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Keep the end of the trial."""
@@ -95,4 +83,4 @@ class BriefLog(Encoder):
     def save(self, path: Path) -> None:
         """Write the brief log of a trial that has ended; LogError if that fails. Nothing waits for
         the disk: a trial whose log a power cut damages is run again."""
-        save_whole(path, self._kept.file(self._end_ns))
+        save_whole(path, self._brief.finished(self._end_ns))

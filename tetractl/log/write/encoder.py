@@ -173,7 +173,8 @@ class Encoder:
 
     def flush_frames(self) -> None:
         """Add the collected camera frames to the sink: few messages for a simulation, two per frame
-        for a lab.
+        for a lab. A message has the times of its last frame; transforms have those of their first,
+        so that a viewer that jumps to a time has the transforms before and after it.
 
         A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
         transforms with the same times, so that a change of one copy can be detected.
@@ -187,23 +188,14 @@ class Encoder:
         to_show = [trial.grouping.shown(message) for message in messages]
         # of all messages at once, which takes little longer than of one frame
         transforms = trial.scene.transforms(to_show, trial.start_ns)
-        for message, frames, encoded in zip(messages, to_show, transforms, strict=True):
-            self._add_frames(message)
-            self._add_transforms(frames, encoded)
-
-    def _add_frames(self, frames: Frames) -> None:
-        """Add the message of one or more camera frames, with the times of the last."""
-        received_ns = int(frames.received_ns[-1])
-        sampled_ns = int(frames.sampled_ns[-1])
-        self._add(channels.FRAMES, codec.encode_frames(frames), received_ns, sampled_ns)
-
-    def _add_transforms(self, frames: Frames, transforms: bytes) -> None:
-        """Add the transforms of camera frames, with the times of the first, so that a viewer that
-        jumps to a time has the transforms before and after it.
-        """
-        received_ns = int(frames.received_ns[0])
-        sampled_ns = int(frames.sampled_ns[0])
-        self._add_bytes(channels.TRANSFORMS, transforms, received_ns, sampled_ns)
+        for message, shown, transform in zip(messages, to_show, transforms, strict=True):
+            last_received_ns = int(message.received_ns[-1])
+            last_sampled_ns = int(message.sampled_ns[-1])
+            encoded = codec.encode_frames(message)
+            self._add(channels.FRAMES, encoded, last_received_ns, last_sampled_ns)
+            first_received_ns = int(shown.received_ns[0])
+            first_sampled_ns = int(shown.sampled_ns[0])
+            self._add_bytes(channels.TRANSFORMS, transform, first_received_ns, first_sampled_ns)
 
     def on_command(self, command: Command) -> None:
         """Add a command sent outside the control steps."""

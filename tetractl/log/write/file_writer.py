@@ -1,4 +1,6 @@
-"""Writes the records of a log's MCAP file, with its channels under the numbers of the format."""
+"""Writes and hashes the records of a log's MCAP file, with its channels under the numbers of the
+format.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -12,6 +14,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.version import __version__
 from tetractl.log.format.channels import CHANNELS, METADATA, NUMBERS, WRITER, Entry
+from tetractl.log.format.digest import LogDigests
 
 UNNUMBERED = 0
 """MCAP's number of no schema."""
@@ -31,6 +34,7 @@ class FileWriter(Writer):
 
     def __init__(self, stream: BinaryIO) -> None:
         super().__init__(stream, use_summary_offsets=False, enable_data_crcs=True)
+        self.digests = LogDigests()
         self._numbers = dict[str, int]()
         self._schemas = dict[str, int]()
         self._others = dict[str, tuple[Channel, Schema | None]]()
@@ -48,7 +52,13 @@ class FileWriter(Writer):
         number = self._numbers.get(entry.topic)
         if number is None:
             number = self._record_channel(entry.topic)
+        self.digests.messages([entry])
         self.add_message(number, entry.log_ns, entry.data, entry.publish_ns)
+
+    def attach(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Add an attachment."""
+        self.digests.attachment(name, media_type, unix_ns, data)
+        self.add_attachment(0, unix_ns, name, media_type, data)
 
     def _record_channel(self, topic: str) -> int:
         """Record a topic's schema and channel, and return the channel's number."""

@@ -15,7 +15,7 @@ from mcap.records import Channel, Schema
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import DIGESTS, Entry
-from tetractl.log.format.digest import LogDigests
+from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.file_writer import FileWriter
 from tetractl.tools.file_lock import lock_file
 
@@ -64,7 +64,6 @@ class Sink:
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
         self._path = path
         self._part = path.with_name(path.name + part)
-        self.digests = LogDigests()
         self._file: BinaryIO | None = None
         self._chunk_since: float | None = None  # when the open chunk's oldest message was added
         self._dirty_since: float | None = None  # when the oldest write that is not synced was made
@@ -88,22 +87,24 @@ class Sink:
     def messages(self, entries: Iterable[Entry]) -> None:
         """Add messages."""
         self._chunk_since = self._chunk_since or time.monotonic()
-        added = list(entries)
-        self.digests.messages(added)
-        for entry in added:
+        for entry in entries:
             self._mcap.add_entry(entry)
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
         """Add an attachment after all messages so far."""
         self.flush()
-        self.digests.attachment(name, media_type, unix_ns, data)
-        self._mcap.add_attachment(0, unix_ns, name, media_type, data)
+        self._mcap.attach(name, media_type, unix_ns, data)
 
     def seal(self, unix_ns: int) -> None:
         """Add the digests of all records so far."""
-        stated = self.digests.stated().SerializeToString()
+        stated = self.digests.SerializeToString()
         self.messages([Entry(DIGESTS, unix_ns, unix_ns, stated)])
+
+    @property
+    def digests(self) -> Digests:
+        """The digests of the records written so far."""
+        return self._mcap.digests.stated()
 
     @_while_open
     def flush(self) -> None:

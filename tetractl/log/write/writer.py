@@ -35,7 +35,7 @@ class LogWriter(Relay):
     @property
     def digest(self) -> str:
         """The content digest of the records written so far."""
-        return self._sink.digests.stated().content
+        return self._sink.digests.content
 
     @property
     def warnings(self) -> int:

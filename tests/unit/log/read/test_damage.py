@@ -1,16 +1,15 @@
-"""One module says whether a log is whole: by its file, its source, its result and its digests."""
-
-from dataclasses import replace
+"""A log is whole or says what it lacks: by its file, its source, its result and its digests."""
 
 import pytest
 from support.paths import ROOT
 
 from tetractl.log.format.channels import RESULT, STEP
-from tetractl.log.read.damage import damage_of, is_damaged, losses, with_alteration
+from tetractl.log.read.overview import overview
 from tetractl.log.read.raw_log import ALTERED
 from tetractl.log.read.reader import trial_of
-from tetractl.log.read.recover import recover
+from tetractl.log.read.recover import losses, recover
 from tetractl.log.read.salvage import scan
+from tetractl.log.write.sink import Sink
 
 WHOLE = ROOT / "tests/golden/format-4-sim.mcap"
 TORN = ROOT / "tests/golden/format-4-torn.mcap"
@@ -18,16 +17,16 @@ TORN = ROOT / "tests/golden/format-4-torn.mcap"
 
 def test_a_whole_log_has_no_damage_and_no_losses():
     raw = scan(WHOLE)
-    assert not is_damaged(raw)
-    assert damage_of(raw, until_s=1.0) is None
-    assert with_alteration(raw, None) is None
+    assert not raw.damaged
+    assert trial_of(raw).damage is None
+    assert overview(WHOLE).damage is None
     assert losses(raw, trial_of(raw)) == ()
 
 
 def test_a_torn_log_says_what_is_torn():
     raw = scan(TORN)
-    assert is_damaged(raw)
-    damage = damage_of(raw, until_s=1.25)
+    assert raw.damaged
+    damage = trial_of(raw).damage
     assert damage is not None
     assert damage.problems == tuple(raw.problems)
 
@@ -35,11 +34,12 @@ def test_a_torn_log_says_what_is_torn():
 def test_a_log_without_a_result_says_up_to_when_it_is_known():
     raw = scan(WHOLE)
     del raw.by_topic[RESULT]
-    assert is_damaged(raw)
-    damage = damage_of(raw, until_s=1.25)
-    assert damage is not None
-    assert damage.problems == (raw.why_no_result,)
-    assert damage.lost == ("the result and everything after 1.250 s",)
+    assert raw.damaged
+    trial = trial_of(raw)
+    until_s = trial.elapsed_s(int(trial.received_ns.max()))
+    assert trial.damage is not None
+    assert trial.damage.problems == (raw.why_no_result,)
+    assert trial.damage.lost == (f"the result and everything after {until_s:.3f} s",)
 
 
 def test_a_copy_of_a_torn_log_is_damaged_as_its_source_is(tmp_path):
@@ -49,19 +49,24 @@ def test_a_copy_of_a_torn_log_is_damaged_as_its_source_is(tmp_path):
     recover(torn, copy)
     raw = scan(copy)
     assert raw.problems == []
-    assert is_damaged(raw)
-    damage = damage_of(raw, until_s=0.0)
+    assert raw.damaged
+    damage = trial_of(raw).damage
     assert damage is not None
     assert damage.problems[0] == "recovered from torn.mcap, which was damaged"
 
 
-def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read():
-    raw = scan(WHOLE)
-    (_, step, *_) = raw.by_topic[STEP]
-    raw.records.remove(step)
-    raw = replace(raw)  # what was computed of the records is forgotten
-    assert not is_damaged(raw)
-    damage = with_alteration(raw, None)
+def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path):
+    whole = scan(WHOLE)
+    (_, step, *_) = whole.by_topic[STEP]
+    altered = tmp_path / "altered.mcap"
+    sink = Sink(altered)
+    sink.messages(entry for entry in whole.entries if entry is not step)
+    for name, attachment in whole.attachments.items():
+        sink.attachment(name, attachment.media_type, attachment.log_time, attachment.data)
+    sink.close(complete=True)
+    raw = scan(altered)
+    assert not raw.damaged
+    damage = overview(altered).damage
     assert damage is not None
     assert damage.problems == (ALTERED,)
     assert losses(raw, trial_of(raw))[0].startswith("control step")

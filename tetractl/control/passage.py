@@ -30,8 +30,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tetractl.control.discs import gaps
 from tetractl.control.evaluate import compiled_branches
-from tetractl.control.kernels import clearance
 from tetractl.control.rng import uniform
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, Integers, wrap
@@ -238,7 +238,7 @@ def _grid_ways(problem: Problem, grid: Squares) -> Floats:
     whose centres are free, or inside an obstacle by less than half a cell."""
     x = grid.centres[:, 0].copy()
     y = grid.centres[:, 1].copy()
-    free = _gaps(problem, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
+    free = gaps(problem.obstacles, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
     return grid.ways(free, problem.targets)
 
 
@@ -264,16 +264,9 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
     i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
     between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
     apart = (between > problem.separation).all(axis=-1)  # (T, B)
-    gaps = _gaps(problem, x.ravel(), y.ravel())
-    outside = (gaps > 0).all(axis=0).reshape(x.shape).all(axis=-1)
-    return np.asarray((apart & outside).all(axis=0))
-
-
-def _gaps(problem: Problem, x: Floats, y: Floats) -> Floats:
-    """Return the distance of each point (P,) to each obstacle and wall (O, P), negative inside."""
-    gaps = np.empty((problem.obstacles.count, len(x)))
-    clearance.gaps(problem.obstacles.rows, problem.obstacles.walls, x, y, gaps)
-    return gaps
+    outside = (gaps(problem.obstacles, x.ravel(), y.ravel()) > 0).all(axis=0)
+    outside_all = outside.reshape(x.shape).all(axis=-1)
+    return np.asarray((apart & outside_all).all(axis=0))
 
 
 def ahead(problem: Problem, way: Floats) -> Problem:

@@ -191,6 +191,28 @@ def missing_port(name: str, device: str) -> AbortError:
     return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
 
 
+class PortGroup:
+    """Some ports as one: after the failure of one, nothing can be sent any more."""
+
+    def __init__(self, ports: Iterable[SerialPort]) -> None:
+        self.ports = tuple(ports)
+
+    @property
+    def failure(self) -> str | None:
+        """The reason why nothing can be sent any more; None without a fault."""
+        return next((port.failure for port in self.ports if port.failure), None)
+
+    def open(self) -> None:
+        """Open all ports, exclusively."""
+        for port in self.ports:
+            port.open()
+
+    def close(self) -> None:
+        """Release all ports; may be called twice, never raises."""
+        for port in self.ports:
+            port.close()
+
+
 def stop_all_at(
     ports: Sequence[SerialPort], stop: Callable[[], object], clock: Clock, alone: bool
 ) -> str:

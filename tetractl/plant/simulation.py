@@ -14,7 +14,7 @@ while a command is planned and while the robots come to rest.
       TrueMotion         moves the robots from event to event
         Drive            how they move: DirectDrive, WheelDrive or CellDrive
         Watchdogs        stop robots that hear nothing
-        MotionDisturbances, HeadingWalk, TruePath
+        MotionDisturbances, TruePath
         SimPlant           is called back to send the held command again, amid the motion
 
 `SimSection` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
@@ -51,7 +51,7 @@ from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.timetable import Timetable
 from tetractl.plant.transit import Transit, Watchdogs
-from tetractl.plant.true_motion import HeadingWalk, MotionDisturbances, TrueMotion, TruePath
+from tetractl.plant.true_motion import MotionDisturbances, TrueMotion, TruePath
 from tetractl.plant.wheel_drive import WheelDrive
 
 NO_FRAME_S = 60
@@ -95,17 +95,6 @@ def build_drive(
     return DirectDrive(MOTIONS.load(settings.motion), a, speed, starts)
 
 
-def build_heading_walk(
-    settings: SimSection, drive: Drive, random: np.random.Generator
-) -> HeadingWalk:
-    """Return the random walk of the headings from frame to frame. Drives that sum up their path
-    walk at each of its samples instead (`build_drive`): theirs stands still here."""
-    if drive.sampled:
-        return HeadingWalk(0.0, random)
-    step_rad = settings.heading_noise / np.sqrt(settings.camera_rate)
-    return HeadingWalk(float(step_rad), random)
-
-
 class SimPlant:
     """A `Plant` of simulated robots; `seed` determines all that is random.
 
@@ -133,6 +122,9 @@ class SimPlant:
         self.speed = speed
         """The true speeds before they vary, (N,) [length unit/s]."""
         drive = build_drive(settings, setup, a, speed, starts, seed)
+        walk_rad = 0.0  # drives that sum up their path walk at each of its samples instead
+        if not drive.sampled:
+            walk_rad = float(settings.heading_noise / np.sqrt(settings.camera_rate))
         transit = Transit(count, disturbances)
         self._sender = CommandSender(
             settings,
@@ -154,9 +146,8 @@ class SimPlant:
             transit=transit,
             watchdogs=Watchdogs(count, setup.watchdog_s),
             disturbances=MotionDisturbances(disturbances, self.a, self.speed),
-            heading_walk=build_heading_walk(
-                settings, drive, generator(seed, RandomStream.HEADINGS)
-            ),
+            walk_rad=walk_rad,
+            walking=generator(seed, RandomStream.HEADINGS),
             path=TruePath(PathCheck.of(setup)),
             transmit_again=self._transmit_again,
         )

@@ -9,7 +9,7 @@ Units: times [ns], lengths in the spec's unit, headings [rad]; N robots.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,15 +26,8 @@ from tetractl.plant.transit import Transit, Watchdogs
 
 UNCHECKED_MAX = 200
 """Number of parts of the path that are kept until they are checked together, which is quicker."""
-
-
-@dataclass(frozen=True, slots=True)
-class HeadingWalk:
-    """The random walk of the headings of robots that move, from frame to frame."""
-
-    step_rad: float
-    """Standard deviation of one step [rad]; 0 for no walk."""
-    random: np.random.Generator
+NO_POSES = np.empty((0, 3, 0))
+"""The poses of a step in which none is needed."""
 
 
 class MotionDisturbances:
@@ -119,16 +112,6 @@ class TruePath:
             self._unchecked = []
 
 
-@dataclass(frozen=True, slots=True)
-class PathPart:
-    """The part of the true path in one step."""
-
-    due: DueTimes
-    """The M times at which poses were computed, the last one where the robots are now."""
-    poses: Floats
-    """x, y, heading at these times, (M, 3, N)."""
-
-
 @dataclass(slots=True)
 class MotionStep:
     """One step, from the present time to `end_ns`, and what happens at its end, in this order."""
@@ -142,8 +125,11 @@ class MotionStep:
     """This command acts."""
     repeats: bool
     """The host transmits again; never together with a command."""
-    part: PathPart | None = None
-    """Found by the stage `_move`; stays None if no pose is needed yet."""
+    due: DueTimes | None = None
+    """The M times at which poses are computed, the last one where the robots are then: set by the
+    stage `_move`; stays None if no pose is needed yet."""
+    poses: Floats = field(default_factory=lambda: NO_POSES)
+    """x, y, heading at these times, (M, 3, N)."""
 
     @property
     def is_event(self) -> bool:
@@ -155,7 +141,9 @@ class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames and checks the true path.
 
     Commands for the robots are sent into `transit`. At each time [ns] at which the host transmits
-    again, `transmit_again` is called with that time.
+    again, `transmit_again` is called with that time. The headings of robots that move take a step
+    of a random walk at each frame: of the standard deviation `walk_rad` [rad], 0 for none, drawn
+    from `walking`.
     """
 
     def __init__(
@@ -167,7 +155,8 @@ class TrueMotion:
         transit: Transit,
         watchdogs: Watchdogs,
         disturbances: MotionDisturbances,
-        heading_walk: HeadingWalk,
+        walk_rad: float,
+        walking: np.random.Generator,
         path: TruePath,
         transmit_again: Callable[[int], None],
     ) -> None:
@@ -177,10 +166,11 @@ class TrueMotion:
         self.transit = transit
         self._watchdogs = watchdogs
         self.disturbances = disturbances
-        self._heading_walk = heading_walk
+        self._walk_rad = walk_rad
+        self._walking = walking
         self.path = path
         self._transmit_again = transmit_again
-        self._frames_are_events = disturbances.any or heading_walk.step_rad > 0
+        self._frames_are_events = disturbances.any or walk_rad > 0
         self._now_ns = 0  # the time of the drive's poses
         self._advanced_ns = -1  # the last time to which `advance` was called
         self.stages: tuple[Callable[[MotionStep], None], ...] = (
@@ -241,23 +231,22 @@ class TrueMotion:
         if (stays or stops_early) and self.timetable.next_ns > step.end_ns:
             return
         due = self.timetable.take(step.end_ns, with_end=not stops_early)
-        poses = self.drive.advance(self._now_ns, due.times_ns, due.samples)
+        step.due = due
+        step.poses = self.drive.advance(self._now_ns, due.times_ns, due.samples)
         self._now_ns = int(due.times_ns[-1])
-        step.part = PathPart(due, poses)
 
     def _disturb(self, step: MotionStep) -> None:
         """Let the disturbances act; a frame at the end of the step shows where they put robots."""
         if step.disturbed:
-            assert step.part is not None, "an event at a frame or command needs poses"
             self.disturbances.act(self.drive, step.end_ns)
             poses = self.drive.poses
-            step.part.poses[-1] = poses.x, poses.y, poses.heading
+            step.poses[-1] = poses.x, poses.y, poses.heading
 
     def _record(self, step: MotionStep) -> None:
         """Add the part to the path; WrongValueError if no log can hold it."""
-        if step.part is None:
+        if step.due is None:
             return
-        poses = step.part.poses
+        poses = step.poses
         of_all_robots = self.drive.poses.x.shape == poses.shape[2:]
         if not (of_all_robots and (np.abs(poses) <= POSE_MAX).all()):  # not so for NaN
             raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
@@ -265,11 +254,11 @@ class TrueMotion:
 
     def _expose(self, step: MotionStep) -> None:
         """Expose the frames that were due in the step."""
-        if step.part is None:
+        if step.due is None:
             return
-        frames = step.part.due.frames.nonzero()[0]
+        frames = step.due.frames.nonzero()[0]
         if frames.size:
-            self.camera.expose(step.part.due.times_ns[frames], step.part.poses[frames])
+            self.camera.expose(step.due.times_ns[frames], step.poses[frames])
 
     def _receive(self, step: MotionStep) -> None:
         """Pass to the host the frames that have reached it."""
@@ -277,12 +266,11 @@ class TrueMotion:
 
     def _swerve(self, step: MotionStep) -> None:
         """Turn each robot that moves by one step of its random walk, after the frame."""
-        walk = self._heading_walk
-        if not step.at_frame or walk.step_rad == 0:
+        if not step.at_frame or self._walk_rad == 0:
             return
         drive = self.drive
         before = drive.poses
-        steps = walk.step_rad * walk.random.standard_normal(before.x.size) * drive.moving
+        steps = self._walk_rad * self._walking.standard_normal(before.x.size) * drive.moving
         drive.poses = Poses(before.x, before.y, before.heading + steps)
 
     def _act(self, step: MotionStep) -> None:

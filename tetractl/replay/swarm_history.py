@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.evaluate import compiled_costs
-from tetractl.control.optimizers.pso import LOWER, UPPER, Pso
+from tetractl.control.optimizers.pso import Pso
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.motion.motion import LOWER, UPPER
 from tetractl.replay.recompute import LoggedSearches, NoSearchError, SearchRequest
 from tetractl.run.spec_trial import trial_seeds
 

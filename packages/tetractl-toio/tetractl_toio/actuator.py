@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Action, Health, RobotStatus, Stop, Transmission
+from tetractl.core.commands import Health, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
@@ -51,7 +51,7 @@ class ToioActuator(WheeledActuator):
         wheels = drivetrains(self._gain, limit)
         radii = [robot.radius_mm for robot in robots]
         commands = WheelCommands(setup, clock, radii, wheels, round(section.delay * SECOND))
-        super().__init__(setup, self.link, lambda _: [], commands, section.rate, 0.0)
+        super().__init__(setup, self.link, commands, section.rate)
 
     def check(self) -> Health:
         """Return whether the cubes are emulated."""
@@ -74,11 +74,11 @@ class ToioActuator(WheeledActuator):
         self._owed = owed * wished.any(axis=0)
         return units.astype(np.int64)
 
-    def stop(self, emergency: bool = False) -> Transmission:
+    def _halt(self, emergency: bool) -> int:
         """Stop every cube, which has no emergency stop that it keeps."""
         self._owed[:] = 0.0
-        count = len(self.names)
-        return self._drive(Stop(), np.zeros((2, count), dtype=np.int64), (False,) * count)
+        sent_ns, _ = self._drive(np.zeros_like(self._owed, dtype=np.int64))
+        return sent_ns
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every cube for its charge, again if a message is lost."""
@@ -93,7 +93,7 @@ class ToioActuator(WheeledActuator):
             for name, charge in zip(self.names, self._charge, strict=True)
         ]
 
-    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+    def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
         sent_ns = self._clock.now()
         lost = list[AbortError]()
         for cube, speeds in zip(self.link.cubes, outputs.T.tolist(), strict=True):
@@ -104,7 +104,7 @@ class ToioActuator(WheeledActuator):
                 lost.append(error)
         if lost:
             raise lost[0]
-        return self._transmission(sent_ns, action, outputs * self._gain, moving)
+        return sent_ns, outputs * self._gain
 
     def _heard(self, i: int, characteristic: int, data: bytes, _at_ns: int) -> None:
         if characteristic == Characteristic.BATTERY and len(data) == 1:

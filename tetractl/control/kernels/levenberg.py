@@ -39,14 +39,13 @@ from tetractl.control.kernels.rollout import count_meetings
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
-from tetractl.model.motion.motion import DIRECTION
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 Integers = NDArray[np.int64]
 _wrap = inlined(polynomials.wrap)
 
-LARGEST_STEP = DIRECTION.largest_step  # largest change of a signal in one iteration [rad]
+LARGEST_STEP = 1.0  # largest change of a signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # W, weight of a depth relative to a miss
 PROGRESS = 0.8  # the merit must fall to this part of itself in `patience` iterations
 DAMPING_FIRST = 1e-2  # lambda of the first step

@@ -11,7 +11,7 @@ from tetractl.control.kernels.rollout import costs
 from tetractl.control.kernels.update import drawn
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
-from tetractl.model.motion.motion import DIRECTION
+from tetractl.model.motion.motion import UPPER
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
@@ -19,7 +19,6 @@ BETWEEN_LOOKS = 130_000
 """Robot steps between two checks of the deadline: they take less than 1 ms."""
 WARM = 0.5
 """Largest distance of a scattered sequence from the warm start [rad]."""
-UPPER = DIRECTION.high
 """Greatest signal ub, (12) [rad]."""
 S11 = np.uint64(11)
 """Shift that leaves the 53 bits of a random number that a float64 holds."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tetractl.control.rng import FACTORS, GOLDEN
-from tetractl.model.motion.motion import DIRECTION
+from tetractl.model.motion.motion import LOWER, UPPER
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
@@ -11,8 +11,6 @@ from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 STEP = np.uint64(GOLDEN)  # between two keys
 MIX_1 = np.uint64(FACTORS[0])  # first factor
 MIX_2 = np.uint64(FACTORS[1])  # second factor
-LOWER = DIRECTION.low  # lb, (12) [rad]
-UPPER = DIRECTION.high  # ub, (12) [rad]
 S27 = np.uint64(27)  # shift of its second round [bits]
 S30 = np.uint64(30)  # shift of its first round [bits]
 S31 = np.uint64(31)  # shift of its last round [bits]

@@ -29,12 +29,8 @@ from tetractl.control.stop import PaperStop, StopCriterion, reason_to_stop
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import OptimizerSection
-from tetractl.model.motion.motion import DIRECTION
+from tetractl.model.motion.motion import LOWER, UPPER
 
-LOWER = DIRECTION.low
-"""Least value lb of a signal, (12) [rad]."""
-UPPER = DIRECTION.high
-"""Greatest value ub of a signal, (12) [rad]."""
 SPAN = UPPER - LOWER
 """Greatest change |ub - lb| of a signal in an iteration, (15) [rad]."""
 KEY_OF_START = 0

@@ -6,14 +6,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Action, Health, RobotStatus, Stop, Transmission
 from tetractl.core.errors import AbortError
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.twist.actuator import drivetrains
 from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator, radii_mm
-from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.lab.serial_port import PortGroup, Ports
 from tetractl.lab.udp_port import open_port
 from tetractl.model.wheels import CountArray
 
@@ -21,26 +21,8 @@ ROBOT_BAUD = 57600  # of serial ports
 SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"
 
 
-class OwnLinks:
+class OwnLinks(PortGroup):
     """The ports of all robots, as one."""
-
-    def __init__(self, ports: Iterable[SerialPort]) -> None:
-        self.ports = tuple(ports)
-
-    @property
-    def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
-        return next((port.failure for port in self.ports if port.failure), None)
-
-    def open(self) -> None:
-        """Open all ports."""
-        for port in self.ports:
-            port.open()
-
-    def close(self) -> None:
-        """Release all ports; may be called twice, never raises."""
-        for port in self.ports:
-            port.close()
 
     def send(self, messages: Iterable[bytes]) -> int:
         """Send each robot its message, even if another's port has failed; return the time of the
@@ -82,7 +64,7 @@ class OwnRobots(WheeledActuator):
         commands = WheelCommands(
             setup, clock, stated_radii_mm, wheels, round(section.delay * SECOND)
         )
-        super().__init__(setup, self.links, lambda _: [], commands, section.rate, 0.0)
+        super().__init__(setup, self.links, commands, section.rate)
 
     @abstractmethod
     def packed(self, row: int, left: int, right: int) -> bytes:
@@ -94,21 +76,10 @@ class OwnRobots(WheeledActuator):
         default that of speeds 0."""
         return self.packed(row, 0, 0)
 
-    def check(self) -> Health:
-        """Return nothing: ports that only take have nothing to report."""
-        return Health()
+    def _halt(self, emergency: bool) -> int:
+        return self.links.send(self.halt(row, emergency) for row in range(len(self.robots)))
 
-    def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return that it is not known whether the robots hear."""
-        return [RobotStatus(answers=None) for _ in self.robots]
-
-    def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot."""
-        count = len(self.robots)
-        sent_ns = self.links.send(self.halt(row, emergency) for row in range(count))
-        return self._transmission(sent_ns, Stop(), np.zeros((2, count)), (False,) * count)
-
-    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+    def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
         pairs = enumerate(outputs.T.tolist())
         sent_ns = self.links.send(self.packed(row, *pair) for row, pair in pairs)
-        return self._transmission(sent_ns, action, outputs * self._gain, moving)
+        return sent_ns, outputs * self._gain

@@ -11,7 +11,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND, Clock
-from tetractl.core.commands import Action, RobotStatus, Steer, Transmission, Turn
+from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.setup import MM, Setup
 from tetractl.model.wheels import CountArray, Drivetrains, WheelHost
@@ -163,7 +163,8 @@ class RobotLink(Protocol):
 
 class WheeledActuator(ABC):
     """Drives a setup's robots over a `link` at `rate` commands per second [Hz], see
-    `tetractl.core.protocols.Actuator`; `ask` polls them, and below `warn_v` a battery is low."""
+    `tetractl.core.protocols.Actuator`; `ask` polls them, None if they cannot answer, and below
+    `warn_v` a battery is low."""
 
     halts = True
     held: CountArray | None = None
@@ -173,10 +174,10 @@ class WheeledActuator(ABC):
         self,
         setup: Setup,
         link: RobotLink,
-        ask: Callable[[float], Sequence[Reply | None]],
         commands: WheelCommands,
         rate: float,
-        warn_v: float,
+        ask: Callable[[float], Sequence[Reply | None]] | None = None,
+        warn_v: float = 0.0,
     ) -> None:
         self.names = setup.names
         self._link = link
@@ -215,18 +216,38 @@ class WheeledActuator(ABC):
             outputs = self.outputs(self._commands.wished(action, poses, exposed_ns), may)
         else:
             outputs = self.held * may
-        return self._drive(action, outputs, tuple(moving))
+        sent_ns, speeds = self._drive(outputs)
+        return self._transmission(sent_ns, action, speeds, tuple(moving))
+
+    def stop(self, emergency: bool = False) -> Transmission:
+        """Stop every robot; if `emergency`, robots that can latch it stop until switched off."""
+        sent_ns = self._halt(emergency)
+        count = len(self.names)
+        none = np.zeros((2, count), dtype=np.int64)
+        still = self._commands.host.drivetrains.speeds(none)
+        return self._transmission(sent_ns, Stop(), still, (False,) * count)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
         """Return the outputs (2, N) for wheel speeds (2, N) [mm/s], of robots that `may` move."""
         return self._commands.host.counts(wished) * may
 
     @abstractmethod
-    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
-        """Send outputs (2, N) in the actuator's own unit."""
+    def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
+        """Send outputs (2, N) in the actuator's own unit; return when they were sent [ns], and the
+        wheel speeds (2, N) that they ask for [mm/s]."""
+
+    @abstractmethod
+    def _halt(self, emergency: bool) -> int:
+        """Send a stop to every robot, to be latched if `emergency`; return when [ns]."""
+
+    def check(self) -> Health:
+        """Return nothing: by default an actuator has nothing to report."""
+        return Health()
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery voltage and state."""
+        if self._ask is None:
+            return [RobotStatus(answers=None) for _ in self.names]
         replies = zip(self.names, self._ask(timeout_s), strict=True)
         return [robot_status(name, reply, self._warn_v) for name, reply in replies]
 

@@ -43,17 +43,10 @@ def in_rows(robots: Any) -> Floats:
     return np.column_stack([robots.a, robots.speed])
 
 
-class Component(NamedTuple):
-    """A component of the common signal: searches stay between `low` and `high`, from which they
-    draw; values beyond are wrapped. One iteration changes a value by at most `largest_step`."""
-
-    low: float
-    high: float
-    largest_step: float
-
-
-DIRECTION = Component(-math.pi, math.pi, 1.0)
-"""The direction u [rad], (12)."""
+LOWER = -math.pi
+"""Least direction u of a search, lb of (12) [rad]; directions beyond the bounds are wrapped."""
+UPPER = math.pi
+"""Greatest direction u of a search, ub of (12) [rad]."""
 
 
 @dataclass(slots=True)

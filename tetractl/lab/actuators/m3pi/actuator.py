@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Action, Health, Stop, Transmission
+from tetractl.core.commands import Health
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
@@ -43,17 +44,13 @@ class M3piActuator(WheeledActuator):
         """Return the radio's questions to the operator."""
         return Health(questions=self.link.questions)
 
-    def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; it latches an emergency stop until it is switched off."""
-        sent_ns = self._radio.send(Flag.EMERGENCY_STOP if emergency else Flag(0))
-        count = len(self.robots)
-        still = self.drivetrains.speeds(np.zeros((2, count), dtype=np.int64))
-        return self._transmission(sent_ns, Stop(), still, (False,) * count)
+    def _halt(self, emergency: bool) -> int:
+        return self._radio.send(Flag.EMERGENCY_STOP if emergency else Flag(0))
 
-    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+    def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
         by_robot = outputs.T.tolist()
         sent_ns = self._radio.drive([(counts[0], counts[1]) for counts in by_robot])
-        return self._transmission(sent_ns, action, self.drivetrains.speeds(outputs), moving)
+        return sent_ns, self.drivetrains.speeds(outputs)
 
 
 def _signed_gains(wheels: Sequence[WheelSection]) -> list[float]:

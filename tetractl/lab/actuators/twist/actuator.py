@@ -3,7 +3,6 @@
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Action, Health, Stop, Transmission
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
@@ -41,24 +40,17 @@ class TwistActuator(WheeledActuator):
             warn_v=section.battery_warn,
         )
 
-    def check(self) -> Health:
-        """Return nothing: a port that takes lines has nothing to report."""
-        return Health()
+    def _halt(self, emergency: bool) -> int:
+        return self.link.stop(emergency)
 
-    def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; it latches an emergency stop until it is switched off."""
-        sent_ns = self.link.stop(emergency)
-        count = len(self.names)
-        return self._transmission(sent_ns, Stop(), np.zeros((2, count)), (False,) * count)
-
-    def _drive(self, action: Action, outputs: CountArray, moving: tuple[bool, ...]) -> Transmission:
+    def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
         wheels = outputs.astype(float)
         sent = wheels
         if self.section.sends != "wheels":
             sent = self._twists(wheels)
             wheels = self._wheels(sent)  # as the robots compute them from rounded numbers
         sent_ns = self.link.drive([(int(first), int(second)) for first, second in sent.T])
-        return self._transmission(sent_ns, action, wheels * self._gain, moving)
+        return sent_ns, wheels * self._gain
 
     def _twists(self, wheels: Floats) -> Floats:
         """Return speeds [mm/s] and turning rates [mrad/s] (2, N), as whole numbers, for wheel

@@ -16,7 +16,7 @@ from tetractl.lab.actuators.twist.lines import (
 )
 from tetractl.lab.actuators.wheel_commands import Reply, polled
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import Heard, Ports, SerialPort
+from tetractl.lab.serial_port import Heard, PortGroup, Ports
 from tetractl.lab.udp_port import open_port
 from tetractl.tools.worker import WAITING_MAX, drained
 
@@ -24,7 +24,7 @@ PORT_LOST_HINT = "the robots stop by their watchdog; connect them and start agai
 PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
-class TwistLink:
+class TwistLink(PortGroup):
     """Connections to robots with the numbers `indices`, each at a port of its own or not, `port_of`
     each. Times are ns on `clock`. After a failure, which raises AbortError, nothing can be sent any
     more. `ports` makes a port, `open_port` by default.
@@ -47,30 +47,11 @@ class TwistLink:
         self._rest: dict[str, bytes] = {}
         self._sequence = clock.now() % 256  # a first number that no one can foretell
         make = ports or open_port
-        self._ports = {
-            port: make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
-            for port in dict.fromkeys(port_of)
-        }
-
-    @property
-    def ports(self) -> list[SerialPort]:
-        """The ports, each once."""
-        return list(self._ports.values())
-
-    @property
-    def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
-        return next((port.failure for port in self._ports.values() if port.failure), None)
-
-    def open(self, alone: bool = True) -> None:
-        """Open all ports, exclusively if `alone`."""
-        for port in self._ports.values():
-            port.open(alone)
-
-    def close(self) -> None:
-        """Release all ports; may be called twice, never raises."""
-        for port in self._ports.values():
-            port.close()
+        self._names = tuple(dict.fromkeys(port_of))  # of the ports, each once
+        super().__init__(
+            make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
+            for port in self._names
+        )
 
     def drive(self, pairs: Sequence[tuple[int, int]]) -> int:
         """Send each robot its pair of numbers; return the time of the last sending [ns]."""
@@ -102,7 +83,7 @@ class TwistLink:
         self._sequence = (self._sequence + 1) % 256
         sent_ns = self._clock.now()
         error = None
-        for name, port in self._ports.items():
+        for name, port in zip(self._names, self.ports, strict=True):
             entries_here = tuple(
                 entry
                 for entry, port_name in zip(entries, self._port_of, strict=False)

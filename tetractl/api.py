@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tetractl.replay.verify import Verification
+    from tetractl.report.page import PlayerPage
     from tetractl.results.describe import BatchComparison, BatchStatistics
-    from tetractl.results.open_batch import Batch
+    from tetractl.results.open_batch import Batch, Batches
     from tetractl.run.batch import Ending, RunObserver
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.open_trial import OpenTrial
     from tetractl.run.task import Task
+    from tetractl.view.video import Video
 
 Strings = NDArray[np.str_]
 
@@ -189,7 +191,7 @@ def run_batch(
     from tetractl.run.executors import on_this_machine
     from tetractl.run.store import Store
     from tetractl.run.task import batch_tasks
-    from tetractl.view.terminal.progress import ScriptProgress
+    from tetractl.view.terminal.progress import progress_of_script
 
     spec = _spec(spec)
     demand(folder, str | Path, "a folder is a path")
@@ -200,7 +202,7 @@ def run_batch(
         todo = store.lacking
         tasks = batch_tasks(spec, todo)
         executor = on_this_machine(jobs, len(todo), interrupt)
-        watcher = _Watcher(on_result, ScriptProgress(len(todo)) if progress else None)
+        watcher = _Watcher(on_result, progress_of_script(len(todo)) if progress else None)
         report = batch.run_batch(tasks, store, executor, watcher, fail_fast=True)
     for error in report.errors.values():
         raise error
@@ -214,7 +216,7 @@ def run_study(
     jobs: int = 1,
     logs: str = "all",
     progress: bool = True,
-) -> "dict[str, Batch]":
+) -> "Batches":
     """Simulate the trials of a study that its folder lacks, write its tables and figures, and
     return the results of each arm by the arm's name.
 
@@ -223,11 +225,12 @@ def run_study(
     fails does not stop the others; its error is raised at the end. `progress` and errors are those
     of `run_batch`.
     """
+    from tetractl.results.open_batch import Batches
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
     from tetractl.study import arm_table, figure, options
     from tetractl.study.load_study import load_study
-    from tetractl.view.terminal.progress import ScriptProgress
+    from tetractl.view.terminal.progress import progress_of_script
 
     if folder is not None:
         demand(folder, str | Path, "a folder is a path")
@@ -244,13 +247,13 @@ def run_study(
         tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), False)
         options.warm_up_arms(loaded, _announcer(progress))
         executor = on_this_machine(jobs, len(tasks), interrupt)
-        watcher = _Watcher(_ignore, ScriptProgress(len(tasks)) if progress else None)
+        watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)
         report = batch.run_batch(tasks, store, executor, watcher, fail_fast=False)
         arm_table.write_tables(loaded, store)
         figure.write_figures(loaded, store)
     for error in report.errors.values():
         raise error
-    return {arm.name: read_batch(store.folder / arm.name) for arm in loaded.arms}
+    return Batches({arm.name: read_batch(store.folder / arm.name) for arm in loaded.arms})
 
 
 def read_log(path: str | Path) -> TrialLog:
@@ -402,17 +405,32 @@ def compare(
     return contrast(compared)
 
 
+@overload
+def plot(  # pyright: ignore[reportOverlappingOverload] - every other text is a figure's
+    data: "Trial", kind: Literal["video"], *, file: str | Path | None = None
+) -> "Video": ...
+
+
+@overload
 def plot(
     data: "Trial | Sequence[Trial] | Batch | BatchStatistics | BatchComparison",
     kind: str = "trajectory",
     *,
     file: str | Path | None = None,
-) -> "Figure":
+) -> "Figure": ...
+
+
+def plot(
+    data: "Trial | Sequence[Trial] | Batch | BatchStatistics | BatchComparison",
+    kind: str = "trajectory",
+    *,
+    file: str | Path | None = None,
+) -> "Figure | Video":
     """Draw a matplotlib figure, and write it to `file` (.png, .svg or .pdf) if given.
 
     `kind` names a figure of `tetractl plot`; "trajectory", "errors" and "batch" show several
     trials, those of a batch or its folder too. Statistics and comparisons are shown by "batch",
-    whatever `kind` is.
+    whatever `kind` is. "video" is a video of one trial (.mp4, .gif or .webp).
     """
     from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.view import style
@@ -423,11 +441,30 @@ def plot(
         figure = batch_figure(data.groups)
     elif isinstance(data, BatchStatistics):
         figure = batch_figure([data])
+    elif kind == "video":
+        return _video(_trials(data), file)
     else:
         figure = draw(kind, _trials(data))
     if file is not None:
         style.save(figure, Path(file))
     return figure
+
+
+def _video(trials: Sequence[TrialLog], file: str | Path | None) -> "Video":
+    from tetractl.view.video import video
+
+    if len(trials) > 1:
+        raise UsageError(f"a video shows one trial, not {len(trials)}")
+    return video(trials[0], None if file is None else Path(file))
+
+
+def show(data: "Trial | Sequence[Trial] | Batch") -> "PlayerPage":
+    """Return the player of the report, of a trial, several trials, a batch or its folder; a
+    notebook shows it.
+    """
+    from tetractl.report.page import player
+
+    return player(_trials(data))
 
 
 def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:

@@ -12,14 +12,12 @@ from tetractl.cli.options import AsJson, Logs, argument, out_option
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
 from tetractl.log.read.find import find_log, find_logs
-from tetractl.tools.table.terminal_table import LISTED_MAX
 
 LINE_MOST = 240
 """Characters of a line of `info`."""
 
 if TYPE_CHECKING:
     from tetractl.log.read.overview import ChannelCount, Overview
-    from tetractl.replay.verify import Verification
 
 
 def info(
@@ -214,7 +212,7 @@ def verify(logs: Logs, as_json: AsJson = False) -> int:
             lines = [f"{path}: FAILED: {error.message.removeprefix(f'{path}: ')}"]
         else:
             checked.append({**asdict(verification), "ok": verification.ok})
-            lines = _verdict(verification)
+            lines = verification.lines
         if not as_json:
             for line in lines:
                 print(printable(line))
@@ -222,23 +220,3 @@ def verify(logs: Logs, as_json: AsJson = False) -> int:
     if as_json:
         print(json.dumps({"ok": all_ok, "logs": checked}, indent=2))
     return Exit.DONE if all_ok else Exit.FAILED
-
-
-def _verdict(verification: "Verification") -> "Iterator[str]":
-    """Yield the lines on a log: whether it is ok, by which check, and what is wrong."""
-    from tetractl.replay.verify import Method
-
-    verdict = "ok" if verification.ok else "FAILED"
-    if verification.rewritten:
-        verdict += f", written again by {verification.rewritten}"
-        if verification.ok:
-            verdict += ": the same messages"
-    decisions = f"{verification.checked} of {verification.steps} decisions {verification.method}"
-    yield f"{verification.log}: {verdict}: {decisions} ({verification.seconds:.2f} s)"
-    if verification.method is Method.REEVALUATED:
-        yield from (f"  written elsewhere: {line}" for line in verification.elsewhere)
-    for problem in verification.problems[:LISTED_MAX]:
-        yield f"  {problem}"
-    if len(verification.problems) > LISTED_MAX:
-        yield f"  and {len(verification.problems) - LISTED_MAX} more"
-    yield from (f"  note: {note}" for note in verification.notes)

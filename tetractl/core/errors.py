@@ -6,8 +6,11 @@ traceback. Anything that is not a `TetractlError` is a bug in tetractl.
 
 import operator
 import re
+import traceback
 import unicodedata
 from enum import IntEnum
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 
@@ -41,6 +44,16 @@ class TetractlError(Exception):
     def __str__(self) -> str:
         hint = re.sub(r"--\w+", lambda it: IN_PYTHON.get(it[0], it[0][2:]), self.hint or "")
         return f"{self.message}\nhint: {hint}" if hint else self.message
+
+    def _render_traceback_(self) -> list[str]:
+        """Return what IPython prints in place of a traceback: the message, and which line of the
+        user called tetractl."""
+        lines = [f"{type(self).__name__}: {self}"]
+        package = str(Path(__file__).parents[1])
+        for caller, called in pairwise(traceback.extract_tb(self.__traceback__)):
+            if called.filename.startswith(package) and not caller.filename.startswith(package):
+                lines.append(f"line {caller.lineno}: {caller.line}")
+        return [*lines, "(all of the traceback: import traceback; traceback.print_last())"]
 
 
 class UsageError(TetractlError):

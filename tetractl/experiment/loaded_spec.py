@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
+from tetractl.core.shown import Shown
 from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.controller import ControllerSection, with_logged_keys
 from tetractl.experiment.experiment import Experiment, Trials, packages
@@ -21,7 +22,7 @@ Attached = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
-class LoadedSpec:
+class LoadedSpec(Shown):
     """A valid spec: the experiment with `--set` applied, and the spec's original text.
 
     `resolved`, its YAML with every field, and `hash` are computed once, for all trials. `logged` is

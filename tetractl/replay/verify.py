@@ -15,6 +15,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from tetractl.core.plan import Outcome
+from tetractl.core.shown import Shown
 from tetractl.experiment.experiment import packages
 from tetractl.log import provenance
 from tetractl.log.read.raw_log import ALTERED, RawLog
@@ -31,6 +32,7 @@ from tetractl.replay.run_and_messages import (
     message_differences,
     run_differences,
 )
+from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIDES_BITS = (
     "cpu",
@@ -55,7 +57,7 @@ class Method(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Verification:
+class Verification(Shown):
     """The result of verifying one log.
 
     `rewritten` is the program that wrote the file again from a log of tetractl, "" if none did.
@@ -77,6 +79,24 @@ class Verification:
     def ok(self) -> bool:
         """Whether no problem was found."""
         return not self.problems
+
+    @property
+    def lines(self) -> Iterator[str]:
+        """The lines on the log: whether it is ok, by which check, and what is wrong."""
+        verdict = "ok" if self.ok else "FAILED"
+        if self.rewritten:
+            verdict += f", written again by {self.rewritten}"
+            if self.ok:
+                verdict += ": the same messages"
+        decisions = f"{self.checked} of {self.steps} decisions {self.method}"
+        yield f"{self.log}: {verdict}: {decisions} ({self.seconds:.2f} s)"
+        if self.method is Method.REEVALUATED:
+            yield from (f"  written elsewhere: {line}" for line in self.elsewhere)
+        for problem in self.problems[:LISTED_MAX]:
+            yield f"  {problem}"
+        if len(self.problems) > LISTED_MAX:
+            yield f"  and {len(self.problems) - LISTED_MAX} more"
+        yield from (f"  note: {note}" for note in self.notes)
 
 
 def verify(path: Path) -> Verification:

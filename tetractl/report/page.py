@@ -10,7 +10,7 @@ import math
 import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -29,9 +29,9 @@ from tetractl.results.tables import (
     decimals_shown,
     differences_table,
     error_format,
-    page_trials,
     tables,
     texts_by_label,
+    trials_listed,
 )
 from tetractl.tools.table.table import NONE, Column, Table
 from tetractl.tools.table.table_files import plain
@@ -52,6 +52,9 @@ COMPARED_MOST = 10
 """Comparisons at most that stand at the top."""
 TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
 """The figures of the first trial, in their order."""
+PLAYER_PX = 760
+"""Height of the player in a notebook."""
+THEME = '<button id="theme" aria-label="Light or dark">◐</button>'
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
 """The scripts of a page with a player, in the order in which they need each other."""
 
@@ -103,14 +106,41 @@ def report(
     errors = "".join(contents.errors)
     parts = [
         _header(name, compared, contents.numbers),
-        _player(contents) if first else "",
+        _player(contents.carried, groups[0].unit, _left_out(contents)) if first else "",
         f"<section><h2>Errors</h2>{errors}</section>" if errors else "",
         _statistics(compared, contents.numbers),
         f"<section><h2>Figures of the first trial</h2>{of_trial(first)}</section>" if first else "",
         _provenance(first) if first else "",
     ]
-    scripts = "".join(_asset(script) for script in SCRIPTS) if contents.carried else ""
-    return _page(name, "".join(parts), scripts), contents.unread
+    return _page(name, "".join(parts), bool(contents.carried)), contents.unread
+
+
+@dataclass(frozen=True, slots=True)
+class PlayerPage:
+    """The player of trials as a page of its own, which a notebook shows in a frame.
+
+    The frame is a sandbox: what is in a log reaches nothing of the notebook.
+    """
+
+    page: str = field(repr=False)
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe sandbox="allow-scripts" srcdoc="{escape(self.page)}" width="100%"'
+            f' height="{PLAYER_PX}" style="border: 0"></iframe>'
+        )
+
+
+def player(logs: Sequence[TrialLog]) -> PlayerPage:
+    """Return the player of trials that are read."""
+    title = f"{logs[0].experiment.name}: {logs[0].origin}"
+    header = f"<header><h1>{escape(title)}</h1>{THEME}</header>"
+    trials: list[_Carried] = []
+    for log in logs:
+        name = Path(log.log).name
+        trials.append(_Carried(log.log, name, trial_data(log, name)))
+    body = header + _player(trials, logs[0].experiment.units.length)
+    return PlayerPage(_page(title, body, with_player=True))
 
 
 # ---- Reading ----
@@ -201,11 +231,12 @@ def _title(paths: Sequence[Path], groups: Sequence[BatchStatistics]) -> str:
     return ", ".join(dict.fromkeys(group.experiment.name for group in groups))
 
 
-def _page(title: str, body: str, scripts: str) -> str:
-    """Return the whole page; its security policy allows only `scripts`, and nothing from outside
-    the page.
+def _page(title: str, body: str, with_player: bool) -> str:
+    """Return the whole page; its security policy allows only the player's scripts, and nothing from
+    outside the page.
     """
     style = _asset("page.css")
+    scripts = "".join(_asset(script) for script in SCRIPTS) if with_player else ""
     program = f'"use strict";\n{scripts}'
     digest = hashlib.sha256(program.encode()).digest()
     allowed = b64encode(digest).decode()
@@ -231,7 +262,7 @@ def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -
         top.append(differences_table(compared.contrasts))
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
-        '<button id="theme" aria-label="Light or dark">◐</button></header>'
+        f"{THEME}</header>"
         f'<div class="top">{_tables(top)}{of_groups(groups, numbers)}</div>'
     )
 
@@ -266,27 +297,31 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     )
 
 
-def _player(contents: _Contents) -> str:
-    """Return the HTML of the player, with the data of the trials that the page carries."""
+def _player(trials: Sequence[_Carried], unit: str, note: str = "") -> str:
+    """Return the HTML of the player, with the data of its trials."""
     options: list[str] = []
     data: list[str] = []
-    for index, trial in enumerate(contents.carried):
+    for index, trial in enumerate(trials):
         name = escape(trial.name)
         options.append(f'<option value="{index}">{index + 1}: {name}</option>')
         text = packed(trial.data)
         data.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
-    count = sum(len(group.batch.logs) for group in contents.groups)
-    note = ""
-    if not contents.complete:
-        note = (
-            f"<p>The page carries {len(contents.carried)} of {count} trials, without plans"
-            " and searches: of each batch those at evenly spaced ranks of the total error, from the"
-            " best to the worst, and some that do not count. The tables hold all trials.</p>"
-        )
     # the names in the options come last, as a name may contain the text of a place
-    frame = _asset("player.html").replace("@UNIT@", unit_of(contents.groups[0].unit))
+    frame = _asset("player.html").replace("@UNIT@", unit_of(unit))
     frame = frame.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
     return frame + "".join(data)
+
+
+def _left_out(contents: _Contents) -> str:
+    """Return which trials the page does not carry, "" if it carries all."""
+    if contents.complete:
+        return ""
+    count = sum(len(group.batch.logs) for group in contents.groups)
+    return (
+        f"<p>The page carries {len(contents.carried)} of {count} trials, without plans"
+        " and searches: of each batch those at evenly spaced ranks of the total error, from the"
+        " best to the worst, and some that do not count. The tables hold all trials.</p>"
+    )
 
 
 def _json(value: Any) -> str:
@@ -302,7 +337,9 @@ def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
     for group in compared.groups:
         name = f": {escape(group.name)}" if len(compared.groups) > 1 else ""
         of_group = tables(BatchComparison((group,)))
-        trials = html([page_trials(group, numbers)], links)
+        listed = trials_listed(group)
+        number = Column("trial", [numbers.get(trial.log) for trial in group.batch.trials])
+        trials = html([replace(listed, columns=(number, *listed.columns))], links)
         parts.append(
             f"<section><h2>Statistics{name}</h2>{_tables(of_group)}"
             f"<details open><summary>All trials</summary>{trials}</details></section>"

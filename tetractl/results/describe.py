@@ -14,6 +14,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
+from tetractl.core.shown import Shown
 from tetractl.experiment.experiment import Experiment, Scale
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results import mean_difference
@@ -65,7 +66,7 @@ class ScaledError:
 
 
 @dataclass(frozen=True, slots=True)
-class BatchStatistics:
+class BatchStatistics(Shown):
     """A batch of trials of N robots, with a name; lengths in `unit`.
 
     Its n valid trials are those whose outcome the controller decided and whose errors are known.
@@ -187,7 +188,7 @@ class Decision:
 
 
 @dataclass(frozen=True, slots=True)
-class Contrast:
+class Contrast(Shown):
     """Comparison of the total errors of two batches; differences are `first` minus `second`.
 
     `pairs` is the number of pairs of trials with the same disturbances; without pairs,
@@ -282,7 +283,7 @@ class Contrast:
 
 
 @dataclass(frozen=True, slots=True)
-class BatchComparison:
+class BatchComparison(Shown):
     """Batches, and the contrasts of every two batches or of each batch with a baseline."""
 
     groups: tuple[BatchStatistics, ...]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
+from tetractl.core.shown import Shown
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.section_abilities import GivenDirections
 from tetractl.log.read.find import find_logs, is_set_aside, without_others
@@ -33,7 +34,7 @@ class Damaged:
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class Batch(Shown):
     """Trials that form one batch.
 
     `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete while a
@@ -91,6 +92,10 @@ class Batch:
     def whole(self) -> bool:
         """Whether no log of the batch is damaged; attempts are ignored."""
         return not self.lost and not any(trial.recovered for trial in self.trials)
+
+
+class Batches(Shown, dict[str, Batch]):
+    """Batches by name, such as the arms of a study."""
 
 
 def _key(trial: ResultSummary) -> tuple[int, int]:

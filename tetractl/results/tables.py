@@ -2,14 +2,14 @@
 
 summary        `stats`, and the end of a run: the errors, the verdict and what is unusual
 tables         `stats --full`: every table
-page_trials    the trials of a batch on the report page
+trials_listed  the trials of a batch, on the report page and in a notebook
 
 `as_json` has the same numbers for other programs, in JSON and CSV.
 """
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -409,20 +409,17 @@ def _basis(contrasts: Sequence[Contrast]) -> Table:
     return Table.of_texts("What the comparisons rest on", header, rows)
 
 
-# ---- For the report page ----
+# ---- Every trial ----
 
 
-def page_trials(group: BatchStatistics, numbers: Mapping[str, int]) -> Table:
-    """Return the table of trials in a report: each trial's number on the page, its errors and
-    outcome.
-    """
+def trials_listed(group: BatchStatistics) -> Table:
+    """Return the table of a batch's trials: the log of each, its error and outcome."""
     trials = group.batch.trials
     show = lengths(group.total.mean)
     outcomes = dict.fromkeys(trial.outcome for trial in trials)
     return Table(
         "",
         (
-            Column("trial", [numbers.get(trial.log) for trial in trials]),
             Column("log", [Path(trial.log).name for trial in trials]),
             Column("total error", [t.result.total_error for t in trials], group.unit, show),
             Column("duration", [t.result.duration_s for t in trials], "s", fixed(2)),

@@ -38,7 +38,8 @@ COLUMN_IN = 3.5  # width of a column of an IEEE page
 PAGE_IN = 7.16  # width of two columns with the gap between them
 FORMATS = ("png", "svg", "pdf")
 PRINT_DPI = 300  # dots per inch of pictures for paper
-SCREEN_DPI = 200  # dots per inch of pictures for slides
+SCREEN_DPI = 200  # dots per inch of pictures for slides and notebooks
+SCREEN_PX_PER_IN = 110  # size at which a notebook shows a figure
 
 HEADLINE_IN = 0.135  # height of a line of a headline, at 7 points
 HEADLINE_GAP_IN = 0.03  # between a headline and the upper edge of the figure
@@ -90,9 +91,18 @@ def styled() -> Iterator[None]:
         yield
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows, without pyplot and without `%matplotlib inline`."""
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        """Return a PNG, and the width at which it is shown: that on paper."""
+        width_px = round(self.get_figwidth() * SCREEN_PX_PER_IN)
+        return picture(self, "png", SCREEN_DPI), {"width": width_px}
+
+
 def figure(width_in: float, height_in: float) -> Figure:
     """Return an empty figure of a size in inches; it needs no display."""
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    return ShownFigure(figsize=(width_in, height_in), layout="constrained")
 
 
 def headline(drawing: Figure, text: str, alarm: str = "") -> None:

@@ -4,12 +4,14 @@ GIF and animated WebP.
 """
 
 import shutil
+from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -52,6 +54,9 @@ LABELS_IN = 0.62
 TOP_IN = 0.3
 """Room for the heading."""
 HEADING_LETTERS = 120
+SHOWN_PX = 640
+SHOWN_RATE = 12
+"""Width, and pictures per second, of a video inside a notebook, to be made in some seconds."""
 BODY_LEAST = 0.014
 """Least half length of a robot's body as a share of the arena, so that it is seen."""
 TRAIL_POINTS = 600
@@ -83,15 +88,16 @@ def write_video(
     path: Path,
     progress: Callable[[int, int], None] = lambda done, total: None,
     width: int = 960,
+    rate: int | None = None,
 ) -> int:
     """Write a video of a trial and return how many times faster than the trial it plays.
 
-    A trial of more than a minute plays faster, by a factor of 2, 5, 10 and so on. `progress` is
-    called with the numbers of pictures drawn and of all pictures. Raises LogError if the file
-    cannot be written.
+    `rate` is the number of pictures per second, by default that of the format. A trial of more than
+    a minute plays faster, by a factor of 2, 5, 10 and so on. `progress` is called with the numbers
+    of pictures drawn and of all pictures. Raises LogError if the file cannot be written.
     """
     ending = check_file(path)
-    rate = FORMATS[ending]
+    rate = rate or FORMATS[ending]
     frames = VideoFrames(log, width)
     recording = frames.recording
     end_s = max(recording.elapsed_s(recording.end_ns), 0.0)
@@ -113,6 +119,32 @@ def write_video(
         path.unlink(missing_ok=True)
         raise LogError(f"{path}: cannot write the video: {error}") from error
     return speed
+
+
+@dataclass(frozen=True, slots=True)
+class Video:
+    """A video of a trial, as the bytes of a file of `format`; a notebook plays it."""
+
+    format: str
+    data: bytes = field(repr=False)
+
+    def _repr_html_(self) -> str:
+        encoded = b64encode(self.data).decode()
+        if self.format == "mp4":
+            return f'<video controls loop width="{SHOWN_PX}" src="data:video/mp4;base64,{encoded}">'
+        source = f"data:image/{self.format};base64,{encoded}"
+        return f'<img alt="a video of the trial" width="{SHOWN_PX}" src="{source}">'
+
+
+def video(log: TrialLog, path: Path | None) -> Video:
+    """Return a video of a trial, written to a file if one is named; errors are `write_video`'s."""
+    if path is not None:
+        write_video(log, path)
+        return Video(check_file(path), path.read_bytes())
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "trial.webp")
+        write_video(log, file, width=SHOWN_PX, rate=SHOWN_RATE)
+        return Video("webp", file.read_bytes())
 
 
 def _speed(duration_s: float) -> int:

@@ -8,6 +8,7 @@ from itertools import islice, pairwise
 from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import EMULATED_DEVICES, EMULATED_PLANT, Command, PlantInfo
 from tetractl.core.plan import Outcome
+from tetractl.core.shown import Shown
 from tetractl.core.trial import Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
 
@@ -73,7 +74,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrialLog(TrialRecords):
+class TrialLog(TrialRecords, Shown):
     """A whole trial, read from its log.
 
     `facts` are machine, time and versions of the run, `digest` is the content digest that the log
@@ -140,7 +141,7 @@ def _next_step(text: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class ResultSummary:
+class ResultSummary(Shown):
     """Only the result of a trial, without its frames and steps.
 
     `recovered` is True for a log that is damaged or ends early. If its result is lost, `result`

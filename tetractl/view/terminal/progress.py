@@ -3,18 +3,20 @@
 import sys
 import time
 from collections.abc import Callable
-from typing import Self
+from pkgutil import resolve_name
+from typing import Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from tetractl.core.trial import Result
-from tetractl.run.batch import Ending
+from tetractl.run.batch import Ending, RunObserver
 from tetractl.run.task import Task
 
 LINES = 10  # number of progress lines that a study prints without a terminal
 RESULTS_TO_EXPECT = 3  # least number of results from which a study's duration is estimated
-PAUSE_S = 10.0  # least time between two progress lines of a script or notebook [s]
+PAUSE_S = 10.0  # least time between two progress lines of a script [s]
+BAR_PAUSE_S = 0.2  # least time between two changes of a notebook's bar [s]
 
 
 class Tally:
@@ -131,8 +133,17 @@ class StudyProgress(_TrialsBar):
         return self._done * LINES // self._total
 
 
+def progress_of_script(total: int) -> RunObserver:
+    """Return what shows the progress of a script or, in a notebook, of a cell."""
+    if "IPython" in sys.modules:
+        shell = resolve_name("IPython:get_ipython")()
+        if hasattr(shell, "kernel"):  # a terminal's shell has none
+            return NotebookProgress(total, resolve_name("IPython.display:display"))
+    return ScriptProgress(total)
+
+
 class ScriptProgress:
-    """A `RunObserver` for scripts and notebooks: prints to stderr, every PAUSE_S at most, how many
+    """A `RunObserver` for scripts: prints to stderr, every PAUSE_S at most, how many
     of `total` trials have ended and how long the others will take.
 
     `now_s` returns the time [s].
@@ -156,6 +167,47 @@ class ScriptProgress:
         self._said_s = now_s
         words = [f"{self._done} of {self._total} trials", _left(ending)]
         print("; ".join(filter(None, words)), file=sys.stderr, flush=True)
+
+
+class NotebookProgress:
+    """A `RunObserver` for notebooks: one output of the cell, a bar that grows as trials end.
+
+    `display` is IPython's function of this name, which every front end supports.
+    """
+
+    def __init__(
+        self,
+        total: int,
+        display: Callable[..., Any],
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._total = total
+        self._now_s = now_s
+        self._done = 0
+        self._left = ""
+        self._shown_s = now_s()
+        self._output = display(self, display_id=True)
+
+    def trial_started(self, task: Task) -> None:
+        """Do nothing: trials count when they end."""
+
+    def trial_ended(self, ending: Ending) -> None:
+        """Count the trial; change the bar if it was changed BAR_PAUSE_S ago, or all have ended."""
+        self._done += 1
+        self._left = _left(ending)
+        now_s = self._now_s()
+        if self._done == self._total or now_s - self._shown_s >= BAR_PAUSE_S:
+            self._shown_s = now_s
+            self._output.update(self)
+
+    def __repr__(self) -> str:
+        words = [f"{self._done} of {self._total} trials"]
+        if self._done < self._total:
+            words.append(self._left)
+        return "; ".join(filter(None, words))
+
+    def _repr_html_(self) -> str:
+        return f'<progress value="{self._done}" max="{self._total}"></progress> {self!r}'
 
 
 def _left(ending: Ending) -> str:

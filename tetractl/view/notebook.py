@@ -1,0 +1,175 @@
+"""What a notebook shows of results: the tables of `stats`, and pictures.
+
+`shown` has a function for each kind of result. All is in the output itself: no script, nothing from
+a network, and every text is escaped.
+"""
+
+import io
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import singledispatch
+from html import escape
+
+import numpy as np
+from PIL import Image
+
+from tetractl.core.errors import TetractlError, unit_of
+from tetractl.core.setup import Setup
+from tetractl.experiment.loaded_spec import LoadedSpec
+from tetractl.log.read.trial_log import ResultSummary, TrialLog
+from tetractl.replay.verify import Verification
+from tetractl.results.describe import (
+    BatchComparison,
+    BatchStatistics,
+    Contrast,
+    contrast,
+    describe,
+)
+from tetractl.results.open_batch import Batch, Batches
+from tetractl.results.tables import differences_table, summary, trials_listed
+from tetractl.tools.table.table import Column, Table, fixed, lengths
+from tetractl.tools.table.terminal_table import LISTED_MAX
+from tetractl.tools.table.terminal_table import html as html_of_tables
+from tetractl.view import style
+from tetractl.view.arena_picture import arena_picture
+from tetractl.view.figures.draw import draw
+
+PICTURE_PX = 440
+"""Width at which a picture is shown."""
+
+
+def html(value: object) -> str:
+    """Return what a notebook shows of a result; of one that cannot be shown, the reason."""
+    try:
+        return shown(value)
+    except TetractlError as error:
+        return _output([f"{type(value).__name__}: {error.message}"])
+
+
+@singledispatch
+def shown(value: object) -> str:
+    """Return what is shown of a result, by its kind."""
+    raise NotImplementedError(type(value))
+
+
+@shown.register
+def _(spec: LoadedSpec) -> str:
+    experiment = spec.experiment
+    setup = experiment.setup
+    unit = unit_of(setup.unit)
+    robots = Table(
+        "",
+        (
+            Column("robot", setup.names),
+            Column("start", [_place(xy) for xy in setup.starts.xy], unit),
+            Column("target", [_place(xy) for xy in setup.targets], unit),
+            Column("a", setup.a, "rad/s", fixed(2)),
+            Column("speed", setup.speed, f"{unit}/s", lengths(float(np.max(setup.speed)))),
+        ),
+    )
+    trials = f"{experiment.trials.count} trials, seed {experiment.trials.seed}"
+    lines = [f"{spec.name}: {experiment.name}, {trials}"]
+    if experiment.description:
+        lines.append(experiment.description)
+    return _output(lines, [robots], _arena(setup))
+
+
+@shown.register
+def _(trial: TrialLog) -> str:
+    start = trial.start
+    setup = start.setup
+    result = trial.result
+    lines = [f"{setup.name}, trial {start.trial}: {trial.origin}"]
+    tables: list[Table] = []
+    if result is None:
+        lines.append("the log ends before the end of the trial")
+    else:
+        unit = unit_of(setup.unit)
+        show = lengths(result.total_error)
+        error = f"total error {show(result.total_error)} {unit}"
+        lines.append(f"{result.summary}, {result.duration_s:.1f} s: {error}")
+        if result.entered_obstacle:
+            lines.append("entered an obstacle")
+        if result.left_arena:
+            lines.append("left the arena")
+        robots = Column("robot", setup.names)
+        tables.append(Table("", (robots, Column("error", result.robot_errors, unit, show))))
+    if trial.damage:
+        lines += [f"damaged: {problem}" for problem in trial.damage.problems]
+    return _output(lines, tables, _paths(trial))
+
+
+@shown.register
+def _(trial: ResultSummary) -> str:
+    return _output([trial.log], [trials_listed(describe(Batch((trial,))))])
+
+
+@shown.register
+def _(batch: Batch) -> str:
+    group = describe(batch)
+    trials = trials_listed(group)
+    more = len(trials) - LISTED_MAX
+    if more > 0:
+        first = [replace(column, values=column.listed[:LISTED_MAX]) for column in trials.columns]
+        note = f"and {more} more: to_dataframe has all; {trials.note}"
+        trials = Table(trials.title, tuple(first), note)
+    return _output([], [*summary(contrast([group])), trials])
+
+
+@shown.register
+def _(batches: Batches) -> str:
+    groups = tuple(describe(batch, name) for name, batch in batches.items())
+    errors, *_ = summary(BatchComparison(groups))
+    return _output([], [errors])
+
+
+@shown.register
+def _(group: BatchStatistics) -> str:
+    return _output([], summary(contrast([group])))
+
+
+@shown.register
+def _(comparison: BatchComparison) -> str:
+    return _output([], summary(comparison))
+
+
+@shown.register
+def _(pair: Contrast) -> str:
+    return _output([], [differences_table([pair])])
+
+
+@shown.register
+def _(verification: Verification) -> str:
+    return _output([*verification.lines])
+
+
+def _output(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes = b"") -> str:
+    """Return the HTML of lines, a picture and tables."""
+    picture = ""
+    if png:
+        source = f"data:image/png;base64,{b64encode(png).decode()}"
+        picture = f'<br><img alt="{escape(lines[0])}" width="{PICTURE_PX}" src="{source}">'
+    words = "<br>".join(map(escape, lines))
+    return f"<div>{words}{picture}{html_of_tables(tables)}</div>"
+
+
+def _paths(trial: TrialLog) -> bytes:
+    """Return a PNG of the robots' paths; b"" for a log that has none."""
+    try:
+        figure = draw("trajectory", [trial])
+    except TetractlError:
+        return b""
+    return style.picture(figure, "png", style.SCREEN_DPI)
+
+
+def _place(xy: Sequence[float]) -> str:
+    """Return a place as text."""
+    return ", ".join(f"{length:.4g}" for length in xy)
+
+
+def _arena(setup: Setup) -> bytes:
+    """Return a PNG of the arena with the robots at their starts."""
+    file = io.BytesIO()
+    Image.fromarray(arena_picture(setup, setup.starts.xy[None])).save(file, "PNG")
+    return file.getvalue()

@@ -1,19 +1,12 @@
 """Computes each decision of a trial again with the controller rebuilt from the log.
 
 `recompute` goes through the steps: `_step_difference` lets the controller decide on the logged
-frames, and compares. The controller's searches are answered in one of two ways. *Re-computed*
-(`SearchesAgain`): every search is run again and must give the same bits, as it does on the machine
-and with the versions that wrote the log. *Re-evaluated* (`LoggedSearches`): the searches' results
-are read from the log; their J, the choice among them and the predicted path are computed again, and
-must agree within TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
+frames, and compares. The controller's searches are answered by `StepSearches.search` in one of two
+ways. *Re-computed*: every search is run again and must give the same bits, as it does on the
+machine and with the versions that wrote the log. *Re-evaluated*: the searches' results are read
+from the log; their J, the choice among them and the predicted path are computed again, and must
+agree within TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
 difference in the last bit of one cost may change the leading particle and then the whole search.
-
-How a search of the controller is answered:
-
-    recompute         begin(the step's logged searches), then lets the controller plan
-    the controller    calls what it takes for its optimiser: _Repeated.search
-    _Repeated         passes on requests with their optimiser: LoggedSearches.search
-    LoggedSearches    takes the next logged search, and has it answered: _answer
 """
 
 import copy
@@ -76,22 +69,24 @@ class SearchRequest:
 # ---- The searches of a step ----
 
 
-class LoggedSearches:
-    """Answers the searches of a controller with the logged ones of the present step, and evaluates
-    each again: this is re-evaluation.
+class StepSearches:
+    """Answers the searches of a controller by those that were logged of the present step: runs them
+    again if `search_again`, or else evaluates their results.
 
     Call `begin` before each step. Then `requests` are what the controller wanted of the step's
-    searches, by their index in the log, and `contradiction` is how the first one contradicts
-    its problem or its optimiser. The processor time, read from `cpu` [s], is limited
-    to `seconds_limit`.
+    searches, by their index in the log, and `contradiction` is how the first result contradicts its
+    problem or its optimiser. The processor time, read from `cpu` [s], is limited to
+    `seconds_limit`; of searches that are run again it counts from the first one, which compiles.
     """
 
-    def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
+    def __init__(self, search_again: bool, cpu: Callable[[], float] = time.thread_time) -> None:
         self.requests: dict[int, SearchRequest] = {}
         self.contradiction: Difference | None = None
         self._to_come: list[tuple[int, Search]] = []
+        self._search_again = search_again
+        self._is_compiled = False
         self._cpu = cpu
-        self._until_s = cpu() + seconds_limit()
+        self._until_s = math.inf if search_again else cpu() + seconds_limit()
 
     def controller(self, log: TrialLog, key: int) -> Controller:
         """Return the controller of a log, whose searches come here, with the random key `key`."""
@@ -115,22 +110,34 @@ class LoggedSearches:
             raise NoSearchError
         index, logged = self._to_come.pop(0)
         self.requests[index] = request
-        return self._answer(request, logged, f"searches.{index}")
-
-    def _answer(self, request: SearchRequest, logged: Search, name: str) -> Search:
-        """Return the logged search; note how it contradicts the request."""
+        if self._search_again:
+            return self._run_again(request, logged)
+        name = f"searches.{index}"
         if logged.length != request.length or len(logged.signals) != request.length:
             text = f"{logged.length}, not {request.length}"
-            self._note(Difference(None, f"{name}.length", text))
+            contradiction = Difference(None, f"{name}.length", text)
+            self.contradiction = self.contradiction or contradiction
             raise NoSearchError
-        for contradiction in _contradictions(request, logged, name):
-            self._note(contradiction)
+        self.contradiction = self.contradiction or next(
+            _contradictions(request, logged, name), None
+        )
         return logged
 
-    def _note(self, contradiction: Difference) -> None:
-        """Store a contradiction, unless there is an earlier one."""
-        if self.contradiction is None:
-            self.contradiction = contradiction
+    def _run_again(self, request: SearchRequest, logged: Search) -> Search:
+        """Run a logged search again; one that the deadline ended is ended after its logged number
+        of evaluations."""
+        if not self._is_compiled:
+            least = Limits(request.optimizer.evaluations_min)
+            request.optimizer.search(request.problem, 1, np.zeros(1), request.key, least)
+            self._is_compiled = True
+            self._until_s = self._cpu() + seconds_limit()
+        most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
+        limited = replace(request.limits, expired=lambda spent: self.expired() or spent >= most)
+        search = request.optimizer.search(
+            request.problem, request.length, request.warm, request.key, limited
+        )
+        self.require_time()
+        return search
 
     def expired(self) -> bool:
         """Return whether the time limit is exceeded."""
@@ -148,43 +155,12 @@ class LoggedSearches:
         return 0 if self._to_come else AFTER_EVERY_DEADLINE_NS
 
 
-class SearchesAgain(LoggedSearches):
-    """Runs each logged search of a controller again: this is re-computation.
-
-    A search that was ended by the deadline is ended after its logged number of evaluations. The
-    first search compiles, which takes no part of the time limit.
-    """
-
-    def __init__(self, cpu: Callable[[], float] = time.thread_time) -> None:
-        super().__init__(cpu)
-        self._compiled = False
-        self._until_s = math.inf  # until `_compile`
-
-    def _answer(self, request: SearchRequest, logged: Search, name: str) -> Search:
-        if not self._compiled:
-            self._compile(request)
-        most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
-        limited = replace(request.limits, expired=lambda spent: self.expired() or spent >= most)
-        search = request.optimizer.search(
-            request.problem, request.length, request.warm, request.key, limited
-        )
-        self.require_time()
-        return search
-
-    def _compile(self, request: SearchRequest) -> None:
-        """Compile an optimiser by its shortest search; the time limit begins after it."""
-        least = Limits(request.optimizer.evaluations_min)
-        request.optimizer.search(request.problem, 1, np.zeros(1), request.key, least)
-        self._compiled = True
-        self._until_s = self._cpu() + seconds_limit()
-
-
 @dataclass(frozen=True, slots=True)
 class _Repeated:
     """An `Optimizer` whose searches `searches` answers."""
 
     optimizer: OptimizerSection
-    searches: LoggedSearches
+    searches: StepSearches
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
@@ -251,23 +227,6 @@ def _possible_ends(swarm: Pso, history: Floats, limits: Limits) -> set[StopReaso
 
 
 @dataclass(frozen=True, slots=True)
-class _Tolerances:
-    """How far a decision may be from the logged one, and how far its predicted path."""
-
-    decision: Tolerance
-    path: Tolerance
-
-    @classmethod
-    def of(cls, log: TrialLog, search_again: bool) -> "_Tolerances":
-        """Return those of a log: none if searches are run again."""
-        if search_again:
-            return cls(SAME_BITS, SAME_BITS)
-        setup = log.start.setup
-        decision = _tolerance(setup.starts.xy, setup.targets)
-        return cls(decision, replace(decision, relative=2 * DRAWN_PRECISION))
-
-
-@dataclass(frozen=True, slots=True)
 class Recomputed:
     """How far the decisions of a log agree: the number of steps before the first difference, and
     this difference, None if all agree."""
@@ -290,13 +249,16 @@ def recompute(
     except (ValueError, OverflowError):
         text = f"seed {log.start.seed} has no trial {log.start.trial}"
         return Recomputed(0, Difference(None, "seed", text))
-    searches = SearchesAgain(cpu) if search_again else LoggedSearches(cpu)
+    searches = StepSearches(search_again, cpu)
     controller = searches.controller(log, key)
-    tolerances = _Tolerances.of(log, search_again)
+    setup = log.start.setup
+    tolerance = SAME_BITS
+    if not search_again:
+        tolerance = _tolerance(setup.starts.xy, setup.targets)
     steps = first_steps(log)
     last: Step | None = None
     for number, step in enumerate(steps):
-        difference = _step_difference(controller, searches, tolerances, log, last, step)
+        difference = _step_difference(controller, searches, tolerance, log, last, step)
         if difference is not None:
             return Recomputed(number, difference)
         last = step
@@ -308,8 +270,8 @@ def recompute(
 
 def _step_difference(
     controller: Controller,
-    searches: LoggedSearches,
-    tolerances: _Tolerances,
+    searches: StepSearches,
+    tolerance: Tolerance,
     log: TrialLog,
     last: Step | None,
     step: Step,
@@ -337,18 +299,20 @@ def _step_difference(
         return Difference(step.k, "generator", text)
     if searches.contradiction is not None:
         return searches.contradiction.in_step(step.k)
-    return _plan_difference(decision, step, tolerances)
+    return _plan_difference(decision, step, tolerance)
 
 
-def _plan_difference(plan: Plan, step: Step, tolerances: _Tolerances) -> Difference | None:
+def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference | None:
     """Return the first difference of a plan from the logged one, whose path is rounded and has no
-    headings."""
+    headings: if bits may differ, another number may be rounded the other way."""
     logged = step.plan
     same_path = replace(plan, path=logged.path)
-    difference = first_difference(same_path, logged, tolerances.decision)
+    difference = first_difference(same_path, logged, tolerance)
     if difference is None:
+        if tolerance != SAME_BITS:
+            tolerance = replace(tolerance, relative=2 * DRAWN_PRECISION)
         path = drawn(plan.path[..., :2])
-        difference = first_difference(path, logged.path[..., :2], tolerances.path, "path")
+        difference = first_difference(path, logged.path[..., :2], tolerance, "path")
     return None if difference is None else difference.in_step(step.k)
 
 
@@ -373,8 +337,10 @@ def first_steps(log: TrialLog) -> list[Step]:
     """Return the control steps before the first missing step or, in a damaged log, before the first
     missing camera frame.
     """
+    lost = len(log.damage.lost) if log.damage else 0
+    lost_with_its_end = 0 if log.result else 1  # the result and what follows it
     first_missing = np.inf
-    if _lost_more_than_its_end(log):
+    if lost > lost_with_its_end:
         first_missing = min((gap.first for gap in frame_gaps(log)), default=np.inf)
     steps: list[Step] = []
     for number, step in enumerate(log.steps):
@@ -382,12 +348,6 @@ def first_steps(log: TrialLog) -> list[Step]:
             break
         steps.append(step)
     return steps
-
-
-def _lost_more_than_its_end(log: TrialLog) -> bool:
-    """Return whether a log has lost more than its result and what follows it."""
-    lost = len(log.damage.lost) if log.damage else 0
-    return lost > 1 if log.result is None else lost > 0
 
 
 # ---- The end of a trial ----

@@ -17,7 +17,7 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.motion.motion import LOWER, UPPER
-from tetractl.replay.recompute import LoggedSearches, NoSearchError, SearchRequest
+from tetractl.replay.recompute import NoSearchError, SearchRequest, StepSearches
 from tetractl.run.spec_trial import trial_seeds
 
 GRID = 61
@@ -62,7 +62,7 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     Raises LogError for a search that was not by a particle swarm, has a single signal, does not
     follow from the log, or takes longer than `limits` allows.
     """
-    searches = LoggedSearches()
+    searches = StepSearches(search_again=False)
     request = _first_request(log, searches)
     section = request.optimizer
     if not isinstance(section, Pso):
@@ -98,7 +98,7 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     )
 
 
-def _first_request(log: TrialLog, searches: LoggedSearches) -> SearchRequest:
+def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
     """Return what the log's controller, which decides control step 0 again, wants of the chosen
     search; LogError if it does not come to this search.
     """

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from support.device_replies import packed_reply
 from support.paths import ROOT
+from tetractl_emulator.m3pi.emulated_radio import at_response
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
 from tetractl.experiment.experiment import Experiment
@@ -164,7 +165,7 @@ def serial_bytes() -> list[bytes]:
     reply = packed_reply(Reply(1, 7, Status(0), 5100, 20, 3))
     received = [
         b"\x81\x12\x34\x5e\1" + reply,
-        xbee.at_response(1, b"BD", b"\x06"),
+        at_response(1, b"BD", b"\x06"),
         b"\x89\1\0",
         xbee.BROADCAST + command,
     ]

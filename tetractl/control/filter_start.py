@@ -49,35 +49,28 @@ from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.model.motion.motion import PARAMETERS, in_rows
 from tetractl.model.motion.turn_rate import TURNING
 
-
-class Usual(NamedTuple):
-    """The usual noise of a camera, and the random walks of a robot's states, per sqrt(s). Chosen
-    once by trials; docs/decisions/filter.md has the errors measured with them."""
-
-    position_noise_s: float = 0.005
-    """Deviation of a measured position, over the robot's speed [s]."""
-    heading_noise: float = 0.01
-    """Deviation of a measured heading [rad]."""
-    slip: float = 0.02
-    """Walk of the position, over the robot's speed [s]."""
-    walk: float = 0.1
-    """Walk of the heading, at first [rad]."""
-    turn_bias: float = 0.005
-    """Walk of the turn bias [rad]."""
-    marker_bias: float = 0.002
-    """Walk of the marker bias [rad]."""
-    flow: float = 0.05
-    """Walk of the flow, over its prior deviation."""
-    helix: float = 0.1
-    """Walk of the helix's sine and cosine, over its radius."""
-    frequency: float = 0.01
-    """Walk of ln of the helix's frequency."""
-    frequency_std: float = 0.15
-    """Prior deviation of ln of each of FREQUENCIES."""
-
-
-USUAL = Usual()
-"""The values of all robots of which a spec says nothing else."""
+# The usual noise of a camera, and the random walks of a robot's states, per sqrt(s). Chosen once by
+# trials; docs/decisions/filter.md has the errors measured with them.
+POSITION_NOISE_S = 0.005
+"""Deviation of a measured position, over the robot's speed [s]."""
+HEADING_NOISE = 0.01
+"""Deviation of a measured heading [rad]."""
+SLIP = 0.02
+"""Walk of the position, over the robot's speed [s]."""
+WALK = 0.1
+"""Walk of the heading, at first [rad]."""
+TURN_BIAS_WALK = 0.005
+"""Walk of the turn bias [rad]."""
+MARKER_BIAS_WALK = 0.002
+"""Walk of the marker bias [rad]."""
+FLOW_WALK = 0.05
+"""Walk of the flow, over its prior deviation."""
+HELIX_WALK = 0.1
+"""Walk of the helix's sine and cosine, over its radius."""
+FREQUENCY_WALK = 0.01
+"""Walk of ln of the helix's frequency."""
+FREQUENCY_STD = 0.15
+"""Prior deviation of ln of each of FREQUENCIES."""
 LEAST_SPEED = 1e-9
 """Least speed that a noise is taken over [length unit/s]: a robot may have none."""
 FREQUENCIES = 0.5, 0.75, 1.0, 1.4
@@ -120,9 +113,9 @@ def filter_model(prior: Prior) -> FilterModel:
     walk = np.zeros((_states(prior), len(prior.a)))
     for state, uncertain in _uncertain_states(prior).items():
         walk[state] = uncertain.walk
-    walk[X] = USUAL.slip * prior.speed
-    walk[Y] = USUAL.slip * prior.speed
-    walk[HEADING] = USUAL.walk
+    walk[X] = SLIP * prior.speed
+    walk[Y] = SLIP * prior.speed
+    walk[HEADING] = WALK
     return FilterModel(
         parameters=in_rows(prior),
         noise=_noise(prior),
@@ -154,21 +147,21 @@ def _uncertain_states(prior: Prior) -> dict[int, Uncertain]:
     random phase, sine and cosine deviate by its radius / sqrt(2)."""
     a, speed = PARAMETERS
     side, _ = TURNING
-    flow = Uncertain(prior.flow_std, USUAL.flow * prior.flow_std)
+    flow = Uncertain(prior.flow_std, FLOW_WALK * prior.flow_std)
     uncertain = {
         LN_A: _walking(prior.a_std, a.drift),
         LN_SPEED: _walking(prior.speed_std, speed.drift),
         SIDE: _walking(prior.side_std, side.drift),
-        TURN_BIAS: _walking(prior.heading_bias_std, USUAL.turn_bias),
-        MARKER_BIAS: _walking(prior.marker_bias_std, USUAL.marker_bias),
+        TURN_BIAS: _walking(prior.heading_bias_std, TURN_BIAS_WALK),
+        MARKER_BIAS: _walking(prior.marker_bias_std, MARKER_BIAS_WALK),
         FLOW_X: flow,
         FLOW_Y: flow,
     }
     if prior.swims:
-        swing = Uncertain(prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius)
+        swing = Uncertain(prior.helix_radius / math.sqrt(2), HELIX_WALK * prior.helix_radius)
         uncertain[HELIX_SINE] = swing
         uncertain[HELIX_COSINE] = swing
-        uncertain[LN_FREQUENCY] = Uncertain(USUAL.frequency_std, USUAL.frequency)
+        uncertain[LN_FREQUENCY] = Uncertain(FREQUENCY_STD, FREQUENCY_WALK)
     return uncertain
 
 
@@ -182,8 +175,8 @@ def _noise(prior: Prior) -> Floats:
     usual one if it is not known, and what its grid adds."""
     noise = np.empty((3, len(prior.a)))
     position = prior.position_noise
-    noise[:2] = position or USUAL.position_noise_s * np.maximum(prior.speed, LEAST_SPEED)
-    noise[2] = prior.heading_noise or USUAL.heading_noise
+    noise[:2] = position or POSITION_NOISE_S * np.maximum(prior.speed, LEAST_SPEED)
+    noise[2] = prior.heading_noise or HEADING_NOISE
     spread = np.array(prior.spread)
     return np.hypot(noise, spread[:, None])
 

@@ -119,13 +119,10 @@ class Tree:
         turns = np.zeros(PARTS * self._held)
         part = self._problem.period / PARTS
         path = compiled_branches(self._problem, starts, directions, turns, part)[1:]
-        self._grown = Branches(directions, path[-1], self._squares(path[-1]))
+        squares = np.floor(path[-1, ..., :2].reshape(len(directions), -1) / self._side)
+        numbers = (squares.astype(np.int64) * self._factors).sum(axis=1)
+        self._grown = Branches(directions, path[-1], numbers)
         return path
-
-    def _squares(self, poses: Floats) -> Integers:
-        """Return the numbers (B,) of the squares in which robots at poses (B, N, 3) are."""
-        squares = np.floor(poses[..., :2].reshape(len(poses), -1) / self._side)
-        return (squares.astype(np.int64) * self._factors).sum(axis=1)
 
     def unlike(self, order: Integers) -> Integers:
         """Return those of the branches `order`, best first, whose ends are like neither a node nor

@@ -124,14 +124,17 @@ def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
     over the likeliest that follows another one. Nothing is known, and the result is 0, if one of
     the two is not kept, or the robot is most probably stuck.
     """
-    ln_weight = bank.ln_weight[row, robot]
-    stuck = len(ln_weight) - 1
-    if ln_weight.argmax() == stuck:
+    # as lists: NumPy takes ten times as long for four numbers
+    *ln_weights, ln_stuck = bank.ln_weight[row, robot].tolist()
+    if ln_stuck > max(ln_weights):
         return 0.0
-    drives = np.arange(len(ln_weight)) < stuck
-    follows_it = bank.direction[row, robot] == direction
-    ln_heard = ln_weight[drives & follows_it].max(initial=-np.inf)
-    ln_missed = ln_weight[drives & ~follows_it].max(initial=-np.inf)
-    if np.isinf(ln_heard) or np.isinf(ln_missed):
+    ln_heard = -math.inf
+    ln_missed = -math.inf
+    for ln_weight, followed in zip(ln_weights, bank.direction[row, robot].tolist(), strict=False):
+        if followed == direction:
+            ln_heard = max(ln_heard, ln_weight)
+        else:
+            ln_missed = max(ln_missed, ln_weight)
+    if math.isinf(ln_heard) or math.isinf(ln_missed):
         return 0.0
     return math.log(ASSUMED.lost) + float(np.logaddexp(0.0, ln_heard - ln_missed))

@@ -80,7 +80,7 @@ Lengths are in the spec's length unit, times ns on the run's clock.
 
 import threading
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 
 from tetractl.core.clock import SECOND
@@ -146,30 +146,6 @@ class Pace:
     driven: bool = False  # whether a run has begun, after which no robot is carried
 
 
-@dataclass(slots=True)
-class Warnings:
-    """Warnings that no ruling has passed on yet, and all that are given once only."""
-
-    waiting: list[str] = field(default_factory=list)
-    _given: set[str] = field(default_factory=set)
-
-    def add(self, text: str) -> None:
-        """Add a warning."""
-        self.waiting.append(text)
-
-    def add_once(self, text: str) -> None:
-        """Add a warning, unless it was given before."""
-        if text not in self._given:
-            self._given.add(text)
-            self.waiting.append(text)
-
-    def take(self) -> tuple[str, ...]:
-        """Return the waiting warnings, and let them wait no more."""
-        taken = tuple(self.waiting)
-        self.waiting.clear()
-        return taken
-
-
 class Guard:
     """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks.
 
@@ -182,7 +158,8 @@ class Guard:
         self._status = GuardStatus()
         self._stream = CameraStream()
         self._pace = Pace()
-        self._warnings = Warnings()
+        self._warnings: list[str] = []  # that no ruling has passed on yet
+        self._warned: set[str] = set()  # all that are given once only
         self._make_tracks_and_checks()
 
     def _make_tracks_and_checks(self) -> None:
@@ -329,7 +306,7 @@ class Guard:
             self.abort(reason)
             return
         robot.lost_ns = robot.poses.last_ns
-        self._warnings.add(f"{reason}: the run goes on without this robot")
+        self._warnings.append(f"{reason}: the run goes on without this robot")
 
     def replace_robot(self, i: int) -> None:
         """Continue with another body in place of a lost robot."""
@@ -387,7 +364,7 @@ class Guard:
             self.abort(frame.fault)
         if not self._stream.advance(frame.sampled_ns, own_times=bool(frame.exposed_ns)):
             if self._in_run and self._stream.dropped == 1:
-                self._warnings.add_once(f"a camera frame {self._stream.outdated_text} was dropped")
+                self._warn_once(f"a camera frame {self._stream.outdated_text} was dropped")
             return None
         in_run = self._in_run
         times = frame.times([robot.poses.last_ns for robot in self._robots])
@@ -429,10 +406,15 @@ class Guard:
         warnings: tuple[str, ...] = ()
         if self._in_run:
             self._check_run(now_ns, recently_damaged, poses)
-            warnings = self._warnings.take()
+            warnings = tuple(self._warnings)
+            self._warnings.clear()
             moving = self._moving(now_ns)
         if self._in_run:
-            self._status.enter(GuardState.HOLD if self._must_hold(moving) else GuardState.RUN)
+            in_order = all(
+                robot.lost or (moves and robot.tracked)
+                for robot, moves in zip(self._robots, moving, strict=True)
+            )
+            self._status.enter(GuardState.RUN if in_order else GuardState.HOLD)
         state = self.state
         if state is not GuardState.RUN and state is not GuardState.HOLD:
             moving = self._nobody()
@@ -596,13 +578,6 @@ class Guard:
             return (may,) * len(self._robots)
         return tuple(may and robot.tracked for robot in self._robots)
 
-    def _must_hold(self, moving: Sequence[bool]) -> bool:
-        """Return whether a robot that is not lost is stopped, or is steered while it is hidden."""
-        for robot, moves in zip(self._robots, moving, strict=True):
-            if not robot.lost and not (moves and robot.tracked):
-                return True
-        return False
-
     # ---- findings ----
 
     def _record(self, findings: Iterable[Finding]) -> None:
@@ -619,8 +594,14 @@ class Guard:
                 case Lose():
                     self.lose_robot(finding.robot, finding.text)
                 case Warn():
-                    self._warnings.add_once(finding.text)
+                    self._warn_once(finding.text)
                 case Abort():
                     self.abort(finding.text, suspect=finding.suspect)
                     for i in finding.false:
                         self._robots[i].ghost = finding.text
+
+    def _warn_once(self, text: str) -> None:
+        """Give a warning, unless it was given before."""
+        if text not in self._warned:
+            self._warned.add(text)
+            self._warnings.append(text)

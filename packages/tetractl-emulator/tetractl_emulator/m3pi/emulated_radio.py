@@ -16,9 +16,11 @@ from tetractl.lab.actuators.m3pi.broadcast import (
 )
 from tetractl.lab.actuators.xbee.frames import (
     AT_COMMAND,
+    AT_RESPONSE,
     BROADCAST,
+    RESPONSE,
+    STATUS_OK,
     Decoder,
-    at_response,
     encode,
 )
 from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
@@ -34,6 +36,13 @@ AIR_OVERHEAD = 17  # bytes: preamble, header, checksum
 BACKOFF_NS = 320_000  # longest random wait before a transmission
 ACK_NS = 860_000  # time a sender waits for an acknowledgement
 ROBOT_BAUD = 57600
+INVALID_COMMAND = 2  # status of an answer: the module has no such parameter
+
+
+def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
+    """Return the content that answers a request; `value` is None for an unknown parameter."""
+    status = INVALID_COMMAND if value is None else STATUS_OK
+    return RESPONSE.pack(AT_RESPONSE, frame_id, command, status) + (value or b"")
 
 
 class EmulatedRadio(RobotRadio):

@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.device_replies import reply_line
 
 from tetractl.core.errors import WireError
 from tetractl.lab.actuators.twist.lines import (
@@ -11,7 +12,6 @@ from tetractl.lab.actuators.twist.lines import (
     decode_command,
     decode_reply,
     encode_command,
-    encode_reply,
 )
 from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.cobs import Flag
@@ -42,7 +42,7 @@ def test_a_line_is_as_the_page_shows_it():
     assert encode_command(command) == b"T 17 1 0 150 -2000 1 150 1320*757A\n"
     assert encode_command(LineCommand("T", 18, Flag(0))) == b"T 18 0*767D\n"
     reply = Reply(1, 17, Status.RUNNING, 4987, 25, 0)
-    assert encode_reply(reply) == b"S 1 17 1 4987 25 0*0CBB\n"
+    assert reply_line(reply) == b"S 1 17 1 4987 25 0*0CBB\n"
 
 
 @given(commands)
@@ -57,7 +57,7 @@ def test_commands_come_back(command):
 
 @given(replies)
 def test_replies_come_back(reply):
-    assert decode_reply(encode_reply(reply)[:-1]) == reply
+    assert decode_reply(reply_line(reply)[:-1]) == reply
 
 
 @given(commands, st.data())

@@ -2,9 +2,11 @@
 
 from collections import deque
 
+from support.device_replies import reply_line
+
 from tetractl.core.clock import VirtualClock
 from tetractl.lab.actuators.twist.line_ports import TwistLink
-from tetractl.lab.actuators.twist.lines import decode_command, encode_reply
+from tetractl.lab.actuators.twist.lines import decode_command
 from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
 
 HONEST_MV = 4800
@@ -29,7 +31,7 @@ class RobotsPort:
 
     def write(self, data):
         for reply in self.answer(decode_command(data[:-1]).sequence):
-            self.heard(encode_reply(reply), 0)
+            self.heard(reply_line(reply), 0)
         return 0
 
 
@@ -55,7 +57,7 @@ def test_a_robot_that_replies_to_the_poll_is_believed():
 def test_a_reply_that_waited_before_the_poll_is_dropped():
     """Regression: a robot that was off counted as present, by a reply sent 5 s before."""
     link, ports = linked(["air"], {"air": lambda sequence: []})
-    ports["air"].heard(encode_reply(reply_of(0, 1)), 0)  # with the sequence of the poll to come
+    ports["air"].heard(reply_line(reply_of(0, 1)), 0)  # with the sequence of the poll to come
     assert link.poll(1.0) == [None]
 
 

@@ -7,7 +7,7 @@ CRC-16/CCITT-FALSE of what is before the *, as four hexadecimal digits; LF ends 
 `firmware/twist_core.c` and `firmware/micropython/twist.py` are the robot's side.
 """
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 from tetractl.core.errors import WireError
@@ -67,12 +67,6 @@ def decode_command(line: bytes) -> LineCommand:
     if not 0 <= sequence <= 255:
         raise WireError(f"sequence {sequence} is not from 0 to 255")
     return LineCommand(kind, sequence, cobs.checked_flags(flags), entries)
-
-
-def encode_reply(reply: Reply) -> bytes:
-    """Return the line of a reply, with its end."""
-    numbers = [str(int(number)) for number in astuple(reply)]
-    return _sealed(" ".join(["S", *numbers]))
 
 
 def decode_reply(line: bytes) -> Reply:

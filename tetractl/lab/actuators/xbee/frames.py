@@ -18,12 +18,11 @@ TRANSMIT = 0x01  # type of a frame with data to send
 AT_COMMAND = 0x08  # type of a frame with a command to the module
 AT_RESPONSE = 0x88  # type of the answer to one
 STATUS_OK = 0  # status in the answer: the module has done it
-INVALID_COMMAND = 2  # or has no such parameter
 BROADCAST = bytes((TRANSMIT, 0, 0xFF, 0xFF, 0))  # to all modules, without a report of the result
 # bytes of content before the data of another module, by the frame's type: from a 64-bit address, a
 # 16-bit one, both (newer firmware), or both with endpoints (AO=1)
 _BEFORE_DATA = {0x80: 11, 0x81: 5, 0x90: 12, 0x91: 18}
-_RESPONSE = struct.Struct(">BB2sB")
+RESPONSE = struct.Struct(">BB2sB")
 
 
 def received(content: bytes) -> bytes:
@@ -36,18 +35,12 @@ def at_command(frame_id: int, command: bytes) -> bytes:
     return bytes((AT_COMMAND, frame_id)) + command
 
 
-def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
-    """Return the content that answers a request; `value` is None for an unknown parameter."""
-    status = INVALID_COMMAND if value is None else STATUS_OK
-    return _RESPONSE.pack(AT_RESPONSE, frame_id, command, status) + (value or b"")
-
-
 def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
     """Return (frame id, command, value) of an answer to a request, None for another frame."""
-    if content[0] != AT_RESPONSE or len(content) < _RESPONSE.size:
+    if content[0] != AT_RESPONSE or len(content) < RESPONSE.size:
         return None
-    _, frame_id, command, status = _RESPONSE.unpack_from(content)
-    return frame_id, command, None if status else content[_RESPONSE.size :]
+    _, frame_id, command, status = RESPONSE.unpack_from(content)
+    return frame_id, command, None if status else content[RESPONSE.size :]
 
 
 def encode(content: bytes) -> bytes:

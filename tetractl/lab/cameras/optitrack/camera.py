@@ -55,7 +55,9 @@ class OptitrackCamera:
         self._clock = clock
         self._wake = wake
         self._threaded = make_socket is None
-        self._make_socket = make_socket or _udp
+        self._make_socket = make_socket or (
+            lambda turn: socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        )
         self._unicast = section.transport == "unicast"
         self._pinned = (
             natnet.Version.of(section.version) if section.version and self._unicast else None
@@ -281,7 +283,3 @@ class OptitrackCamera:
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         return wait_for(self._clock, done, timeout_s)
-
-
-def _udp(turn: Callable[[], None]) -> socket.socket:
-    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -5,12 +5,13 @@ import os
 import pytest
 import serial
 from support.lab_processes import emulated, turn_until
+from tetractl_emulator.m3pi.emulated_radio import at_response
 from tetractl_emulator.port import PseudoPort
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
-from tetractl.lab.actuators.xbee.frames import BROADCAST, Decoder, at_command, at_response, encode
+from tetractl.lab.actuators.xbee.frames import BROADCAST, Decoder, at_command, encode
 from tetractl.lab.cobs import Flag
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 from support.device_replies import packed_reply
+from tetractl_emulator.m3pi.emulated_radio import at_response
 from tetractl_emulator.virtual_wires import LabClock, memory_wires
 
 from tetractl.core.clock import SECOND
@@ -12,7 +13,6 @@ from tetractl.lab.actuators.xbee.frames import (
     AT_COMMAND,
     BROADCAST,
     Decoder,
-    at_response,
     encode,
 )
 from tetractl.lab.actuators.xbee.hardware import XbeeSection

@@ -29,8 +29,8 @@ from tetractl_microscope.pictures.picture_section import PictureSection
 from tetractl_microscope.pictures.searches import (
     KEPT_SEARCHES,
     PictureSearch,
-    rate_hz,
     search_ms,
+    searched_hz,
     stream_lines,
 )
 from tetractl_microscope.pictures.source import decoded
@@ -290,7 +290,7 @@ class PictureCamera(ABC, Generic[R]):
         facts: dict[str, str] = {}
         if self._size is not None:
             facts["resolution"] = f"{self._size[1]}x{self._size[0]}"
-        rate = rate_hz(searches)
+        rate = searched_hz(searches)
         if rate is not None:
             facts["rate"] = f"{rate:.1f} Hz"
         if searches:

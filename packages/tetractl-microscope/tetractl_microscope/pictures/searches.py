@@ -29,6 +29,12 @@ def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
     return statistics.median(search.search_ns for search in searches) / 1e6
 
 
+def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
+    """Return the rate of pictures [Hz], those that were not searched included; None if unknown."""
+    received_ns = [search.received_ns for search in searches]
+    return rate_hz([search.number for search in searches], received_ns)
+
+
 def stream_lines(
     searches: Sequence[PictureSearch[Any]],
     source: str,
@@ -48,9 +54,7 @@ def stream_lines(
         problems.append(ended)
     elif not searches or now_ns - searches[-1].received_ns > SECOND // 2:
         problems.append(f"no picture comes from {source} any more")
-    rate = rate_hz(
-        [search.number for search in searches], [search.received_ns for search in searches]
-    )
+    rate = searched_hz(searches)
     if rate is not None and declared_hz is not None and rate < 0.8 * declared_hz:
         warnings.append(
             f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: is there too "

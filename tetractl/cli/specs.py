@@ -17,6 +17,7 @@ from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
+    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.plausibility import PlacedWarning
 
 NAMED = ("base", "identified")
@@ -215,16 +216,16 @@ def _check(path: Path, sets: list[str] | None) -> _Checked:
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return _Checked({"path": file, "ok": False, "problems": problems}, error.lines())
-    return _valid(file, loaded.experiment, ui.warn(loaded, sets))
+    return _valid(file, loaded, ui.warn(loaded, sets))
 
 
-def _valid(file: str, experiment: "Experiment", warnings: "Sequence[PlacedWarning]") -> _Checked:
+def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]") -> _Checked:
     """Return what is said of a valid spec."""
     from tetractl.analysis.reach import reach
-    from tetractl.experiment.loaded_spec import spec_hash
     from tetractl.model.bounds import least_total_error
-    from tetractl.run.plausibility import CheckContext
 
+    experiment = loaded.experiment
+    setup = experiment.setup
     summary = {
         "name": experiment.name,
         "robots": len(experiment.robots),
@@ -235,7 +236,6 @@ def _valid(file: str, experiment: "Experiment", warnings: "Sequence[PlacedWarnin
     }
     counts = ", ".join(f"{key} {value}" for key, value in summary.items())
     line = f"{file}: ok: {counts}"
-    context = CheckContext(experiment)
     reached = reach(experiment)
     if reached:
         line += f", reach {reached}"
@@ -243,9 +243,9 @@ def _valid(file: str, experiment: "Experiment", warnings: "Sequence[PlacedWarnin
         "path": file,
         "ok": True,
         **summary,
-        "hash": spec_hash(experiment),
+        "hash": loaded.hash,
         "warnings": [asdict(warning) for warning in warnings],
-        "least_total_error": least_total_error(context.setup, context.longest_s),
+        "least_total_error": least_total_error(setup, setup.time_limit_s),
         "reach": reached.fields if reached else None,
     }
     return _Checked(fields, [line])

@@ -8,7 +8,6 @@ kind: `tetractl.run.plausibility` has their rules.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
@@ -30,16 +29,9 @@ ROUNDING = 1e-9
 and do not overlap."""
 
 
-class Severity(StrEnum):
-    """Whether a spec can be run nevertheless."""
-
-    ERROR = "error"
-    WARNING = "warning"
-
-
 @dataclass(frozen=True, slots=True)
 class SpecFinding:
-    """One thing that is wrong with a spec, at the location `where`.
+    """One thing that is wrong with a spec, at the location `where`: an error or a warning.
 
     `text` goes on after the name and the value of the field at that location: "is outside the
     arena". `hint` says what to do; an error says that in its text.
@@ -47,18 +39,7 @@ class SpecFinding:
 
     where: Loc
     text: str
-    severity: Severity
     hint: str = ""
-
-
-def error(where: Loc, text: str) -> SpecFinding:
-    """Return a finding for which a spec is refused."""
-    return SpecFinding(where, text, Severity.ERROR)
-
-
-def warning(where: Loc, text: str, hint: str) -> SpecFinding:
-    """Return a finding for which a spec is not refused."""
-    return SpecFinding(where, text, Severity.WARNING, hint)
 
 
 Findings = Iterator[SpecFinding]
@@ -92,7 +73,7 @@ def same_names(experiment: Experiment) -> Findings:
         earlier = first.setdefault(robot.name, i)
         if earlier != i:
             message = f"robots.{earlier} has this name already; names must differ"
-            yield error(("robots", i, "name"), message)
+            yield SpecFinding(("robots", i, "name"), message)
 
 
 def misplaced(experiment: Experiment) -> Findings:
@@ -105,15 +86,15 @@ def misplaced(experiment: Experiment) -> Findings:
     inside = [_inside(obstacle, points) for obstacle in experiment.obstacles]
     for row, (where, point) in enumerate(places):
         if not arena.bounds.contains(*point):
-            yield error(where, f"is outside the arena; must be within {_extent(arena)}")
+            yield SpecFinding(where, f"is outside the arena; must be within {_extent(arena)}")
         for j, obstacle in enumerate(experiment.obstacles):
             if inside[j][row]:
                 message = f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
-                yield error(where, message)
+                yield SpecFinding(where, message)
     for j, obstacle in enumerate(experiment.obstacles):
         if not _touches(arena, obstacle):
             message = f"is entirely outside the arena, which is {_extent(arena)}"
-            yield error(("obstacles", j), message)
+            yield SpecFinding(("obstacles", j), message)
 
 
 def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
@@ -162,7 +143,7 @@ def field_that_stays_on(experiment: Experiment) -> Findings:
     control = experiment.controller
     if control.switches_field and not experiment.plant.switches_field:
         message = f"cannot switch the field off, as controller {control.type} does"
-        yield error(("plant",), f"{message}; simulations can")
+        yield SpecFinding(("plant",), f"{message}; simulations can")
 
 
 def tour_without_tourist(experiment: Experiment) -> Findings:
@@ -170,14 +151,14 @@ def tour_without_tourist(experiment: Experiment) -> Findings:
     control = experiment.controller
     if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
         message = f"{control.type} supports neither way-points nor a hold; mpc does"
-        yield error(("controller",), message)
+        yield SpecFinding(("controller",), message)
 
 
 def controller_contradicted(experiment: Experiment) -> Findings:
     """The controller's own rules."""
     control = experiment.controller
     for loc, message in control.contradictions(experiment.setup):
-        yield error(("controller", *loc), message)
+        yield SpecFinding(("controller", *loc), message)
 
 
 def plant_contradicted(experiment: Experiment) -> Findings:
@@ -187,10 +168,10 @@ def plant_contradicted(experiment: Experiment) -> Findings:
             for device, section in (("camera", plant.camera), ("actuator", plant.actuator)):
                 if not section.settles:
                     message = "cannot find the robots of a trial; name them in robots"
-                    yield error((name, device), f"{section.type} {message}")
+                    yield SpecFinding((name, device), f"{section.type} {message}")
         if plant is not None:
             for loc, message in plant.contradictions(experiment.setup):
-                yield error((name, *loc), message)
+                yield SpecFinding((name, *loc), message)
 
 
 SECTION_RULES: tuple[Callable[[Experiment], Findings], ...] = (
@@ -209,7 +190,7 @@ def too_large(experiment: Experiment) -> Findings:
     """A control step needs no more memory than `MEMORY_GB`."""
     needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
     if needed_gb > MEMORY_GB:
-        yield error(
+        yield SpecFinding(
             ("controller",),
             f"a control step would need some {needed_gb:.3g} GB of memory, more than "
             "1 GB; use fewer particles, robots or signals",
@@ -229,11 +210,11 @@ def overlapping(experiment: Experiment) -> Findings:
         places.append((("via", leg), "way-point", points))
     places.append((("target",), "target", setup.targets))
     for where, word, points in places:
-        for i, neighbour in nearest(setup, points):
-            if neighbour.distance < touching:
+        for i, neighbour, distance in nearest(setup, points):
+            if distance < touching:
                 message = f"bodies of radius {radius:g} overlap; move one of them"
-                place = f"is {neighbour.distance:.4g} {setup.unit} from the {word}"
-                yield error(("robots", i, *where), f"{place} of {neighbour.name}: {message}")
+                place = f"is {distance:.4g} {setup.unit} from the {word}"
+                yield SpecFinding(("robots", i, *where), f"{place} of {neighbour}: {message}")
 
 
 def unreachable(experiment: Experiment) -> Findings:
@@ -255,21 +236,13 @@ def unreachable(experiment: Experiment) -> Findings:
     for i in np.flatnonzero(well_placed & (nearest_gap < setup.body_radius)).tolist():
         place = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
         message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"
-        yield error(("robots", i, "target"), f"{place}: {message}")
+        yield SpecFinding(("robots", i, "target"), f"{place}: {message}")
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbour:
-    """The nearest of the earlier robots: its name, and the distance to it [length unit]."""
-
-    name: str
-    distance: float
-
-
-def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, Neighbour]]:
-    """Yield the index of each robot but the first, and the nearest of the earlier robots if each
-    is at its one of `points` (N, 2)."""
+def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, str, float]]:
+    """Yield the index of each robot but the first, the name of the nearest of the earlier robots,
+    and the distance to it [length unit], if each is at its one of `points` (N, 2)."""
     for i in range(1, len(points)):
         gaps = np.hypot(*(points[:i] - points[i]).T)
         k = int(gaps.argmin())
-        yield i, Neighbour(setup.names[k], float(gaps[k]))
+        yield i, setup.names[k], float(gaps[k])

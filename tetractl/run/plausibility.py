@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from tetractl.control.near_targets import kept_apart
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
-from tetractl.experiment.consistency import SpecFinding, nearest, warning
+from tetractl.experiment.consistency import Findings, SpecFinding, nearest
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.loaded_spec import LoadedSpec
@@ -63,8 +63,6 @@ NO_ERROR = 1e-6
 """A least total error below this fraction of the arena's longer side is none but for rounding."""
 NAMED_MAX = 2
 """Of more than four robots alike, so many are named besides the first."""
-
-Findings = Iterator[SpecFinding]
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,7 @@ def angles_of_many_turns(context: CheckContext) -> Findings:
         problem = turn_problem(value)
         if problem is not None:
             text, hint = problem
-            yield warning(where, text, hint)
+            yield SpecFinding(where, text, hint)
 
 
 def turns_faster_than_robots(context: CheckContext) -> Findings:
@@ -189,7 +187,7 @@ def turns_faster_than_robots(context: CheckContext) -> Findings:
         if rate > A_MAX:
             text = f"is {rate:g} rad/s: the robot turns to any direction within {3 / rate:.2g} s"
             hint = f"if these are degrees a second, write {math.radians(rate):.4g}"
-            yield warning(("robots", i, "a"), text, hint)
+            yield SpecFinding(("robots", i, "a"), text, hint)
 
 
 def robots_of_another_size(context: CheckContext) -> Findings:
@@ -200,7 +198,7 @@ def robots_of_another_size(context: CheckContext) -> Findings:
     radius_m = setup.wheel_radius * setup.metres
     if not WHEELS_M[0] <= radius_m <= WHEELS_M[1]:
         text = f"makes robots with {2 * radius_m:.3g} m from wheel to wheel"
-        yield warning(("wheels", "radius"), text, f"is units.length, {setup.unit}, right?")
+        yield SpecFinding(("wheels", "radius"), text, f"is units.length, {setup.unit}, right?")
 
 
 def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
@@ -222,7 +220,7 @@ def plan_outlasts_trial(context: CheckContext) -> Findings:
     if not context.longest_s * (1 + ROUNDING) < context.plan_s < math.inf:
         return
     fitting = max(int(context.longest_s / context.signal_s * (1 + ROUNDING)), 1)
-    yield warning(
+    yield SpecFinding(
         ("controller", "horizon_max"),
         f"plans of {context.plan_s:.4g} s outlast the trial, which ends after "
         f"{context.longest_s:.4g} s",
@@ -247,7 +245,7 @@ def coarse_period(context: CheckContext) -> Findings:
         percent = 100 * -math.expm1(-float(coarse.min()))
         reason = f"{coarse.size} robots make {percent:.3g} % or more of a turn in T"
     quickest = int(rates.argmax())
-    yield warning(
+    yield SpecFinding(
         ("controller", "period"),
         f"a T = {rates[quickest]:.3g} for {context.setup.names[quickest]}, with signals held for "
         f"T = {context.signal_s:.4g} s, is above {COARSE:g}: {reason}",
@@ -267,7 +265,7 @@ def unknown_dead_time(context: CheckContext) -> Findings:
     if abs(late_periods) <= 1:
         return
     side = "late" if late_periods > 0 else "early"
-    yield warning(
+    yield SpecFinding(
         ("plant", "dead_time"),
         f"is {plant.dead_time:.4g} s, but the controller assumes {assumed_s:.4g} s: every command "
         f"acts {abs(late_periods):.2g} control periods too {side}",
@@ -281,7 +279,7 @@ def robots_alike(context: CheckContext) -> Findings:
         alike = context.setup.only(group)
         least = bounds.least_total_error(alike, context.longest_s, alike=True)
         if context.is_worth_warning(least, len(group)):
-            yield warning(
+            yield SpecFinding(
                 ("robots", group[1], "a"),
                 _alike_text(alike, context.length_text(least)),
                 "give them different a, or targets with the same relative positions as the starts",
@@ -337,7 +335,7 @@ def out_of_reach(context: CheckContext) -> Findings:
     """Targets that a robot cannot reach in a trial, even along a straight line."""
     for i, too_few in enumerate(reach(context.setup, context.longest_s)):
         if too_few > context.tolerance:
-            yield warning(
+            yield SpecFinding(
                 ("robots", i, "target"),
                 f"is {context.to_target(i)} away; in the {context.longest_s:.4g} s of a trial the "
                 f"robot drives {context.driven(i, context.longest_s)}, {too_few:.4g} too few",
@@ -360,7 +358,7 @@ def beyond_the_plan(context: CheckContext) -> Findings:
         for i in np.flatnonzero(far).tolist()
     }
     i = max(needed_s, key=needed_s.__getitem__)  # the robot that needs most time
-    yield warning(
+    yield SpecFinding(
         ("controller", "horizon_max"),
         f"{context.setup.names[i]} is {context.to_target(i)} from its target; in "
         f"{round(context.plan_s / context.signal_s)} signals, {context.plan_s:.4g} s, it drives "
@@ -373,7 +371,7 @@ def error_left(context: CheckContext) -> Findings:
     """No plan can reach all targets: the lower bound of the total error is not 0."""
     least = context.least_total_error
     if context.is_worth_warning(least, len(context.setup.a)):
-        yield warning(
+        yield SpecFinding(
             ("robots",),
             f"least total error of any plan: {least:.4g} {context.unit}",
             "no controller can do better with these a, speeds, starts and targets",
@@ -390,13 +388,13 @@ def walled_off(context: CheckContext) -> Findings:
     ends = np.minimum(context.clearances(setup.starts.xy), context.clearances(setup.targets))
     for i in np.flatnonzero((apart > 0) | (squeezed > 0)).tolist():
         if apart[i] > 0:
-            yield warning(
+            yield SpecFinding(
                 ("robots", i, "target"),
                 f"is walled off: the robot comes no nearer than {apart[i]:.4g} {context.unit}",
                 "open a gap between the obstacles",
             )
         elif ends[i] > context.margin:
-            yield warning(
+            yield SpecFinding(
                 ("robots", i, "target"),
                 f"has no path to it that keeps {context.length_text(context.margin)} from the "
                 f"obstacles: the robot comes within {context.length_text(squeezed[i])}",
@@ -411,7 +409,7 @@ def inside_margin(context: CheckContext) -> Findings:
     for field, points in (("start", context.setup.starts.xy), ("target", context.setup.targets)):
         gaps = context.clearances(points)
         for i in np.flatnonzero(gaps <= context.margin).tolist():
-            yield warning(
+            yield SpecFinding(
                 ("robots", i, field),
                 f"is {gaps[i]:.4g} {context.unit} from the nearest obstacle or wall; plans keep "
                 f"{context.margin:.4g} {context.unit}",
@@ -428,7 +426,7 @@ def target_near_obstacle(context: CheckContext) -> Findings:
     room = context.clearances(context.setup.targets) - context.collision.radius
     step = context.setup.speed * context.experiment.controller.period
     for i in np.flatnonzero(room < context.collision.margin + step).tolist():
-        yield warning(
+        yield SpecFinding(
             ("robots", i, "target"),
             f"leaves a body {room[i]:.3g} {context.unit} of room to the nearest obstacle or edge; "
             f"it drives {step[i]:.3g} {context.unit} in a control period",
@@ -443,7 +441,7 @@ def accepts_less_than_noise(context: CheckContext) -> Findings:
         return
     least = LEAST_ERROR * control.prior.position_noise * len(context.setup.names)
     if control.accept_error < least:
-        yield warning(
+        yield SpecFinding(
             ("controller", "accept_error"),
             f"is less than {LEAST_ERROR} x position_noise x robots, {least:.3g} {context.unit}: so "
             "small an error is hardly seen, and trials take longer for little",
@@ -460,12 +458,12 @@ def too_close(context: CheckContext) -> Findings:
             continue
         least_mm = part.limits.separation_mm
         for field, points in _ends(context.setup):
-            for i, neighbour in nearest(context.setup, points):
-                if neighbour.distance < least_mm * per_mm:
-                    yield warning(
+            for i, neighbour, distance in nearest(context.setup, points):
+                if distance < least_mm * per_mm:
+                    yield SpecFinding(
                         ("robots", i, field),
-                        f"is {neighbour.distance / per_mm:.4g} mm from the {field} of "
-                        f"{neighbour.name}; the lab aborts when robots come nearer than "
+                        f"is {distance / per_mm:.4g} mm from the {field} of "
+                        f"{neighbour}; the lab aborts when robots come nearer than "
                         f"{least_mm:.4g} mm",
                         f"move them apart, or lower {section}.limits.separation_mm",
                     )
@@ -479,11 +477,11 @@ def _ends(setup: Setup) -> tuple[tuple[str, Floats], ...]:
 def same_place(context: CheckContext) -> Findings:
     """The first two equal starts, and the first two equal targets."""
     for field, points in _ends(context.setup):
-        for i, neighbour in nearest(context.setup, points):
-            if neighbour.distance == 0:
+        for i, neighbour, distance in nearest(context.setup, points):
+            if distance == 0:
                 gap = context.length_text(0.0)
-                text = f"is {gap} from the {field} of {neighbour.name}: both cannot stand there"
-                yield warning(("robots", i, field), text, "move one of them")
+                text = f"is {gap} from the {field} of {neighbour}: both cannot stand there"
+                yield SpecFinding(("robots", i, field), text, "move one of them")
                 break
 
 
@@ -495,14 +493,14 @@ def targets_near_each_other(context: CheckContext) -> Findings:
         return
     setup = context.setup
     least = kept_apart(context.collision, setup.speed, setup.period_s)
-    for i, neighbour in nearest(setup, setup.targets):
-        if 0 < neighbour.distance < least:
-            gap = context.length_text(neighbour.distance)
-            yield warning(
+    for i, neighbour, distance in nearest(setup, setup.targets):
+        if 0 < distance < least:
+            gap = context.length_text(distance)
+            yield SpecFinding(
                 ("robots", i, "target"),
-                f"is {gap} from the target of {neighbour.name}, where bodies might touch: the two "
+                f"is {gap} from the target of {neighbour}, where bodies might touch: the two "
                 f"are led to places {least:.4g} {context.unit} apart",
-                f"move the targets apart, or a trial ends some {least - neighbour.distance:.2g} "
+                f"move the targets apart, or a trial ends some {least - distance:.2g} "
                 f"{context.unit} off them",
             )
 
@@ -517,7 +515,7 @@ def hold_too_tight(context: CheckContext) -> Findings:
             text = (
                 f"is less than v / a of {name}, {least:.4g} {context.unit}, its least mean distance"
             )
-            yield warning(("hold", "radius"), text, "ask for more, or for a stronger field")
+            yield SpecFinding(("hold", "radius"), text, "ask for more, or for a stronger field")
 
 
 RULES: tuple[Callable[[CheckContext], Findings], ...] = (

@@ -463,8 +463,8 @@ class Guard:
         repeats = pose == last
         if repeats and robot.decision.refused == REPEATS:
             return PoseDecision(refused=REPEATS)
-        each = [check.repeat(i) if repeats else check.pose(i, last, pose) for check in checks]
-        findings = tuple(chain(*each))
+        by_check = [check.repeat(i) if repeats else check.pose(i, last, pose) for check in checks]
+        findings = tuple(chain(*by_check))
         for finding in findings:  # the first that refuses gives the reason, all have seen the pose
             if isinstance(finding, Refuse):
                 return PoseDecision(None, finding.text, not repeats, findings)

@@ -385,11 +385,11 @@ class InnerLoop:
 def frame_fault(frame: CameraFrame, robots: int) -> str:
     """Return what is wrong with a camera's frame of N robots, "" if nothing is."""
     numbers = [frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns]
-    known = [pose for pose in frame.poses if pose is not None]
+    poses = [pose for pose in frame.poses if pose is not None]
     is_loggable = (
         len(frame.poses) == robots
         and len(frame.exposed_ns) in (0, robots)
-        and all(_all_small((pose.x, pose.y, pose.heading)) for pose in known)
+        and all(_all_small((pose.x, pose.y, pose.heading)) for pose in poses)
         and all(_is_whole(number) for number in numbers)
     )
     if not is_loggable:

@@ -207,7 +207,7 @@ class MotionCheck(GuardCheck):
             self._integrate(slice(None), *intervals[0])
         else:
             for interval in distinct:
-                robots = [i for i, own in enumerate(intervals) if own == interval]
+                robots = [i for i, of_robot in enumerate(intervals) if of_robot == interval]
                 self._integrate(robots, *interval)
         self._times = times
 

@@ -183,12 +183,12 @@ def _restless(rig: Rig) -> tuple[list[str], list[str]]:
     window = rig.frames.last(LONGER[1] * REST_NS)
     if not window or _stream_lost(rig):
         return [], [rig.setup.names[i] for i in rig.left]
-    shown = [as_shown(accepted.frame) for accepted in window]
-    findings = [_at_rest(rig, i, shown, LONGER[:2]) for i in rig.left]
+    frames = [as_shown(accepted.frame) for accepted in window]
+    findings = [_at_rest(rig, i, frames, LONGER[:2]) for i in rig.left]
     moving: list[str] = []
     unseen: list[str] = []
     for i, finding in zip(rig.left, findings, strict=True):
-        if finding.motion is not None or _jump_mm(rig, i, shown) > JUMP_MM:
+        if finding.motion is not None or _jump_mm(rig, i, frames) > JUMP_MM:
             moving.append(rig.setup.names[i])
         elif finding.text:
             unseen.append(rig.setup.names[i])

@@ -53,7 +53,7 @@ class CommandSender:
         if action is not None:
             self._held = action
         is_new = action is not None
-        left, right, true_speeds = self._wheel_speeds(now_ns, answered, is_new)
+        left_speed, right_speed, true_speeds = self._wheel_speeds(now_ns, answered, is_new)
         chances = self._random.uniform(size=len(self._setup.names))
         command = DelayedCommand(
             sent_ns=now_ns,
@@ -65,7 +65,7 @@ class CommandSender:
         )
         received = self._transit.send(command, now_ns)
         delivered = tuple(received.reached.tolist())
-        return Command(self._held, now_ns, delivered, left, right)
+        return Command(self._held, now_ns, delivered, left_speed, right_speed)
 
     def send_stops(self, now_ns: int, answered: Observation) -> Command:
         """Send a stop to every robot; if stops may be lost, send it at least `STOPS` times and
@@ -113,5 +113,5 @@ class CommandSender:
         headings = answered.poses.heading
         sine = np.sin(aim(self._held, headings) - headings)
         speed = np.zeros(headings.size) if isinstance(self._held, Turn) else setup.speed
-        left, right = wheel_speeds(sine, setup.a, speed, setup.wheel_radius)
-        return left, right, None
+        left_speed, right_speed = wheel_speeds(sine, setup.a, speed, setup.wheel_radius)
+        return left_speed, right_speed, None

@@ -123,13 +123,13 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
 def later(estimate: Estimate, names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield the name of each robot on which commands surely act later than on the quickest one, and
     this in words."""
-    own = estimate.own_dead_time
+    delays_s = estimate.own_dead_time
     stds = estimate.own_dead_time_std
-    if own is None or stds is None:
+    if delays_s is None or stds is None:
         return
-    quickest = int(own.argmin())
+    quickest = int(delays_s.argmin())
     for i, name in enumerate(names):
-        difference_s = own[i] - own[quickest]
+        difference_s = delays_s[i] - delays_s[quickest]
         if difference_s > max(LATER_S, SURE_STDS * math.hypot(stds[i], stds[quickest])):
             text = f"commands act on {name} some {difference_s:.2f} s later than on "
             yield name, f"{text}{names[quickest]}, or more: its radio or its wheels are slow"

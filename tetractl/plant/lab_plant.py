@@ -118,6 +118,7 @@ class LabPlant:
 
     def __init__(self, rig: Rig, supervision: LabSupervision, kind: str = "lab") -> None:
         self.rig = rig
+        self.clock = rig.clock
         self._kind = kind
         self._supervision = supervision
         self._frames = LabFrames(rig)
@@ -131,11 +132,6 @@ class LabPlant:
     def setup(self) -> Setup:
         """The numbers of the experiment."""
         return self.rig.setup
-
-    @property
-    def clock(self) -> Clock:
-        """The clock of the trial."""
-        return self.rig.clock
 
     # ---- the protocol `Plant`, in the order of its calls ----
 

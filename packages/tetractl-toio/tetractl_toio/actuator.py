@@ -12,7 +12,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.own_robots import OwnLinks
 from tetractl.lab.actuators.twist.actuator import drivetrains
-from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator
+from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.serial_port import Ports, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl_toio.cubes import HINT, SPEED, CubesLink, make_port
@@ -39,7 +39,6 @@ class ToioActuator(WheeledActuator):
         self, section: ToioSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
         self.section = section
-        self._clock = clock
         robots = [entry(section.robots, name) for name in setup.names]
         self._charge: list[int | None] = [None] * len(robots)
         self.link = CubesLink(clock, [robot.cube for robot in robots], ports, self._heard)
@@ -48,10 +47,15 @@ class ToioActuator(WheeledActuator):
         limit = min(section.speed_max_mm_s / WHEEL_MM_S, SPEED_MAX)
         self._limit = int(limit)
         self._owed = np.zeros_like(self._gain)  # what is left to be sent (2, N) [units]
-        wheels = drivetrains(self._gain, limit)
-        radii = [robot.radius_mm for robot in robots]
-        commands = WheelCommands(setup, clock, radii, wheels, round(section.delay * SECOND))
-        super().__init__(setup, self.link, commands, section.rate)
+        super().__init__(
+            setup,
+            clock,
+            link=self.link,
+            stated_radii_mm=[robot.radius_mm for robot in robots],
+            drivetrains=drivetrains(self._gain, limit),
+            delay_ns=round(section.delay * SECOND),
+            rate=section.rate,
+        )
 
     def check(self) -> Health:
         """Return whether the cubes are emulated."""

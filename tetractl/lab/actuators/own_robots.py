@@ -12,7 +12,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.twist.actuator import drivetrains
-from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator, radii_mm
+from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.serial_port import PortGroup, Ports
 from tetractl.lab.udp_port import open_port
 from tetractl.model.wheels import CountArray
@@ -51,20 +51,22 @@ class OwnRobots(WheeledActuator):
         self, section: OwnSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
-        stated_radii_mm = [robot.radius_mm for robot in self.robots]
         make = ports or open_port
-        self.radii = radii_mm(setup, stated_radii_mm)
         self.links = OwnLinks(
             make(robot.address, ROBOT_BAUD, robot.name, clock, lambda *_: None, SILENT_ROBOT_HINT)
             for robot in self.robots
         )
         gains = np.array([(robot.left_gain, robot.right_gain) for robot in self.robots]).T
         self._gain = gains * section.unit_mm
-        wheels = drivetrains(self._gain, section.speed_max_mm_s / section.unit_mm)
-        commands = WheelCommands(
-            setup, clock, stated_radii_mm, wheels, round(section.delay * SECOND)
+        super().__init__(
+            setup,
+            clock,
+            link=self.links,
+            stated_radii_mm=[robot.radius_mm for robot in self.robots],
+            drivetrains=drivetrains(self._gain, section.speed_max_mm_s / section.unit_mm),
+            delay_ns=round(section.delay * SECOND),
+            rate=section.rate,
         )
-        super().__init__(setup, self.links, commands, section.rate)
 
     @abstractmethod
     def packed(self, row: int, left: int, right: int) -> bytes:

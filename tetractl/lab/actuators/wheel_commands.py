@@ -96,47 +96,6 @@ def polled(
     return [replies.get(index) for index in indices]
 
 
-class WheelCommands:
-    """Computes the wheel speeds of a setup's robots, whose wheels are `drivetrains` and `radius_mm`
-    (N,) from their centres; a command reaches the wheels `delay_ns` after it is sent."""
-
-    def __init__(
-        self,
-        setup: Setup,
-        clock: Clock,
-        radius_mm: Sequence[float | None],
-        drivetrains: Drivetrains,
-        delay_ns: int,
-    ) -> None:
-        self._clock = clock
-        self._delay_ns = delay_ns
-        self.mm = setup.metres / MM  # millimetres per length unit of the spec
-        radii = radii_mm(setup, radius_mm)
-        speed = setup.speed * self.mm
-        self.host = WheelHost(setup.a, speed, radii, setup.lag_s, drivetrains)
-
-    def wished(self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int) -> Floats:
-        """Return the wheel speeds (2, N) [mm/s] by `WheelHost`.
-
-        Headings are predicted from the time of the poses, `exposed_ns`, to the time when the
-        command reaches the wheels, over at most AHEAD_NS. Robots without a pose stand.
-        """
-        arrives = self._clock.now() + self._delay_ns
-        since = max(exposed_ns, arrives - AHEAD_NS)
-        heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
-        drives = isinstance(action, Steer)
-        u = action.direction if drives else action.facing
-        wished = self.host.wished(heading, u, since, arrives, drives)
-        wished[:, [pose is None for pose in poses]] = 0.0
-        return wished
-
-    def sent(self, sent_ns: int, speeds: Floats) -> tuple[Floats, Floats]:
-        """Take wheel speeds (2, N) [mm/s] that were sent; return the robots' speeds [length unit/s]
-        and turning rates [rad/s]."""
-        speed, turning = self.host.sent(sent_ns + self._delay_ns, speeds)
-        return speed / self.mm, turning
-
-
 def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
     """Return the distances (N,) from robots' wheels to their centres [mm], by default the spec's;
     NaN for those of which neither is given."""
@@ -164,7 +123,11 @@ class RobotLink(Protocol):
 class WheeledActuator(ABC):
     """Drives a setup's robots over a `link` at `rate` commands per second [Hz], see
     `tetractl.core.protocols.Actuator`; `ask` polls them, None if they cannot answer, and below
-    `warn_v` a battery is low."""
+    `warn_v` a battery is low.
+
+    The robots' wheels are `drivetrains`, at the distances `stated_radii_mm` (N,) from their
+    centres, None for that of the spec. A command reaches them `delay_ns` after it is sent.
+    """
 
     halts = True
     held: CountArray | None = None
@@ -173,17 +136,25 @@ class WheeledActuator(ABC):
     def __init__(
         self,
         setup: Setup,
+        clock: Clock,
         link: RobotLink,
-        commands: WheelCommands,
+        stated_radii_mm: Sequence[float | None],
+        drivetrains: Drivetrains,
+        delay_ns: int,
         rate: float,
         ask: Callable[[float], Sequence[Reply | None]] | None = None,
         warn_v: float = 0.0,
     ) -> None:
         self.names = setup.names
-        self._link = link
-        self._ask = ask
-        self._commands = commands
+        self.radii = radii_mm(setup, stated_radii_mm)
         self.period_ns = round(SECOND / rate)
+        self._clock = clock
+        self._link = link
+        self._delay_ns = delay_ns
+        self._mm = setup.metres / MM  # millimetres per length unit of the spec
+        speed = setup.speed * self._mm
+        self._host = WheelHost(setup.a, speed, self.radii, setup.lag_s, drivetrains)
+        self._ask = ask
         self._warn_v = warn_v
 
     def __enter__(self) -> Self:
@@ -213,7 +184,7 @@ class WheeledActuator(ABC):
         """Send each robot its outputs; robots not `moving` stand."""
         may = np.array(moving, dtype=np.bool_)
         if self.held is None:
-            outputs = self.outputs(self._commands.wished(action, poses, exposed_ns), may)
+            outputs = self.outputs(self.wished(action, poses, exposed_ns), may)
         else:
             outputs = self.held * may
         sent_ns, speeds = self._drive(outputs)
@@ -224,12 +195,27 @@ class WheeledActuator(ABC):
         sent_ns = self._halt(emergency)
         count = len(self.names)
         none = np.zeros((2, count), dtype=np.int64)
-        still = self._commands.host.drivetrains.speeds(none)
+        still = self._host.drivetrains.speeds(none)
         return self._transmission(sent_ns, Stop(), still, (False,) * count)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
         """Return the outputs (2, N) for wheel speeds (2, N) [mm/s], of robots that `may` move."""
-        return self._commands.host.counts(wished) * may
+        return self._host.counts(wished) * may
+
+    def wished(self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int) -> Floats:
+        """Return the wheel speeds (2, N) [mm/s] by `WheelHost`.
+
+        Headings are predicted from the time of the poses, `exposed_ns`, to the time when the
+        command reaches the wheels, over at most AHEAD_NS. Robots without a pose stand.
+        """
+        arrives = self._clock.now() + self._delay_ns
+        since = max(exposed_ns, arrives - AHEAD_NS)
+        heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
+        drives = isinstance(action, Steer)
+        u = action.direction if drives else action.facing
+        wished = self._host.wished(heading, u, since, arrives, drives)
+        wished[:, [pose is None for pose in poses]] = 0.0
+        return wished
 
     @abstractmethod
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
@@ -255,9 +241,11 @@ class WheeledActuator(ABC):
         self, sent_ns: int, action: Action, speeds: Floats, moving: tuple[bool, ...]
     ) -> Transmission:
         """Return what was sent, by wheel speeds (2, N) [mm/s]."""
-        speed, turning = self._commands.sent(sent_ns, speeds)
-        left_speed, right_speed = speeds / self._commands.mm
-        return Transmission(action, sent_ns, moving, speed, turning, left_speed, right_speed)
+        speed, turning = self._host.sent(sent_ns + self._delay_ns, speeds)
+        left_speed, right_speed = speeds / self._mm
+        return Transmission(
+            action, sent_ns, moving, speed / self._mm, turning, left_speed, right_speed
+        )
 
 
 def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:

@@ -149,7 +149,7 @@ def test_headings_are_predicted_over_a_tenth_of_a_second_at_most():
         clock.sleep_until(SECOND)
         actuator = M3piActuator(experiment.lab.actuator, experiment.setup, clock)
         poses = [Pose(500, 500, 0.5)] * 2
-        wished = actuator._commands.wished(Steer(2.0), poses, SECOND - age_ms * 1_000_000)
+        wished = actuator.wished(Steer(2.0), poses, SECOND - age_ms * 1_000_000)
         return actuator.outputs(wished, np.ones(2, bool)).tolist()
 
     assert counts(0) != counts(93) == counts(500)

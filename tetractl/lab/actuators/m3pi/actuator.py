@@ -10,7 +10,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
-from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator
+from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
@@ -29,14 +29,15 @@ class M3piActuator(WheeledActuator):
         self.link = Link(section, clock, ports)
         self._radio = Broadcaster(self.link, clock, [section.index(name) for name in setup.names])
         self.drivetrains = drivetrains(self.robots)
-        radii = [robot.radius_mm for robot in self.robots]
-        commands = WheelCommands(setup, clock, radii, self.drivetrains, RADIO_NS)
         super().__init__(
             setup,
+            clock,
             link=self.link,
-            ask=self._radio.poll,
-            commands=commands,
+            stated_radii_mm=[robot.radius_mm for robot in self.robots],
+            drivetrains=self.drivetrains,
+            delay_ns=RADIO_NS,
             rate=section.rate,
+            ask=self._radio.poll,
             warn_v=section.battery_warn,
         )
 

@@ -9,7 +9,7 @@ from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import SPEED_MAX, TURN_MAX
 from tetractl.lab.actuators.twist.section import TwistSection
-from tetractl.lab.actuators.wheel_commands import WheelCommands, WheeledActuator, radii_mm
+from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import CountArray, Drivetrains
 
@@ -24,19 +24,16 @@ class TwistActuator(WheeledActuator):
         self.section = section
         self.link = TwistLink(*section.wiring(setup.names), clock, ports)
         robots = [entry(section.robots, name) for name in setup.names]
-        stated_radii_mm = [robot.radius_mm for robot in robots]
-        self._radius = radii_mm(setup, stated_radii_mm)
         self._gain = np.array([[r.left_gain for r in robots], [r.right_gain for r in robots]])
-        wheels = drivetrains(self._gain, section.speed_max_mm_s)
-        commands = WheelCommands(
-            setup, clock, stated_radii_mm, wheels, round(section.delay * SECOND)
-        )
         super().__init__(
             setup,
+            clock,
             link=self.link,
-            ask=self.link.poll,
-            commands=commands,
+            stated_radii_mm=[robot.radius_mm for robot in robots],
+            drivetrains=drivetrains(self._gain, section.speed_max_mm_s),
+            delay_ns=round(section.delay * SECOND),
             rate=section.rate,
+            ask=self.link.poll,
             warn_v=section.battery_warn,
         )
 
@@ -56,13 +53,13 @@ class TwistActuator(WheeledActuator):
         """Return speeds [mm/s] and turning rates [mrad/s] (2, N), as whole numbers, for wheel
         speeds (2, N) [mm/s] by (21)-(23)."""
         v = wheels.sum(axis=0) / 2
-        w = (wheels[1] - wheels[0]) / (2 * self._radius)
+        w = (wheels[1] - wheels[0]) / (2 * self.radii)
         limits = np.array([[SPEED_MAX], [TURN_MAX]])
         return np.clip(np.rint(np.array([v, 1000 * w])), -limits, limits)
 
     def _wheels(self, twists: Floats) -> Floats:
         """Return the wheel speeds (2, N) [mm/s] of what was sent."""
-        rim = twists[1] * self._radius / 1000
+        rim = twists[1] * self.radii / 1000
         return np.array([twists[0] - rim, twists[0] + rim])
 
 

@@ -41,6 +41,7 @@ class ClockSync:
         self.clock_hz = clock_hz
         self.drift = 0.0  # gain of the server's clock on the host's [s/s]
         self.fault = ""  # description of the clock's first fault
+        self._resolution_ns = 2 * SECOND // clock_hz + 1
         self._echoes: deque[Echo] = deque(maxlen=120)
         self._at = Echo(0, 0, 0)
 
@@ -96,10 +97,6 @@ class ClockSync:
                     "the server's clock was set, or runs at a wrong rate"
                 )
         return ""
-
-    @property
-    def _resolution_ns(self) -> int:
-        return 2 * SECOND // self.clock_hz + 1
 
     def _ns(self, ticks: int) -> int:
         return ticks * SECOND // self.clock_hz
@@ -202,6 +199,8 @@ class Stream:
         self.robots = tuple(robots)
         self.counts = StreamCounts()
         self.info: natnet.ServerInfo | None = None
+        self.version: natnet.Version | None = None
+        """The protocol version of frames, None before SERVERINFO."""
         self.up = up
         self.up_answer: int | None = None
         self.unit_mm: float | None = None
@@ -220,11 +219,6 @@ class Stream:
         self._fault = ""
         self._mistimed = 0  # number of successive frames with an impossible time
         self._twins = ""  # fault text if two bodies have one name, otherwise ""
-
-    @property
-    def version(self) -> natnet.Version | None:
-        """The protocol version of frames, None before SERVERINFO."""
-        return self._pinned if self._pinned and self.info else self.info and self.info.version
 
     def number(self, body: str | int) -> int | None:
         """Return a body's id in frames, None if its name is unknown."""
@@ -271,6 +265,7 @@ class Stream:
             case natnet.ServerInfo() if self.info is None:
                 self.sync = ClockSync(message.clock_hz) if message.clock_hz else None
                 self.info = message
+                self.version = self._pinned or message.version
             case natnet.ModelDef():
                 self._ids = message.ids()
                 self.model = message

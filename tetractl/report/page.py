@@ -132,13 +132,13 @@ class PlayerPage:
 
 
 def player(logs: Sequence[TrialLog]) -> PlayerPage:
-    """Return the player of trials that are read."""
+    """Return the player of trials that are read; of more than MANY, without plans and searches."""
     title = f"{logs[0].experiment.name}: {logs[0].origin}"
     header = f"<header><h1>{escape(title)}</h1>{THEME}</header>"
     trials: list[_Carried] = []
     for log in logs:
         name = Path(log.log).name
-        trials.append(_Carried(log.log, name, trial_data(log, name)))
+        trials.append(_Carried(log.log, name, trial_data(log, name, len(logs) <= MANY)))
     body = header + _player(trials, logs[0].experiment.units.length)
     return PlayerPage(_page(title, body, with_player=True))
 

@@ -36,7 +36,7 @@ from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.actuators.wheeled_section import Found, FoundWheel, WheeledSection
 from tetractl.lab.rig import Rig
-from tetractl.model.wheels import Counts
+from tetractl.model.wheels import CountArray
 
 STARTS = 8
 """Number of starts from rest: their mean time has a 95 % interval of +- 0.84 deviations."""
@@ -214,25 +214,22 @@ class _Bench:
         greatest = [channel.k * (self.limit - channel.dead_zone) for channel in channels]
         outputs = [channel.output(STRAIGHT_SHARE * min(greatest)) for channel in channels]
         # signs of the outputs for which the two turning rates cancel
-        signs = [1, -channels[0].sign * channels[1].sign]
-        first = self._run(_pair(signs, outputs), STRAIGHT_S)
-        second = self._run(_pair([-sign for sign in signs], outputs), STRAIGHT_S)
-        if first.along < 0:
-            forwards = second
-            backwards = first
-            signs = [-sign for sign in signs]
-        else:
-            forwards = first
-            backwards = second
+        signs = np.array([1, -channels[0].sign * channels[1].sign])
+        straight = signs * np.array(outputs)
+        forwards = self._run(straight, STRAIGHT_S)
+        backwards = self._run(-straight, STRAIGHT_S)
+        if forwards.along < 0:
+            signs = -signs
+            forwards, backwards = backwards, forwards
         self._stand()
         radius = self._radius(forwards, channels, outputs)
         offset = self._offset(forwards, backwards)
         wheels = [
             FoundWheel(round(2 * radius * channel.k, 4), channel.dead_zone, sign < 0)
-            for channel, sign in zip(channels, signs, strict=True)
+            for channel, sign in zip(channels, signs.tolist(), strict=True)
         ]
         # a right wheel that drives forwards turns the robot to the left
-        swapped = channels[0].sign * signs[0] > 0
+        swapped = channels[0].sign * int(signs[0]) > 0
         left_wheel, right_wheel = reversed(wheels) if swapped else wheels
         whole_offset = math.remainder(self._offset_before + offset, math.tau)
         return Found(
@@ -281,14 +278,14 @@ class _Bench:
         times_s = list[float]()
         for k in range(STARTS):
             self._stand()
-            signs = (1, -1) if k % 2 == 0 else (-1, 1)
-            time_s = self._time_of_start(_pair(signs, (self.limit, self.limit)))
+            to_one_side = np.array([self.limit, -self.limit])
+            time_s = self._time_of_start(to_one_side if k % 2 == 0 else -to_one_side)
             if time_s is not None:
                 times_s.append(time_s)
         self._stand()
         return times_s
 
-    def _time_of_start(self, counts: Counts) -> float | None:
+    def _time_of_start(self, counts: CountArray) -> float | None:
         """Return how long after the sending of outputs a robot at rest is seen to turn [s]; None if
         it is not seen, or does not turn."""
         frames = self.rig.frames.last(SECOND // 10)
@@ -349,11 +346,13 @@ class _Bench:
     def _rate(self, number: int, output: int) -> float:
         """Return the turning rate of one channel with an output [rad/s]: the mean of both
         directions, so that what turns the robot by itself cancels."""
-        forwards = self._run(_alone(number, output), CHANNEL_S).turning
-        backwards = self._run(_alone(number, -output), CHANNEL_S).turning
+        counts = np.zeros(2, dtype=np.int64)
+        counts[number] = output
+        forwards = self._run(counts, CHANNEL_S).turning
+        backwards = self._run(-counts, CHANNEL_S).turning
         return (forwards - backwards) / 2
 
-    def _run(self, counts: Counts, seconds: float) -> DrivenPath:
+    def _run(self, counts: CountArray, seconds: float) -> DrivenPath:
         """Hold outputs for a time [s]; return the motion after the wheels have settled.
 
         If frames were missing, the motion is repeated, since the guard may have stopped the robot.
@@ -371,20 +370,20 @@ class _Bench:
             if max(np.diff(times_ns)) <= (GAP_S + self._late_s) * SECOND:  # none are missing
                 return _steady(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
-            self._hold(_pair((-1, -1), counts))
+            self._hold(-counts)
             wait_for(self.rig.clock, self._strayed, seconds)
         raise AbortError(
             f"{self.name}: too many camera frames are missing; check the camera and the network"
         )
 
-    def _hold(self, counts: Counts) -> int:
-        """Set the outputs to send; return the time of their first transmission [ns]."""
-        self.actuator.held = np.array([counts]).T
+    def _hold(self, counts: CountArray) -> int:
+        """Set the outputs (2,) to send; return the time of their first transmission [ns]."""
+        self.actuator.held = counts[:, None]
         return self.rig.loop.hold(Steer(0.0)).sent_ns
 
     def _stand(self) -> None:
         """Stop the wheels, and wait until the robot stands."""
-        self._hold((0, 0))
+        self._hold(np.zeros(2, dtype=np.int64))
         self.rig.clock.sleep_until(self.rig.clock.now() + round(STAND_S * SECOND))
 
     def _strayed(self) -> bool:
@@ -464,13 +463,3 @@ def _steady(poses: Sequence[tuple[int, Pose]], since_ns: int, mm: float) -> Driv
     along = float(np.sum(dx * cos + dy * sin) / span_s)
     across = float(np.sum(dy * cos - dx * sin) / span_s)
     return DrivenPath(turning, along, across)
-
-
-def _alone(number: int, output: int) -> Counts:
-    """Return the outputs of both channels of which only one drives."""
-    return (output, 0) if number == 0 else (0, output)
-
-
-def _pair(signs: Sequence[int], sizes: Sequence[int]) -> Counts:
-    """Return the outputs of both channels, given their signs and sizes."""
-    return signs[0] * sizes[0], signs[1] * sizes[1]

@@ -73,7 +73,7 @@ def run_command(
 
     Trials that have a log already are not run again (with `resume`; else such a folder is refused).
     """
-    from tetractl.run.store import Store, default_folder
+    from tetractl.run.store import Store
 
     experiment = loaded.experiment
     lab = experiment.plant.real_time
@@ -82,7 +82,8 @@ def run_command(
     if options.unattended and not (lab and options.yes):
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
 
-    folder = options.out or default_folder(experiment.name, datetime.now(UTC))
+    default = Path("logs") / f"{experiment.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    folder = options.out or default
     store = Store.of_batch(folder, experiment)
     if options.dry_run:
         store.read(options.resume)

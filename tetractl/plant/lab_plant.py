@@ -166,8 +166,11 @@ class LabPlant:
             raise AbortError("this lab cannot switch its field off while robots drive")
         if isinstance(action, Stop):
             return self._halt()
-        if isinstance(action, Steer):
-            self._note_step()
+        guard = self.rig.guard
+        if isinstance(action, Steer) and self._observed_ns is not None:
+            begins = guard.state is GuardState.READY  # a step that begins a run is never late
+            period_ns = round(self.setup.period_s * SECOND)
+            guard.note_step(not begins and self.clock.now() - self._observed_ns > period_ns)
         self._observed_ns = None
         self._check_pause("in a pause")
         self._raise_abort()
@@ -285,16 +288,6 @@ class LabPlant:
         return self._frames.nearest(self._stopped_ns).poses
 
     # ---- commands ----
-
-    def _note_step(self) -> None:
-        """Let the guard know whether this control step is late, as one that begins a run never
-        is."""
-        guard = self.rig.guard
-        if self._observed_ns is None:
-            return
-        period_ns = round(self.setup.period_s * SECOND)
-        begins = guard.state is GuardState.READY
-        guard.note_step(not begins and self.clock.now() - self._observed_ns > period_ns)
 
     def _halt(self) -> Command:
         """Stop every robot until another action is sent; return the first of the stops."""

@@ -70,7 +70,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from tetractl.core.clock import SECOND, Clock, seconds
-from tetractl.core.commands import Action, Command, Note, Sample, Stop, Turn, Verdict
+from tetractl.core.commands import Command, Note, Sample, Stop, Turn, Verdict
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.poses import Observation
@@ -333,7 +333,9 @@ class Trial:
         if plan.pauses:
             self._sleep_until(self._clock.now() + plan.delay_ns)
             self._pacing.delay(plan.delay_ns)
-        command = self._send(plan.action)
+        command = self._plant.send(plan.action)
+        if self._counts.first_sent_ns is None and not command.stops:
+            self._counts.first_sent_ns = command.sent_ns
         before = self._motion
         self._motion = RobotMotion.of(plan)
         # the first plan, and one for robots that stand, may take as long as it needs
@@ -348,7 +350,10 @@ class Trial:
         step = Step(k, observation, plan, command, solve_ns, missed)
         for observer in self._observers:
             observer.on_step(step)
-        self._report_model(plan, command.sent_ns)
+        if plan.estimate is not None:
+            news = self._model.of(plan.estimate, self._start.setup, command.sent_ns)
+            for level, text in news:  # where the controller's model does not fit, or fits again
+                self._report(command.sent_ns, text, level)
         return command
 
     # ---- decisions ----
@@ -386,12 +391,6 @@ class Trial:
 
     # ---- plant and clock ----
 
-    def _send(self, action: Action) -> Command:
-        command = self._plant.send(action)
-        if self._counts.first_sent_ns is None and not command.stops:
-            self._counts.first_sent_ns = command.sent_ns
-        return command
-
     def _sleep_until(self, due_ns: int) -> None:
         with self._interrupt.breakable():
             self._clock.sleep_until(due_ns)
@@ -423,13 +422,6 @@ class Trial:
         goes_on = "" if self._measure.stood.any() else ": the trial goes on without"
         text = told_dead(self._start.setup.names, self._measure.dead)
         self._report(t_ns, text + goes_on, "warning")
-
-    def _report_model(self, plan: Plan, t_ns: int) -> None:
-        """Report where the controller's model does not fit, or fits again."""
-        if plan.estimate is None:
-            return
-        for level, text in self._model.of(plan.estimate, self._start.setup, t_ns):
-            self._report(t_ns, text, level)
 
     # ---- the end ----
 

@@ -10,7 +10,6 @@ import itertools
 import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +24,6 @@ from tetractl.run.folder_lock import locked, make_folder
 from tetractl.run.spec_trial import log_path
 from tetractl.run.task import code_of
 from tetractl.tools.files import save_whole
-
-
-def default_folder(name: str, now: datetime) -> Path:
-    """Return logs/<spec name>-<UTC time>."""
-    return Path("logs") / f"{name}-{now:%Y%m%dT%H%M%SZ}"
 
 
 class BatchFolder:

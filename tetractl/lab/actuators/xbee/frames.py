@@ -30,11 +30,6 @@ def received(content: bytes) -> bytes:
     return content[_BEFORE_DATA[content[0]] :] if content[0] in _BEFORE_DATA else b""
 
 
-def at_command(frame_id: int, command: bytes) -> bytes:
-    """Return the content that requests a parameter of the local module, named by two letters."""
-    return bytes((AT_COMMAND, frame_id)) + command
-
-
 def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
     """Return (frame id, command, value) of an answer to a request, None for another frame."""
     if content[0] != AT_RESPONSE or len(content) < RESPONSE.size:

@@ -61,7 +61,8 @@ class Link:
         """
         self._frame_id = self._frame_id % 255 + 1
         self._answers.clear()
-        self._port.write(frames.encode(frames.at_command(self._frame_id, command)))
+        content = bytes((frames.AT_COMMAND, self._frame_id)) + command
+        self._port.write(frames.encode(content))
         awaited = self._frame_id, command
         # a module at 9600 baud answers within 30 ms
         self._wait(lambda: any(answer[:2] == awaited for answer in self._answers), 0.3)

@@ -11,7 +11,7 @@ from tetractl_emulator.port import PseudoPort
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
-from tetractl.lab.actuators.xbee.frames import BROADCAST, Decoder, at_command, encode
+from tetractl.lab.actuators.xbee.frames import AT_COMMAND, BROADCAST, Decoder, encode
 from tetractl.lab.cobs import Flag
 
 
@@ -60,7 +60,7 @@ def test_at_commands(opened):
         (b"QQ", None),
     ):
         answer = at_response(0x11, command, value)
-        assert ask(lab, port, at_command(0x11, command)) == [answer]
+        assert ask(lab, port, bytes((AT_COMMAND, 0x11)) + command) == [answer]
 
 
 def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):

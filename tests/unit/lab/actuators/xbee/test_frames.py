@@ -9,18 +9,18 @@ from tetractl_emulator.m3pi.emulated_radio import at_response
 
 from tetractl.core.errors import WireError
 from tetractl.lab.actuators.xbee.frames import (
+    AT_COMMAND,
     BROADCAST,
     CONTENT_MAX,
     Decoder,
     answered,
-    at_command,
     encode,
     received,
 )
 
 VECTORS = [  # of the XBee manual
     (BROADCAST + b"Broadcast", "7E 00 0E 01 00 FF FF 00 42 72 6F 61 64 63 61 73 74 6D"),
-    (at_command(1, b"BD") + b"\x08", "7E 00 05 08 01 42 44 08 68"),
+    (bytes((AT_COMMAND, 1)) + b"BD\x08", "7E 00 05 08 01 42 44 08 68"),
     (b"\x23\x11", "7E 00 02 23 7D 31 CB"),
     (
         bytes.fromhex("10010013A200400A0127FFFE0000") + b"TxData0A",

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from tetractl.control.filter_start import USUAL
+from tetractl.control.filter_start import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.passes import (
     UNKNOWN_S,
@@ -185,10 +185,10 @@ class _Fit:
         count = len(a)
         self._unit = np.column_stack(
             [
-                USUAL.position_noise_s * speed,
-                USUAL.slip * speed,
-                np.full(count, USUAL.heading_noise),
-                np.full(count, USUAL.walk),
+                POSITION_NOISE_S * speed,
+                SLIP * speed,
+                np.full(count, HEADING_NOISE),
+                np.full(count, WALK),
             ]
         )
         self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))

@@ -9,10 +9,11 @@ standard deviations. Of the explanations
     the radio:    all follow their commands later,     sum of |z_j|^2 with delayed commands
 
 one of the last two must be better than the first by CLEAR, and that of the radio below CLEAR a
-robot, as one that is carried moves as it never was commanded. G_j g is the motion of pose j if the
-picture moves at g, over LIKELY_RATES. For the camera, motion is compared as in `drift_check`; for
-the radio, commands are integrated with each delay up to LATEST_NS, and the first explanation may
-have any delay up to DELAY_NS.
+robot, as one that is carried moves as it never was commanded, and below the first with usual
+delays, as the others are late too. G_j g is the motion of pose j if the picture moves at g, over
+LIKELY_RATES. For the camera, motion is compared as in `drift_check`; for the radio, commands are
+integrated with each delay up to LATEST_NS, and the first explanation may have any delay up to
+DELAY_NS.
 
 Robots i and j have exchanged numbers or bodies if each moves as the other is commanded: then
 |z_i|^2 + |z_j|^2 with the commands exchanged is below CLEAR, and with their own greater by CLEAR.
@@ -99,7 +100,7 @@ class Culprit:
         others = np.array(robots) != suspect
         camera = self._camera(robots, others)
         radio = self._radio(robots, others)
-        late = radio.common < CLEAR * len(robots)
+        late = radio.common < min(CLEAR * len(robots), radio.one_robot)
         if late and radio.common + CLEAR < max(
             radio.one_robot, min(camera.common, camera.one_robot)
         ):

@@ -148,6 +148,16 @@ def test_one_robot_that_was_pushed_or_is_shown_elsewhere_is_named_itself(seed):
     assert accused(pushed([1]), seed=seed, names=PAIR, suspect=1) == ""
 
 
+@pytest.mark.parametrize("seed", [2, 9, 11, 13])
+def test_a_robot_that_is_carried_is_not_the_radios(seed):
+    """Regression: "is the radio slow?", where commands act 0.25 s after they are sent."""
+
+    def carried(i, place, t):
+        return np.array([60.0, 80.0, 0.0]) * (i == 0) * max(0.0, 0.1 - t)
+
+    assert accused(carried, delay_s=0.25, seed=seed) == ""
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_moved_origin_is_the_cameras(seed):
     """Regression: "does the camera track another body as this robot?", 6 of 6."""

@@ -94,11 +94,13 @@ from tetractl.lab.culprit import RECENT_NS, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
-from tetractl.lab.motion_check import DOES_NOT_MOVE, REPEATS
+from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, REPEATS
 from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
+BUSY = "; control steps were late just before: is this computer busy?"
+"""Added to a reason that blames a robot or the camera."""
 RARELY = 3.0
 """A robot may be unseen for so many times `untracked_abort`, though not all at once."""
 
@@ -143,6 +145,7 @@ class Pace:
     directed_ns: int = 0
     ahead: bool = True
     late_steps: int = 0  # in a row
+    late_ns: int | None = None  # the last control step that was late
     driven: bool = False  # whether a run has begun, after which no robot is carried
 
 
@@ -294,7 +297,10 @@ class Guard:
         self._status.suspect = None
         recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
         culprit = Culprit(self.rules.names, self.drift, self.rules.mm, recent)
-        self._status.reason = culprit.why(suspect, self.reason) or self.reason
+        reason = culprit.why(suspect, self.reason) or self.reason
+        late_ns = self._pace.late_ns
+        is_busy = late_ns is not None and recent[-1].received_ns - late_ns <= COMPARED_NS
+        self._status.reason = reason + BUSY if is_busy else reason
 
     def lose_robot(self, i: int, reason: str) -> None:
         """Continue without a robot; abort if the rules forbid that or no other robot is left."""
@@ -327,6 +333,7 @@ class Guard:
         """Note whether a control step missed its deadline; abort after `late_steps` in a row."""
         pace = self._pace
         pace.late_steps = pace.late_steps + 1 if missed and pace.ahead else 0
+        pace.late_ns = pace.ticked_ns if missed else pace.late_ns
         if pace.late_steps >= self.rules.limits.late_steps and self._in_run:
             self.abort(f"{pace.late_steps} control steps in a row were late")
 

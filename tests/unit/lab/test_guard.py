@@ -19,8 +19,9 @@ from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
+from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.guard import Guard
+from tetractl.lab.guard import BUSY, Guard
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState
 
@@ -597,6 +598,21 @@ def test_an_abort_by_another_thread_while_a_ruling_is_made_is_final():
     ruling = course.tick()
     assert (ruling.state, ruling.moving) == (GuardState.ABORT, (False, False))
     assert ruling.reason == "5 control steps in a row were late"
+
+
+@pytest.mark.parametrize(("frames_since", "named"), [(10, True), (130, False)])
+def test_the_computer_is_named_where_its_own_steps_were_late(frames_since, named):
+    """Regression: on a busy computer robots or the camera were blamed for what late steps did."""
+    course = begun_with_checks(Finds())
+    course.guard.note_step(missed=True)
+    course.frames(frames_since)
+    course.guard.note_step(missed=False)
+    course.guard.abort("green moves as no command does", suspect=0)
+    course.frame()
+    shown = FrameBuffer()
+    shown.append(course.accepted)
+    course.guard.name_culprit(shown)
+    assert course.guard.reason == "green moves as no command does" + BUSY * named
 
 
 def test_a_body_in_place_of_a_ghost_is_no_ghost():

@@ -2,7 +2,7 @@
 plans or messages, up to the first value that differs.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import zip_longest
 from typing import Any
@@ -147,14 +147,17 @@ NOT_COMPARED = {*channels.HOST_RECORDS, channels.DIGESTS, channels.RECOVERED}
 """Records that a trial that is run again has otherwise, or not at all."""
 
 
-def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
+def log_differences(
+    again: RawLog, log: RawLog, apart: Set[str] = frozenset()
+) -> Iterator[Difference]:
     """Yield the first difference of each channel and attachment between the log of a trial and that
-    of the trial run again, those of control steps first; of a brief log only what it has.
+    of the trial run again, those of control steps first; of a brief log only what it has, and none
+    of the channels and attachments `apart`.
 
     Attachments that only the log has are not differences: others may add them.
     """
-    topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED]
-    names = again.attachments.keys() - NOT_COMPARED
+    topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED | apart]
+    names = again.attachments.keys() - NOT_COMPARED - apart
     if log.brief:
         topics = [topic for topic in topics if log.by_topic[topic]]
         names &= log.attachments.keys()

@@ -1,6 +1,5 @@
 """Checks the commands on /commands of a lab's log: those of the control steps and those between.
 
-    a control step    its command is on /commands as it is in the step
     between steps     the action of the last step again, or a stop
     wheels            they stand after a stop, and of a robot that is held still; else its speed and
                       turning rate are s (v, a sin(u - theta)) by (24)-(25), within the tolerances
@@ -26,7 +25,7 @@ from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, UNTRACKED_STOP_S
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.model.wheels import body_velocity
-from tetractl.replay.comparison import Difference, first_difference
+from tetractl.replay.comparison import Difference
 
 SPEED_SHARE = 0.3
 """Largest difference between a robot's commanded speed and its own, as a share of its own: up to
@@ -61,8 +60,8 @@ def command_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         yield Difference(None, f"run.facts.{HALTS}", f"must be {halts!r} for this actuator")
     sent = sorted(log.commands, key=lambda command: command.sent_ns)
     kinds = (
-        _of_steps(log, sent),
         _actions(log, sent, result),
+        () if actuator.halts else _deliveries(sent),
         _wheels(log, sent),
         _times(log, sent, actuator.period_ns, lab.real_time),
         _stops(log, sent, result),
@@ -71,14 +70,12 @@ def command_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         yield from islice(kind, 1)
 
 
-def _of_steps(log: TrialLog, sent: list[Command]) -> Iterator[Difference]:
-    """Yield each command of a control step that /commands has otherwise, or not at all."""
-    by_time = {command.sent_ns: command for command in sent}
-    for step in log.steps:
-        on_commands = by_time.get(step.command.sent_ns)
-        difference = first_difference(step.command, on_commands, name="command")
-        if difference is not None:
-            yield difference.in_step(step.k)
+def _deliveries(sent: list[Command]) -> Iterator[Difference]:
+    """Yield each command that some robots in one field are said to have received, and some not."""
+    for command in sent:
+        if len(set(command.delivered)) > 1:
+            text = f"{command.delivered} of one field, sent at {command.sent_ns} ns"
+            yield Difference(None, "commands.delivered", text)
 
 
 def _actions(log: TrialLog, sent: list[Command], result: Result) -> Iterator[Difference]:

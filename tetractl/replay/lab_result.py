@@ -28,8 +28,6 @@ from tetractl.model.path_check import check_path, tracked_separations
 from tetractl.model.wheels import body_velocity
 from tetractl.replay.comparison import Difference, first_difference
 
-DISTANCE_TOLERANCE = 1e-6
-"""Tolerance of a least distance, as a share of it or, below 1, in the length unit."""
 STOP_REPEATED_NS = 500_000_000
 """Longest time from a stop's first repetition to its last [ns]; `log.stop` may be any of these."""
 LAST_FRAMES = 120
@@ -125,16 +123,9 @@ def _distances(
     read. Logs of older versions state no `edge` and no `apart`: then none is checked.
     """
     for i, (distance, least, most) in enumerate(zip(stated, of_all, of_read, strict=False)):
-        floor = least - _tolerance(least)
-        ceiling = most + _tolerance(most)
-        if not floor <= distance <= ceiling:
+        if not least <= distance <= most:
             text = f"states {distance}, the frames show {least} to {most}"
             yield Difference(None, f"result.{name}.{i}", text)
-
-
-def _tolerance(distance: float) -> float:
-    """Return the tolerance of a least distance, 0 for one that is infinite."""
-    return DISTANCE_TOLERANCE * max(1.0, abs(distance)) if np.isfinite(distance) else 0.0
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:

@@ -22,7 +22,7 @@ from tetractl.run.spec_trial import ready_trial
 from tetractl.run.task import code_of
 
 
-class _Recorder:
+class Recorder:
     """A sink that keeps all records of a trial, and asks to stop it once `until_s` [s of processor
     time] has passed."""
 
@@ -69,7 +69,7 @@ def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     log."""
     start = log.start
     spec = LoadedSpec(log.experiment, start.spec_text, start.spec_name, attached=start.attached)
-    sink = _Recorder(time.thread_time() + 2 * limits.seconds_limit())
+    sink = Recorder(time.thread_time() + 2 * limits.seconds_limit())
     try:
         with ready_trial([Encoder(sink)], spec, start.trial, (), sink.interrupt) as again:
             again.run()

@@ -28,7 +28,7 @@ from tetractl.replay.lab_commands import command_differences
 from tetractl.replay.lab_result import error_differences, lab_differences
 from tetractl.replay.recompute import TOLERANCE, Recomputed, recompute
 from tetractl.replay.run_and_messages import (
-    frame_differences,
+    encoding_differences,
     message_differences,
     run_differences,
 )
@@ -164,8 +164,9 @@ def _differences_of_end(raw: RawLog, log: TrialLog, why_not_again: str) -> Itera
     if not simulated:
         yield from lab_differences(log, result)
         yield from command_differences(log, result)
-        yield from frame_differences(raw, log)
-    yield from run_differences(raw, log)
+        yield from encoding_differences(raw, log, result)
+    else:
+        yield from run_differences(raw, log)
     if not raw.brief:
         yield from message_differences(raw, log, result)
     if simulated and not raw.brief:

@@ -9,18 +9,24 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from support.lab_logs import lab_log
 from support.mutate import rewrite, stating
 
-from tetractl.log.format.channels import COMMANDS, FRAMES, LOG, RESULT, RUN, Entry
+from tetractl.log.format.channels import (
+    COMMANDS,
+    FRAMES,
+    LOG,
+    RESULT,
+    RUN,
+    SCENE,
+    STEP,
+    TRANSFORMS,
+    Entry,
+)
 from tetractl.log.format.tetractl_pb2 import Run, WheelCommand
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Origin
 from tetractl.replay.lab_commands import command_differences
-from tetractl.replay.run_and_messages import (
-    frame_differences,
-    message_differences,
-    run_differences,
-)
+from tetractl.replay.run_and_messages import encoding_differences, message_differences
 from tetractl.replay.verify import verify
 
 pytestmark = pytest.mark.system
@@ -40,8 +46,7 @@ def found(log: RawLog) -> list[str]:
     assert trial.result is not None
     differences = [
         *command_differences(trial, trial.result),
-        *run_differences(log, trial),
-        *frame_differences(log, trial),
+        *encoding_differences(log, trial, trial.result),
         *message_differences(log, trial, trial.result),
     ]
     return [difference.field for difference in differences]
@@ -131,7 +136,7 @@ def test_the_spec_decides_what_a_trial_of_plant_emulated_is_called(log, tmp_path
 def test_each_field_of_a_run_is_compared(log, tmp_path, field, value):
     """Regression: none of these was noticed of a lab's log."""
     path = rewrite(log, tmp_path / "forged.mcap", stating(log, RUN, **{field: value}))
-    assert any(name.startswith("run") for name in found(scan(path)))
+    assert any(name.startswith("/run[0]") for name in found(scan(path)))
 
 
 def negated(command: WheelCommand) -> None:
@@ -196,7 +201,18 @@ def test_a_commands_copy_on_its_channel_is_compared(log):
 
 def test_a_frame_cannot_be_left_out_in_one_copy(log):
     index = indices(log, FRAMES)[20]
-    assert found(with_records(log, {index: []})) == ["frames"]
+    assert found(with_records(log, {index: []})) == ["/tf[20]"]
+
+
+@pytest.mark.parametrize("topic", [COMMANDS, FRAMES, LOG, RESULT, RUN, STEP, SCENE, TRANSFORMS])
+@pytest.mark.parametrize("change", [{"log_ns": 1}, {"publish_ns": 1}, {"data": b"\xf8\x3e\x01"}])
+def test_times_and_bytes_of_a_record_follow_from_its_values(log, topic, change):
+    """Regression: of a lab none of these was noticed, nor a changed copy in /tf."""
+    index = indices(log, topic)[-1]
+    entry = log.records[index]
+    assert isinstance(entry, Entry)
+    fields = {name: getattr(entry, name) + more for name, more in change.items()}
+    assert found(with_records(log, {index: [entry._replace(**fields)]}))
 
 
 def lost_robot(run: Log) -> None:

@@ -23,7 +23,7 @@ def commands(command=None, words=()):
         yield from commands(command.get_command(None, name), (*words, name))
 
 
-WITHOUT_JSON = ["init", "schema", "plot", "replay", "export", "open", "report"]
+WITHOUT_JSON = ["init", "schema", "plot", "play", "replay", "export", "open", "report"]
 WITHOUT_JSON += ["study", "warm", "lab stop", "lab calibrate", "lab survey", "lab rehearse"]
 WITHOUT_JSON += ["lab markers"]
 """Commands that write files, play, or give what has no form but its own."""

@@ -33,7 +33,7 @@ EXTRAS = {
 """For each optional module, the package's name and the extra of tetractl that installs it."""
 
 PANELS = {
-    "The first hour": ("init", "run", "replay", "stats"),
+    "The first hour": ("init", "run", "play", "replay", "stats"),
     "More trials": ("validate", "rerun", "study", "analyze", "reproduce", "warm"),
     "Logs": ("plot", "report", "open", "export", "info", "verify", "recover"),
     "Robots and cells": ("identify", "track", "lab"),

@@ -94,7 +94,7 @@ def run_command(
     with (
         _served(experiment.name, options.port) as viewers,
         store.opened(options.resume),
-        _stoppable(loaded, options) as interrupt,
+        stoppable(loaded, options) as interrupt,
     ):
         planned = _planned(store, only)
         report = _run_trials(loaded, store, planned, options, interrupt, viewers)
@@ -164,9 +164,11 @@ def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
 
 
 @contextmanager
-def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt]":
+def stoppable(
+    loaded: "LoadedSpec", options: RunOptions, by_keys: bool = False
+) -> "Iterator[Interrupt]":
     """Compile the controller, then yield an `Interrupt` that counts each signal during the `with`
-    block as a request to stop.
+    block as a request to stop; in the lab, and with a terminal that is read `by_keys`, Ctrl-Z, too.
 
     In the lab, unless `unattended`, SIGHUP is sent once no process reads the output.
     """
@@ -178,7 +180,7 @@ def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt
     gc.freeze()  # exempts the compiler's objects from garbage collection
     interrupt = Interrupt(notice_of_signals(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
-    with hung_up_unread(lab, options.unattended), interrupt.watch(robots=lab):
+    with hung_up_unread(lab, options.unattended), interrupt.watch(robots=lab or by_keys):
         yield interrupt
 
 

@@ -163,6 +163,7 @@ COMMANDS = Registry(
     {
         "init": "tetractl.cli.specs:init",
         "run": "tetractl.cli.run:run",
+        "play": "tetractl.cli.play:play",
         "replay": "tetractl.cli.replay:replay",
         "stats": "tetractl.cli.stats:stats",
         "validate": "tetractl.cli.specs:validate",

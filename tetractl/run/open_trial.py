@@ -43,16 +43,22 @@ FIRST_SENT = 0.0
 
 
 def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
-    """Return a spec with the controller `sequence`, whose directions a script gives.
-
-    Period, dead time, limit of time and `arrival_tolerance` are those of the spec's controller.
-    Raises SpecError for what `sequence` cannot do, such as a hold, and UsageError for a lab.
-    """
-    experiment = spec.experiment
-    if experiment.plant.real_time:
+    """Return a spec whose directions a script gives, as `directed_spec` does; UsageError for a
+    lab."""
+    if spec.experiment.plant.real_time:
         raise UsageError(
             "the spec's plant is the lab, which no script drives", "use `tetractl run`"
         )
+    return directed_spec(spec)
+
+
+def directed_spec(spec: LoadedSpec) -> LoadedSpec:
+    """Return a spec with the controller `sequence`, whose directions are given as it runs.
+
+    Period, dead time, limit of time and `arrival_tolerance` are those of the spec's controller.
+    Raises SpecError for what `sequence` cannot do, such as a hold.
+    """
+    experiment = spec.experiment
     if experiment.chosen is not None:
         raise UsageError("each trial of the spec finds its robots, which no script can step")
     control = experiment.controller

@@ -22,7 +22,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
-from tetractl.core.protocols import LabSupervision, Observer, Plant
+from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import packages
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of
@@ -116,10 +116,11 @@ def ready_trial(
     observers: Sequence[Observer],
     interrupt: Interrupt,
     supervision: LabSupervision | None = None,
+    controller: Controller | None = None,
 ) -> Iterator[Trial]:
     """Give a trial that is ready to run. The `writers` of logs are called in the control loop's
     thread, the `observers` in threads of their own if the trial runs in real time. Without a
-    `supervision`, this process supervises the lab."""
+    `supervision`, this process supervises the lab; without a `controller`, the spec's decides."""
     section = spec.experiment.plant
     clock = section.clock()
     start_unix_ns = _unix_ns() if section.real_time else EPOCH_NS
@@ -133,7 +134,7 @@ def ready_trial(
             ready = Trial(
                 start=start_of(full_spec, trial, not_open, start_unix_ns),
                 plant=plant,
-                controller=build_controller(full_spec.experiment, key),
+                controller=controller or build_controller(full_spec.experiment, key),
                 clock=clock,
                 observers=[*writers, *calls],
                 interrupt=interrupt,

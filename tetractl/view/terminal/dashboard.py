@@ -304,6 +304,8 @@ class Dashboard:
         if step is None or step.plan.pauses:
             return []  # robots that stand follow no plan
         search = step.plan.search
+        if search.stopped == StopReason.FIXED:
+            return []  # nothing was searched
         done = len(search.history) - 1
         most = max(setup.iterations_max, done)
         first = _number(float(search.history[0])) if done >= 0 else "?"

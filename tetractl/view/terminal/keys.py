@@ -1,5 +1,5 @@
-"""Reads keys of a terminal, for the player and for the operator's emergency stop, and restores the
-terminal's settings at the end.
+"""Reads keys of a terminal, for the player, for the operator's emergency stop and for who steers by
+hand, and restores the terminal's settings at the end.
 """
 
 import os
@@ -18,6 +18,8 @@ from tetractl.run.interrupt import STOP_SIGNALS
 _SEQUENCES = {
     "right": ("[C", "OC"),
     "left": ("[D", "OD"),
+    "up": ("[A", "OA"),
+    "down": ("[B", "OB"),
     "home": ("[H", "OH", "[1~", "[7~"),
     "end": ("[F", "OF", "[4~", "[8~"),
 }
@@ -32,15 +34,18 @@ _KEY = re.compile(
 ESCAPE_S = 0.05
 """Time within which the rest of a key's escape sequence comes [s]; without it, Esc was pressed."""
 STOP_KEYS = {"space", "escape"}
+_MOUSE = "\x1b[<"
+"""Begin of an event of the mouse, in a terminal's mode 1006."""
 
 
 def decode(data: bytes) -> tuple[list[str], bytes]:
     """Split bytes read from a terminal into names of keys and the rest, an unfinished escape
     sequence.
 
-    The name of a printable character is the character, except "space"; unknown sequences are
-    dropped. "escape" is Esc with another character behind it, as when it is held: Esc alone looks
-    like the beginning of a sequence, until ESCAPE_S have passed.
+    The name of a printable character is the character, except "space"; that of an event of the
+    mouse is what follows the escape character and `[`; unknown sequences are dropped. "escape" is
+    Esc with another character behind it, as when it is held: Esc alone looks like the beginning of
+    a sequence, until ESCAPE_S have passed.
     """
     keys: list[str] = []
     for sequence in _KEY.finditer(data.decode("latin-1")):
@@ -51,6 +56,8 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
         text = sequence[0]
         if text in _NAMES or sequence["printable"]:
             keys.append(_NAMES.get(text, text))
+        elif text.startswith(_MOUSE):
+            keys.append(text.removeprefix("\x1b["))
     return keys, b""
 
 
@@ -154,17 +161,24 @@ NO_KEY = "no terminal: there is no key to stop the robots"
 class StopKey:
     """Calls `stop` on space, Esc, or when the terminal is closed; a context manager.
 
-    Enter calls `enter`; other keys, such as arrows, do nothing. With `unattended`, a closed
-    terminal does not call `stop`. Works only if stdin is a terminal: then `listening` is True.
+    Enter calls `enter`; other keys, such as arrows, do nothing. With `steer`, which is called with
+    each key, the space bar is one of these. With `unattended`, a closed terminal does not call
+    `stop`. Works only if stdin is a terminal: then `listening` is True.
     """
 
     def __init__(
-        self, stop: Callable[[], None], enter: Callable[[], None], unattended: bool = False
+        self,
+        stop: Callable[[], None],
+        enter: Callable[[], None],
+        unattended: bool = False,
+        steer: Callable[[str], None] | None = None,
     ) -> None:
         self.listening = sys.stdin is not None and sys.stdin.isatty()
         self._stop = stop
         self._enter = enter
         self._unattended = unattended
+        self._steer = steer or (lambda key: None)
+        self._stop_keys = STOP_KEYS if steer is None else STOP_KEYS - {"space"}
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._listen, name="stop key", daemon=True)
 
@@ -194,7 +208,9 @@ class StopKey:
                     self._stop()
                 return
             keys, rest = decode(rest + data)
-            if not STOP_KEYS.isdisjoint(keys):
+            if not self._stop_keys.isdisjoint(keys):
                 self._stop()
+            for key in keys:
+                self._steer(key)
             if b"\n" in data or b"\r" in data:
                 self._enter()

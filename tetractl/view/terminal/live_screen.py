@@ -150,11 +150,20 @@ class LiveView(Observer):
     `RunObserver`; a context manager.
 
     It draws at most 12 pictures per second; `wall` returns the wall time [s]. While its screen is
-    closed, it draws nothing.
+    closed, it draws nothing. `hints` say what keys do, if they do more than to stop the robots, and
+    `aside` what is shown, in place of the results so far.
     """
 
-    def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        console: Console,
+        wall: Callable[[], float] = time.monotonic,
+        hints: tuple[str, ...] = (),
+        aside: str = "",
+    ) -> None:
         self._wall = wall
+        self._hints = hints
+        self._aside = aside
         self._screen = Screen(console)
         self._batch = BatchSoFar(wall)
         self._trial: TrialSoFar | None = None
@@ -218,13 +227,13 @@ class LiveView(Observer):
             return
         self._drawn_s = self._wall()
         start = self._of_trial.start
-        hints = ("Ctrl-C stops",) if start.plant.virtual else (SAYS,)
+        stops = "Ctrl-C stops" if start.plant.virtual else SAYS
         self._screen.show(
             Dashboard(
                 self._of_trial.moment(),
                 heading=f"{start.setup.name}, {start.plant.kind}",
-                footer=self._batch.footer(hints),
-                aside=self._batch.summary(start.setup.unit),
+                footer=self._batch.footer(self._hints or (stops,)),
+                aside=self._aside or self._batch.summary(start.setup.unit),
             )
         )
 
@@ -260,22 +269,36 @@ class LabWatch(LiveView):
     """Shows a batch in the lab: a line per trial and, if `live`, a live view of each trial.
 
     Notes are printed on `console`, a line per trial on `quiet`, which may be silent; `unit` is the
-    length unit. Between trials, while robots are placed, the live view is closed.
+    length unit. Between trials, while robots are placed, the live view is closed: it opens when a
+    trial starts.
     """
 
-    def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:
-        super().__init__(console)
+    def __init__(
+        self,
+        console: Console,
+        quiet: Console,
+        unit: str,
+        live: bool,
+        hints: tuple[str, ...] = (),
+        aside: str = "",
+    ) -> None:
+        super().__init__(console, hints=hints, aside=aside)
         self._console = console
         self._quiet = quiet
         self._unit = unit
         self._wanted = live
         self._unprinted: list[Note] = []
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._show_lines()
+
     def trial_ended(self, ending: Ending) -> None:
         """Close the live view, and print the notes and the trial's line."""
         super().trial_ended(ending)
-        self._screen.close()
-        self._print_notes()
+        self._show_lines()
         if ending.result:
             text = trial_line(ending.task, ending.result, self._unit)
             self._quiet.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -295,6 +318,11 @@ class LabWatch(LiveView):
             super().on_note(note)
         else:
             self._print_notes()
+
+    def _show_lines(self) -> None:
+        """Close the live view, and print the notes of its trial."""
+        self._screen.close()
+        self._print_notes()
 
     def _print_notes(self) -> None:
         for note in self._unprinted:

@@ -1,0 +1,150 @@
+"""`tetractl play`: steered by hand, on a terminal and by a file of keys."""
+
+import re
+
+import pytest
+import yaml
+from support.cli import tetractl
+from support.running import TETRACTL
+from support.terminal import Terminal
+
+import tetractl as package
+from tetractl.experiment.section_abilities import GivenDirections
+
+SPEC = """
+name: by-hand
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots:
+  - {name: a, start: [300, 500], target: [400, 500], a: 3, speed: 100}
+  - {name: b, start: [300, 300], target: [400, 300], a: 2, speed: 100}
+wheels: {radius: 40}
+obstacles: [{type: circle, center: [700, 700], radius: 50}]
+controller: {type: pso-mpc, horizon_max: 8, optimizer: {particles: 10, iterations: 5}}
+plant: {type: sim, a_error: 0.1, speed_error: 0.1, heading_noise: 0.02}
+trials: {count: 3, seed: 5}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with a spec and a file of keys."""
+    (tmp_path / "spec.yaml").write_text(SPEC)
+    (tmp_path / "keys.txt").write_text("0 right\n1 space\n")
+    return tmp_path
+
+
+@pytest.mark.long
+def test_a_script_steers_and_the_controller_does_the_same_trial(folder):
+    done = tetractl(folder, "play", "spec.yaml", "--script", "keys.txt", "-o", "out").ok()
+    number = r"[\d.]+ mm in \d+ s"
+    assert re.fullmatch(rf"you {number}, the controller {number}\n", done.stdout)
+    assert done.stderr.splitlines() == [
+        "logs in out; look at them with: tetractl replay out/you out/controller"
+    ]
+    yours = package.read_log(folder / "out/you/trial-000.mcap")
+    theirs = package.read_log(folder / "out/controller/trial-000.mcap")
+    assert isinstance(yours.experiment.controller, GivenDirections)
+    assert [step.plan.direction for step in yours.steps] == [0.0] * 5
+    assert yours.start.seed == theirs.start.seed == 5
+    assert yours.mocap[0].tolist() == theirs.mocap[0].tolist()  # the same start and noise
+    assert tetractl(folder, "verify", "out").ok().stdout.count("bit-identical") == 2
+    stats = tetractl(folder, "stats", "out/you", "out/controller").ok().stdout
+    assert "given directions" in stats
+    assert "lower mean error" not in stats
+    again = tetractl(folder, "rerun", "out/you/trial-000.mcap", "-o", "again").ok()
+    assert "the content digests agree" in again.stderr
+
+
+def test_seed_and_settings_are_those_of_both_trials(folder):
+    words = ("--seed", "9", "--set", "plant.dead_time=0.2", "--script", "keys.txt", "-o", "out")
+    tetractl(folder, "play", "spec.yaml", *words).ok()
+    for who in ("you", "controller"):
+        log = package.read_log(folder / "out" / who / "trial-000.mcap")
+        assert log.start.seed == 9
+        assert log.experiment.plant.dead_time == 0.2
+
+
+def test_an_obstacle_is_named(folder):
+    spec = yaml.safe_load(SPEC)
+    spec["obstacles"] = [{"type": "circle", "center": [370, 500], "radius": 20}]
+    (folder / "spec.yaml").write_text(yaml.safe_dump(spec))
+    done = tetractl(folder, "play", "spec.yaml", "--script", "keys.txt", "-o", "out").ok()
+    assert re.match(r"you [\d.]+ mm in 1 s through an obstacle, the", done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ((), "play reads keys, and this is no terminal: give --script FILE"),
+        (("--script", "none.txt"), "none.txt: there is no such file"),
+        (("--script", "keys.txt", "-o", "."), ".: exists already"),
+        (("--script", "keys.txt", "--set", "hold={radius: 90, time: 5}"), "nor a hold"),
+        (("--script", "keys.txt", "--speed", "0"), "Invalid value for '--speed'"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line_and_exit_code_2(words, problem, folder):
+    done = tetractl(folder, "play", "spec.yaml", *words)
+    assert done.returncode == 2
+    assert problem in done.stderr.splitlines()[0]
+    assert len([line for line in done.stderr.splitlines() if line.startswith("error")]) == 1
+    assert not (folder / "logs").exists()
+
+
+def on_terminal(folder, *words):
+    command = [TETRACTL, "play", "spec.yaml", "-o", "out", "--speed", "5", *words]
+    return Terminal(command, folder)
+
+
+def restored(terminal):
+    """Check that the terminal is as it was: its settings, its screen and its mouse."""
+    assert terminal.settings() == terminal.before
+    assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
+    assert terminal.raw.rindex("\x1b[?1002l") > terminal.raw.rindex("\x1b[?1002h")
+    assert "Traceback" not in terminal.raw
+
+
+@pytest.mark.long
+def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
+    with on_terminal(folder) as terminal:
+        terminal.expect("none yet")
+        terminal.expect("arrows steer")
+        terminal.press("\x1b[A")
+        terminal.expect(r"↑ \+90°")
+        terminal.press("\x1b[<0;20;10M\x1b[<32;24;8M")
+        terminal.expect(r"↗ \+45°")
+        terminal.press(" ")
+        terminal.expect(r"you [\d.]+ mm in \d+ s.*, the controller [\d.]+ mm in \d+ s")
+        terminal.expect("logs in out")
+        restored(terminal)
+        assert terminal.finish() == 0
+    yours = package.read_log(folder / "out/you/trial-000.mcap")
+    assert yours.result.outcome == "sequence completed"
+
+
+@pytest.mark.long
+def test_ctrl_c_stops_the_robots_first_and_the_log_is_whole(folder):
+    with on_terminal(folder) as terminal:
+        terminal.expect("none yet")
+        terminal.press("\x1b[C")
+        terminal.expect(r"→ \+0°")
+        terminal.press("\x03")
+        terminal.expect("logs in out")
+        terminal.expect("interrupted")
+        restored(terminal)
+        assert terminal.finish() == 130
+    yours = package.read_log(folder / "out/you/trial-000.mcap")
+    assert yours.result.outcome == "interrupted"
+    assert tetractl(folder, "verify", "out").ok()
+    assert not (folder / "out/controller").exists()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("key", "code"), [(" ", 0), ("\x03", 130), ("\x1a", 130)])
+def test_a_trial_that_is_left_before_its_first_key_leaves_no_log(key, code, folder):
+    with on_terminal(folder) as terminal:
+        terminal.expect("none yet")
+        terminal.press(key)
+        terminal.expect("nothing is logged" if code == 0 else "interrupted")
+        restored(terminal)
+        assert terminal.finish() == code
+    assert not (folder / "out").exists()

@@ -1,0 +1,111 @@
+"""A trial that a person steers is the trial of `sequence` with the directions given."""
+
+import math
+
+import numpy as np
+import pytest
+
+import tetractl
+from tetractl.core.commands import Stop
+from tetractl.core.plan import Outcome
+from tetractl.core.protocols import Observer
+from tetractl.experiment.load import parse_contents
+from tetractl.log.read.reader import content_digest
+from tetractl.run.hand import HandController, HandLog
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.open_trial import directed_spec
+from tetractl.run.spec_trial import ready_trial
+
+CONTENTS = {
+    "name": "by-hand",
+    "arena": {"left": 0, "bottom": 0, "width": 1000, "height": 1000},
+    "robots": [
+        {"name": "a", "start": [200, 500], "target": [500, 500], "a": 3, "speed": 100},
+        {"name": "b", "start": [200, 300], "target": [500, 300], "a": 2, "speed": 100},
+    ],
+    "wheels": {"radius": 40},
+    "controller": {"type": "mpc", "time_limit": 20, "dead_time": 0.1},
+    "plant": {
+        "type": "sim",
+        "dead_time": 0.1,
+        "heading_noise": 0.05,
+        "measurement_noise": {"position": 1, "heading": 0.02},
+    },
+    "trials": {"count": 3, "seed": 5},
+}
+SPEC = parse_contents(CONTENTS, "by-hand.yaml")
+
+
+def steer(spec, folder, ask, interrupt=None, observers=()):
+    """Run trial 1 of a spec by hand, and return its log, its result and its controller."""
+    directed = directed_spec(spec)
+    hand = HandController(directed, 1, ask)
+    log = HandLog(hand)
+    with ready_trial(
+        [log], directed, 1, observers, interrupt or Interrupt(), controller=hand
+    ) as ready:
+        result = ready.run()
+    return log.save(directed, folder), result, hand
+
+
+def chosen(directions):
+    """Return what asks for these directions, one after the other, and then stops."""
+    following = iter(directions)
+    return lambda time_s: next(following, None)
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_its_log_is_that_of_the_same_directions_by_open_trial(number, tmp_path):
+    random = np.random.default_rng(number)
+    directions = random.uniform(-math.pi, math.pi, 8 + number).tolist()
+    log, result, _ = steer(SPEC, tmp_path / "hand", chosen(directions))
+    assert result.outcome is Outcome.SEQUENCE_COMPLETED
+
+    trial = tetractl.open_trial(SPEC, trial=1)
+    for direction in directions:
+        trial.step(direction)
+    trial.stop()
+    stepped = trial.save(tmp_path / "stepped")
+    assert content_digest(log) == content_digest(stepped)
+    assert not tetractl.verify(log).problems
+
+
+def test_a_step_is_asked_for_by_its_time(tmp_path):
+    asked = []
+
+    def ask(time_s):
+        asked.append(time_s)
+        return 0.5 if len(asked) < 4 else None
+
+    steer(SPEC, tmp_path, ask)
+    assert asked == pytest.approx([0.0, 0.05, 0.10, 0.15])
+
+
+def test_an_interruption_ends_it_and_its_log_is_whole(tmp_path):
+    interrupt = Interrupt()
+
+    def ask(time_s):
+        if time_s > 0.2:
+            interrupt.request()
+        return 1.0
+
+    log, result, hand = steer(SPEC, tmp_path, ask, interrupt)
+    assert result.outcome is Outcome.INTERRUPTED
+    verified = tetractl.verify(log)
+    assert not verified.problems
+    saved = tetractl.read_log(log)
+    assert [step.plan.direction for step in saved.steps] == hand.directions == [1.0] * 6
+    assert isinstance(saved.commands[-1].action, Stop)
+
+
+def test_while_it_runs_a_plan_shows_where_robots_go_if_the_direction_is_held(tmp_path):
+    shown = []
+
+    class Watch(Observer):
+        def on_step(self, step):
+            shown.append(step.plan)
+
+    log, _, _ = steer(SPEC, tmp_path, chosen([0.0, 2.0]), observers=[Watch()])
+    assert [plan.signals.tolist() for plan in shown] == [[0.0] * 50, [2.0] * 50]
+    logged = tetractl.read_log(log).steps
+    assert [step.plan.signals.tolist() for step in logged] == [[0.0, 2.0], [2.0]]

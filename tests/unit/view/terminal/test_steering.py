@@ -1,0 +1,125 @@
+"""What keys, the mouse and a file of keys ask the robots to do."""
+
+import math
+import threading
+
+import pytest
+
+from tetractl.core.errors import UsageError
+from tetractl.view.terminal.steering import MOUSE_OFF, MOUSE_ON, Steering, Wish, read_script
+
+NORTH = math.pi / 2
+
+
+def wanted(*keys):
+    """What is wanted after these keys."""
+    wish = Wish()
+    for key in keys:
+        wish = wish.after(key)
+    return wish
+
+
+@pytest.mark.parametrize(
+    ("keys", "degrees"),
+    [
+        (["right"], 0),
+        (["up"], 90),
+        (["left"], 180),
+        (["down"], -90),
+        (["up", "x", "home", "down"], -90),
+        (["<0;20;10M", "<32;30;10M"], 0),
+        (["<0;20;10M", "<32;20;5M"], 90),
+        (["<0;20;10M", "<32;22;11M"], -45),  # a cell is twice as high as wide
+        (["<0;20;10M", "<32;30;10M", "<32;10;10M", "<0;10;10m"], 180),
+        (["<0;20;10M", "<0;20;10m", "up", "<0;1;1M"], 90),
+    ],
+)
+def test_arrows_and_drags_are_directions(keys, degrees):
+    assert math.degrees(wanted(*keys).answer) == pytest.approx(degrees)
+
+
+@pytest.mark.parametrize(
+    "keys", [[], ["x"], ["<0;20;10M"], ["<0;20;10M", "<32;20;10M"], ["<32;9;9M"], ["<2;9;9M"]]
+)
+def test_other_keys_and_the_mouse_without_a_drag_ask_for_nothing(keys):
+    assert wanted(*keys).direction is None
+
+
+@pytest.mark.parametrize("key", ["space", "q"])
+def test_space_stops(key):
+    assert wanted("up", key, "down").answer is None
+
+
+def test_the_first_key_is_waited_for():
+    asked = threading.Event()
+
+    def still_open():
+        asked.set()
+        return False
+
+    answers = []
+    with Steering(still_open) as steering:
+        asking = threading.Thread(target=lambda: answers.append(steering.ask(0.0)))
+        asking.start()
+        assert asked.wait(60)
+        assert not answers
+        steering.press("up")
+        asking.join(60)
+        assert answers == [NORTH]
+        assert steering.ask(0.2) == NORTH
+
+
+def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():
+    assert Steering(lambda: True).ask(0.0) is None
+
+
+def test_the_terminal_tells_of_its_mouse_inside_the_block_alone(capsys):
+    steering = Steering(lambda: False)
+    with pytest.raises(RuntimeError), steering:
+        assert capsys.readouterr().err == MOUSE_ON
+        raise RuntimeError
+    assert capsys.readouterr().err == MOUSE_OFF
+    assert steering.ask(0.0) is None  # a thread that still asks ends
+
+
+def script(folder, text):
+    """A file of keys, read."""
+    file = folder / "keys.txt"
+    file.write_text(text)
+    return read_script(file)
+
+
+RIGHT = {
+    "plain": "0 right\n1.5 up\n3 space\n",
+    "comments and gaps": "# a lesson\n\n0 right  # go\n  1.5\tup\n\n3.0 space",
+    "times from the first key": "10 right\n11.5 up\n13 space\n",
+    "two keys at a time": "0 left\n0 right\n1.5 up\n3 q\n",
+    "other forms of numbers": "0e0 right\n15e-1 up\n+3. space\n",
+}
+
+
+@pytest.mark.parametrize("text", RIGHT.values(), ids=RIGHT)
+def test_a_script_presses_its_keys_in_time(text, tmp_path):
+    keys = script(tmp_path, text)
+    answers = [keys.ask(time_s) for time_s in (0.0, 1.45, 1.5, 2.95, 3.0, 9.0)]
+    assert answers == [0.0, 0.0, NORTH, NORTH, None, None]
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("0 right\n1 north\n", ":2: there is no key 'north'"),
+        ("0 right\nup\n", ":2: is not SECONDS KEY"),
+        ("0 right up\n", ":1: is not SECONDS KEY"),
+        ("0 right\nsoon up\n", ":2: 'soon' is no time in seconds"),
+        ("-1 right\n", ":1: '-1' is no time in seconds"),
+        ("0 right\nnan up\n", ":2: 'nan' is no time in seconds"),
+        ("2 right\n1 up\n", ":2: 1 s is before the 2 s above"),
+        ("# nothing\n", ": steers no robot"),
+        ("0 space\n", ": steers no robot"),
+    ],
+)
+def test_a_wrong_script_is_one_line(text, problem, tmp_path):
+    with pytest.raises(UsageError) as caught:
+        script(tmp_path, text)
+    assert caught.value.message == f"{tmp_path / 'keys.txt'}{problem}"

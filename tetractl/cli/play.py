@@ -1,0 +1,275 @@
+"""`tetractl play`: steer the robots of a spec by hand, and see what its controller does."""
+
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
+
+from tetractl.cli import options, ui
+from tetractl.cli.trials import RunOptions, stoppable
+from tetractl.core.clock import MonotonicClock
+from tetractl.core.errors import Exit, UsageError
+from tetractl.core.plan import Outcome
+from tetractl.core.protocols import LabSupervision, Observer
+from tetractl.core.trial import Result, Step
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tetractl.core.clock import Clock
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.experiment.loaded_spec import LoadedSpec
+    from tetractl.run.hand import Ask
+    from tetractl.run.interrupt import Interrupt
+
+TRIAL = 0
+"""The trial that is steered, and that the controller runs."""
+
+
+def play(
+    spec: options.Spec,
+    seed: Annotated[
+        int | None, options.option("S", "Seed of all random numbers. [spec: trials.seed]", min=0)
+    ] = None,
+    sets: options.Sets = None,
+    plant: Annotated[
+        str | None,
+        options.plant_option(
+            "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that lab. "
+            "[spec: plant.type]"
+        ),
+    ] = None,
+    speed: Annotated[
+        float, options.option("R", "Seconds of the trial per second.", min=0.1, max=100)
+    ] = 1.0,
+    script: Annotated[
+        Path | None,
+        options.option("FILE", "Take the keys from lines such as `1.5 up`, in virtual time."),
+    ] = None,
+    yes: options.Yes = False,
+    out: options.LogFolder = None,
+) -> int:
+    """Steer all robots yourself, by one direction; then the spec's controller does.
+
+    The first arrow key starts the robots. An arrow, or a drag of the mouse, sets the direction to
+    which all robots turn; dots show where they go if you hold it. Space stops them, which ends the
+    trial. Its error is the sum of the robots' distances to their targets.
+
+    The controller then steers the same robots, from the same start and with the same disturbances.
+    Both trials are logged, in DIR/you and DIR/controller; `verify`, `replay` and `stats` read yours
+    as given directions.
+
+    In the lab, and in an emulated one, Esc is the emergency stop. In the lab robots are placed and
+    started as by `run`, and the controller's trial is left out.
+
+    Example: tetractl play experiments/three_m3pi.yaml
+    """
+    from tetractl.control.build import warm_up
+    from tetractl.run.open_trial import directed_spec
+    from tetractl.tools.table.terminal_table import open_console
+    from tetractl.view.terminal.steering import read_script
+
+    loaded = _loaded(spec, sets or [], seed, plant)
+    directed = directed_spec(loaded)
+    experiment = loaded.experiment
+    lab = experiment.plant.real_time
+    keys = None if script is None else read_script(script)
+    console = open_console(stderr=True)
+    if keys is None and not _has_keys(console):
+        raise UsageError("play reads keys, and this is no terminal: give --script FILE")
+    if lab and keys is not None:
+        raise UsageError("--script is for virtual time: in the lab a person steers")
+    if lab:
+        ui.require_confirmation(yes)
+    default = Path("logs") / f"play-{experiment.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    folder = out or default
+    ui.refuse_existing(folder, folder=True)
+
+    with stoppable(directed, RunOptions(yes=yes), by_keys=keys is None) as interrupt:
+        if not lab:
+            warm_up(experiment, partial(ui.announce_compiling, False))
+        with (
+            _by_keys(experiment, console, speed, yes, interrupt)
+            if keys is None
+            else nullcontext(Hand(keys.ask))
+        ) as hand:
+            yours = _steered(directed, folder / "you", hand, interrupt)
+        theirs = None
+        ended = yours is None or interrupt.requested or yours.outcome is Outcome.ABORTED
+        if not (ended or lab):
+            with _shown(console, speed) if keys is None else nullcontext([]) as observers:
+                theirs = _by_controller(loaded, folder / "controller", observers, interrupt)
+        return _conclude(folder, experiment.units.length, yours, theirs, interrupt)
+
+
+def _loaded(spec: Path, sets: Sequence[str], seed: int | None, plant: str | None) -> "LoadedSpec":
+    """Return the spec on its plant, with its warnings printed."""
+    from tetractl.experiment.load import load_document
+    from tetractl.experiment.plants import on_plant, settings_on
+    from tetractl.experiment.yaml.document import FieldValue, SpecSetting, read_document
+
+    document = read_document(spec)
+    settings: list[SpecSetting] = list(settings_on(document, sets, plant))
+    if seed is not None:
+        settings.append(FieldValue("trials.seed", seed, "--seed"))
+    loaded = load_document(document, settings)
+    ui.warn(loaded, settings)
+    return on_plant(loaded, plant)
+
+
+def _has_keys(console: "Console") -> bool:
+    """Return whether there is a terminal with a screen and keys."""
+    keys = sys.stdin is not None and sys.stdin.isatty()
+    return keys and console.is_terminal and not console.is_dumb_terminal
+
+
+# ---- your trial ----
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """Who steers: what is asked for each direction, who watches, and who supervises a lab."""
+
+    ask: "Ask"
+    observers: Sequence[Observer] = ()
+    supervision: LabSupervision | None = None
+
+
+class Pace(Observer):
+    """Slows a trial in virtual time to `speed` times the wall clock. A delay is not caught up."""
+
+    def __init__(self, wall: "Clock", speed: float) -> None:
+        self._wall = wall
+        self._speed = speed
+        self._due_ns = 0
+        self._sent_ns: int | None = None
+
+    def on_step(self, step: Step) -> None:
+        """Wait until the command of a step is due."""
+        now_ns = self._wall.now()
+        sent_ns = step.command.sent_ns
+        if self._sent_ns is None:
+            self._due_ns = now_ns
+        else:
+            self._due_ns += round((sent_ns - self._sent_ns) / self._speed)
+        self._sent_ns = sent_ns
+        self._due_ns = max(self._due_ns, now_ns)
+        self._wall.sleep_until(self._due_ns)
+
+
+@contextmanager
+def _by_keys(
+    experiment: "Experiment", console: "Console", speed: float, yes: bool, interrupt: "Interrupt"
+) -> "Iterator[Hand]":
+    """Show a trial on the terminal, and steer it by the terminal's keys, which are restored at the
+    end."""
+    from tetractl.view.terminal.keys import StopKey
+    from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
+    from tetractl.view.terminal.steering import HINTS, TASK, Steering
+
+    plant = experiment.plant
+    emergency = threading.Event()
+    entered = threading.Event()
+    steering = Steering(ended=lambda: interrupt.requested or emergency.is_set())
+    stop = steering.stop if plant.simulated else emergency.set
+    hints = HINTS if plant.simulated else ("ESC: EMERGENCY STOP", *HINTS)
+    prompt = TerminalPrompt(console, entered) if plant.real_time and not yes else None
+    supervision = LabSupervision(
+        emergency,
+        prompt,
+        cancelled=lambda: interrupt.requested,
+        signalled=interrupt.request,
+    )
+    with StopKey(stop, entered.set, steer=steering.press), steering:
+        if plant.real_time:
+            console.print("; ".join(hints), style="bold", highlight=False)
+            with LabWatch(
+                console, console, experiment.units.length, live=True, hints=hints, aside=TASK
+            ) as watch:
+                yield Hand(steering.ask, [watch], supervision)
+        else:
+            with LiveView(console, hints=hints, aside=TASK) as view:
+                yield Hand(steering.ask, [view, Pace(MonotonicClock(), speed)], supervision)
+
+
+def _steered(
+    directed: "LoadedSpec", folder: Path, hand: Hand, interrupt: "Interrupt"
+) -> Result | None:
+    """Run the trial that a person steers, and write its log; None if no direction was given."""
+    from tetractl.run.hand import HandController, HandLog
+    from tetractl.run.spec_trial import ready_trial
+
+    controller = HandController(directed, TRIAL, hand.ask)
+    log = HandLog(controller)
+    with ready_trial(
+        [log], directed, TRIAL, hand.observers, interrupt, hand.supervision, controller
+    ) as ready:
+        result = ready.run()
+    if not controller.directions:
+        return None
+    log.save(directed, folder)
+    return result
+
+
+# ---- the controller's trial, and the end ----
+
+
+@contextmanager
+def _shown(console: "Console", speed: float) -> "Iterator[Sequence[Observer]]":
+    """Yield what shows the controller's trial on the terminal, as fast as yours."""
+    from tetractl.view.terminal.live_screen import LiveView
+
+    aside = "The controller steers the same robots from the same start."
+    with LiveView(console, aside=aside) as view:
+        yield [view, Pace(MonotonicClock(), speed)]
+
+
+def _by_controller(
+    loaded: "LoadedSpec", folder: Path, observers: Sequence[Observer], interrupt: "Interrupt"
+) -> Result:
+    """Run the same trial by the spec's controller."""
+    from tetractl.run.folder_lock import make_folder
+    from tetractl.run.spec_trial import run_logged
+
+    make_folder(folder)
+    return run_logged(loaded, folder, TRIAL, observers, interrupt)
+
+
+def _conclude(
+    folder: Path, unit: str, yours: Result | None, theirs: Result | None, interrupt: "Interrupt"
+) -> int:
+    """Print how the trials ended; return the exit code."""
+    if yours is None:
+        ui.tell(
+            "interrupted" if interrupt.requested else "no direction was given; nothing is logged"
+        )
+        return Exit.INTERRUPTED if interrupt.requested else Exit.DONE
+    compared = "" if theirs is None else f", the controller {_how_well(theirs, unit)}"
+    print(f"you {_how_well(yours, unit)}{compared}", flush=True)
+    you = quote(str(folder / "you"))
+    both = you if theirs is None else f"{you} {quote(str(folder / 'controller'))}"
+    ui.tell(f"logs in {folder}; look at them with: tetractl replay {both}")
+    for result in (yours, theirs):
+        if result is not None and result.outcome is Outcome.ABORTED:
+            ui.tell(f"error: {result.reason}")
+            return Exit.FAILED
+    if interrupt.requested:
+        ui.tell("interrupted")
+        return Exit.INTERRUPTED
+    return Exit.DONE
+
+
+def _how_well(result: Result, unit: str) -> str:
+    """Return the total error and the time of a trial, and where robots must not have been."""
+    from tetractl.tools.table.table import lengths
+
+    error = lengths(result.total_error)(result.total_error)
+    where = [" through an obstacle"] if result.entered_obstacle else []
+    where += [" outside the arena"] if result.left_arena else []
+    return f"{error} {unit} in {result.duration_s:.0f} s{' and'.join(where)}"

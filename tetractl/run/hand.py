@@ -1,0 +1,106 @@
+"""A trial that a person steers: its controller asks for a direction in place of a search.
+
+The trial is that of the controller `sequence` with the directions given, and so is its log. But a
+log begins with its spec, whose directions are known when the trial has ended, and each logged plan
+holds the directions that came later. So nothing is written while the robots drive:
+
+    HandController   asks for the direction of each step, and keeps it with the step's problem
+    HandLog          keeps what a log is to hold; `save` writes it, with the plans of `sequence`
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.control.fixed_sequence import given_plan
+from tetractl.control.plain import PlainController
+from tetractl.control.rng import mix
+from tetractl.control.sequence import SequenceSection
+from tetractl.core.plan import Outcome, Plan, Problem
+from tetractl.core.poses import Observation
+from tetractl.core.trial import Start, Step
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller
+from tetractl.log.write.writer import LogWriter
+from tetractl.run.folder_lock import make_folder
+from tetractl.run.spec_trial import log_path, trial_seeds
+from tetractl.tools.worker import Relay
+
+Ask = Callable[[float], float | None]
+"""Returns the direction [rad] of a step, or None to stop, by the step's time from the first [s]."""
+
+
+class HandController(PlainController):
+    """The controller of one trial of a spec by `directed_spec`; `directions` are those sent so far
+    [rad].
+
+    A plan while the robots drive shows where they go if the direction is held.
+    """
+
+    def __init__(self, spec: LoadedSpec, trial: int, ask: Ask) -> None:
+        experiment = spec.experiment
+        section = experiment.controller
+        assert isinstance(section, SequenceSection), "a spec by `directed_spec`"
+        key, _ = trial_seeds(experiment.trials.seed, trial)
+        super().__init__(section, experiment.setup, key)
+        self.directions: list[float] = []
+        self._section = section
+        self._ask = ask
+        self._problems: list[Problem] = []
+
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
+        """Return the plan of the direction that the person wants, or the end of the trial."""
+        direction = self._ask(self.k * self._section.period)
+        if direction is None:
+            return Outcome.SEQUENCE_COMPLETED
+        self.directions.append(direction)
+        self._problems.append(problem)
+        return given_plan(problem, np.full(self._section.ahead, direction), step_key)
+
+    @property
+    def given(self) -> SequenceSection:
+        """The section of `sequence` with the directions sent so far, at least one."""
+        return self._section.model_copy(update={"directions": tuple(self.directions)})
+
+    def plan_of_sequence(self, k: int) -> Plan:
+        """Return the plan of step `k` by `sequence`, which knows the directions that follow."""
+        signals = np.array(self.directions[k : k + self._section.ahead])
+        return given_plan(self._problems[k], signals, mix(self.key, k))
+
+
+class HandLog(Relay):
+    """Keeps the records of a trial, in memory, until the trial has ended and `save` writes them."""
+
+    def __init__(self, controller: HandController) -> None:
+        self._controller = controller
+        self._calls: list[Callable[[], object]] = []
+        self._start: Start
+
+    def on_start(self, start: Start) -> None:
+        """Keep the start."""
+        self._start = start
+
+    def put(self, call: Callable[[], object]) -> None:
+        """Keep a call of `observer`, the log that there will be."""
+        self._calls.append(call)
+
+    def on_step(self, step: Step) -> None:
+        """Keep a step; its plan will be that of `sequence`."""
+        planned = self._controller.plan_of_sequence
+        self.put(lambda: self.observer.on_step(replace(step, plan=planned(step.k))))
+
+    def save(self, spec: LoadedSpec, folder: Path) -> Path:
+        """Write the log to a folder, and return its path; `spec` is that of the trial."""
+        make_folder(folder)
+        path = log_path(folder, self._start.trial)
+        with_directions = with_controller(spec, self._controller.given)
+        start = start_of(
+            with_directions, self._start.trial, self._start.plant, self._start.start_unix_ns
+        )
+        with LogWriter(path) as log:
+            log.on_start(start)
+            self.observer = log
+            for call in self._calls:
+                call()
+        return path

@@ -1,0 +1,175 @@
+"""What a person asks the robots to do by keys and the mouse, or by a file of keys.
+
+    arrows        the robots turn to the right, up, to the left, down
+    the mouse     drag anywhere: they turn to the direction of the drag
+    space, q      stop
+
+A file has a line `SECONDS KEY` for each key, `#` before a comment; the first key starts the robots,
+and times count from it.
+"""
+
+import math
+import re
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+from tetractl.core.errors import UsageError
+from tetractl.experiment.yaml.document import read_text
+
+ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2}
+"""Directions [rad] by key."""
+STOPS = {"space", "q"}
+HINTS = ("arrows steer", "SPACE stops", "drag steers too")
+"""What the keys do, the most important first."""
+TASK = (
+    "Arrows set one direction for all robots. Each turns to it at its own rate. "
+    "Bring each to the square of its colour, then stop them all by SPACE."
+)
+WAIT_S = 0.01
+"""Time between two questions whether the first key has been pressed [s]."""
+CELL_HEIGHT = 2.0
+"""Height of a character cell of a terminal in widths."""
+_MOUSE = re.compile(r"<(?P<button>\d+);(?P<column>\d+);(?P<row>\d+)(?P<kind>[Mm])")
+"""What a terminal sends of the mouse after its escape character, in its mode 1006."""
+PRESSED = 0
+DRAGGED = 32
+"""The button's number when the left one is pressed, and when the mouse then moves."""
+MOUSE_ON = "\x1b[?1002h\x1b[?1006h"
+MOUSE_OFF = "\x1b[?1006l\x1b[?1002l"
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the person wants: a direction [rad], None before the first key; whether to stop; and
+    where a drag of the mouse began, as column and row of the screen."""
+
+    direction: float | None = None
+    stops: bool = False
+    drag_from: tuple[int, int] | None = None
+
+    @property
+    def answer(self) -> float | None:
+        """The direction [rad], None to stop."""
+        return None if self.stops else self.direction
+
+    def after(self, key: str) -> "Wish":
+        """Return what is wanted once a key was pressed or the mouse moved; other keys change
+        nothing."""
+        if key in ARROWS:
+            return replace(self, direction=ARROWS[key])
+        if key in STOPS:
+            return replace(self, stops=True)
+        mouse = _MOUSE.fullmatch(key)
+        return self if mouse is None else self._dragged(mouse)
+
+    def _dragged(self, mouse: re.Match[str]) -> "Wish":
+        column = int(mouse["column"])
+        row = int(mouse["row"])
+        button = int(mouse["button"])
+        if button == PRESSED and mouse["kind"] == "M":
+            return replace(self, drag_from=(column, row))
+        if button != DRAGGED or self.drag_from is None or self.drag_from == (column, row):
+            return self
+        right = column - self.drag_from[0]
+        up = CELL_HEIGHT * (self.drag_from[1] - row)
+        return replace(self, direction=math.atan2(up, right))
+
+
+class Steering:
+    """What the keys of a terminal ask for; a context manager, in which the terminal tells of its
+    mouse.
+
+    Threads: that of the keys calls `press`, and replaces the wish as a whole; that of the trial
+    calls `ask`, which reads it.
+    """
+
+    def __init__(self, ended: Callable[[], bool]) -> None:
+        self._wish = Wish()
+        self._ended = ended
+
+    def press(self, key: str) -> None:
+        """Take a key, by its name."""
+        self._wish = self._wish.after(key)
+
+    def stop(self) -> None:
+        """Stop, as by the space bar."""
+        self._wish = replace(self._wish, stops=True)
+
+    def ask(self, time_s: float) -> float | None:
+        """Return the direction that is wanted [rad], None to stop. Before the first key, wait for
+        it, but not longer than until the trial is `ended` for another reason."""
+        while self._wish.direction is None and not (self._wish.stops or self._ended()):
+            time.sleep(WAIT_S)
+        return self._wish.answer
+
+    def __enter__(self) -> Self:
+        sys.stderr.write(MOUSE_ON)
+        sys.stderr.flush()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()  # a thread that still asks must end
+        sys.stderr.write(MOUSE_OFF)
+        sys.stderr.flush()
+
+
+@dataclass(frozen=True, slots=True)
+class TimedKey:
+    """A key, and when it is pressed [s] after the first one."""
+
+    time_s: float
+    key: str
+
+
+class Script:
+    """What a file of keys asks for."""
+
+    def __init__(self, keys: list[TimedKey]) -> None:
+        self._keys = keys
+
+    def ask(self, time_s: float) -> float | None:
+        """Return the direction [rad] at a time after the first key [s], None to stop."""
+        wish = Wish()
+        for timed in self._keys:
+            if timed.time_s <= time_s:
+                wish = wish.after(timed.key)
+        return wish.answer
+
+
+def read_script(path: Path) -> Script:
+    """Read a file of keys; UsageError with file and line for what is wrong."""
+    keys: list[TimedKey] = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        where = f"{path}:{number}"
+        if len(words) != 2:
+            raise UsageError(f"{where}: is not SECONDS KEY", "such as `2.5 up`")
+        time_s = _seconds(words[0], where)
+        if keys and time_s < keys[-1].time_s:
+            raise UsageError(f"{where}: {words[0]} s is before the {keys[-1].time_s:g} s above")
+        if words[1] not in ARROWS | dict.fromkeys(STOPS):
+            raise UsageError(
+                f"{where}: there is no key '{words[1]}'", "up, down, left, right, space"
+            )
+        keys.append(TimedKey(time_s, words[1]))
+    if not keys or keys[0].key in STOPS:
+        raise UsageError(f"{path}: steers no robot", "begin with an arrow, such as `0 right`")
+    first_s = keys[0].time_s
+    return Script([TimedKey(timed.time_s - first_s, timed.key) for timed in keys])
+
+
+def _seconds(word: str, where: str) -> float:
+    """Return a time [s] of a script; UsageError for what is none."""
+    try:
+        time_s = float(word)
+    except ValueError:
+        time_s = math.nan
+    if not 0 <= time_s < math.inf:
+        raise UsageError(f"{where}: '{word}' is no time in seconds")
+    return time_s

@@ -205,14 +205,16 @@ class _Checked:
 
 def _check(path: Path, sets: list[str] | None) -> _Checked:
     """Check a spec, or a study and the specs of its arms; print its warnings."""
+    from tetractl.experiment.load import is_study, load_document
+    from tetractl.experiment.yaml.document import read_document
     from tetractl.experiment.yaml.problems import InvalidSpecError
-    from tetractl.study.load_study import is_study
 
     file = printable(str(path))
     try:
-        if not sets and is_study(path):
+        document = read_document(path)
+        if not sets and is_study(document):
             return _check_study(path, file)
-        loaded = ui.load(path, sets)
+        loaded = load_document(document, sets or [])
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return _Checked({"path": file, "ok": False, "problems": problems}, error.lines())
@@ -318,17 +320,19 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     """Yield the experiments to compile for: the specs, one arm per controller of each study, or,
     without files, the spec that `tetractl init` writes.
     """
-    from tetractl.experiment.load import parse_spec
-    from tetractl.study.load_study import is_study, load_study
+    from tetractl.experiment.load import is_study, load_document, parse_spec
+    from tetractl.experiment.yaml.document import read_document
+    from tetractl.study.load_study import load_study
 
     if not files:
         yield parse_spec(template("warm", "warm"), "warm", sets).experiment
     for file in files:
-        if is_study(file):
+        document = read_document(file)
+        if is_study(document):
             arms = load_study(file).arms
             yield from {arm.controller: arm.spec.experiment for arm in arms}.values()
         else:
-            yield ui.load(file, sets).experiment
+            yield load_document(document, sets).experiment
 
 
 def schema(

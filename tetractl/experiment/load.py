@@ -29,7 +29,7 @@ from tetractl.experiment.base import with_tuples
 from tetractl.experiment.consistency import errors_of
 from tetractl.experiment.controller import without_retired
 from tetractl.experiment.experiment import DEFAULT_CONTROLLER, Experiment
-from tetractl.experiment.explain import explain, value_at
+from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.loaded_spec import Attached, LoadedSpec, attach
 from tetractl.experiment.policy_weights import put_layers, read_weights
@@ -142,8 +142,13 @@ def as_text(contents: Mapping[str, Any], name: str) -> str:
         raise SpecError(f"{name}: {printable(str(error), 200)}", hint) from None
 
 
+def is_study(document: Document) -> bool:
+    """Return whether the keys of a file are those of a study, not of a spec."""
+    return "base" in document.data and "robots" not in document.data
+
+
 def _refuse_study(document: Document) -> None:
-    if "base" in document.data and "robots" not in document.data:
+    if is_study(document):
         hint = f"run it with: tetractl study {document.origin}"
         raise InvalidSpecError([SpecProblem(document.origin, "is a study, not a spec")], hint)
 
@@ -154,7 +159,9 @@ def _named_file(document: Document, loc: Loc) -> str | None:
     """
     if loc == WEIGHTS and ("controller", "layers") in document.places:
         return None
-    name = value_at(document.data, loc)
+    name: Any = document.data
+    for key in loc:
+        name = name.get(key) if isinstance(name, dict) else None
     return name if isinstance(name, str) else None
 
 

@@ -105,11 +105,19 @@ def _short_digest(text: str) -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of code that affects results and, in a checkout, the git state.
+    """Return `code_versions` and, in a checkout, the git state.
 
-    `code` is a hash of the source files of `tetractl.control` and `tetractl.model`. `git_commit`
-    and `git_dirty` are left out if tetractl does not run from a git checkout or git is not
-    installed.
+    `git_commit` and `git_dirty` are left out if tetractl does not run from a git checkout or git is
+    not installed.
+    """
+    return code_versions() | _git_state()
+
+
+@cache
+def code_versions() -> dict[str, str]:
+    """Return the versions of code that affects results.
+
+    `code` is a hash of the source files of `tetractl.control` and `tetractl.model`.
     """
     sources = [file for part in ("control", "model") for file in (HERE / part).rglob("*.py")]
     return {
@@ -117,7 +125,6 @@ def versions() -> dict[str, str]:
         "tetractl": __version__,
         "code": cache_name(sources),
         **{name: metadata.version(name) for name in PACKAGES},
-        **_git_state(),
     }
 
 

@@ -27,7 +27,7 @@ from tetractl.core.registries import SWEEPS
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
 from tetractl.experiment.explain import validated
-from tetractl.experiment.load import as_text, load_document, without_lines
+from tetractl.experiment.load import as_text, is_study, load_document, without_lines
 from tetractl.experiment.loaded_spec import LoadedSpec, arm_hash
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.schema import schema_of
@@ -195,7 +195,7 @@ def _loaded(document: Document, folder: Path) -> LoadedStudy:
     if isinstance(base.source, Path) and not base.source.exists():
         text = f"there is no such file: {printable(str(base.source))}{near_files(base.source)}"
         raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
-    if isinstance(base.source, Path) and _has_keys_of_study(base.document):
+    if isinstance(base.source, Path) and is_study(base.document):
         text = "is a study, not a spec, as a base must be"
         raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
     arms = _arms(study, base, document)
@@ -222,15 +222,6 @@ def _arms(study: Study, base: Base, document: Document) -> list[Arm]:
     if problems:
         raise InvalidSpecError(problems, hint)
     return arms
-
-
-def is_study(path: Path) -> bool:
-    """Return whether the keys of a file are those of a study, not of a spec."""
-    return _has_keys_of_study(read_document(path))
-
-
-def _has_keys_of_study(document: Document) -> bool:
-    return "base" in document.data and "robots" not in document.data
 
 
 def study_schema() -> dict[str, Any]:

@@ -19,10 +19,10 @@ def checkout(tmp_path, monkeypatch):
     (package / "log").mkdir(parents=True)
     (package / "__init__.py").write_text("")
     monkeypatch.setattr(provenance, "HERE", package)
-    for cached in (provenance.versions, provenance.environment):
+    for cached in (provenance.code_versions, provenance.versions, provenance.environment):
         cached.cache_clear()
     yield tmp_path
-    for cached in (provenance.versions, provenance.environment):
+    for cached in (provenance.code_versions, provenance.versions, provenance.environment):
         cached.cache_clear()
 
 

@@ -17,5 +17,5 @@ def test_a_planted_defect_applies_to_the_present_sources(patch):
     assert done.returncode == 0, done.stderr
 
 
-def test_there_are_thirty_of_them():
-    assert len(PATCHES) == 30
+def test_there_are_33_of_them():
+    assert len(PATCHES) == 33

@@ -28,7 +28,7 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 from tetractl_emulator.rehearsal.excuses import undetectable_freeze, undetectable_motion
-from tetractl_emulator.rehearsal.logged import MUTE
+from tetractl_emulator.rehearsal.logged import MUTE, SHOWN_S
 from tetractl_emulator.rehearsal.outcome_sentences import (
     exit_code_is_right,
     log_is_readable,
@@ -62,8 +62,8 @@ DRIVEN_MM_S = 5.0
 """Speed of a wheel above which its robot counts as driven."""
 STOPS_MIN = 5
 """Least stops after a run: a radio that loses every second packet takes one on 97 of 100 days."""
-REST_SEEN_S = 1.0
-"""Time of pictures that show whether robots rest."""
+WATCHED_S = 2.0
+"""Time after the end in which stops are repeated while a robot is not seen to rest."""
 NOISE_MM = 4.0
 """Noise of a pose of the worst camera."""
 TILT_NOISE_RAD = 0.05
@@ -76,6 +76,8 @@ POSE_RAD = 1.0
 """Error of a heading accepted: the turn by which a robot leaves its way."""
 RESULT_MM = 10.0
 """Error of a result: 0.03 s of driving at 200 mm/s, and the noise of poses at rest."""
+REFUSED_S = 0.05
+"""Time of refused poses after which a robot has to stop."""
 READING_WAITS_S = 0.03
 """Longest time for which a reading of a mat waits for an event of its connection."""
 BODY_MM = 60.0
@@ -193,7 +195,8 @@ def _may_be_driven(truth: Truth) -> Bools:
 
 def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
     """After the end no wheel turns and no command drives, an emergency stop stays, robots that
-    stand are not driven again, and enough stops are sent; and a run begins at rest.
+    stand are not driven again, and enough stops are sent, as long as a robot is not seen to rest;
+    and a run begins at rest.
 
     Stops are not counted on a day on which nothing could be sent, or our process was killed.
     """
@@ -204,6 +207,7 @@ def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
     yield from _none_runs_again(truth)
     if not truth.met(*MUTE) and not truth.killed:
         yield from _stops_are_sent(truth)
+        yield from _stops_go_on(truth)
     yield from _run_begins_at_rest(truth)
 
 
@@ -290,9 +294,7 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
     """From `TRANSIT_S` before the end of each time of driving until a watchdog after it,
     `STOPS_MIN` commands that drive no robot are sent; of the first time that lacks some only.
 
-    And if for `REST_SEEN_S` after the end one robot was shown later than another by more than a
-    watchdog, it is not known to rest: the last stop is two watchdogs after the end or later. Of
-    either, nothing is checked if our process ended in the time of which it speaks.
+    Nothing is checked if our process ended within that time.
     """
     halts_s = [time_s(c) for c in truth.commands if not any(truth.drives(c))]
     for span in truth.driven_spans:
@@ -301,13 +303,32 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
         if len(sent) < STOPS_MIN and until_s < truth.alive_s:
             yield _unrest(span.ended_s, f"{len(sent)} stops are sent")
             return
-    rest_seen_s = truth.ended_s + REST_SEEN_S
-    rows = (truth.times_s > truth.ended_s) & (truth.times_s < rest_seen_s)
-    apart_s = np.ptp(truth.unseen_s[rows], axis=1) if rows.any() else np.zeros(1)
-    one_unseen = apart_s.min() > truth.watchdog_s
-    stops_end = max(halts_s, default=0.0) < truth.ended_s + 2 * truth.watchdog_s
-    if one_unseen and stops_end and rest_seen_s < truth.alive_s:
-        yield _unrest(rest_seen_s, "stops end though a robot is not shown")
+
+
+def _stops_go_on(truth: Truth) -> Iterator[Violation]:
+    """In the first `WATCHED_S` after the end the last stop is never older than `MOTION_SEEN_S` and
+    `TRANSIT_S` once a robot was not seen to rest for `ROLL_S` and `MOTION_SEEN_S`.
+
+    It is not while it moves and is shown, while a fault shows motion, and while it was shown later
+    than another by more than a watchdog.
+    """
+    stops_s = np.array([-np.inf, *[time_s(c) for c in truth.commands if not any(truth.drives(c))]])
+    times_s = truth.times_s
+    unseen_s = truth.unseen_s
+    restless = ((truth.wheel_speed_mm_s > DRIVEN_MM_S) & (unseen_s < SHOWN_S)).any(axis=1)
+    restless |= np.ptp(unseen_s, axis=1) > truth.watchdog_s
+    for fault in truth.shown_moving:
+        restless |= (times_s > fault.span.began_s) & (times_s < fault.span.ended_s)
+    restless &= times_s > truth.ended_s
+    at_rest_s = np.maximum.accumulate(np.where(restless, truth.ended_s, times_s))
+    must_stop = restless & (times_s - at_rest_s > ROLL_S + MOTION_SEEN_S)
+    must_stop &= times_s < min(truth.ended_s + WATCHED_S, truth.alive_s)
+    stop_age_s = times_s - stops_s[np.searchsorted(stops_s, times_s) - 1]
+    too_old = must_stop & (stop_age_s > MOTION_SEEN_S + TRANSIT_S)
+    if too_old.any():
+        row = int(too_old.argmax())
+        finding = f"no stop for {stop_age_s[row]:.2f} s though a robot is not seen to rest"
+        yield _unrest(float(times_s[row]), finding)
 
 
 def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
@@ -390,10 +411,11 @@ def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Itera
 
 
 def poses_are_true(truth: Truth) -> Iterator[Violation]:
-    """Poses accepted of robots that are driven are true, the log has none of a robot that is
-    hidden, and the errors of a complete trial are true.
+    """Poses accepted of robots that are driven are true, what was refused as false stays refused,
+    the log has no pose of a robot that is hidden, and the errors of a complete trial are true.
     """
     yield from _accepted_poses_are_true(truth)
+    yield from _false_poses_stay_refused(truth)
     yield from _hidden_robots_have_no_pose(truth)
     yield from _result_is_true(truth)
 
@@ -455,6 +477,43 @@ def _least_pose_errors(truth: Truth) -> LeastPoseErrors:
         least_mm = np.fmin(least_mm, off_mm)  # leaves out NaN, where there is no pose
         least_rad = np.fmin(least_rad, off_rad)
     return LeastPoseErrors(least_mm, least_rad)
+
+
+def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
+    """While a ghost or a frozen pose lasts, no pose of its robot is accepted any more once those of
+    `REFUSED_S` were refused, also after an abort; unless the guard was `ready` meanwhile. Yields
+    the first of one fault.
+
+    Not checked while another fault acts, by which they may have been refused, nor of readings of a
+    mat, which repeat while a robot stands.
+    """
+    if truth.setup.sight.coarse or truth.trial is None:
+        return
+    rows = sorted({row for row in truth.exposure_of_frame if row is not None})
+    ready_s = [time_s(event) for event in truth.events("guard", state="ready")]
+    for fault in truth.faults_of("ghost", "repeat"):
+        others = [other.span for other in truth.faults if other is not fault]
+        named = [fault.fields["robot"]] if "robot" in fault.fields else truth.setup.names
+        for i in map(truth.setup.names.index, named):
+            accepted_s = refused_s = np.inf
+            for row in rows:
+                at_s = float(truth.times_s[row])
+                if not truth.fresh[row, i]:
+                    refused_s = at_s
+                    continue
+                was_refused = refused_s - accepted_s > REFUSED_S
+                lasts = fault.span.began_s < refused_s and at_s < fault.span.ended_s
+                alone = not any(o.began_s < at_s and o.ended_s > accepted_s for o in others)
+                if was_refused and lasts and alone and not _any_between(ready_s, accepted_s, at_s):
+                    finding = f"{truth.setup.names[i]} is accepted again: {fault.kind}"
+                    yield Violation("untrue", at_s, finding)
+                    return
+                accepted_s = at_s
+                refused_s = -np.inf
+
+
+def _any_between(times_s: Sequence[float], began_s: float, ended_s: float) -> bool:
+    return any(began_s < at_s < ended_s for at_s in times_s)
 
 
 def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:

@@ -179,6 +179,17 @@ def test_robots_rest_after_a_stop(events, more):
     assert "not at rest" in broken(events, **more)
 
 
+CREEPS = GHOST | {"turn": 0.002}  # by 0.24 rad/s
+
+
+@pytest.mark.parametrize(("again_s", "wrong"), [((2.9, 3.3, 3.7), False), ((2.9,), True)])
+def test_stops_go_on_while_a_robot_is_not_seen_to_rest(again_s, wrong):
+    """Regression: ten stops were enough, though the camera showed motion for 2 s after them."""
+    seen = [truth_at(2.32 + k / 60) for k in range(160)]
+    again = [command(at_s, 0, 0) for at_s in again_s]
+    assert ("not at rest" in broken([*GOOD, *seen, *again], fault=CREEPS)) == wrong
+
+
 def test_a_robot_that_is_free_again_is_dated_when_it_is_free():
     """Regression: it was dated by the exposure before, at which it had still latched the stop."""
     truth = day([*GOOD, truth_at(2.0, status=(2, 0, 0)), truth_at(2.1)])
@@ -324,6 +335,44 @@ def test_a_picture_that_comes_late_shows_how_a_robot_stood_before(late_s, wrong)
 )
 def test_the_log_has_no_pose_of_a_robot_that_is_hidden(fault, wrong):
     assert names_of(3, with_log(STARTS, fault=fault)) == ({"untrue"} if wrong else set())
+
+
+def poses_of_a_ghost(refused, again, guard="abort"):
+    """A day on which green's ghost drives from 2.0 s to the end: of its 120 Hz from then on so many
+    poses are accepted, refused, and accepted again, after the guard entered a state."""
+    rows = 10 + refused + again
+    exposed_s = 2.0 + np.arange(rows) / 120
+    states = [at(exposed_s[9 + refused] + 0.001, "guard", state=guard, reason="")]
+    exposures = [truth_at(exposure_s, 100.0) for exposure_s in exposed_s]
+    truth = day([*RUN, starts(1.9), *exposures, *states, END], fault=GHOST)
+    exposed_ns = np.array([exposure["t_ns"] for exposure in truth.exposures[:rows]])
+    valid = np.ones((rows, 3), bool)
+    valid[10 : 10 + refused, 0] = False
+    fields = {
+        "frames": np.array([exposure["frame"] for exposure in truth.exposures[:rows]]),
+        "mocap_ns": exposed_ns,
+        "exposed_ns": np.repeat(exposed_ns[:, None], 3, axis=1),
+        "mocap": np.array([STARTS] * rows) / (SETUP.metres * 1000, SETUP.metres * 1000, 1.0),
+        "valid": valid,
+        "result": SimpleNamespace(outcome=Outcome.ABORTED, reason=ERROR, lost=()),
+    }
+    give_log(truth, **fields)
+    return truth
+
+
+@pytest.mark.parametrize(
+    ("refused", "again", "guard", "wrong"),
+    [
+        (8, 3, "abort", True),
+        (8, 0, "abort", False),
+        (4, 3, "abort", False),  # not for as long as stops a robot
+        (8, 3, "ready", False),  # in a pause
+    ],
+)
+def test_a_ghost_that_was_refused_is_not_accepted_again(refused, again, guard, wrong):
+    """Regression: what was accepted after an abort was not looked at."""
+    truth = poses_of_a_ghost(refused, again, guard)
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
 
 
 MAT = Sight(grid_mm=1.36, grid_rad=0.02)

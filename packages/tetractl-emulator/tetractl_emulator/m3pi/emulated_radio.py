@@ -130,8 +130,9 @@ class EmulatedRadio(RobotRadio):
         arrives += self.trouble.lateness_ns(self._random)
         for robot in self.robots:
             if self._random.random() >= max(self.trouble.loss, robot.trouble.deaf):
+                heard_ns = arrives + robot.trouble.late_ns
                 for _ in range(1 + self.trouble.doubled):
-                    self._timeline.at(arrives, lambda robot=robot: self._deliver(robot, payload))
+                    self._timeline.at(heard_ns, lambda robot=robot: self._deliver(robot, payload))
 
     def _deliver(self, robot: EmulatedRobot, payload: bytes) -> None:
         if robot.powered:

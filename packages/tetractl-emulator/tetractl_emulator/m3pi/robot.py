@@ -94,6 +94,8 @@ class RobotTrouble:
     """The shares of its speed at which the left and the right wheel turn."""
     deaf: float = 0.0
     """The share of the transmissions that it does not receive."""
+    late_ns: int = 0
+    """Time by which it obeys late what it receives [ns]."""
     veer: Counts | None = None
     """Counts that the motors get in place of any counts other than 0."""
 

@@ -33,7 +33,6 @@ from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 Count = Annotated[int, Field(ge=-127, le=127)]
-ELSEWHERE_NS = SECOND // 100  # between two commands of another program
 SERIES_1 = (0x1744, 0x10EC)  # HV and VR of a module with 802.15.4
 SERIES_2 = (0x1944, 0x21A7)  # HV and VR of one with Zigbee
 
@@ -87,9 +86,9 @@ FAULTS = (
     ),
     fault_kind(
         "driven_elsewhere",
-        "Another program on the radio sends all robots these counts, 100 times a second.",
-        lambda fault, device: device.drive_elsewhere(fault.counts),
-        fields={"counts": tuple[Count, Count]},
+        "Another program on the radio sends all robots these counts, at this rate [Hz].",
+        lambda fault, device: device.drive_elsewhere(fault.counts, round(SECOND / fault.rate)),
+        fields={"counts": tuple[Count, Count], "rate": (Positive, 100.0)},
     ),
     *WHEELED_FAULTS,
 )
@@ -141,14 +140,14 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
         )
         self.radios = [self.radio]
 
-    def drive_elsewhere(self, counts: Counts) -> Undo:
+    def drive_elsewhere(self, counts: Counts, period_ns: int) -> Undo:
         """Let robots hear another program that drives them, until the fault ends."""
         ends_ns = NEVER
 
         def send(sequence: int) -> None:
             if self.timeline.now_ns < ends_ns:
                 self.radio.drive_elsewhere(sequence % 256, counts)
-                self.timeline.at(self.timeline.now_ns + ELSEWHERE_NS, lambda: send(sequence + 1))
+                self.timeline.at(self.timeline.now_ns + period_ns, lambda: send(sequence + 1))
 
         def end() -> None:
             nonlocal ends_ns

@@ -285,6 +285,11 @@ def _weak(fault: Any) -> tuple[float, float]:
     return left_share, right_share
 
 
+def _reboot(fault: Any, device: Any) -> Undo:
+    robot_of(fault, device).switch(True)
+    return setting(trouble_of(fault, device), late_ns=round(fault.by * SECOND))
+
+
 STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}
 WHEELED_FAULTS = (
     fault_kind(
@@ -370,6 +375,12 @@ WHEELED_FAULTS = (
         "A robot is switched off.",
         switching(lambda f, d: robot_of(f, d).switch, False),
         fields={"robot": Name},
+    ),
+    fault_kind(
+        "reboots",
+        "A robot starts again, and from then on obeys by this time [s] late.",
+        _reboot,
+        fields={"robot": Name, "by": Positive},
     ),
     fault_kind(
         "low_battery",

@@ -28,6 +28,10 @@ STOP_SHARE = 0.1  # of the faults that begin while robots stop, in a pause or at
 FRAME_S = 1 / 120  # between two exposures of the emulated camera
 STRONG = 0.9
 """Strength from which on a fault lasts to the end."""
+SLEEPS_S = (3.0, 30.0)
+"""Times for which a computer sleeps: less than a run, and more [s]."""
+OUR_HZ = 40.0
+"""Rate at which m3pi robots are sent commands by a spec that names none."""
 SPAN_S = 11.0
 """Latest begin of a fault after the first command that moves robots [s]."""
 
@@ -159,6 +163,9 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("battery low", "low_battery", "battery", _battery, start=0.9)
     link = f"{RADIO}|{moved}"
     yield FaultRow("brown-out", "off", link, Draw.robot)
+    yield FaultRow(
+        "late after a reboot", "reboots", link, lambda d: d.robot() | {"by": d.between(0.05, 3)}
+    )
     yield FaultRow("radio unplugged", "unplug", RADIO)
     yield FaultRow("radio stuck", "stuck_port", RADIO)
     yield FaultRow("radio silent", "loss", link, _lost)
@@ -170,6 +177,11 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("packets overtaken", overtaken, link, lambda d: {"by": d.between(0.005, 0.3)})
     stopped = f"emergency-stopped|{link}"  # if a run then begins
     yield FaultRow("stopped elsewhere", "stopped_elsewhere", stopped, at_once=True)
+    elsewhere = f"only an emergency stop|{MOTION}|{PLACE}"
+    yield FaultRow("second sender", "driven_elsewhere", elsewhere, lambda d: _driven(d, 100.0))
+    yield FaultRow(
+        "sender at our rate", "driven_elsewhere", elsewhere, lambda d: _driven(d, OUR_HZ)
+    )
     yield FaultRow("packets doubled", "doubled_packets", r"$.", weight=0.5)
     yield FaultRow("radio resets", "radio_resets", link)
     yield FaultRow("other baud rate", "baud", link, lambda d: {"baud": 9600})
@@ -184,7 +196,11 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)})
     at_times = "host busy at times"
     yield FaultRow(at_times, "busy", f"late|silent|{moved}", _at_times, weight=0.5)
-    yield FaultRow("suspended", "stopped", f"stood still|late|{CELLS}|{clock}|{moved}", _nap)
+    asleep = f"stood still|late|{CELLS}|{clock}|{moved}"
+    yield FaultRow("suspended", "stopped", asleep, _nap)
+    yield FaultRow(
+        "computer sleeps", "stopped", asleep, lambda d: {"for": d.random.choice(SLEEPS_S)}
+    )
     yield FaultRow("disk full", "disk_full", "cannot write the log", at_once=True)
     yield FaultRow("killed", "signal", r"$.", lambda d: {"signal": "KILL"}, at_once=True)
     yield FaultRow("signal", "signal", "interrupted|cancelled", _signal, True)
@@ -271,6 +287,10 @@ def _at_times(d: Draw) -> dict[str, Any]:
 
 def _nap(d: Draw) -> dict[str, Any]:
     return {"for": d.between(0.02, 5)}
+
+
+def _driven(d: Draw, rate_hz: float) -> dict[str, Any]:
+    return {"counts": [round(d.signed(3, 60)), round(d.signed(3, 60))], "rate": rate_hz}
 
 
 def _signal(d: Draw) -> dict[str, Any]:

@@ -84,11 +84,15 @@ BODY_MM = 60.0
 """Height of a body on an emulated robot."""
 LIFTED_MM = 40.0
 """By how much a robot may be lifted once it drives."""
+STARTS_AGAIN = ("off", "reboots")
+"""Faults by which a robot forgets what it has heard."""
+ELSEWHERE = ("driven_elsewhere",)
+"""Faults by which another program drives the robots."""
 OFF_FLOOR = ("lifted", "tipped")
 """Faults that take a body off the floor: a camera may track it, and shows no robot."""
 STOPS_FAIL = (
     *("loss", "deaf", "unplug", "stuck_port", "radio_resets", "baud", "bad_bytes"),
-    *("signal", "stopped", "off", "busy"),
+    *("signal", "stopped", "off", "busy", "reboots"),
 )
 """Faults by which a stop may not come to a robot, so that its watchdog has to stop it."""
 
@@ -217,15 +221,23 @@ def _unrest(at_s: float, finding: str) -> Violation:
 
 def _radio_late_s(truth: Truth) -> float:
     """Return by how much faults of the radio delay what is sent."""
-    return truth.delay_s("late_radio", "overtaken_packets")
+    return truth.delay_s("late_radio", "overtaken_packets", "reboots")
 
 
 def _wheels_stand(truth: Truth) -> Iterator[Violation]:
     """No wheel turns once a command has come, a watchdog has passed and wheels have rolled since
     the end or a kill, whichever was first.
+
+    Those that another program drives may turn for `WATCHED_S` more, until a stop that they latch;
+    nothing is checked if another fault was met, or it began after the end.
     """
+    elsewhere = truth.faults_of(*ELSEWHERE)
+    if elsewhere and (len(truth.faults) > 1 or elsewhere[0].span.began_s > truth.ended_s):
+        return
     killed_s = [fault.span.began_s for fault in truth.faults if fault.is_kill]
     bound_s = TRANSIT_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
+    if elsewhere:
+        bound_s += WATCHED_S
     must_rest = truth.times_s > min([truth.ended_s, *killed_s]) + bound_s
     rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
     if rolls.any():
@@ -262,11 +274,11 @@ def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
 
 def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
     """A robot that has latched an emergency stop stays latched. Not checked on a day on which any
-    robot was switched off, at whatever time: it is free once it is on again.
+    robot started again, at whatever time: it is free then.
     """
     latched = truth.has_status(LATCHED)
     freed = (latched[:-1] & ~latched[1:]).any(axis=1)
-    if freed.any() and not truth.met("off"):
+    if freed.any() and not truth.met(*STARTS_AGAIN):
         freed_row = 1 + freed.argmax()
         yield _unrest(float(truth.times_s[freed_row]), "a robot is free again")
 
@@ -278,15 +290,16 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     A robot that does not run counts as one that has heard the end, unless its watchdog stops it. A
     radio that delays all alike delays the end, too.
 
-    Not checked on a day on which any robot was switched off, at whatever time.
+    Not checked on a day on which any robot started again, at whatever time, or another program
+    drove the robots.
     """
-    heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio")
+    heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio", "reboots")
     is_after = (truth.times_s > heard_s)[:, None]
     runs = truth.has_status(RUNNING)
     stands = is_after & ~runs & ~truth.has_status(SILENT)
     has_stood = np.maximum.accumulate(stands, axis=0)
     runs_again = (has_stood & runs).any(axis=1)
-    if runs_again.any() and not truth.met("off"):
+    if runs_again.any() and not truth.met(*STARTS_AGAIN, *ELSEWHERE):
         yield _unrest(float(truth.times_s[runs_again.argmax()]), "a robot is driven again")
 
 
@@ -349,9 +362,9 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
     more than is allowed: for each robot the greatest error of its pose so far, the way of its
     fastest wheel so far in `_rolls_on_s`, and half the noise; and all pushes of the day.
 
-    Yields the worst place of one robot, and of one pair.
+    Yields the worst place of one robot, and of one pair; none if another program drove them.
     """
-    if not len(truth.times_s):
+    if not len(truth.times_s) or truth.met(*ELSEWHERE):
         return
     speed_mm_s = np.maximum.accumulate(truth.wheel_speed_mm_s, axis=0)
     wrong_mm = np.maximum.accumulate(truth.error_mm, axis=0)

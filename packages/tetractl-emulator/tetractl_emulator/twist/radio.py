@@ -45,9 +45,9 @@ class LineRadio(RobotRadio):
             arrives = self._timeline.now_ns + DELAY_NS + self.trouble.lateness_ns(self._random)
             for robot in self.robots:
                 if self._random.random() >= max(self.trouble.loss, robot.trouble.deaf):
+                    heard = partial(robot.hear, line + self.end)
                     for _ in range(1 + self.trouble.doubled):
-                        heard = partial(robot.hear, line + self.end)
-                        self._timeline.at(arrives, heard)
+                        self._timeline.at(arrives + robot.trouble.late_ns, heard)
 
     def _split(self, data: bytes) -> list[bytes]:
         """Return the messages in data, and what is left."""

@@ -158,7 +158,8 @@ class Connection(RobotRadio):
         for data in written:
             if chance.random() >= max(self.trouble.loss, self.robot.trouble.deaf):
                 # a connection keeps the order of what it passes on
-                self._heard_ns = max(self._heard_ns, now_ns + self.trouble.late_ns)
+                late_ns = self.trouble.late_ns + self.robot.trouble.late_ns
+                self._heard_ns = max(self._heard_ns, now_ns + late_ns)
                 self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
         if self.port.fd >= 0 and not self._down and self.robot.powered:
             passed = [note for note in noted if chance.random() >= self.trouble.loss]

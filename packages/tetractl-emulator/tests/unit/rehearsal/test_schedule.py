@@ -65,7 +65,8 @@ def test_every_fault_is_drawn_often_and_its_strongest_lasts():
 NAMED = """no_frames late_frames doubled_frames reordered freeze slow_frames half_tracked untracked
 swap ghost picture slip lifted pushed wheel_stuck weak_wheel low_battery off late_radio loss deaf
 radio_resets baud doubled_packets clock_jump clock_rate host_clock busy stopped disk_full signal
-second_run bad_bytes bad_datagrams emergency stopped_elsewhere overtaken_packets"""
+second_run bad_bytes bad_datagrams emergency stopped_elsewhere overtaken_packets
+reboots driven_elsewhere"""
 
 
 def test_the_table_has_each_fault_that_was_asked_for():

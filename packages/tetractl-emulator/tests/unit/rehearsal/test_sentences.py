@@ -370,7 +370,7 @@ def poses_of_a_ghost(refused, again, guard="abort"):
     ],
 )
 def test_a_ghost_that_was_refused_is_not_accepted_again(refused, again, guard, wrong):
-    """Regression: what was accepted after an abort was not looked at."""
+    """Regression: nothing was asked of what is accepted after an abort."""
     truth = poses_of_a_ghost(refused, again, guard)
     assert names_of(3, truth) == ({"untrue"} if wrong else set())
 

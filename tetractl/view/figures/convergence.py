@@ -25,8 +25,8 @@ NOTE_BELOW_PT = 9
 """Distance of the note below the end of the search [pt]."""
 FIRST_ROOM = (0.22, 0.05)
 """Room below and above the curves of the first plan, as fractions of their range: for the note."""
-LATER_ROOM = (0.06, 0.25)
-"""Room below and above those of later plans: for the legend."""
+LATER_ROOM = (0.06, 0.06)
+"""Room below and above those of later plans."""
 LEGEND_ROOM = 1.5
 """Height of the panel of iterations, over the greatest number."""
 OVER_PANEL = {"loc": "lower right", "bbox_to_anchor": (1.02, 0.985), "borderaxespad": 0.3}
@@ -50,7 +50,7 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
     _first_plan(first, log.steps[0])
     style.panel(first, "a", f"control step {log.steps[0].k}", "iteration z", cost)
     _later_plans(gain, log.steps)
-    style.panel(gain, "b", "chosen search of each control step", y=cost)
+    style.panel(gain, "b", "every step", y=cost)
     gain.tick_params(labelbottom=False)
     _iterations(count, log.steps, setup.iterations_max)
     return figure
@@ -101,7 +101,7 @@ def _later_plans(axes: Axes, steps: Sequence[Step]) -> None:
     axes.plot(k, begin, "_", color=style.GREY, ms=4, mew=1.0, label="before")
     axes.plot(k, end, ".-", color=style.WHOLE, ms=4, lw=0.8, label="at the stop")
     log_axis(axes, np.concatenate([begin, end]), *LATER_ROOM)
-    axes.legend(loc="upper right", ncols=2)
+    axes.legend(ncols=2, **OVER_PANEL)
 
 
 def _iterations(axes: Axes, steps: Sequence[Step], most: int) -> None:

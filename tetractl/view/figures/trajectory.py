@@ -25,7 +25,7 @@ from matplotlib.transforms import Affine2D
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import unit_of
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
@@ -92,7 +92,7 @@ DASHED: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
 """A true path, and the arena's edge in the legend."""
 EDGE: dict[str, Any] = {"fill": False, "edgecolor": style.GREY, "linewidth": 0.6, "linestyle": "--"}
 DOTTED: dict[str, Any] = {"lw": 0.6, "ls": ":"}
-"""The error at the end."""
+"""The error at the end, where the signs of end and target do not cover it."""
 END: dict[str, Any] = {"mec": "white", "mew": 0.5, "zorder": 6}
 HALO = [withStroke(linewidth=1.6, foreground="white")]
 PICTURE: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255, "alpha": 0.55, "zorder": 0}
@@ -127,7 +127,8 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         _draw_several(axes, trails, colors)
     for robot, color in enumerate(colors):
         axes.plot(*ends[:, robot].T, "D", ms=5 if alone else 3, color=color, **END)
-    _name_signs(figure, logs, leaves=leaves, truth=truth is not None)
+    far = alone and bool(_shows_error(axes, logs[0]).any())
+    _name_signs(figure, logs, leaves=leaves, truth=truth is not None, far=far)
     return figure
 
 
@@ -264,8 +265,15 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
             axes.plot(*tick.foot, ".", color=color, ms=4, zorder=3.6)
             if len(colors) < NUMBERED:
                 labels.write(tick, f"{time_s:g} s")
+    for robot in np.flatnonzero(_shows_error(axes, log)):
         error = np.array([ends[robot], setup.targets[robot]])
-        axes.plot(*error.T, color=color, zorder=2, **DOTTED)
+        axes.plot(*error.T, color=colors[robot], zorder=2, **DOTTED)
+
+
+def _shows_error(axes: Axes, log: TrialLog) -> Bools:
+    """Return of which robots (N,) the signs of end and target leave a line between them free."""
+    errors = np.linalg.norm(final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
+    return np.asarray(errors > 2 * MARK_RADIUS_PT * _point(axes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -460,9 +468,11 @@ def _name_robots(figure: Figure, heading: _Heading, colors: list[str]) -> None:
     )  # fmt: skip
 
 
-def _name_signs(figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: bool) -> None:
+def _name_signs(
+    figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: bool, far: bool
+) -> None:
     """Draw the legend of the markers below the axes; `leaves` is whether a path leaves the arena,
-    `truth` whether true paths are drawn."""
+    `truth` whether true paths are drawn, `far` whether an error is."""
     alone = len(logs) == 1
     setup = logs[0].start.setup
     signs: list[Artist] = [
@@ -470,7 +480,7 @@ def _name_signs(figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: b
         style.sign("target", marker="s", mfc="none", ms=5),
         style.sign("end", marker="D", ms=4),
     ]
-    if alone:
+    if far:
         signs.append(style.sign("error: end to target", **DOTTED))
     if setup.obstacles:
         signs.append(Patch(label="obstacle", **style.OBSTACLE))

@@ -218,6 +218,27 @@ def test_the_convergence_figure_marks_the_stop(log):
     assert f"at iteration {len(best.history) - 1} (criterion)" in words(figure)
 
 
+def test_the_convergence_figures_legends_cover_no_data(log):
+    """Regression: that of the searches of each step stood over the last steps."""
+    figure = draw("convergence", [log])
+    figure.canvas.draw()
+    for axes in figure.axes[:2]:
+        assert axes.get_legend().get_window_extent().y0 >= axes.get_window_extent().y1 - 2
+
+
+@pytest.mark.parametrize(("error_mm", "is_drawn"), [(20.0, False), (200.0, True)])
+def test_an_error_is_dotted_where_the_signs_of_end_and_target_do_not_cover_it(
+    log, error_mm, is_drawn
+):
+    """Regression: the legend named a dotted line that nobody could see."""
+    final = Poses(TARGETS[:, 0] + error_mm, TARGETS[:, 1], np.zeros(3))
+    result = replace(log.result, verdict=replace(log.result.verdict, final=final))
+    figure = trajectory_figure([replace(log, result=result)])
+    dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
+    assert len(dotted) == 3 * is_drawn
+    assert ("error: end to target" in words(figure)) == is_drawn
+
+
 def test_a_limit_that_searches_exceed_is_not_drawn(log):
     most = log.start.setup.iterations_max
     assert f"most: {most}" in words(draw("convergence", [log]))

@@ -19,7 +19,7 @@ from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.flagged import ENTERED, LEFT, SAFETY, TOUCHED_EACH_OTHER
 from tetractl.results.open_batch import listing
 from tetractl.results.statistic import Figure, Statistic, share_figure
-from tetractl.results.turning import LEAST, TrialTurn, hidden_rad_s, turn_columns, turns_of
+from tetractl.results.turning import TrialTurn, turn_columns, turns_of
 from tetractl.tools.table.table import NONE, digits, lengths
 
 # ---- How trials ended ----
@@ -235,15 +235,9 @@ def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
     """Return in how many trials a robot turned otherwise than in the others."""
     label = "less certain"
     key = "less_certain"
-    if not any(trial.result.verdict.turn for trial in trials):
-        return [Figure("", "", {key: None})]
     turns = list(turns_of(trials))
     if not turns:
-        text = (
-            f"in fewer than {LEAST} trials it is not noticed if a marker turns on its robot, by up "
-            f"to {hidden_rad_s(trials[0]):.1f} rad/s, and errors are wrong"
-        )
-        return [Figure(label, text, {key: None}, unusual=False)]
+        return [Figure("", "", {key: None})]
     odd = [turn for turn in turns if turn.odd]
     odd_trials = len({turn.log for turn in odd})
     return [Figure(label, _compared(turns, odd), {key: odd_trials}, unusual=bool(odd))]

@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.log.read.trial_log import ResultSummary
 
 CHANCE = 0.01
@@ -83,16 +82,6 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
             text = f"{turn.robot} turned by {turn.off:+.2f} rad/s unlike in the other trials"
             texts[turn.log].append(text)
     return texts
-
-
-def hidden_rad_s(trial: ResultSummary) -> float:
-    """Return the fastest turn [rad/s] of a pose that wheels within `wheel_error` explain: of one
-    that is so much too slow and one that is so much too fast."""
-    setup = trial.experiment.setup
-    plant = trial.experiment.plant
-    limits = plant.limits if isinstance(plant, LabSection) else LabLimits()
-    radius = setup.wheel_radius or math.inf
-    return limits.wheel_error * float(setup.speed.max()) / radius
 
 
 def turn_columns(trial: ResultSummary) -> dict[str, Any]:

@@ -110,14 +110,12 @@ def test_a_batch_without_marks_says_in_full_which_turns_would_be_seen():
     assert "less certain" not in printed_summary(described)
 
 
-def test_few_trials_are_not_compared_and_say_so_in_full():
+def test_few_trials_are_not_compared_and_nothing_is_said_of_them():
+    """Regression: a marker that may turn unnoticed was said of every small batch of a lab."""
     few = group(emulated_trials(5, false_turns={3: [0.3, 0.0, 0.0]}))
-    assert texts_by_label(few)["less certain"] == (
-        "in fewer than 6 trials it is not noticed if a marker turns on its robot, by up to "
-        "0.6 rad/s, and errors are wrong"
-    )
+    assert "less certain" not in texts_by_label(few)
     assert batch_items(few)["less_certain"] is None
-    assert "less certain" not in printed_summary(few)  # it was said of every lab's batch
+    assert "less certain" not in printed_summary(few)
 
 
 def test_robots_that_did_not_drive_and_older_logs_are_not_marked():

@@ -230,7 +230,7 @@ def test_the_convergence_figures_legends_cover_no_data(log):
 def test_an_error_is_dotted_where_the_signs_of_end_and_target_do_not_cover_it(
     log, error_mm, is_drawn
 ):
-    """Regression: the legend named a dotted line that nobody could see."""
+    """Regression: the legend named a dotted line that was covered."""
     final = Poses(TARGETS[:, 0] + error_mm, TARGETS[:, 1], np.zeros(3))
     result = replace(log.result, verdict=replace(log.result.verdict, final=final))
     figure = trajectory_figure([replace(log, result=result)])

@@ -65,74 +65,57 @@ NAMED_MAX = 2
 """Of more than four robots alike, so many are named besides the first."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class CheckContext:
-    """An experiment, and the numbers of its controller that the rules read."""
+    """An experiment, and the numbers of its controller that the rules read.
+
+    tolerance   distance to its target within which a robot has arrived [length unit]
+    signal_s    time for which a signal of a plan is held [s]
+    plan_s      longest time of a plan [s], inf if it is not limited
+    longest_s   longest time for which robots move [s], the lesser one of two limits
+    motion      the controller's model of the motion, "" if it has none
+    estimates   whether the controller identifies the plant's dead time
+    collision   what plans keep clear of, None if they keep clear of nothing
+    margin      distance that plans keep to obstacles, including a robot's radius [length unit]
+    walls       whether plans keep that distance to the arena's edge too
+    """
 
     experiment: Experiment
+    setup: Setup
+    unit: str
+    tolerance: float
+    signal_s: float
+    plan_s: float
+    longest_s: float
+    motion: str
+    estimates: bool
+    collision: Clearance | None
+    margin: float
+    walls: bool
 
-    @property
-    def setup(self) -> Setup:
-        """The experiment's numbers as arrays."""
-        return self.experiment.setup
-
-    @property
-    def unit(self) -> str:
-        """The unit of length."""
-        return self.setup.unit
-
-    @property
-    def tolerance(self) -> float:
-        """Distance to its target within which a robot has arrived [length unit]."""
-        return self.experiment.controller.arrival_tolerance
-
-    @property
-    def signal_s(self) -> float:
-        """Time for which a signal of a plan is held [s]."""
-        control = self.experiment.controller
+    @classmethod
+    def of(cls, experiment: Experiment) -> "CheckContext":
+        """Return the numbers of an experiment."""
+        setup = experiment.setup
+        control = experiment.controller
         periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
-        return control.period * periods
-
-    @property
-    def plan_s(self) -> float:
-        """Longest time of a plan [s], inf if it is not limited."""
-        control = self.experiment.controller
+        signal_s = control.period * periods
         signals_max = control.horizon_max if isinstance(control, PlansSignals) else math.inf
-        return signals_max * self.signal_s
-
-    @property
-    def motion(self) -> str:
-        """The controller's model of the motion, "" if it has none."""
-        control = self.experiment.controller
-        return control.motion if isinstance(control, Modelled) else ""
-
-    @property
-    def estimates(self) -> bool:
-        """Whether the controller identifies the plant's dead time."""
-        control = self.experiment.controller
-        return control.estimate if isinstance(control, Estimating) else False
-
-    @property
-    def collision(self) -> Clearance | None:
-        """What plans keep clear of, None if they keep clear of nothing."""
-        control = self.experiment.controller
-        return control.collision if isinstance(control, KeepsClear) else None
-
-    @property
-    def margin(self) -> float:
-        """Distance that plans keep to obstacles, including a robot's radius [length unit]."""
-        collision = self.collision
-        return collision.margin + collision.radius if collision else 0.0
-
-    @property
-    def walls(self) -> bool:
-        """Whether plans keep that distance to the arena's edge too."""
-        return self.collision is not None and self.collision.walls
-
-    @property
-    def longest_s(self) -> float:
-        """Longest time for which robots move [s], the lesser one of two limits."""
-        return self.setup.time_limit_s
+        collision = control.collision if isinstance(control, KeepsClear) else None
+        return cls(
+            experiment,
+            setup,
+            setup.unit,
+            tolerance=control.arrival_tolerance,
+            signal_s=signal_s,
+            plan_s=signals_max * signal_s,
+            longest_s=setup.time_limit_s,
+            motion=control.motion if isinstance(control, Modelled) else "",
+            estimates=isinstance(control, Estimating) and control.estimate,
+            collision=collision,
+            margin=collision.margin + collision.radius if collision else 0.0,
+            walls=collision is not None and collision.walls,
+        )
 
     @property
     def limit(self) -> str:
@@ -142,11 +125,6 @@ class CheckContext:
         steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
         steps_s = (steps_max + 1) * control.period
         return "steps_max" if steps_s <= self.longest_s * (1 + ROUNDING) else "time_limit"
-
-    @property
-    def least_total_error(self) -> float:
-        """A lower bound of the total error of any plan [length unit], see `model.bounds`."""
-        return bounds.least_total_error(self.setup, self.longest_s)
 
     def is_worth_warning(self, least: float, robots: int) -> bool:
         """Return whether a least total error of some robots is above the tolerance and rounding."""
@@ -369,7 +347,7 @@ def beyond_the_plan(context: CheckContext) -> Findings:
 
 def error_left(context: CheckContext) -> Findings:
     """No plan can reach all targets: the lower bound of the total error is not 0."""
-    least = context.least_total_error
+    least = bounds.least_total_error(context.setup, context.longest_s)
     if context.is_worth_warning(least, len(context.setup.a)):
         yield SpecFinding(
             ("robots",),
@@ -558,7 +536,7 @@ def find_warnings(
     """Return the warnings of a spec that was loaded with `settings`, in the order of its lines."""
     if loaded.experiment.open:  # its robots are placeholders
         return ()
-    context = CheckContext(loaded.experiment)
+    context = CheckContext.of(loaded.experiment)
     findings: list[SpecFinding] = []
     for rule in RULES:
         findings += rule(context)

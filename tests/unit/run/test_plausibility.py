@@ -318,7 +318,7 @@ def test_rules_of_consistency_find_errors_and_rules_of_plausibility_find_warning
     experiment = load_spec(
         THREE, ["controller.period=0.2", "controller.signal_periods=1", "controller.horizon_max=20"]
     ).experiment
-    (warning,) = beyond_the_plan(CheckContext(experiment))  # red needs more than 30 signals
+    (warning,) = beyond_the_plan(CheckContext.of(experiment))  # red needs more than 30 signals
     assert warning.hint
     robot = experiment.robots[0]
     twice = experiment.model_copy(update={"robots": (robot, robot)})
@@ -332,7 +332,7 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     for seed in range(24):
         rng = np.random.default_rng(seed)
         experiment = spec(rng, robots=2, signals=int(rng.integers(10, 40)), kind="apart")
-        case = CheckContext(experiment)
+        case = CheckContext.of(experiment)
         if [*out_of_reach(case), *beyond_the_plan(case)]:
             warned.add(seed)
         if best_plan(experiment) < 1:

@@ -5,7 +5,7 @@ The way of a value from a file to the experiment:
     read_document          the file's data, with the place of each value (`yaml.document`)
     with_settings          values of `--set` and other options take their places
     merge                  values of the file of `tetractl identify`, if the spec names one
-    put_layers             layers of the file of a policy's weights, if the spec names one
+    read_weights           layers of the file of a policy's weights, if the spec names one
     validated_experiment   sections, or pydantic's errors in plain words (`explain`); then the rules
                            between sections (`consistency`)
 
@@ -32,11 +32,12 @@ from tetractl.experiment.experiment import DEFAULT_CONTROLLER, Experiment
 from tetractl.experiment.explain import explain
 from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.loaded_spec import Attached, LoadedSpec, attach
-from tetractl.experiment.policy_weights import put_layers, read_weights
+from tetractl.experiment.policy_weights import read_weights
 from tetractl.experiment.registry_fields import STRICT
 from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.document import (
     Document,
+    Place,
     SpecSetting,
     parse_document,
     read_document,
@@ -79,7 +80,8 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
     if weights_file is not None:
         path = folder / weights_file
         layers, text = read_weights(path)
-        put_layers(settled, layers, str(path))
+        del settled.data["controller"]["weights"]  # its layers are now in the spec
+        settled.put(("controller", "layers"), layers, Place(str(path)))
         attached = attach(attached, path, text)
     experiment = validated_experiment(settled, written=False)
     name = printable(document.path.name)

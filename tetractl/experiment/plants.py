@@ -74,10 +74,11 @@ def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True
     if kind is not None and not of_lab(kind):
         lab = experiment.lab if experiment.plant.simulated else experiment.plant
         updated = {"plant": _with_defaults(kind), "lab": lab}
-        return replace(loaded, experiment=_with(experiment, **updated))
+        return replace(loaded, experiment=experiment.model_copy(update=updated))
     folder = loaded.path.parent if loaded.path else None
     lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
-    loaded = replace(loaded, experiment=_with(experiment, plant=lab, lab=None))
+    in_lab = experiment.model_copy(update={"plant": lab, "lab": None})
+    loaded = replace(loaded, experiment=in_lab)
     for error in section_errors(loaded.experiment):
         raise SpecError(f"{loaded.name}: {dotted(error.where)} {error.text}")
     if lab.calibration is None or not with_calibration:
@@ -87,14 +88,6 @@ def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True
     experiment = calibrated(loaded.experiment, text, str(path))
     attached = attach(loaded.attached, path, text)
     return replace(loaded, experiment=experiment, attached=attached)
-
-
-def _with(experiment: Experiment, **updated: Any) -> Experiment:
-    """Return an experiment with other sections, whose setup is computed again: it has the sight of
-    the plant's camera."""
-    copied = experiment.model_copy(update=updated)
-    vars(copied).pop("setup", None)
-    return copied
 
 
 def _with_defaults(kind: str) -> PlantSection:
@@ -156,24 +149,21 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     document = _calibration(text, origin)
     validated(Calibration, document)
     merged = Document(document.origin, experiment.model_dump(mode="json"))
-    merged.data["plant"] |= _values_not_dumped(experiment.plant)
-    for measured in _measured_values(document):
-        place = document.place(measured.loc)
-        loc = make_way(merged, ("plant", *measured.path), place)
-        if measured.value != {} or loc[-1] not in merged.holder(loc):
-            merged.put(loc, measured.value, place)
+    for name, field in type(experiment.plant).model_fields.items():
+        if field.exclude:  # the dump leaves it out, since no log is to have it
+            merged.data["plant"][name] = getattr(experiment.plant, name)
+    for device in ("camera", "actuator"):
+        section = MeasuredValue((device,), (device,), document.data.get(device, {}))
+        for measured in _single_values(section):
+            place = document.place(measured.loc)
+            loc = make_way(merged, ("plant", *measured.path), place)
+            if measured.value != {} or loc[-1] not in merged.holder(loc):
+                merged.put(loc, measured.value, place)
     updated = validated(Experiment, merged)
     for error in section_errors(updated):
         where = dotted(error.where)
         raise SpecError(f"{origin}: with this calibration, {where} {error.text}")
     return updated
-
-
-def _values_not_dumped(plant: PlantSection) -> dict[str, Any]:
-    """Return the values that a plant's dump leaves out, since no log is to have them."""
-    values = dict(plant)
-    fields = type(plant).model_fields
-    return {name: values[name] for name, field in fields.items() if field.exclude}
 
 
 def _calibration(text: str, origin: str) -> Document:
@@ -199,13 +189,6 @@ class MeasuredValue:
     path: tuple[str, ...]
     loc: Loc
     value: Any
-
-
-def _measured_values(document: Document) -> Iterator[MeasuredValue]:
-    """Yield all values of a calibration file, those of the camera first."""
-    for device in ("camera", "actuator"):
-        section = document.data.get(device, {})
-        yield from _single_values(MeasuredValue((device,), (device,), section))
 
 
 def _single_values(measured: MeasuredValue) -> Iterator[MeasuredValue]:

@@ -18,7 +18,7 @@ from pydantic import Field, field_validator
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Model
-from tetractl.experiment.yaml.document import Document, Place, read_text
+from tetractl.experiment.yaml.document import read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 WIDTH_MAX = 1000
@@ -137,9 +137,3 @@ def _packed(layer: Any) -> dict[str, Any]:
         raise ValueError
     numbers = base64.b64encode(weights.tobytes() + bias.tobytes())
     return {"inputs": inputs, "outputs": outputs, "numbers": numbers.decode()}
-
-
-def put_layers(document: Document, layers: list[dict[str, Any]], origin: str) -> None:
-    """Replace the name of a file of weights, in a spec, by the file's layers."""
-    del document.data["controller"]["weights"]
-    document.put(("controller", "layers"), layers, Place(origin))

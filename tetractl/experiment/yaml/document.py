@@ -304,7 +304,9 @@ def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Docume
             if isinstance(setting, str):
                 _put_text(changed, setting)
             else:
-                _put_field(changed, setting)
+                place = Place(setting.origin, text=str(setting.value))
+                loc = make_way(changed, setting.path.split("."), place)
+                changed.put(loc, setting.value, place)
         except InvalidSpecError as error:
             changed.problems.extend(error.problems)
     return changed
@@ -324,13 +326,6 @@ def _put_text(document: Document, setting: str) -> None:
     loc = make_way(document, steps, place)
     value = parse_value(text, place.origin, loc)
     document.put(loc, value, replace(place, text=printable(text, 60) or None))
-
-
-def _put_field(document: Document, setting: FieldValue) -> None:
-    """Put the value of an option in its place."""
-    place = Place(setting.origin, text=str(setting.value))
-    loc = make_way(document, setting.path.split("."), place)
-    document.put(loc, setting.value, place)
 
 
 def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:

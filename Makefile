@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 DEMO := logs/demo
 PACKAGES := ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
 
-.PHONY: demo demo-ours demo-paper test test-fast test-long test-system test-all test-lowest test-newest lint dist docs clean
+.PHONY: demo demo-ours demo-paper test test-fast test-long test-system test-ci test-all test-lowest test-newest lint dist docs clean
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml constraints.txt
@@ -80,7 +80,11 @@ test-long: $(STAMP)
 test-system: $(STAMP)
 	$(BIN)/python $(PYTEST) $(ON_CORES_WAITING) -m system
 
-# All that `make test` leaves out.
+# Of all that `make test` leaves out, what finds defects that no faster test finds.
+test-ci: $(STAMP)
+	$(BIN)/python $(PYTEST) $(ON_CORES_WAITING) -m "(long or system) and not release"
+
+# All that `make test` leaves out: before a release.
 test-all: $(STAMP)
 	$(BIN)/python $(PYTEST) $(ON_CORES_WAITING) -m "long or system"
 

@@ -85,6 +85,7 @@ def test_a_row_of_what_disturbs_is_as_printed(mark, row, options):
     assert mean_in(line_of(now, row)).agrees(mean_in(line_of(page, row)))
 
 
+@pytest.mark.release
 def test_a_row_of_the_floor_is_as_printed():
     now = run("benchmarks/floors.py", "--trials", "5", "--seed", "60201", "--rows", "0")
     row = "three_m3pi_bench.yaml", "24"
@@ -101,6 +102,7 @@ def test_the_instance_that_takes_the_least_time_is_as_printed(tmp_path):
         assert mean_in(line_of(now, arm, "20")).agrees(mean_in(line_of(page, arm, "100")))
 
 
+@pytest.mark.release
 def test_the_bench_without_noise_is_as_printed():
     from support.bench_agreement import bench_spec, bench_trial
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 from support.paths import ROOT
 
-pytestmark = [pytest.mark.slow, pytest.mark.system]
+pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.release]
 
 RUN = """
 import sys

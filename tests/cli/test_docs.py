@@ -28,11 +28,22 @@ def _name(page):
     return str(page.relative_to(ROOT))
 
 
+LONGEST = (
+    "docs/tutorial.md",
+    "docs/how-to/study.md",
+    "packages/tetractl-microscope/docs/closed-loop-microscopy.md",
+)
+"""Pages whose examples take over half a minute; README's show the same commands."""
+WITH_EXAMPLES = [
+    pytest.param(page, id=_name(page), marks=pytest.mark.release if _name(page) in LONGEST else ())
+    for page in PAGES
+    if "```console" in page.read_text("utf-8")
+]
+
+
 @pytest.mark.system
 @pytest.mark.filterwarnings("default:.*its numbers were printed on")
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if "```console" in page.read_text("utf-8")], ids=_name
-)
+@pytest.mark.parametrize("page", WITH_EXAMPLES)
 def test_every_example_prints_what_the_page_shows(page):
     text = page.read_text("utf-8")
     exact = console.exact(text)

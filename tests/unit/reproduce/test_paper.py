@@ -133,7 +133,7 @@ def test_the_deviation_of_one_trial_is_unknown():
 
 @pytest.mark.long
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ou", "khalil-2013"])
+@pytest.mark.parametrize("name", ["ou", pytest.param("khalil-2013", marks=pytest.mark.release)])
 def test_one_trial_of_each_arm_of_a_paper_is_run(tmp_path, name):
     """Of pichel-2018, whose films take long: test_pichel_2018.py of the emulator."""
     assert command.reproduce([name], trials=1, out=tmp_path) in (Exit.DONE, Exit.FAILED)

@@ -10,7 +10,7 @@ from tetractl.control.build import warm_up
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.release]
 
 SEED = 2
 DAYS = (  # few on which each fault of the table is met

@@ -157,7 +157,7 @@ def test_a_guard_of_streamed_cells_that_accepts_a_jump_is_found(tmp_path, monkey
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("spec", ["dish", "tags"])
+@pytest.mark.parametrize("spec", [pytest.param("dish", marks=pytest.mark.release), "tags"])
 def test_days_of_pictures_break_nothing(tmp_path, spec):
     pytest.importorskip("cv2")
     words = (EXAMPLES / "tetrahymena_dish.yaml", *DISH)

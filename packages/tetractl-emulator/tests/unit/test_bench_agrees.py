@@ -33,6 +33,7 @@ def paths():
     return [lab_trial(lab_spec(), trial) for trial in range(TRIALS)]
 
 
+@pytest.mark.release
 def test_total_errors_agree_in_distribution(paths):
     labs = [path.result for path in paths]
     sims = [bench_trial(bench_spec(), trial).result for trial in range(TRIALS)]
@@ -205,6 +206,7 @@ def test_robots_of_both_turn_on_the_spot_alike():
         assert np.abs(off_after - expected).max() < 0.1
 
 
+@pytest.mark.release
 def test_the_labs_dead_time_is_what_its_parts_add_up_to(paths):
     """Regression: 0.05 s left no time for frames to be waited for and plans to be computed."""
     experiment = lab_spec().experiment

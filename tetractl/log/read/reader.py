@@ -8,7 +8,7 @@ LogError for a log that has lost its spec, or whose values tetractl does not wri
 (`decode_errors`).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
@@ -225,9 +225,15 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         experiment, spec_hash = _parse_spec(resolved)
         validate.check_run(run, len(experiment.robots))
     except (SpecError, RecursionError, ValueError) as error:
+        plugins = [
+            f"{key.removeprefix(provenance.PLUGIN)} {version}"
+            for key, version in contents.facts.items()
+            if key.startswith(provenance.PLUGIN)
+        ]
         raise LogError(
             f"{contents.path}: the record of the run cannot be read: {error}",
-            f"the log was written with {_writers(contents.facts)}: install this version",
+            f"the log was written with {', '.join(plugins) or writer(contents.facts)}: "
+            "install this version",
         ) from None
     return experiment, Start(
         setup=experiment.setup,
@@ -245,17 +251,6 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
             if name not in OWN_FILES
         ),
     )
-
-
-def _writers(facts: Mapping[str, str]) -> str:
-    """Return the plug-ins that a log was written with, or the version of tetractl if there were
-    none."""
-    plugins = [
-        f"{key.removeprefix(provenance.PLUGIN)} {version}"
-        for key, version in facts.items()
-        if key.startswith(provenance.PLUGIN)
-    ]
-    return ", ".join(plugins) or writer(facts)
 
 
 @lru_cache(maxsize=16)

@@ -297,8 +297,13 @@ class _Scan:
             raise too_much(self._path, "very many bytes or messages in its chunks")
 
     def _collected(self) -> RawLog:
-        """Return the records found, in file order."""
-        topics = self._topics()
+        """Return the records found, in file order. The topic of each channel is that which its
+        record states and, for records that are lost, that of the format for its number, unless a
+        record that is left contradicts it.
+        """
+        topics = {number: channel.topic for number, channel in self._records.channels.items()}
+        if all(_TOPICS.get(number, topic) == topic for number, topic in topics.items()):
+            topics = _TOPICS | topics
         in_order: list[Entry | Attachment] = []
         chunks = 0
         for _, record in sorted(self._records.by_offset.items(), key=lambda item: item[0]):
@@ -325,14 +330,6 @@ class _Scan:
             metadata=self._records.metadata,
             strange=frozenset(self._records.strange),
         )
-
-    def _topics(self) -> dict[int, str]:
-        """Return the topic of each channel by its number: as its record states and, for records
-        that are lost, as in the format, unless a record that is left contradicts it.
-        """
-        stated = {number: channel.topic for number, channel in self._records.channels.items()}
-        numbered_so = all(_TOPICS.get(number, topic) == topic for number, topic in stated.items())
-        return _TOPICS | stated if numbered_so else stated
 
     def _number(self, begin: int, size: int = 4) -> int:
         return int.from_bytes(self._data[begin : begin + size], "little")

@@ -62,30 +62,24 @@ class FileWriter(Writer):
 
     def _record_channel(self, topic: str) -> int:
         """Record a topic's schema and channel, and return the channel's number."""
-        channel = self._own(topic) if topic in NUMBERS else self._other(topic)
+        if topic in NUMBERS:
+            channel = Channel(
+                id=NUMBERS[topic],
+                topic=topic,
+                message_encoding=MessageEncoding.Protobuf,
+                metadata={},
+                schema_id=self._record_schema(protobuf_schema(CHANNELS[topic])),
+            )
+        else:
+            of_other_log, schema = self._others[topic]
+            schema_id = UNNUMBERED if schema is None else self._record_schema(schema)
+            number = max(*NUMBERS.values(), *self._numbers.values()) + 1
+            channel = replace(of_other_log, id=number, schema_id=schema_id)
         self._Writer__channels[channel.id] = channel
         self._Writer__statistics.channel_count += 1
         self._Writer__chunk_builder.add_channel(channel)
         self._numbers[topic] = channel.id
         return channel.id
-
-    def _own(self, topic: str) -> Channel:
-        schema_id = self._record_schema(protobuf_schema(CHANNELS[topic]))
-        return Channel(
-            id=NUMBERS[topic],
-            topic=topic,
-            message_encoding=MessageEncoding.Protobuf,
-            metadata={},
-            schema_id=schema_id,
-        )
-
-    def _other(self, topic: str) -> Channel:
-        channel, schema = self._others[topic]
-        schema_id = UNNUMBERED
-        if schema is not None:
-            schema_id = self._record_schema(schema)
-        number = max(*NUMBERS.values(), *self._numbers.values()) + 1
-        return replace(channel, id=number, schema_id=schema_id)
 
     def _record_schema(self, schema: Schema) -> int:
         """Record a schema, unless one of its name is recorded, and return its number."""

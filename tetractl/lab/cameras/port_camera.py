@@ -21,26 +21,6 @@ PORT_BAUD = 115200  # of serial ports
 STAMPS = 600  # frames whose times on the camera's clock are compared with their arrivals
 
 
-class MessageFrames:
-    """The frames of a camera's messages that were not yet taken, and `count`, how many there were
-    in all. `wake` is called after each."""
-
-    def __init__(self, wake: Callable[[], None]) -> None:
-        self.count = 0
-        self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
-        self._wake = wake
-
-    def add(self, shot_ns: int, at_ns: int, poses: tuple[Pose | None, ...], fault: str) -> None:
-        """Add the frame exposed at `shot_ns` whose message came at `at_ns` [ns]."""
-        self.count += 1
-        self._waiting.append(CameraFrame(self.count, shot_ns, at_ns, poses, fault=fault))
-        self._wake()
-
-    def take(self) -> list[CameraFrame]:
-        """Return every frame since the last call, oldest first."""
-        return drained(self._waiting)
-
-
 class PortCamera(ABC):
     """Frames of a setup's robots from its section's `address`, a `tetractl.core.protocols.Camera`.
     `ports` makes another port, such as one in memory.
@@ -72,7 +52,9 @@ class PortCamera(ABC):
         self.latency_s = section.latency
         self._first_damaged = ""  # why the first damaged message could not be read
         self._clock = clock
-        self._frames = MessageFrames(wake)
+        self._wake = wake
+        self._came = 0  # number of frames so far
+        self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
         self._gaps = deque[int](maxlen=STAMPS)  # from exposures by stamps to arrivals [ns]
         make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
         self._port = make(section.address, PORT_BAUD, "the camera", clock, self._heard, self.hint)
@@ -93,7 +75,7 @@ class PortCamera(ABC):
         """Ask for frames; return once one has come. AbortError if none comes."""
         self._port.open()
         self._port.write(ASKED)
-        came = wait_for(self._clock, lambda: self._frames.count > 0, self.connect_s)
+        came = wait_for(self._clock, lambda: self._came > 0, self.connect_s)
         if not came or self._port.failure:
             self._port.close()
             if self._first_damaged:
@@ -111,7 +93,7 @@ class PortCamera(ABC):
 
     def frames(self) -> list[CameraFrame]:
         """Return every frame since the last call, oldest first."""
-        return self._frames.take()
+        return drained(self._waiting)
 
     def _heard(self, data: bytes, at_ns: int) -> None:
         """Take a message; without data, the port has failed."""
@@ -125,7 +107,10 @@ class PortCamera(ABC):
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
-        self._frames.add(max(0, at_ns - self._age_ns(at_ns)), at_ns, poses, fault)
+        exposed_ns = max(0, at_ns - self._age_ns(at_ns))
+        self._came += 1
+        self._waiting.append(CameraFrame(self._came, exposed_ns, at_ns, poses, fault=fault))
+        self._wake()
 
     def _age_ns(self, at_ns: int) -> int:
         """Return the time from exposure to arrival of the message that came at a time [ns]."""

@@ -292,7 +292,9 @@ class FilterBank:
             poses=np.array([frame.poses.array() for frame in frames]),
             valid=np.array([frame.valid for frame in frames]),
         )
-        self._note_noise(measured)
+        if self.commands.number == 0:  # poses that differ though nothing was sent are noisy
+            differ = (measured.poses[1:] != measured.poses[:-1]).any(axis=(1, 2))
+            self._noisy |= bool((differ & measured.valid[1:].any(axis=1)).any())
         # The coarsest grid's step, for all: it is by how much a dead time may be wrong.
         step_s = float(self.bank.step_s.max())
         commands = self.commands.all
@@ -311,15 +313,6 @@ class FilterBank:
         is to be learnt, nor once it is known."""
         is_known = self.prior.certain or self.reception.is_sparse
         return not self.prior.swims and not is_known
-
-    def _note_noise(self, measured: PoseFrames) -> None:
-        """Note whether measurements are noisy: poses differ though nothing was sent yet. Then equal
-        poses are no new measurements."""
-        if self.commands.number > 0 or self._noisy:
-            return
-        differ = (measured.poses[1:] != measured.poses[:-1]).any(axis=(1, 2))
-        is_seen = measured.valid[1:].any(axis=1)
-        self._noisy = bool((differ & is_seen).any())
 
     # ---- step 3: the filters of all robots are compared ----
 

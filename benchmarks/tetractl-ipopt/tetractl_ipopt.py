@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import evaluate, predict
-from tetractl.control.curves import bearing, interpolate
+from tetractl.control.optimizers.sampling import bearing, interpolate
 from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from support import problems
 
 from tetractl.control.cost import evaluate
-from tetractl.control.curves import bearing, interpolate
 from tetractl.control.kernels import multistart as kernel
 from tetractl.control.kernels.levenberg import lay_out_polish
 from tetractl.control.kernels.multistart import WARM
 from tetractl.control.kernels.rollout import lay_out
+from tetractl.control.optimizers.sampling import bearing, interpolate
 from tetractl.control.rng import mix, uniform
 from tetractl.core.poses import wrap
 

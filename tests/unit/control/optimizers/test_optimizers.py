@@ -11,11 +11,11 @@ from support import problems
 from support.paths import ROOT
 
 from tetractl.control.cost import evaluate
-from tetractl.control.curves import bearing, interpolate
 from tetractl.control.optimizers.cem import CrossEntropy
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso import Pso
+from tetractl.control.optimizers.sampling import bearing, interpolate
 from tetractl.control.search_progress import Progress
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits, StopReason

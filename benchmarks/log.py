@@ -39,7 +39,7 @@ import numpy as np  # noqa: E402
 from mcap.reader import make_reader  # noqa: E402
 from support.durable import RealTime, random_kill, small_disk  # noqa: E402
 from support.fuzz import Original, fuzz  # noqa: E402
-from support.lab_logs import lab_log  # noqa: E402
+from support.lab_logs import dish_log, lab_log  # noqa: E402
 from support.running import ENDLESS  # noqa: E402
 from support.tampering import score, sim_log  # noqa: E402
 
@@ -195,7 +195,8 @@ def cost(folder: Path, scale: float) -> None:
 def tampering(folder: Path, scale: float) -> None:
     """Print how many changes of each field are noticed, by channel."""
     count = max(1, round(6 * scale))
-    for name, log_of in (("simulation", sim_log), ("emulated lab", lab_log)):
+    logs_of = {"simulation": sim_log, "emulated lab": lab_log, "emulated microscope": dish_log}
+    for name, log_of in logs_of.items():
         place = folder / name
         place.mkdir()
         recovered, tried = score(log_of(place), count)

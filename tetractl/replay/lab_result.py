@@ -107,9 +107,16 @@ def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Differenc
     first_step_ns = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     is_read = (log.received_ns > first_step_ns) & (log.received_ns <= stop.sent_ns)
     of_read = check_path(setup, path[is_read], is_tracked[is_read], verdict.final)
-    yield from _distances("clearance", verdict.clearance, of_all.clearance, of_read.clearance)
-    yield from _distances("edge", verdict.edge, of_all.edge, of_read.edge)
-    yield from _distances("apart", verdict.apart, apart_of_all, of_read.apart)
+    alone = [slice(i, i + 1) for i in np.flatnonzero(~is_read)]
+    of_unread = [check_path(setup, path[i], is_known[i], verdict.final) for i in alone]
+    clearances = [frame.clearance for frame in of_unread]
+    edges = [frame.edge for frame in of_unread]
+    aparts = [tracked_separations(path[i], is_tracked[i]).tolist() for i in alone]
+    yield from _distances(
+        "clearance", verdict.clearance, of_all.clearance, of_read.clearance, clearances
+    )
+    yield from _distances("edge", verdict.edge, of_all.edge, of_read.edge, edges)
+    yield from _distances("apart", verdict.apart, apart_of_all, of_read.apart, aparts)
     for i, (stated, entered) in enumerate(zip(verdict.entered, of_all.entered, strict=True)):
         if stated != entered:
             text = f"states {stated}, but the logged path gives {entered}"
@@ -117,13 +124,19 @@ def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Differenc
 
 
 def _distances(
-    name: str, stated: Sequence[float], of_all: Sequence[float], of_read: Sequence[float]
+    name: str,
+    stated: Sequence[float],
+    of_all: Sequence[float],
+    of_read: Sequence[float],
+    of_unread: Sequence[Sequence[float]],
 ) -> Iterator[Difference]:
     """Check that each stated least distance is between that of all frames and that of the frames
-    read. Logs of older versions state no `edge` and no `apart`: then none is checked.
+    read, and is the latter or that of one of the frames not surely read (K, N). Logs of older
+    versions state no `edge` and no `apart`: then none is checked.
     """
     for i, (distance, least, most) in enumerate(zip(stated, of_all, of_read, strict=False)):
-        if not least <= distance <= most:
+        of_frames = {most, *(frame[i] for frame in of_unread)}
+        if not least <= distance <= most or distance not in of_frames:
             text = f"states {distance}, the frames show {least} to {most}"
             yield Difference(None, f"result.{name}.{i}", text)
 

@@ -76,12 +76,16 @@ def encoding_differences(raw: RawLog, log: TrialLog, result: Result) -> Iterator
     encoder.on_start(_start_by_spec(log))
     encoder.on_samples([log.sample(i) for i in range(len(log.frames))])
     steps = {step.command.sent_ns: step for step in log.steps}
+    rows = {sampled_ns: row for row, sampled_ns in enumerate(log.mocap_ns.tolist())}
     for command in log.commands:
+        step = steps.get(command.sent_ns)
         if command is log.stop:
             encoder.warnings = raw.warnings
             encoder.on_stop(command, result)
-        elif command.sent_ns in steps:
-            encoder.on_step(steps[command.sent_ns])
+        elif step is not None:
+            row = rows.get(step.observation.sampled_ns)
+            seen = step.observation if row is None else log.sample(row).observation
+            encoder.on_step(replace(step, observation=seen))
         else:
             encoder.on_command(command)
     again = RawLog(raw.path, records=sink.records, library=WRITER)

@@ -1,10 +1,10 @@
-"""The log of a short trial of the emulated lab."""
+"""The logs of short trials of the emulated lab and of the emulated microscope."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from support.bench_agreement import LAB
-from support.virtual_lab import virtual_lab
+from support.virtual_lab import virtual_dish, virtual_lab
 
 from tetractl.experiment.load import load_spec
 from tetractl.run.spec_trial import log_path, run_logged
@@ -16,5 +16,13 @@ def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     loaded = load_spec(LAB, [*short, *sets])
     lossy = "emulation: {actuator: {loss: 0.3}}"
     with virtual_lab(None, spec=loaded, script=lossy) as lab:
+        run_logged(lab.spec, folder)
+    return log_path(folder, 0)
+
+
+def dish_log(folder: Path) -> Path:
+    """Run one trial of cells under the emulated microscope in virtual time; return its log."""
+    short = ("controller.time_limit=4", "controller.deadline=60")
+    with virtual_dish(folder, sets=short) as lab:
         run_logged(lab.spec, folder)
     return log_path(folder, 0)

@@ -26,6 +26,7 @@ from tetractl.log.read.reader import read_result, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Origin
 from tetractl.replay.lab_commands import command_differences
+from tetractl.replay.lab_result import lab_differences
 from tetractl.replay.run_and_messages import encoding_differences, message_differences
 from tetractl.replay.verify import verify
 
@@ -213,6 +214,19 @@ def test_times_and_bytes_of_a_record_follow_from_its_values(log, topic, change):
     assert isinstance(entry, Entry)
     fields = {name: getattr(entry, name) + more for name, more in change.items()}
     assert found(with_records(log, {index: [entry._replace(**fields)]}))
+
+
+def test_a_least_distance_is_that_of_a_frame(log, tmp_path):
+    """Regression: any distance between two that the frames show was taken."""
+    result = log.result
+    assert result is not None
+    for name in ("clearance", "edge", "apart"):
+        stated = [1e-9 + value for value in getattr(result.verdict, name)]
+        forged = scan(rewrite(log, tmp_path / name, stating(log, RESULT, **{name: stated})))
+        trial = trial_of(forged)
+        assert trial.result is not None
+        fields = [difference.field for difference in lab_differences(trial, trial.result)]
+        assert f"result.{name}.0" in fields
 
 
 def lost_robot(run: Log) -> None:

@@ -1,13 +1,12 @@
 """What `verify` notices of the log of a lab in which somebody changed one thing.
 
 Of a lab's log `verify` computes the decisions and the result again from the logged frames and
-commands. Records that nothing is computed from (scenes, notes, facts of the devices, repeated
-commands, the times at which records were written) are sealed by the digests alone, which are made
-to fit here.
+commands, and encodes its records again. What follows from nothing (other notes, facts of the
+devices, pictures) is sealed by the digests alone, which are made to fit here.
 """
 
 import pytest
-from support.lab_logs import lab_log
+from support.lab_logs import dish_log, lab_log
 from support.tampering import score
 
 from tetractl.log.format import channels
@@ -48,4 +47,25 @@ def test_of_a_lab_no_decision_and_no_result_can_be_changed(tmp_path):
     assert verify(path).problems == ()
     noticed, tried = score(path, 1, DECIDED | ENDED)
     assert tried.keys() == DECIDED | ENDED
+    assert {kind for kind in tried if noticed[kind] < tried[kind]} == set()
+
+
+COPIED = {
+    *((channels.STEP, f"observation.{field}") for field in ("frame", "received_ns")),
+    *((channels.STEP, field) for field in ("log time", "publish time", "bytes")),
+    *((channels.COMMANDS, field) for field in ("delivered", "sent_ns", "log time")),
+    *((channels.TRANSFORMS, f"transforms.translation.{field}") for field in ("x", "y")),
+    (channels.SCENE_PLAN, "-"),
+    (channels.RESULT, "edge"),
+    (channels.RESULT, "apart"),
+}
+
+
+@pytest.mark.long
+def test_of_cells_the_same_and_no_copy_can_be_changed(tmp_path):
+    """Regression: none of `COPIED` was noticed."""
+    path = dish_log(tmp_path)
+    assert verify(path).problems == ()
+    noticed, tried = score(path, 1, COPIED | ENDED)
+    assert tried.keys() >= COPIED
     assert {kind for kind in tried if noticed[kind] < tried[kind]} == set()

@@ -1,6 +1,7 @@
 """`tetractl play`: steered by hand, on a terminal and by a file of keys."""
 
 import re
+import sys
 
 import pytest
 import yaml
@@ -119,6 +120,31 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
         assert terminal.finish() == 0
     yours = package.read_log(folder / "out/you/trial-000.mcap")
     assert yours.result.outcome == "sequence completed"
+
+
+BROKEN = """
+from tetractl.run.hand import HandController
+from tetractl.cli import main
+
+def decided(self, *args):
+    self._ask(0.0)
+    raise RuntimeError("a defect")
+
+HandController.decided = decided
+main()
+"""
+
+
+@pytest.mark.long
+def test_the_terminal_is_restored_after_a_defect(folder):
+    with Terminal([sys.executable, "-c", BROKEN, "play", "spec.yaml"], folder) as terminal:
+        terminal.expect("none yet")
+        terminal.press("\x1b[A")
+        terminal.expect(r"Traceback[\s\S]*RuntimeError: a defect")
+        assert terminal.settings() == terminal.before
+        assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
+        assert terminal.raw.rindex("\x1b[?1002l") > terminal.raw.rindex("\x1b[?1002h")
+        assert terminal.finish() == 1
 
 
 @pytest.mark.long

@@ -73,38 +73,39 @@ def play(
     from tetractl.control.build import warm_up
     from tetractl.run.open_trial import directed_spec
     from tetractl.tools.table.terminal_table import open_console
-    from tetractl.view.terminal.steering import read_script
+    from tetractl.view.terminal.hand_keys import read_script
 
     loaded = _loaded(spec, sets or [], seed, plant)
     directed = directed_spec(loaded)
     experiment = loaded.experiment
     lab = experiment.plant.real_time
-    keys = None if script is None else read_script(script)
+    timed_keys = None if script is None else read_script(script)
     console = open_console(stderr=True)
-    if keys is None and not _has_keys(console):
+    has_keys = sys.stdin is not None and sys.stdin.isatty()
+    has_screen = console.is_terminal and not console.is_dumb_terminal
+    if timed_keys is None and not (has_keys and has_screen):
         raise UsageError("play reads keys, and this is no terminal: give --script FILE")
-    if lab and keys is not None:
-        raise UsageError("--script is for virtual time: in the lab a person steers")
+    if lab and (timed_keys is not None or speed != 1.0):
+        raise UsageError("--script and --speed are for virtual time: in the lab a person steers")
     if lab:
         ui.require_confirmation(yes)
-    default = Path("logs") / f"play-{experiment.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-    folder = out or default
+    folder = out or Path("logs") / f"{experiment.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     ui.refuse_existing(folder, folder=True)
 
-    with stoppable(directed, RunOptions(yes=yes), by_keys=keys is None) as interrupt:
+    with stoppable(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt:
         if not lab:
             warm_up(experiment, partial(ui.announce_compiling, False))
         with (
             _by_keys(experiment, console, speed, yes, interrupt)
-            if keys is None
-            else nullcontext(Hand(keys.ask))
+            if timed_keys is None
+            else nullcontext(Hand(timed_keys.ask))
         ) as hand:
             yours = _steered(directed, folder / "you", hand, interrupt)
         theirs = None
         ended = yours is None or interrupt.requested or yours.outcome is Outcome.ABORTED
         if not (ended or lab):
-            with _shown(console, speed) if keys is None else nullcontext([]) as observers:
-                theirs = _by_controller(loaded, folder / "controller", observers, interrupt)
+            shown = console if timed_keys is None else None
+            theirs = _by_controller(loaded, folder / "controller", shown, speed, interrupt)
         return _conclude(folder, experiment.units.length, yours, theirs, interrupt)
 
 
@@ -123,12 +124,6 @@ def _loaded(spec: Path, sets: Sequence[str], seed: int | None, plant: str | None
     return on_plant(loaded, plant)
 
 
-def _has_keys(console: "Console") -> bool:
-    """Return whether there is a terminal with a screen and keys."""
-    keys = sys.stdin is not None and sys.stdin.isatty()
-    return keys and console.is_terminal and not console.is_dumb_terminal
-
-
 # ---- your trial ----
 
 
@@ -141,7 +136,7 @@ class Hand:
     supervision: LabSupervision | None = None
 
 
-class Pace(Observer):
+class WallPace(Observer):
     """Slows a trial in virtual time to `speed` times the wall clock. A delay is not caught up."""
 
     def __init__(self, wall: "Clock", speed: float) -> None:
@@ -169,15 +164,15 @@ def _by_keys(
 ) -> "Iterator[Hand]":
     """Show a trial on the terminal, and steer it by the terminal's keys, which are restored at the
     end."""
+    from tetractl.view.terminal.hand_keys import HINTS, TASK, HandKeys
     from tetractl.view.terminal.keys import StopKey
     from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
-    from tetractl.view.terminal.steering import HINTS, TASK, Steering
 
     plant = experiment.plant
     emergency = threading.Event()
     entered = threading.Event()
-    steering = Steering(ended=lambda: interrupt.requested or emergency.is_set())
-    stop = steering.stop if plant.simulated else emergency.set
+    keys = HandKeys(ended=lambda: interrupt.requested or emergency.is_set())
+    stop = keys.stop if plant.simulated else emergency.set
     hints = HINTS if plant.simulated else ("ESC: EMERGENCY STOP", *HINTS)
     prompt = TerminalPrompt(console, entered) if plant.real_time and not yes else None
     supervision = LabSupervision(
@@ -186,16 +181,16 @@ def _by_keys(
         cancelled=lambda: interrupt.requested,
         signalled=interrupt.request,
     )
-    with StopKey(stop, entered.set, steer=steering.press), steering:
+    with StopKey(stop, entered.set, steer=keys.press), keys:
         if plant.real_time:
             console.print("; ".join(hints), style="bold", highlight=False)
             with LabWatch(
                 console, console, experiment.units.length, live=True, hints=hints, aside=TASK
             ) as watch:
-                yield Hand(steering.ask, [watch], supervision)
+                yield Hand(keys.ask, [watch], supervision)
         else:
             with LiveView(console, hints=hints, aside=TASK) as view:
-                yield Hand(steering.ask, [view, Pace(MonotonicClock(), speed)], supervision)
+                yield Hand(keys.ask, [view, WallPace(MonotonicClock(), speed)], supervision)
 
 
 def _steered(
@@ -220,25 +215,25 @@ def _steered(
 # ---- the controller's trial, and the end ----
 
 
-@contextmanager
-def _shown(console: "Console", speed: float) -> "Iterator[Sequence[Observer]]":
-    """Yield what shows the controller's trial on the terminal, as fast as yours."""
-    from tetractl.view.terminal.live_screen import LiveView
-
-    aside = "The controller steers the same robots from the same start."
-    with LiveView(console, aside=aside) as view:
-        yield [view, Pace(MonotonicClock(), speed)]
-
-
 def _by_controller(
-    loaded: "LoadedSpec", folder: Path, observers: Sequence[Observer], interrupt: "Interrupt"
+    loaded: "LoadedSpec",
+    folder: Path,
+    console: "Console | None",
+    speed: float,
+    interrupt: "Interrupt",
 ) -> Result:
-    """Run the same trial by the spec's controller."""
+    """Run the same trial by the spec's controller; show it on the console, if any, as fast as
+    yours."""
     from tetractl.run.folder_lock import make_folder
     from tetractl.run.spec_trial import run_logged
+    from tetractl.view.terminal.live_screen import LiveView
 
     make_folder(folder)
-    return run_logged(loaded, folder, TRIAL, observers, interrupt)
+    if console is None:
+        return run_logged(loaded, folder, TRIAL, (), interrupt)
+    with LiveView(console, aside="The controller steers them from the same start.") as view:
+        pace = WallPace(MonotonicClock(), speed)
+        return run_logged(loaded, folder, TRIAL, [view, pace], interrupt)
 
 
 def _conclude(

@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.view.terminal.steering import MOUSE_OFF, MOUSE_ON, Steering, Wish, read_script
+from tetractl.view.terminal.hand_keys import MOUSE_OFF, MOUSE_ON, HandKeys, Wish, read_script
 
 NORTH = math.pi / 2
 
@@ -58,7 +58,7 @@ def test_the_first_key_is_waited_for():
         return False
 
     answers = []
-    with Steering(still_open) as steering:
+    with HandKeys(still_open) as steering:
         asking = threading.Thread(target=lambda: answers.append(steering.ask(0.0)))
         asking.start()
         assert asked.wait(60)
@@ -70,11 +70,11 @@ def test_the_first_key_is_waited_for():
 
 
 def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():
-    assert Steering(lambda: True).ask(0.0) is None
+    assert HandKeys(lambda: True).ask(0.0) is None
 
 
 def test_the_terminal_tells_of_its_mouse_inside_the_block_alone(capsys):
-    steering = Steering(lambda: False)
+    steering = HandKeys(lambda: False)
     with pytest.raises(RuntimeError), steering:
         assert capsys.readouterr().err == MOUSE_ON
         raise RuntimeError

@@ -79,7 +79,7 @@ class Wish:
         return replace(self, direction=math.atan2(up, right))
 
 
-class Steering:
+class HandKeys:
     """What the keys of a terminal ask for; a context manager, in which the terminal tells of its
     mouse.
 
@@ -125,7 +125,7 @@ class TimedKey:
     key: str
 
 
-class Script:
+class KeyScript:
     """What a file of keys asks for."""
 
     def __init__(self, keys: list[TimedKey]) -> None:
@@ -140,7 +140,7 @@ class Script:
         return wish.answer
 
 
-def read_script(path: Path) -> Script:
+def read_script(path: Path) -> KeyScript:
     """Read a file of keys; UsageError with file and line for what is wrong."""
     keys: list[TimedKey] = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -161,7 +161,7 @@ def read_script(path: Path) -> Script:
     if not keys or keys[0].key in STOPS:
         raise UsageError(f"{path}: steers no robot", "begin with an arrow, such as `0 right`")
     first_s = keys[0].time_s
-    return Script([TimedKey(timed.time_s - first_s, timed.key) for timed in keys])
+    return KeyScript([TimedKey(timed.time_s - first_s, timed.key) for timed in keys])
 
 
 def _seconds(word: str, where: str) -> float:

@@ -40,7 +40,7 @@ class Place:
     """The file, line and column (from 1) of a value or a key, and the text of that value or key.
 
     Of a value in a mapping, `key` is the place of its key. `refused` is the problem of a value that
-    is no YAML of ours, in whose stead the data has None.
+    YAML's core schema does not allow; the data has None in its stead.
     """
 
     origin: str
@@ -228,8 +228,8 @@ class _Builder:
         places[loc] = self.place(node, key)
         if isinstance(node, MappingNode) and node.tag == CORE + "map":
             return {
-                name: self.build(value, (*loc, name), depth + 1, key)
-                for name, key, value in self._items(node, loc)
+                name: self.build(value, (*loc, name), depth + 1, key_of_value)
+                for name, key_of_value, value in self._items(node, loc)
             }
         if isinstance(node, SequenceNode) and node.tag == CORE + "seq":
             return [self.build(child, (*loc, i), depth + 1) for i, child in enumerate(node.value)]

@@ -188,13 +188,13 @@ class Encoder:
         to_show = [trial.grouping.shown(message) for message in messages]
         # of all messages at once, which takes little longer than of one frame
         transforms = trial.scene.transforms(to_show, trial.start_ns)
-        for message, shown, transform in zip(messages, to_show, transforms, strict=True):
+        for message, thinned, transform in zip(messages, to_show, transforms, strict=True):
             last_received_ns = int(message.received_ns[-1])
             last_sampled_ns = int(message.sampled_ns[-1])
             encoded = codec.encode_frames(message)
             self._add(channels.FRAMES, encoded, last_received_ns, last_sampled_ns)
-            first_received_ns = int(shown.received_ns[0])
-            first_sampled_ns = int(shown.sampled_ns[0])
+            first_received_ns = int(thinned.received_ns[0])
+            first_sampled_ns = int(thinned.sampled_ns[0])
             self._add_bytes(channels.TRANSFORMS, transform, first_received_ns, first_sampled_ns)
 
     def on_command(self, command: Command) -> None:

@@ -135,7 +135,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         """Return a picture (H, W, 3) of the episode so far, None without a render mode."""
         if self.render_mode is None:
             return None
-        from tetractl.view.arena_picture import arena_picture  # matplotlib, only if drawn
+        from tetractl.view.figures.trajectory import arena_picture  # matplotlib, only if drawn
 
         return arena_picture(self.trial.setup, np.array(self._ways))
 

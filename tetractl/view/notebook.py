@@ -32,8 +32,8 @@ from tetractl.tools.table.table import Column, Table, fixed, lengths
 from tetractl.tools.table.terminal_table import LISTED_MAX
 from tetractl.tools.table.terminal_table import html as html_of_tables
 from tetractl.view import style
-from tetractl.view.arena_picture import arena_picture
 from tetractl.view.figures.draw import draw
+from tetractl.view.figures.trajectory import arena_picture
 
 PICTURE_PX = 440
 """Width at which a picture is shown."""

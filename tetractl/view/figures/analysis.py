@@ -1,19 +1,22 @@
 """The figure of `tetractl analyze`: end positions, singular values, and two curves of the error."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 
 from tetractl.analysis.analyze import Analysis
 from tetractl.analysis.steering import Steering
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import UsageError, unit_of
+from tetractl.core.poses import ellipse
 from tetractl.core.setup import Setup
 from tetractl.view import style
-from tetractl.view.figures.axes import draw_ellipse, robot_labels
+from tetractl.view.figures.axes import robot_labels
 
 CURVE: dict[str, Any] = {"color": style.WHOLE, "marker": "o", "ms": 3}
 """The look of a curve of predicted errors."""
@@ -60,10 +63,12 @@ def _ends(axes: Axes, setup: Setup, steering: Steering) -> None:
     style.panel(axes, "a", "95 % of the end positions, with feedback", f"x {off}", f"y {off}")
     labels = robot_labels(setup.names)
     colors = robot_colors(setup.names, setup.colors)
-    half_axes = [
-        draw_ellipse(axes, (0, 0), covariance, ec=color, lw=1.2, label=label)
-        for covariance, color, label in zip(steering.covariance, colors, labels, strict=True)
-    ]
+    half_axes: list[float] = []
+    for covariance, color, label in zip(steering.covariance, colors, labels, strict=True):
+        long, short, angle = ellipse(covariance)
+        look: dict[str, Any] = {"fill": False, "ec": color, "lw": 1.2, "label": label}
+        axes.add_patch(Ellipse((0, 0), 2 * long, 2 * short, angle=math.degrees(angle), **look))
+        half_axes.append(long)
     limit = ROOM * max(half_axes) or 1.0
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

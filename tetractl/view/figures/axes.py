@@ -1,14 +1,12 @@
-"""Functions shared by figures: selecting trials, names of robots, axes and ellipses."""
+"""Functions shared by figures: selecting trials, names of robots, and axes."""
 
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Ellipse
 from matplotlib.ticker import (
     FuncFormatter,
     LogFormatterMathtext,
@@ -18,7 +16,7 @@ from matplotlib.ticker import (
 )
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.core.poses import Floats, ellipse
+from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
 NUMBERED = 8
@@ -279,15 +277,6 @@ def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
 def whole_ticks(axes: Axes) -> None:
     """Place the ticks of the x axis at whole numbers."""
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-
-
-def draw_ellipse(axes: Axes, centre: tuple[float, float], covariance: Floats, **look: Any) -> float:
-    """Draw the ellipse that contains 95 % of a normal distribution; return its long half axis."""
-    long, short, angle = ellipse(covariance)
-    axes.add_patch(
-        Ellipse(centre, 2 * long, 2 * short, angle=math.degrees(angle), fill=False, **look)
-    )
-    return long
 
 
 def separated(wanted: Floats, gap: float) -> Floats:

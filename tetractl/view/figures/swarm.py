@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.swarm_history import Frame, SwarmHistory, first_swarm
+from tetractl.replay.swarm_history import SwarmHistory, first_swarm
 from tetractl.view import style
 from tetractl.view.figures.axes import need_steps, one_trial
 
@@ -48,7 +48,9 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     (panels,) = figure.subplots(1, len(history.frames), sharex=True, sharey=True, squeeze=False)
     shades = [_shades(axes, history) for axes in panels]
     for axes, letter, frame in zip(panels, "abc", history.frames, strict=False):
-        _particles(axes, frame)
+        size = 4 if len(frame.particles) <= MANY else 2
+        _dots(axes, frame.particles, style.SLATES[1], size, mew=0.3, zorder=2, gid="swarm")
+        _dots(axes, frame.best, style.INK, 8, mew=0.8, marker="*", zorder=5, gid="best")
         title = f"iteration {frame.z}, J {frame.cost:.3g} {unit}"
         style.panel(axes, letter, title, "signal $u_1$ [rad]")
     panels[0].set_ylabel("signal $u_2$ [rad]")
@@ -58,13 +60,6 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     bar.ax.spines["outline"].set_visible(False)
     _legend(figure, history, log.steps[0].plan.search.length)
     return figure
-
-
-def _particles(axes: Axes, frame: Frame) -> None:
-    """Draw the particles of an iteration, and the best sequence so far."""
-    size = 4 if len(frame.particles) <= MANY else 2
-    _dots(axes, frame.particles, style.SLATES[1], size, mew=0.3, zorder=2, gid="swarm")
-    _dots(axes, frame.best, style.INK, 8, mew=0.8, marker="*", zorder=5, gid="best")
 
 
 def _course(axes: Axes, history: SwarmHistory) -> None:

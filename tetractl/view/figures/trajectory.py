@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Affine2D
+from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
@@ -60,6 +62,9 @@ SIGN_PT = 20.0
 LEGEND_COLUMNS_MOST = 6
 SIGNS_IN_A_LINE = 5
 """Signs at most that fit in one line; others are in two lines of three."""
+PICTURE_SIDE_IN = 5.0
+"""Width or height of the picture of a trial that still runs, whichever is larger."""
+PICTURE_PIXELS_PER_INCH = 100
 
 MARGIN = 0.02
 """Between a path that leaves the arena and the frame, over the arena's longer side."""
@@ -260,11 +265,11 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
         if truth is not None:
             axes.plot(*truth[:, robot].T, color=style.INK, zorder=3.5, **DASHED)
         for time_s in _marked_times(log):
-            tick = _Tick.at(log, robot, time_s)
-            axes.plot(*np.array([tick.foot, tick.tip]).T, color=color, lw=1.0, zorder=3.6)
-            axes.plot(*tick.foot, ".", color=color, ms=4, zorder=3.6)
+            foot, tip = _tick(log, robot, time_s)
+            axes.plot(*np.array([foot, tip]).T, color=color, lw=1.0, zorder=3.6)
+            axes.plot(*foot, ".", color=color, ms=4, zorder=3.6)
             if len(colors) < NUMBERED:
-                labels.write(tick, f"{time_s:g} s")
+                labels.write(foot, tip, f"{time_s:g} s")
     for robot in np.flatnonzero(_shows_error(axes, log)):
         error = np.array([ends[robot], setup.targets[robot]])
         axes.plot(*error.T, color=colors[robot], zorder=2, **DOTTED)
@@ -276,21 +281,14 @@ def _shows_error(axes: Axes, log: TrialLog) -> Bools:
     return np.asarray(errors > 2 * MARK_RADIUS_PT * _point(axes))
 
 
-@dataclass(frozen=True, slots=True)
-class _Tick:
-    """The mark of a robot's pose: from its place `foot` (2,) ahead to `tip` (2,)."""
-
-    foot: Floats
-    tip: Floats
-
-    @classmethod
-    def at(cls, log: TrialLog, robot: int, time_s: float) -> "_Tick":
-        """Return the mark at a time since the first direction."""
-        frame = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
-        x, y, heading = log.mocap[min(frame, len(log.mocap) - 1), robot]
-        ahead = TICK * _longer_side(log.start.setup.arena)
-        tip = np.array([x + ahead * np.cos(heading), y + ahead * np.sin(heading)])
-        return cls(np.array([x, y]), tip)
+def _tick(log: TrialLog, robot: int, time_s: float) -> tuple[Floats, Floats]:
+    """Return the foot (2,) and the tip (2,) of the tick that shows a robot's pose at a time since
+    the first direction: its place, and a point ahead of it."""
+    frame = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
+    x, y, heading = log.mocap[min(frame, len(log.mocap) - 1), robot]
+    ahead = TICK * _longer_side(log.start.setup.arena)
+    tip = np.array([x + ahead * np.cos(heading), y + ahead * np.sin(heading)])
+    return np.array([x, y]), tip
 
 
 class TimeLabels:
@@ -301,15 +299,15 @@ class TimeLabels:
         self._point = _point(axes)
         self._marks = marks[np.isfinite(marks).all(axis=1)]
 
-    def write(self, tick: _Tick, text: str) -> None:
-        """Write text next to a tick, and keep later texts clear of both; nothing where the robot
-        was not seen."""
-        if not np.isfinite(tick.tip).all():
+    def write(self, foot: Floats, tip: Floats, text: str) -> None:
+        """Write text next to the tick from `foot` (2,) to `tip` (2,), and keep later texts clear of
+        both; nothing where the robot was not seen."""
+        if not np.isfinite(tip).all():
             return
-        self._keep_clear_of(np.array([tick.tip, (tick.foot + tick.tip) / 2]))
+        self._keep_clear_of(np.array([tip, (foot + tip) / 2]))
         angles = np.arange(0, 2 * np.pi, 2 * np.pi / LABEL_DIRECTIONS)
         aside_pt = np.column_stack([LABEL_PT[0] * np.cos(angles), LABEL_PT[1] * np.sin(angles)])
-        centres = tick.foot + aside_pt * self._point
+        centres = foot + aside_pt * self._point
         gaps = centres[:, None] - self._marks
         gaps[..., 1] *= HIGHER
         nearest = np.linalg.norm(gaps, axis=-1).min(axis=1, initial=np.inf)
@@ -319,7 +317,7 @@ class TimeLabels:
             np.column_stack([centres[best, 0] + along, np.full(len(along), centres[best, 1])])
         )
         self._axes.annotate(
-            text, tuple(tick.foot.tolist()), tuple(aside_pt[best]), textcoords="offset points",
+            text, tuple(foot.tolist()), tuple(aside_pt[best]), textcoords="offset points",
             ha="center", va="center", fontsize=5.5, color=style.INK, path_effects=HALO, zorder=5,
         )  # fmt: skip
 
@@ -496,6 +494,25 @@ def _name_signs(
         columns = 3
         figure.set_figheight(figure.get_figheight() + LEGEND_LINE_IN)
     style.legend(figure, signs, columns, fontsize=6, columnspacing=1.2)
+
+
+def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
+    """Return a picture (H, W, 3) of a trial that still runs: the scene, and the robots' places so
+    far, `ways` (M, N, 2)."""
+    arena = setup.arena
+    scale = PICTURE_SIDE_IN / _longer_side(arena)
+    size_in = scale * arena.width, scale * arena.height
+    figure = Figure(size_in, PICTURE_PIXELS_PER_INCH, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    colors = robot_colors(setup.names, setup.colors)
+    draw_scene(axes, [setup], colors, [ways])
+    axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
+    for robot, color in enumerate(colors):
+        axes.plot(*ways[:, robot].T, color=color, lw=1.3)
+        axes.plot(*ways[-1, robot], "o", color=color, ms=6)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba())[..., :3]
 
 
 # ---- Sizes ----

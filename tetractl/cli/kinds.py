@@ -13,7 +13,6 @@ from tetractl.tools.table.table_files import json_text
 if TYPE_CHECKING:
     from tetractl.core.registry import Kind, Registry
     from tetractl.experiment.experiment import Experiment
-    from tetractl.testing import Finding
 
 
 def kinds(
@@ -76,6 +75,7 @@ class _ListedKind:
 def _list(as_json: bool) -> int:
     """Print all kinds; return the exit code."""
     from tetractl.core.registries import all_registries
+    from tetractl.experiment.packages import missing
 
     registries = all_registries()
     listed = [_loaded(registry, kind) for registry in registries for kind in registry.kinds()]
@@ -86,7 +86,8 @@ def _list(as_json: bool) -> int:
         for row in listed:
             print(_line(row))
         for registry in registries:
-            _print_not_installed(registry)
+            for name, package in sorted(missing(registry.group, registry.names())):
+                print(_columns(registry, name, package, "[not installed]"))
         ui.tell(*(f"error: {problem}" for problem in broken))
     return Exit.USAGE if broken else Exit.DONE
 
@@ -139,14 +140,6 @@ def _line(row: _ListedKind) -> str:
     return f"{line}  [{row.problem}]" if row.problem else line
 
 
-def _print_not_installed(registry: "Registry") -> None:
-    """Print the kinds of a registry that packages of ours bring which are not installed."""
-    from tetractl.experiment.packages import missing
-
-    for name, package in sorted(missing(registry.group, registry.names())):
-        print(_columns(registry, name, package, "[not installed]"))
-
-
 def _columns(registry: "Registry", name: str, package: str, rest: str) -> str:
     return f"{registry.what:<17} {name:<19} {package:<22} {rest}"
 
@@ -175,7 +168,11 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
         print(json_text({"code": code, "ok": not wrong, "findings": findings}))
     else:
         for finding in findings:
-            print(printable(_finding_line(finding)))
+            if finding.problem:
+                line = f"WRONG  {finding.what}: {finding.problem}"
+            else:
+                line = f"ok     {finding.what}"
+            print(printable(line))
         print(f"{code}: {len(wrong)} of {len(findings)} checks failed")
     return Exit.FAILED if wrong else Exit.DONE
 
@@ -212,9 +209,3 @@ def _fields_of_lab(experiment: "Experiment", code: str) -> dict[str, Any]:
             if code == f"{type(section).__module__}:{type(section).__qualname__}":
                 return dict(section)
     return {}
-
-
-def _finding_line(finding: "Finding") -> str:
-    if finding.problem:
-        return f"WRONG  {finding.what}: {finding.problem}"
-    return f"ok     {finding.what}"

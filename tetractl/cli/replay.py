@@ -41,7 +41,8 @@ def replay(
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
-    ui.require_positive(rate)
+    if rate is not None and not 0 < rate < float("inf"):
+        raise UsageError(f"--rate must be above 0, not {rate:g}")
     paths = find_logs(logs)
     on_screen = ui.is_terminal()
     if paused and not on_screen:

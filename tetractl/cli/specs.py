@@ -347,9 +347,9 @@ def schema(
     """
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.schema import schema_json, schema_of
-    from tetractl.study.load_study import study_schema
+    from tetractl.study.load_study import Study
 
-    text = schema_json(study_schema() if study else schema_of(Experiment))
+    text = schema_json(schema_of(Study if study else Experiment))
     if out is None:
         print(text, end="")
     else:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,6 @@ from tetractl.run.interrupt import Interrupt, leave_on_signals
 from tetractl.tools.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
-    from tetractl.run.executors import Executor
     from tetractl.run.store import Store
     from tetractl.run.task import Task
     from tetractl.study.load_study import LoadedStudy
@@ -120,6 +119,8 @@ def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
 def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", how: _How) -> bool:
     """Run trials with their progress on stderr; return whether a signal asked to stop."""
     from tetractl.run.batch import run_batch
+    from tetractl.run.cluster import Cluster
+    from tetractl.run.executors import on_this_machine
     from tetractl.study.options import warm_up_arms
     from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.progress import StudyProgress
@@ -127,7 +128,10 @@ def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", h
     interrupt = Interrupt(notice_of_signals(STOPPING))
     if how.cluster is None and tasks:
         warm_up_arms(loaded, partial(ui.announce_compiling, how.quiet))
-    chosen = _executor(how, len(tasks), interrupt)
+    if how.cluster is not None:
+        chosen = Cluster(how.cluster, interrupt)
+    else:
+        chosen = nullcontext(on_this_machine(how.jobs or _processors(), len(tasks), interrupt))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive outside of `watch`
     with chosen as executor:
         if not how.quiet:
@@ -141,16 +145,6 @@ def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", h
         with interrupt.watch(), display as progress:
             run_batch(tasks, store, executor, progress, how.fail_fast)
     return interrupt.requested
-
-
-def _executor(how: _How, count: int, interrupt: Interrupt) -> "AbstractContextManager[Executor]":
-    """Return what runs `count` trials: a cluster, or processes of this machine."""
-    from tetractl.run.cluster import Cluster
-    from tetractl.run.executors import on_this_machine
-
-    if how.cluster is not None:
-        return Cluster(how.cluster, interrupt)
-    return nullcontext(on_this_machine(how.jobs or _processors(), count, interrupt))
 
 
 def _processors() -> int:

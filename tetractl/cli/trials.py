@@ -318,11 +318,13 @@ def _conclude(
     if end is RunEnd.FAILED and not report.results:
         raise _first_error(report)
     unwritten = None
-    if report.results or not _not_run(report, planned):
+    not_run = _not_run(report, planned)
+    if report.results or not not_run:
         unwritten = _print_statistics(folder, as_json, logs_may_lack=bool(report.aborted))
     if unwritten is not None and end is not RunEnd.COMPLETE:  # there, it is the error of the run
         ui.tell(f"error: the statistics were not written: {unwritten.strerror or unwritten}")
-    _tell_where(folder, _not_run(report, planned))
+    rest = f"; {not_run} trials were not run" if not_run else ""
+    ui.tell(f"logs in {folder}{rest}; every figure: tetractl stats {quote(str(folder))} --full")
     for (_, trial), result in report.aborted.items():  # last: it may name robots that still move
         ui.tell(f"error: trial {trial + 1}: {result.reason}")
 
@@ -351,12 +353,6 @@ def _not_run(report: "Report", planned: list[int]) -> int:
 
 def _first_error(report: "Report") -> Exception:
     return next(iter(report.errors.values()))
-
-
-def _tell_where(folder: Path, not_run: int) -> None:
-    """Print where the logs are, and how many trials were not run."""
-    rest = f"; {not_run} trials were not run" if not_run else ""
-    ui.tell(f"logs in {folder}{rest}; every figure: tetractl stats {quote(str(folder))} --full")
 
 
 def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSError | None:

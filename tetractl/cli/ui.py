@@ -174,12 +174,6 @@ def announce_compiling(quiet: bool, text: str) -> None:
         tell(text)
 
 
-def require_positive(rate: float | None) -> None:
-    """Raise UsageError for a --rate that is not above 0."""
-    if rate is not None and not 0 < rate < float("inf"):
-        raise UsageError(f"--rate must be above 0, not {rate:g}")
-
-
 def is_terminal() -> bool:
     """Return whether stdin and stdout are a terminal that can show a screen."""
     dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")

@@ -230,7 +230,9 @@ class Player:
         """Act on a key; unknown keys are ignored."""
         match key:
             case "space":
-                self._toggle()
+                if self.state is Playback.ENDED:
+                    self._seek(self.start_ns)
+                self._pause(not self._paused)
             case "left":
                 self._seek(self.now - SEEK_NS)
             case "right":
@@ -253,11 +255,6 @@ class Player:
                 self._set_rate(max(self.rate / 2, min(RATE_MIN, self.rate)))
             case "q":
                 self._quit = True
-
-    def _toggle(self) -> None:
-        if self.state is Playback.ENDED:
-            self._seek(self.start_ns)
-        self._pause(not self._paused)
 
     def _pause(self, paused: bool = True) -> None:
         self._anchor_at(self.now)

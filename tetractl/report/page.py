@@ -324,12 +324,6 @@ def _left_out(contents: _Contents) -> str:
     )
 
 
-def _json(value: Any) -> str:
-    """Return JSON that is safe inside an HTML script element."""
-    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
-
-
 def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
     """Return the tables of each batch and of their comparison, and the same data as JSON."""
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
@@ -346,7 +340,10 @@ def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
         )
     if compared.contrasts:
         parts.append(f"<section><h2>Comparison</h2>{_tables(tables(compared))}</section>")
-    data = _json(plain(comparison_items(compared)))
+    items = plain(comparison_items(compared))
+    data = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
+    for unsafe in "<\u2028\u2029":  # inside an HTML script element
+        data = data.replace(unsafe, f"\\u{ord(unsafe):04x}")
     parts.append(f'<script type="application/json" class="statistics">{data}</script>\n')
     return "".join(parts)
 

@@ -246,23 +246,17 @@ def _skewed_end(values: Floats, mean: float, std: float) -> float:
     upper end is where f(T) is the lower quantile, -t(0.975, n - 1):
 
         m - T s / sqrt(n)  with  f(T) = -t(0.975, n - 1)
+
+    As f(T) - g / 6 = ((1 + g T / 3)^3 - 1) / g, T is 3 / g (cbrt(1 + g (f(T) - g / 6)) - 1).
     """
     n = len(values)
     deviations = (values - mean) / std  # scaled first: cubes of small lengths would underflow
     moment = float(np.mean(deviations**3) / np.mean(deviations**2) ** 1.5)
     g = math.sqrt(n - 1) / (n - 2) * moment
-    t = _skewed_quantile(g, -t_quantile(n - 1))
+    t = -t_quantile(n - 1)
+    if abs(g) > 1e-6:  # otherwise f(T) is T
+        t = 3 / g * float(np.cbrt(1 + g * (t - g / 6)) - 1)
     return float(mean - t * std / math.sqrt(n))
-
-
-def _skewed_quantile(g: float, quantile: float) -> float:
-    """Return T with f(T) = `quantile`, for f as in `_skewed_end`.
-
-    As f(T) - g / 6 = ((1 + g T / 3)^3 - 1) / g, it is 3 / g (cbrt(1 + g (quantile - g / 6)) - 1).
-    """
-    if abs(g) <= 1e-6:  # f(T) is T
-        return quantile
-    return 3 / g * float(np.cbrt(1 + g * (quantile - g / 6)) - 1)
 
 
 def proportion_interval(successes: int, n: int) -> Interval:

@@ -170,22 +170,13 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
         "time_s": np.repeat(_seconds(log, [step.command.sent_ns for step in steps]), robots),
         "robot": np.tile(setup.names, len(steps)),
     }
+    units = {"a": "rad_s", "speed": f"{setup.unit}_s", "heading_bias": "rad", "dead_time": "s"}
     for field in ESTIMATE_FIELDS:
         rows = [_of_each_robot(step.estimate, field, robots) for step in steps]
-        columns[_estimate_column(field, setup.unit)] = np.array(rows, dtype=float).ravel()
+        unit = units.get(field.removesuffix("_std"))
+        name = field if unit is None else f"{field}_{unit}"
+        columns[name] = np.array(rows, dtype=float).ravel()
     return _table("estimates", columns)
-
-
-def _estimate_column(field: str, unit: str) -> str:
-    """Return the column of a field of an estimate: its name, and its unit if it has one."""
-    units = {
-        "a": "rad_s",
-        "speed": f"{unit}_s",
-        "heading_bias": "rad",
-        "dead_time": "s",
-    }
-    quantity = field.removesuffix("_std")
-    return f"{field}_{units[quantity]}" if quantity in units else field
 
 
 def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:

@@ -58,9 +58,10 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
         name = {"log": str(log), "trial": trial.trial, "arm": arm.name}
         of_host: dict[str, Any] = {}
         repeatable: dict[str, Any] = {}
-        for key, value in _exported(trial).items():
-            columns = of_host if key in HOST_COLUMNS else repeatable
-            columns[key] = value
+        for column in trials_table(Batch.of([trial])).columns:
+            if column.name not in ("log", "trial"):
+                cells = of_host if column.key in HOST_COLUMNS else repeatable
+                cells[column.key] = column.known[0]
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
         sources = {"content_digest": trial.digest, "code": trial.code}
         trials.append(name | {"controller": arm.controller} | swept | repeatable | sources)
@@ -70,13 +71,6 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
             add("trials", Table.of_records("trials", trials), "")
             add("times", Table.of_records("times", times), "")
     return list(paths.values())
-
-
-def _exported(trial: ResultSummary) -> dict[str, Any]:
-    """Return a trial's values by the columns of `tetractl export`, except `log` and `trial`."""
-    table = trials_table(Batch.of([trial]))
-    columns = [column for column in table.columns if column.name not in ("log", "trial")]
-    return {column.key: column.known[0] for column in columns}
 
 
 def _times(trial: ResultSummary) -> dict[str, Any]:

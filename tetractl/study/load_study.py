@@ -30,7 +30,6 @@ from tetractl.experiment.explain import validated
 from tetractl.experiment.load import as_text, is_study, load_document, without_lines
 from tetractl.experiment.loaded_spec import LoadedSpec, arm_hash
 from tetractl.experiment.registry_fields import KindSection
-from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.document import Document, parse_document, read_document
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
 from tetractl.run.store import BatchFolder, Store
@@ -222,11 +221,6 @@ def _arms(study: Study, base: Base, document: Document) -> list[Arm]:
     if problems:
         raise InvalidSpecError(problems, hint)
     return arms
-
-
-def study_schema() -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of a study; callers must not change it."""
-    return schema_of(Study)
 
 
 def _study(document: Document) -> Study:

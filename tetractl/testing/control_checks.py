@@ -172,7 +172,8 @@ def _check_plans(
     yield true("plan: path is finite", finite)
     largest = [np.abs(plan.signals).max(initial=0.0) for plan in plans]
     yield true("plan: signals from -pi to pi", np.array(largest) <= SIGNAL_MAX)
-    yield true("plan: signals of the chosen search", [_chosen(plan) for plan in plans])
+    chosen = [np.array_equal(plan.signals, plan.search.signals) for plan in plans]
+    yield true("plan: signals of the chosen search", chosen)
     consistent = [_consistent(search) for plan in plans for search in plan.searches]
     yield true("searches: signals, history and cost fit together", consistent)
     if plans:
@@ -203,10 +204,6 @@ def _check_ends(play: Play, section: ControllerSection, setup: Setup) -> Finding
         ended = decision is Outcome.ARRIVED
         what = "ends the trial" if arrived else "a robot further off has not arrived"
         yield true(f"arrival_tolerance: {what}", ended == arrived)
-
-
-def _chosen(plan: Plan) -> bool:
-    return np.array_equal(plan.signals, plan.search.signals)
 
 
 def _consistent(search: Search) -> bool:

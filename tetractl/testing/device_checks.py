@@ -225,7 +225,10 @@ def check_actuator(
         return
     with actuator as entered:
         yield true("__enter__: returns the actuator", entered is actuator)
-        yield true("poll: a status of each robot, without problems", _all_well(actuator, setup))
+        statuses = actuator.poll(1.0)
+        problems = any(status.problems for status in statuses)
+        all_well = len(statuses) == len(setup.names) and not problems
+        yield true("poll: a status of each robot, without problems", all_well)
         yield from _check_health(actuator, healthy=True)
         yield true("poll, check: nothing moves", not any(robots.moves()))
         yield from _SteeringChecks(actuator, section, setup, robots).check()
@@ -239,13 +242,6 @@ def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
         field = ".".join(map(str, loc))
         texts.append(f"{field} {text}".strip())
     return texts
-
-
-def _all_well(actuator: Actuator, setup: Setup) -> bool:
-    """Return whether each robot answers, and none with problems."""
-    statuses = actuator.poll(1.0)
-    problems = any(status.problems for status in statuses)
-    return len(statuses) == len(setup.names) and not problems
 
 
 def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:

@@ -200,7 +200,9 @@ def check_shape(section: ShapeSection, setup: Setup) -> Findings:
     yield true("corners: convex if there is a radius", convex, "turns right")
     outline = shape.outline()
     clockwise = "encloses no area, or runs clockwise"
-    yield true("outline: anticlockwise", _area(outline) > 0, clockwise)
+    after = np.roll(outline, -1, axis=0)
+    twice_area = np.sum(outline[:, 0] * after[:, 1] - after[:, 0] * outline[:, 1])
+    yield true("outline: anticlockwise", twice_area > 0, clockwise)
     size = float(np.ptp(outline, axis=0).max())
     gap = shape.distance(*outline.T)
     yield near("outline: corners at distance 0", gap, 0.0, size)
@@ -214,9 +216,3 @@ def _crossed(corners: Floats) -> Bools:
     i, j = np.triu_indices(count, 2)
     apart = (j - i) % count < count - 1
     return meet(*corners[i].T, *ends[i].T, *corners[j].T, *ends[j].T) & apart
-
-
-def _area(outline: Floats) -> float:
-    """Return the area within an outline (K, 2), above 0 if it runs anticlockwise."""
-    onward = np.roll(outline, -1, axis=0)
-    return 0.5 * float(np.sum(outline[:, 0] * onward[:, 1] - onward[:, 0] * outline[:, 1]))

@@ -12,7 +12,7 @@ from tetractl.core.poses import ellipse
 from tetractl.tools.table.table import Column, Table, fixed, plural
 
 NO_PLAN = "no plan found"
-SAYS = "errors predicted by a linearised closed loop; no trial was run"
+PREDICTED = "errors predicted by a linearised closed loop; no trial was run"
 
 Fact = tuple[str, str]
 """A figure of the analysis, and its value as text."""
@@ -21,7 +21,7 @@ Fact = tuple[str, str]
 def tables(analysis: Analysis) -> list[Table]:
     """Return the tables of an analysis, without the line from `advice`."""
     names = analysis.setup.names
-    title = f"{analysis.setup.name}: {len(names)} {plural('robot', len(names))}, {SAYS}"
+    title = f"{analysis.setup.name}: {len(names)} {plural('robot', len(names))}, {PREDICTED}"
     facts = list(_facts(analysis))
     steering = analysis.steering
     if steering is None:
@@ -165,7 +165,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     return {
         "name": analysis.setup.name,
         "unit": analysis.setup.unit,
-        "prediction": SAYS,
+        "prediction": PREDICTED,
         "noise": {
             "a_std": noise.a,
             "speed_std": noise.speed,

@@ -1,4 +1,4 @@
-"""Which combinations of the robots' ends the common signal can move: can they be steered apart?
+"""Can robots that all get one signal be steered apart? Says how far it can move their ends apart.
 
 SEQUENCES sequences of LENGTH directions, drawn uniformly, move all N robots from their starts. Each
 direction is held for the time in which a robot turns by some 60 degrees, 1/a by the geometric mean

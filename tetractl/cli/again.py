@@ -1,5 +1,5 @@
-"""`tetractl rerun`: a recorded trial again, with the spec and seed in its log, or with values of
-that spec replaced.
+"""`tetractl rerun`: runs a recorded trial again, with the spec and seed in its log, or with values
+of that spec replaced.
 """
 
 from collections.abc import Sequence

@@ -55,12 +55,14 @@ def _without_types_of_switches(params: list[Any]) -> list[Any]:
 
 
 class _Command(TyperCommand):
+    """A command whose help shows no type next to a switch."""
+
     def get_params(self, ctx: Any) -> Any:
         return _without_types_of_switches(super().get_params(ctx))
 
 
 class _Group(TyperGroup):
-    """The group of the commands of a registry, each imported when it is needed."""
+    """The commands of `tetractl` or `tetractl lab`, each imported when it is needed."""
 
     def __init__(self, **attrs: Any) -> None:
         super().__init__(**attrs)

@@ -1,4 +1,4 @@
-"""`tetractl identify`: turning rate, speed, heading bias, dead time and noise from logs."""
+"""`tetractl identify`: estimates from logs how robots turn and move, how late, how noisily."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -19,7 +19,7 @@ from tetractl.lab.port_holder import stop_beside
 from tetractl.lab.serial_port import PortHeldError
 from tetractl.run.interrupt import interrupted_once
 from tetractl.tools.files import save_whole
-from tetractl.view.terminal.keys import NO_KEY, SAYS, StopKey
+from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
@@ -60,15 +60,13 @@ def check(
         print_findings(preflight, stated_model(experiment).has_latency)
     if not preflight.ready:
         return Exit.FAILED
-    return Exit.DONE if yes or _agreed(preflight.questions) else Exit.FAILED
-
-
-def _agreed(questions: Sequence[str]) -> bool:
-    """Return whether the operator at the terminal answers yes to every question."""
-    if questions and not sys.stdin.isatty():
+    if yes:
+        return Exit.DONE
+    if preflight.questions and not sys.stdin.isatty():
         ui.tell("questions not answered: add --yes if there is no terminal")
-        return False
-    return all(typer.confirm(question, err=True) for question in questions)
+        return Exit.FAILED
+    agreed = all(typer.confirm(question, err=True) for question in preflight.questions)
+    return Exit.DONE if agreed else Exit.FAILED
 
 
 def stop(
@@ -180,19 +178,14 @@ def calibrate(
     """
     ui.refuse_existing(out)
     experiment = _experiment_on(spec, sets, plant)
-    names = _chosen_robots(robot, experiment.setup)
+    names = robot or list(experiment.setup.names)
+    for name in names:
+        if name not in experiment.setup.names:
+            raise UsageError(f"--robot {name}: the spec has no such robot")
     ui.rig_section(experiment).require_calibratable()
     if experiment.plant.real_time:
         ui.require_consent(yes, f"{', '.join(names)} will move up to 0.3 m each.")
     return save_calibration(out, _calibrated(experiment, names, limit))
-
-
-def _chosen_robots(wanted: list[str] | None, setup: "Setup") -> list[str]:
-    """Return the names of the robots to calibrate: those of --robot, or all."""
-    for name in wanted or ():
-        if name not in setup.names:
-            raise UsageError(f"--robot {name}: the spec has no such robot")
-    return wanted or list(setup.names)
 
 
 def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "Measured":
@@ -222,7 +215,7 @@ def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Ite
     stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
-            ui.tell(SAYS)
+            ui.tell(STOP_HINT)
         elif real_robots:
             ui.tell(NO_KEY)
         yield

@@ -1,4 +1,4 @@
-"""`tetractl info`, `recover` and `verify`: what is in a log, what is left of it, is it right."""
+"""`tetractl info`, `recover` and `verify`: show what is in a log, save what is left, check it."""
 
 import json
 import math

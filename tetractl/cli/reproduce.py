@@ -1,9 +1,8 @@
 """`tetractl reproduce`: the figures of published papers next to ours, each with a verdict."""
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
@@ -12,9 +11,6 @@ from tetractl.core.registries import PAPERS
 from tetractl.experiment.yaml.problems import did_you_mean
 from tetractl.tools.table.table_files import json_text
 from tetractl.tools.table.terminal_table import print_tables
-
-if TYPE_CHECKING:
-    from tetractl.reproduce.claim import Row
 
 
 def reproduce(
@@ -42,7 +38,10 @@ def reproduce(
     from tetractl.reproduce.trials import run_arms
 
     names = PAPERS.names() if all_papers else papers or []
-    _check_known(names)
+    for name in names:
+        if name not in PAPERS:
+            text = f"there is no paper '{name}'{did_you_mean(name, PAPERS.names())}"
+            raise UsageError(text, f"the papers are {', '.join(PAPERS.names())}")
     if not names and not as_json:
         print(*PAPERS.names(), sep="\n")
     complete = partial(run_batch, jobs=jobs, resume=True)
@@ -55,23 +54,11 @@ def reproduce(
         described[name] = {"source": paper.source, "figures": [items(row) for row in rows]}
         if not as_json:
             print_tables([table(name, paper.source, rows)])
-        unexpected += _tell_unexpected(name, rows)
+        differing = [row for row in rows if row.verdict is not row.claim.expected]
+        for row in differing:
+            claim = row.claim
+            ui.tell(f"{name}: {claim.figure}: {row.verdict}, but {claim.expected} on the page")
+        unexpected += len(differing)
     if as_json:
         print(json_text({"papers": described or {name: {} for name in PAPERS.names()}}))
     return Exit.FAILED if unexpected else Exit.DONE
-
-
-def _check_known(names: Sequence[str]) -> None:
-    for name in names:
-        if name not in PAPERS:
-            text = f"there is no paper '{name}'{did_you_mean(name, PAPERS.names())}"
-            raise UsageError(text, f"the papers are {', '.join(PAPERS.names())}")
-
-
-def _tell_unexpected(name: str, rows: "Sequence[Row]") -> int:
-    """Say which verdicts differ from those of the page; return how many do."""
-    differing = [row for row in rows if row.verdict is not row.claim.expected]
-    for row in differing:
-        claim = row.claim
-        ui.tell(f"{name}: {claim.figure}: {row.verdict}, but {claim.expected} on the page")
-    return len(differing)

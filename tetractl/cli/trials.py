@@ -232,14 +232,14 @@ def _in_lab(
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.executors import Here
     from tetractl.tools.table.terminal_table import open_console
-    from tetractl.view.terminal.keys import NO_KEY, SAYS, StopKey
+    from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
     safety = open_console(stderr=True)  # prints with --quiet, too
     emergency = threading.Event()
     entered = threading.Event()
     with StopKey(emergency.set, entered.set, options.unattended) as key:
-        says = SAYS if key.listening else NO_KEY
+        says = STOP_HINT if key.listening else NO_KEY
         safety.print(says, style="bold", highlight=False)
         asks = key.listening and not options.yes
         prompt = TerminalPrompt(safety, entered) if asks else None

@@ -1,5 +1,5 @@
-"""Shared by several commands: loading of specs and logs, messages, results, and a confirmation
-before robots move.
+"""What several commands do: load specs and logs, print messages and results, and ask before robots
+move.
 """
 
 import os

@@ -1,5 +1,7 @@
-"""The standard streams: no message raises, no signal waits for a reader, and what a plug-in prints
-is marked and bounded.
+"""Sets up stdout and stderr, so that a reader that is slow or gone holds up no robot, and what a
+plug-in prints spoils no result.
+
+No message raises, no signal waits for a reader, and lines of plug-ins are marked and bounded.
 
 Text waits for the reader of its stream, as in any program. In real time, that holds up the thread
 of the observers only (`run.spec_trial.ObserverRelay`): if it lasts, the trial ends and robots stop.

@@ -40,7 +40,7 @@ class Fate(StrEnum):
     AGREES = "agrees"
     MISSED = "missed"
     UNDECIDED = "undecided"
-    OUT = "out of reach"
+    OUT_OF_REACH = "out of reach"
 
 
 # ---- The numbers of our trials ----
@@ -240,8 +240,8 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
         values = values - subtracted
     ours = claim.asked.number(values)
     verdict = claim.asked.decide(values, ours)
-    if claim.expected is Fate.OUT and verdict is not Fate.REACHED:
-        verdict = Fate.OUT
+    if claim.expected is Fate.OUT_OF_REACH and verdict is not Fate.REACHED:
+        verdict = Fate.OUT_OF_REACH
     return Row(claim, replace(ours, means=means), verdict)
 
 

@@ -1,4 +1,4 @@
-"""Khalil, Magdanz, Sanchez, Schmidt, Misra: Magnetotactic bacteria and microjets, IROS 2013.
+"""Claims of Khalil, Magdanz, Sanchez, Schmidt, Misra: bacteria and microjets held, IROS 2013.
 
 Speeds and boundary frequencies are given to the specs; the diameter in which a robot is held is the
 outcome. A disc of 23 um for 95 % of the time is out of the bacterium's reach at 2 mT: see the page.
@@ -39,7 +39,7 @@ CLAIMS = [
         measure=disc,
         unit="um",
         asked=at_most(BACTERIUM_UM),
-        expected=Fate.OUT,
+        expected=Fate.OUT_OF_REACH,
         why="v / a is 14.5 um, the least mean distance of any robot that never stops (3)",
     ),
     Claim(

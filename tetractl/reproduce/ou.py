@@ -1,4 +1,4 @@
-"""Ou, Kang, Kim, Julius: motion control of several T. pyriformis cells by one signal, PSO-MPC.
+"""Claims of Ou, Kang, Kim, Julius: several T. pyriformis cells steered by one signal, PSO-MPC.
 
 The paper that tetractl implements, claim by claim; Figure 4 shows a robot, and Figure 2 a swarm.
 Its controller is run exactly as published. What the paper states without a number is taken as the

@@ -1,4 +1,4 @@
-"""What the figures of Ou and others are of a trial: errors, searches, space, fields that turn."""
+"""Measures of a trial what Ou and others claim: errors, searches, space, fields that turn."""
 
 import numpy as np
 

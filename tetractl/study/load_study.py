@@ -1,4 +1,4 @@
-"""Loads a study's file and its arms, and reports all problems at once.
+"""Loads a study's file, many variants of a spec called arms, and reports all problems at once.
 
 An arm is the combination of one point of the sweep with one controller. In the order of a study's
 arms,

@@ -1,4 +1,4 @@
-"""Selects the trials of a study that are run and the logs that are whole."""
+"""Says which trials of a study are still to be run, and which of them leave a whole log."""
 
 import math
 import pickle

@@ -1,4 +1,4 @@
-"""Checks a kind of tetractl or of another package against tetractl's requirements.
+"""Checks code that extends tetractl, such as your own camera, against what tetractl requires of it.
 
 A kind is a motion, or the section of a shape, optimiser, controller, disturbance, camera or
 actuator. Each check is a generator of findings; `failed` names those with a problem, for a test of

@@ -1,4 +1,4 @@
-"""A finding on a kind, and the comparisons that give one."""
+"""What a check of a plug-in finds: its name and its error; and the comparisons that checks make."""
 
 import random
 from collections.abc import Iterator

@@ -94,8 +94,8 @@ def test_a_difference_is_paired_and_tells_both_means():
 
 def test_what_no_controller_can_do_is_out_of_reach_only_if_it_is_not_reached():
     def verdict(bound):
-        claim = Claim("f", "p", "ours", float, at_most(bound), expected=Fate.OUT)
+        claim = Claim("f", "p", "ours", float, at_most(bound), expected=Fate.OUT_OF_REACH)
         return assess(claim, {"ours": VALUES}).verdict
 
-    assert verdict(12) is Fate.OUT
+    assert verdict(12) is Fate.OUT_OF_REACH
     assert verdict(15) is Fate.REACHED

@@ -286,9 +286,9 @@ def separated(wanted: Floats, gap: float) -> Floats:
     Neighbours that would overlap form a block around the mean of their heights, the least-squares
     solution. Then all heights are shifted into the range, as far as they fit.
     """
-    blocks: list[_Block] = []
+    blocks: list[_TouchingHeights] = []
     for i, height in enumerate(wanted):
-        block = _Block(float(height) - i * gap, 1)
+        block = _TouchingHeights(float(height) - i * gap, 1)
         while blocks and blocks[-1].base > block.base:
             block = blocks.pop().joined(block)
         blocks.append(block)
@@ -299,13 +299,13 @@ def separated(wanted: Floats, gap: float) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class _Block:
+class _TouchingHeights:
     """Heights that touch: `base` is the mean of (wanted - index * gap) of `count` heights."""
 
     base: float
     count: int
 
-    def joined(self, above: "_Block") -> "_Block":
+    def joined(self, above: "_TouchingHeights") -> "_TouchingHeights":
         """Return this block and the one above it as one."""
         count = self.count + above.count
-        return _Block((above.base * above.count + self.base * self.count) / count, count)
+        return _TouchingHeights((above.base * above.count + self.base * self.count) / count, count)

@@ -1,4 +1,4 @@
-"""The figure of the optimiser: the best cost over the iterations (the paper's Figure 3)."""
+"""Draws the best cost that searches found, over their iterations (the paper's Figure 3)."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The paper's Figure 2: a search's particles, each at the first two signals of its sequence."""
+"""Draws the particles of a search, each at the first two signals of its sequence (Figure 2)."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,5 +1,5 @@
-"""The paper's Figure 5: the paths of the robots in one trial or several; for a dish, over the
-microscope's picture.
+"""Draws the paths of the robots in one trial or several (the paper's Figure 5); for a dish, over
+the microscope's picture.
 
 `trajectory_figure` draws, in this order: the scene (`draw_scene`), the limits of the axes, the
 paths (`_draw_one` or `_draw_several`), their ends, and a legend of robots above and of signs below.

@@ -154,7 +154,7 @@ class Keyboard:
         self.interrupted = True
 
 
-SAYS = "SPACE or ESC: EMERGENCY STOP"
+STOP_HINT = "SPACE or ESC: EMERGENCY STOP"
 NO_KEY = "no terminal: there is no key to stop the robots"
 
 

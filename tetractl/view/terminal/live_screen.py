@@ -25,7 +25,7 @@ from tetractl.replay.player import Moment, tracked
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.dashboard import Dashboard, Footer
-from tetractl.view.terminal.keys import SAYS
+from tetractl.view.terminal.keys import STOP_HINT
 from tetractl.view.terminal.progress import Tally, duration, trial_line
 from tetractl.view.terminal.screen import Screen
 
@@ -227,7 +227,7 @@ class LiveView(Observer):
             return
         self._drawn_s = self._wall()
         start = self._of_trial.start
-        stops = "Ctrl-C stops" if start.plant.virtual else SAYS
+        stops = "Ctrl-C stops" if start.plant.virtual else STOP_HINT
         self._screen.show(
             Dashboard(
                 self._of_trial.moment(),

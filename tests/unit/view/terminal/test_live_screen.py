@@ -15,7 +15,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
-from tetractl.view.terminal.keys import SAYS
+from tetractl.view.terminal.keys import STOP_HINT
 from tetractl.view.terminal.live_screen import LabWatch, LiveView
 from tetractl.view.terminal.progress import BatchProgress, ScriptProgress, StudyProgress, duration
 
@@ -123,7 +123,7 @@ def test_the_live_view_gives_the_terminal_back_whatever_happens():
 
 @pytest.mark.parametrize(
     ("facts", "hint", "other_hint"),
-    [({"real": "actuator"}, SAYS, "Ctrl-C stops"), ({}, "Ctrl-C stops", SAYS)],
+    [({"real": "actuator"}, STOP_HINT, "Ctrl-C stops"), ({}, "Ctrl-C stops", STOP_HINT)],
 )
 def test_the_live_view_names_the_emergency_key_where_a_device_is_real(facts, hint, other_hint):
     """Regression: with one real device in an emulated lab it only named Ctrl-C, which lets the

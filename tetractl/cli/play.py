@@ -15,14 +15,12 @@ from tetractl.cli import options, ui
 from tetractl.cli.trials import RunOptions, stoppable
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.plan import Outcome
-from tetractl.core.protocols import LabSupervision, Observer
-from tetractl.core.trial import Result, Step
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tetractl.core.clock import Clock
+    from tetractl.core.protocols import LabSupervision, Observer
+    from tetractl.core.trial import Result
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.hand import Ask
@@ -71,6 +69,7 @@ def play(
     Example: tetractl play experiments/three_m3pi.yaml
     """
     from tetractl.control.build import warm_up
+    from tetractl.core.plan import Outcome
     from tetractl.run.open_trial import directed_spec
     from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.hand_keys import read_script
@@ -132,30 +131,8 @@ class Hand:
     """Who steers: what is asked for each direction, who watches, and who supervises a lab."""
 
     ask: "Ask"
-    observers: Sequence[Observer] = ()
-    supervision: LabSupervision | None = None
-
-
-class WallPace(Observer):
-    """Slows a trial in virtual time to `speed` times the wall clock. A delay is not caught up."""
-
-    def __init__(self, wall: "Clock", speed: float) -> None:
-        self._wall = wall
-        self._speed = speed
-        self._due_ns = 0
-        self._sent_ns: int | None = None
-
-    def on_step(self, step: Step) -> None:
-        """Wait until the command of a step is due."""
-        now_ns = self._wall.now()
-        sent_ns = step.command.sent_ns
-        if self._sent_ns is None:
-            self._due_ns = now_ns
-        else:
-            self._due_ns += round((sent_ns - self._sent_ns) / self._speed)
-        self._sent_ns = sent_ns
-        self._due_ns = max(self._due_ns, now_ns)
-        self._wall.sleep_until(self._due_ns)
+    observers: "Sequence[Observer]" = ()
+    supervision: "LabSupervision | None" = None
 
 
 @contextmanager
@@ -164,6 +141,8 @@ def _by_keys(
 ) -> "Iterator[Hand]":
     """Show a trial on the terminal, and steer it by the terminal's keys, which are restored at the
     end."""
+    from tetractl.core.protocols import LabSupervision
+    from tetractl.run.hand import WallPace
     from tetractl.view.terminal.hand_keys import HINTS, TASK, HandKeys
     from tetractl.view.terminal.keys import StopKey
     from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
@@ -195,7 +174,7 @@ def _by_keys(
 
 def _steered(
     directed: "LoadedSpec", folder: Path, hand: Hand, interrupt: "Interrupt"
-) -> Result | None:
+) -> "Result | None":
     """Run the trial that a person steers, and write its log; None if no direction was given."""
     from tetractl.run.hand import HandController, HandLog
     from tetractl.run.spec_trial import ready_trial
@@ -221,10 +200,11 @@ def _by_controller(
     console: "Console | None",
     speed: float,
     interrupt: "Interrupt",
-) -> Result:
+) -> "Result":
     """Run the same trial by the spec's controller; show it on the console, if any, as fast as
     yours."""
     from tetractl.run.folder_lock import make_folder
+    from tetractl.run.hand import WallPace
     from tetractl.run.spec_trial import run_logged
     from tetractl.view.terminal.live_screen import LiveView
 
@@ -237,9 +217,11 @@ def _by_controller(
 
 
 def _conclude(
-    folder: Path, unit: str, yours: Result | None, theirs: Result | None, interrupt: "Interrupt"
+    folder: Path, unit: str, yours: "Result | None", theirs: "Result | None", interrupt: "Interrupt"
 ) -> int:
     """Print how the trials ended; return the exit code."""
+    from tetractl.core.plan import Outcome
+
     if yours is None:
         ui.tell(
             "interrupted" if interrupt.requested else "no direction was given; nothing is logged"
@@ -260,7 +242,7 @@ def _conclude(
     return Exit.DONE
 
 
-def _how_well(result: Result, unit: str) -> str:
+def _how_well(result: "Result", unit: str) -> str:
     """Return the total error and the time of a trial, and where robots must not have been."""
     from tetractl.tools.table.table import lengths
 

@@ -6,6 +6,7 @@ holds the directions that came later. So nothing is written while the robots dri
 
     HandController   asks for the direction of each step, and keeps it with the step's problem
     HandLog          keeps what a log is to hold; `save` writes it, with the plans of `sequence`
+    WallPace         lets a simulation take as long as people need to steer it
 """
 
 from collections.abc import Callable
@@ -18,8 +19,10 @@ from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController
 from tetractl.control.rng import mix
 from tetractl.control.sequence import SequenceSection
+from tetractl.core.clock import Clock
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Observation
+from tetractl.core.protocols import Observer
 from tetractl.core.trial import Start, Step
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller
 from tetractl.log.write.writer import LogWriter
@@ -104,3 +107,25 @@ class HandLog(Relay):
             for call in self._calls:
                 call()
         return path
+
+
+class WallPace(Observer):
+    """Slows a trial in virtual time to `speed` times the wall clock. A delay is not caught up."""
+
+    def __init__(self, wall: Clock, speed: float) -> None:
+        self._wall = wall
+        self._speed = speed
+        self._due_ns = 0
+        self._sent_ns: int | None = None
+
+    def on_step(self, step: Step) -> None:
+        """Wait until the command of a step is due."""
+        now_ns = self._wall.now()
+        sent_ns = step.command.sent_ns
+        if self._sent_ns is None:
+            self._due_ns = now_ns
+        else:
+            self._due_ns += round((sent_ns - self._sent_ns) / self._speed)
+        self._sent_ns = sent_ns
+        self._due_ns = max(self._due_ns, now_ns)
+        self._wall.sleep_until(self._due_ns)

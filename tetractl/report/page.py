@@ -52,7 +52,7 @@ COMPARED_MOST = 10
 """Comparisons at most that stand at the top."""
 TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
 """The figures of the first trial, in their order."""
-PLAYER_PX = 760
+PLAYER_PX = 820
 """Height of the player in a notebook."""
 THEME = '<button id="theme" aria-label="Light or dark">◐</button>'
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")

@@ -62,8 +62,6 @@ def rehearse(
     from tetractl.run.spec_trial import run_logged
     from tetractl.run.store import RecordStore
     from tetractl.tools.table.table import plural
-    from tetractl.view import style
-    from tetractl_emulator.rehearsal.drawing import days_figure
     from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.summary import FIELDS, broken, reasons, summary, table
 
@@ -118,8 +116,6 @@ def rehearse(
     played_days = f"{len(played)} {plural('day', len(played))}"
     violations = f"{len(bad)} {plural('violation', len(bad))}"
     last = f"{played_days}, {violations}"
-    title = f"{loaded.name}, emulated, days of seed {seed}: {last}"
-    style.save(days_figure(played, kinds, title), folder / "days.png", style.SCREEN_DPI)
     said = table(played, kinds), reasons(played), summary(played), last
     print(*filter(None, said), sep="\n\n")
     if bad:
@@ -159,6 +155,7 @@ def shrunk_day(
     whole plan until then; return what is kept of the day.
     """
     from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl_emulator.rehearsal.outcome_sentences import HANGS
     from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, shrunk
     from tetractl_emulator.rehearsal.summary import broken
 
@@ -178,7 +175,8 @@ def shrunk_day(
     small = plan
     plays = 0
     save(plan)
-    if name != "hangs":  # each play of which would last until it is killed
+    hangs = any(finding == HANGS for _, _, finding, _ in broken(row))
+    if not hangs:  # else each play of which would last until it is killed
         ui.tell(f"  {script} has all its faults; shrinking it, up to {PLAYS_MAX} plays")
         small, plays = shrunk(plan, breaks)
         save(small)

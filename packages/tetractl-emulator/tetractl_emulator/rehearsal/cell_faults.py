@@ -27,13 +27,20 @@ def field_rows() -> Iterator[FaultRow]:
     yield FaultRow("driver late", "late_driver", answer, lambda d: {"by": d.between(0.005, 1)})
     yield FaultRow("commands doubled", "doubled_commands", r"$.", weight=0.5)
     yield FaultRow("bad bytes", "bad_bytes", answer, lambda d: {"share": d.between(2e-4, 0.5)})
-    yield FaultRow("supply low", "low_supply", answer, lambda d: {"millivolts": _supply(d)})
+    yield FaultRow(
+        "supply low",
+        "low_supply",
+        answer,
+        lambda d: {"millivolts": round(12_000 - 7_000 * d.strength)},
+    )
     yield FaultRow("coils hot", "hot", f"°C|{answer}", lambda d: {"celsius": d.between(30, 150)})
     yield FaultRow("coils weak", "weak_coils", SEEN, _weak)
     yield FaultRow("coils turned", "turned_coils", SEEN, lambda d: {"by": d.signed(0.02, 3.1)})
     yield FaultRow("cell divides", "divides", SEEN, cell, at_once=True)
     yield FaultRow("cell rests", "rests", SEEN, cell)
-    yield FaultRow("cell dives", "dives", SEEN, _dive, at_once=True)
+    yield FaultRow(
+        "cell dives", "dives", SEEN, lambda d: cell(d) | {"by_um": d.signed(20, 600)}, at_once=True
+    )
 
 
 def dish_world(random: Random, off: float) -> dict[str, Any]:
@@ -42,13 +49,5 @@ def dish_world(random: Random, off: float) -> dict[str, Any]:
     return {"heading_noise": walk, "cells": len(DISH), "strangers": random.randint(0, 3)}
 
 
-def _supply(d: Draw) -> int:
-    return round(12_000 - 7_000 * d.strength)
-
-
 def _weak(d: Draw) -> dict[str, Any]:
     return {"axis": d.random.choice("xy"), "share": round(1 - d.between(0.02, 2), 4)}
-
-
-def _dive(d: Draw) -> dict[str, Any]:
-    return cell(d) | {"by_um": d.signed(20, 600)}

@@ -117,12 +117,17 @@ def _kinds() -> Iterator[FaultRow]:
         "frames damaged",
         "bad_datagrams",
         f"damaged|{sight}",
-        _damaged,
+        lambda d: {"share": min(1.0, d.between(0.005, 1.3))},
     )
     yield FaultRow(
         "frames of the past", "outdated", late, lambda d: {"by": d.between(0.05, 30), "frames": 50}
     )
-    yield FaultRow("other version", "other_version", f"damaged|{SIGHT}", _version)
+    yield FaultRow(
+        "other version",
+        "other_version",
+        f"damaged|{SIGHT}",
+        lambda d: {"version": d.random.choice(("2.9", "3.0"))},
+    )
     yield FaultRow("counter back", "counter_back", "counter", lambda d: {"frames": 30})
     yield FaultRow("edit mode", "edit_mode", "edit mode")
     for name in ("untracked", "nan", "bad_quaternion"):
@@ -136,7 +141,12 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("identities swapped", "swap", moved, Draw.robots)
     yield FaultRow("twin ids", "twin_id", "2 rigid bodies", Draw.robots)
     yield FaultRow("pose jumps", "jump", moved, lambda d: d.robot() | {"by": d.off(5, 500)})
-    yield FaultRow("plate slips", "slip", moved, _slip)
+    yield FaultRow(
+        "plate slips",
+        "slip",
+        moved,
+        lambda d: d.robot() | {"by": d.off(2, 60), "turn": d.signed(0.02, 1.5)},
+    )
     yield FaultRow("ghost drives", "ghost", moved, lambda d: _ghost(d, 0.0))
     yield FaultRow("ghost slides", "ghost", moved, lambda d: _ghost(d, math.pi / 2))
     yield FaultRow("ghost drifts", "ghost", moved, lambda d: _ghost(d, None))
@@ -144,7 +154,7 @@ def _kinds() -> Iterator[FaultRow]:
     yield FaultRow("origin jumps", "picture", moved, lambda d: {"by": d.off(3, 300)})
     yield FaultRow("scale jumps", "picture", moved, lambda d: {"scale": 1 + d.signed(2e-3, 0.2)})
     yield FaultRow("axes jump", "picture", moved, lambda d: {"turn": d.signed(2e-3, 1)})
-    yield FaultRow("origin creeps", "picture", moved, _creeping_origin)
+    yield FaultRow("origin creeps", "picture", moved, lambda d: _creeps(by=_slow(d.off(2, 300))))
     yield FaultRow(
         "scale creeps", "picture", moved, lambda d: _creeps(scale=1 + d.signed(2e-3, 0.2) * FRAME_S)
     )
@@ -153,14 +163,22 @@ def _kinds() -> Iterator[FaultRow]:
     )
     clock = f"{CLOCK}|{sight}|{MOTION}"
     yield FaultRow("camera's clock jumps", "clock_jump", clock, lambda d: {"by": d.signed(5e-4, 5)})
-    yield FaultRow("camera's clock drifts", "clock_rate", clock, lambda d: {"rate": _rate(d)})
+    yield FaultRow(
+        "camera's clock drifts", "clock_rate", clock, lambda d: {"rate": 1 + d.signed(2e-4, 0.5)}
+    )
     yield FaultRow("pushed", "pushed", moved, lambda d: _pushed(d, 3, 200, False), at_once=True)
     yield FaultRow(
         "put elsewhere", "pushed", moved, lambda d: _pushed(d, 10, 600, True), at_once=True
     )
     yield FaultRow("wheel stuck", "wheel_stuck", moved, lambda d: d.robot() | {"wheel": d.side()})
     yield FaultRow("wheel weak", "weak_wheel", moved, lambda d: d.robot() | _weak(d))
-    yield FaultRow("battery low", "low_battery", "battery", _battery, start=0.9)
+    yield FaultRow(
+        "battery low",
+        "low_battery",
+        "battery",
+        lambda d: d.robot() | {"millivolts": round(4700 - 1200 * d.strength)},
+        start=0.9,
+    )
     link = f"{RADIO}|{moved}"
     yield FaultRow("brown-out", "off", link, Draw.robot)
     yield FaultRow(
@@ -190,40 +208,42 @@ def _kinds() -> Iterator[FaultRow]:
         "host's clock jumps",
         "host_clock",
         f"stood still|late|{CELLS}|{clock}",  # cells seem to stand still meanwhile
-        _jump,
+        lambda d: {"by": d.between(0.02, 6)},
         at_once=True,
     )
-    yield FaultRow("host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": _plan(d)})
+    yield FaultRow(
+        "host busy", "busy", f"late|silent|{moved}", lambda d: {"seconds": d.between(0.01, 6)}
+    )
     at_times = "host busy at times"
-    yield FaultRow(at_times, "busy", f"late|silent|{moved}", _at_times, weight=0.5)
+    yield FaultRow(
+        at_times,
+        "busy",
+        f"late|silent|{moved}",
+        lambda d: {"seconds": d.between(0.05, 0.45), "every": d.random.randint(2, 4)},
+        weight=0.5,
+    )
     asleep = f"stood still|late|{CELLS}|{clock}|{moved}"
-    yield FaultRow("suspended", "stopped", asleep, _nap)
+    yield FaultRow("suspended", "stopped", asleep, lambda d: {"for": d.between(0.02, 5)})
     yield FaultRow(
         "computer sleeps", "stopped", asleep, lambda d: {"for": d.random.choice(SLEEPS_S)}
     )
     yield FaultRow("disk full", "disk_full", "cannot write the log", at_once=True)
     yield FaultRow("killed", "signal", r"$.", lambda d: {"signal": "KILL"}, at_once=True)
-    yield FaultRow("signal", "signal", "interrupted|cancelled", _signal, True)
+    yield FaultRow(
+        "signal",
+        "signal",
+        "interrupted|cancelled",
+        lambda d: {"signal": d.random.choice(("INT", "TERM", "HUP", "QUIT"))},
+        True,
+    )
     yield FaultRow("second run", "second_run", r"$.", at_once=True, weight=0.5)
     yield FaultRow("emergency stop", "emergency", "emergency stop", at_once=True)
-
-
-def _damaged(d: Draw) -> dict[str, Any]:
-    return {"share": min(1.0, d.between(0.005, 1.3))}
 
 
 def _lost(d: Draw) -> dict[str, Any]:
     """Return a share from 5 to 98 %, near 98 % as often as near 5 %; a strong one is 1."""
     share = 1.0 / (1.0 + math.exp(3.0 - 7.0 * d.strength / STRONG))
     return {"share": round(share, 4) if d.strength < STRONG else 1.0}
-
-
-def _version(d: Draw) -> dict[str, Any]:
-    return {"version": d.random.choice(("2.9", "3.0"))}
-
-
-def _slip(d: Draw) -> dict[str, Any]:
-    return d.robot() | {"by": d.off(2, 60), "turn": d.signed(0.02, 1.5)}
 
 
 def _slow(way: list[float]) -> list[float]:
@@ -250,14 +270,6 @@ def _creeps(**fields: Any) -> dict[str, Any]:
     return fields | {"creeps": True}
 
 
-def _creeping_origin(d: Draw) -> dict[str, Any]:
-    return _creeps(by=_slow(d.off(2, 300)))
-
-
-def _rate(d: Draw) -> float:
-    return 1 + d.signed(2e-4, 0.5)
-
-
 def _pushed(d: Draw, low: float, high: float, at_once: bool) -> dict[str, Any]:
     turn = round(d.signed(0.01, 2), 4)
     return d.robot() | {"by": d.off(low, high), "turn": turn, "at_once": at_once}
@@ -269,32 +281,8 @@ def _weak(d: Draw) -> dict[str, Any]:
     return {"wheel": wheel, "share": round(1 - lost, 4)}
 
 
-def _battery(d: Draw) -> dict[str, Any]:
-    return d.robot() | {"millivolts": round(4700 - 1200 * d.strength)}
-
-
-def _jump(d: Draw) -> dict[str, Any]:
-    return {"by": d.between(0.02, 6)}
-
-
-def _plan(d: Draw) -> float:
-    return d.between(0.01, 6)
-
-
-def _at_times(d: Draw) -> dict[str, Any]:
-    return {"seconds": d.between(0.05, 0.45), "every": d.random.randint(2, 4)}
-
-
-def _nap(d: Draw) -> dict[str, Any]:
-    return {"for": d.between(0.02, 5)}
-
-
 def _driven(d: Draw, rate_hz: float) -> dict[str, Any]:
     return {"counts": [round(d.signed(3, 60)), round(d.signed(3, 60))], "rate": rate_hz}
-
-
-def _signal(d: Draw) -> dict[str, Any]:
-    return {"signal": d.random.choice(("INT", "TERM", "HUP", "QUIT"))}
 
 
 KINDS = tuple(_kinds())

@@ -517,16 +517,13 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
                 was_refused = refused_s - accepted_s > REFUSED_S
                 lasts = fault.span.began_s < refused_s and at_s < fault.span.ended_s
                 alone = not any(o.began_s < at_s and o.ended_s > accepted_s for o in others)
-                if was_refused and lasts and alone and not _any_between(ready_s, accepted_s, at_s):
+                paused = any(accepted_s < ready < at_s for ready in ready_s)
+                if was_refused and lasts and alone and not paused:
                     finding = f"{truth.setup.names[i]} is accepted again: {fault.kind}"
                     yield Violation("untrue", at_s, finding)
                     return
                 accepted_s = at_s
                 refused_s = -np.inf
-
-
-def _any_between(times_s: Sequence[float], began_s: float, ended_s: float) -> bool:
-    return any(began_s < at_s < ended_s for at_s in times_s)
 
 
 def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:

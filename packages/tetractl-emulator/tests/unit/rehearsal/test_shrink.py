@@ -1,5 +1,6 @@
 """Shrinking: what does not matter goes, what matters stays."""
 
+from tetractl_emulator import lab_rehearse
 from tetractl_emulator.rehearsal.day import DayPlan
 from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, SHRINKS_S, shrunk
 
@@ -36,3 +37,19 @@ def test_long_plays_end_the_shrinking():
     plan = DayPlan(1, {"camera": {}, "robots": []}, FAULTS, "")
     _, plays = shrunk(plan, lambda plan: (False, SHRINKS_S / 3))
     assert plays == 3
+
+
+def test_a_day_that_hangs_is_not_played_again(tmp_path, monkeypatch):
+    """Regression: it was, up to 40 times for 10 minutes each, as no sentence is named hangs."""
+
+    def played(plan):
+        raise AssertionError("the day is played")
+
+    late = {"kind": "radio late", "strength": 0.5, **FAULTS[2]}
+    plan = DayPlan(1, {}, [late], "")
+    monkeypatch.setattr(lab_rehearse, "_day_of", lambda *_: (plan, played))
+    violations = [["log", 0.0, "lacks a command", ""], ["exit code", 0.0, "hangs", ""]]
+    row = {"day": 3, "violations": violations}
+    script = tmp_path / "day.yaml"
+    assert lab_rehearse.shrunk_day(tmp_path, (), 1, script, row)["plays"] == 0
+    assert "late_radio" in script.read_text()

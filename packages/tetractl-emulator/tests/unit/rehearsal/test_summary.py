@@ -1,7 +1,5 @@
-"""What days come to: the table of faults, how days ended, and the drawing."""
+"""What days come to: the table of faults, and how days ended."""
 
-import pytest
-from tetractl_emulator.rehearsal.drawing import days_figure
 from tetractl_emulator.rehearsal.schedule import KINDS
 from tetractl_emulator.rehearsal.summary import reasons, summary, table
 
@@ -39,12 +37,3 @@ def test_reasons_are_counted_whatever_their_numbers():
     texts = ("", "no frame for 0.51 s", "green is lost", "no frame for 2 s")
     rows = [{"reason": text} for text in texts]
     assert reasons(rows) == "2 days: no frame for … s\n1 day: green is lost"
-
-
-@pytest.mark.long
-def test_every_fault_has_a_row_of_the_drawing_and_every_notice_a_point():
-    days, times = days_figure(ROWS, KINDS, "a rehearsal").axes
-    assert [label.get_text() for label in days.get_yticklabels()] == [k.name for k in KINDS]
-    row = [kind.name for kind in KINDS].index("pushed")
-    points = [line for line in times.lines if line.get_marker() == "o" and row in line.get_ydata()]
-    assert [sorted(line.get_xdata()) for line in points] == [[0.2, 0.4]]

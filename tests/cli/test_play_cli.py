@@ -12,6 +12,8 @@ from support.terminal import Terminal
 import tetractl as package
 from tetractl.experiment.section_abilities import GivenDirections
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 name: by-hand
 arena: {left: 0, bottom: 0, width: 1000, height: 1000}

@@ -10,6 +10,7 @@ from tetractl_emulator import firmware
 from tetractl.log.read.reader import read_trial
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.long,
     pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found"),
 ]

@@ -26,7 +26,7 @@ from rich.text import Text
 
 from tetractl.core.clock import milliseconds
 from tetractl.core.colors import robot_colors
-from tetractl.core.plan import Outcome, StopReason
+from tetractl.core.plan import Outcome, State, StopReason
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Result
 from tetractl.replay.player import Moment
@@ -234,7 +234,10 @@ class Dashboard:
             lines.append(_row(width, "horizon", "h", signals))
         direction = step.command.direction
         if direction is None:
-            lines.append(_row(width, "robots", "do", step.plan.doing))
+            doing = step.plan.doing
+            searches = moment.result is None and step.plan.state is not State.STUCK
+            long = f"{doing}, searching" if searches and step.plan.pauses else doing
+            lines.append(_row(width, "robots", "do", long, doing))
         else:
             degrees = math.degrees(math.remainder(direction, math.tau))
             turned = f"{arrow(glyphs, direction)} {degrees:+.0f}{glyphs.degree}"

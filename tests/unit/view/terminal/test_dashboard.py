@@ -9,8 +9,8 @@ from support.terminal import console as terminal
 from support.trials import cut_short, three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note
-from tetractl.core.plan import Estimate, Outcome
+from tetractl.core.commands import Note, Stop
+from tetractl.core.plan import Estimate, Outcome, State
 from tetractl.replay.player import Player, Recording, span
 from tetractl.view.terminal.glyphs import glyphs_for
 from tetractl.view.terminal.replay_screen import dashboard, step_line
@@ -102,6 +102,23 @@ def test_robots_that_stand_are_named(recording):
     assert "stands" in of_green
     assert step_line(with_green_standing, 3).endswith("green: standing")
     assert "stand" not in "".join([*screen(recording, 80, 24, 3), step_line(recording, 3)])
+
+
+@pytest.mark.parametrize(("state", "says"), [(State.RESTING, True), (State.STUCK, False)])
+def test_a_pause_says_that_the_next_plan_is_searched_for(recording, state, says):
+    """Regression: a trial of 42 s with seven pauses looked as if it hung."""
+    log = recording.log
+    paused = [
+        replace(
+            step,
+            plan=replace(step.plan, instead=Stop(), state=state),
+            command=replace(step.command, action=Stop()),
+        )
+        for step in log.steps
+    ]
+    lines = "\n".join(screen(Recording(replace(log, steps=paused)), 80, 24, 3))
+    assert "standing" in lines
+    assert ("standing, searching" in lines) == says
 
 
 def test_without_colour_or_utf8_it_is_ascii(recording):

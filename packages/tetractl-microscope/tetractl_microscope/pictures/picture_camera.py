@@ -251,12 +251,16 @@ class PictureCamera(ABC, Generic[R]):
         for thread in self._threads:
             thread.start()
         if not self._wait(lambda: self._searches.newest_number() > 0, wait_s):
+            ended = self._searches.ended  # closing the source ends it too
             self.__exit__()
+            name = self._source.source_name
+            if self._newest_picture is not None and not ended:
+                raise AbortError(
+                    f"pictures come from {name}, but after {wait_s:g} s no search has ended",
+                    "is this computer busy? lab.camera.connect waits longer",
+                )
             damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
-            raise AbortError(
-                f"no picture comes from {self._source.source_name} ({wait_s:g} s)",
-                self._searches.ended or damaged,
-            )
+            raise AbortError(f"no picture comes from {name} ({wait_s:g} s)", ended or damaged)
         return self
 
     def __exit__(self, *_: object) -> None:

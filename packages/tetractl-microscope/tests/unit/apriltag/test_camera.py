@@ -14,6 +14,7 @@ from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, PictureTiming
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
+from tetractl_microscope.pictures.feed import Picture
 from tetractl_microscope.pictures.source import FileFeed
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
@@ -301,6 +302,18 @@ def test_a_camera_that_stops_sending_is_told():
         it.server.trouble.freezes.append("this test")
         problems = it.camera.check().problems
         assert problems == (f"no picture comes from {it.server.url} any more",)
+
+
+def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
+    """Regression: on a busy computer "no picture comes, URL closed the stream"."""
+    it = Served(connect=0.1)
+    it.server.trouble.freezes.append("this test")
+    monkeypatch.setattr(it.camera, "_see", lambda picture, exposed_ns: None)
+    it.camera._search(1, Picture(np.zeros((9, 9), np.uint8), 0))
+    with pytest.raises(AbortError, match=r"pictures come .* 0.1 s no search") as told:
+        it.__enter__()
+    it.server.__exit__()
+    assert told.value.hint == "is this computer busy? lab.camera.connect waits longer"
 
 
 def test_a_camera_without_pictures_is_no_camera():

@@ -16,10 +16,12 @@ from tetractl.plant.simulation import SimPlant
 from tetractl.replay.identification.fit import WANDERS, FittedRobot, SampleInterval
 from tetractl.replay.identification.identify import (
     IdentifiedRobots,
+    clock_doubt,
     identified,
     identify,
     stated,
     tables,
+    turn_uniformly,
 )
 from tetractl.replay.identification.passes import TrackFrames, speed_wander
 from tetractl.replay.identification.tracks import SETTLED_S, Track, track_of
@@ -135,11 +137,14 @@ def test_a_robot_that_stands_is_named():
 
 
 @pytest.mark.long
-def test_robots_that_seem_to_turn_before_they_are_sent_a_direction_do_not_fit():
-    track = drive(1).track
-    sent_late = replace(track, sent=track.sent + 0.3)
-    identification = identify([sent_late], A_RAD_S, None)
-    assert all(robot.misfits for robot in identification.robots)
+@pytest.mark.parametrize("late_s", [0.1, 0.3])
+def test_robots_that_turn_before_they_are_sent_a_direction_have_another_clock(late_s):
+    """Regression: a dead time of 0.000 (0.000 to 0.000) s, and "the model fits" of 0.1 s."""
+    track = drive(1, "plant.dead_time=0.05").track
+    identification = identify([replace(track, sent=track.sent + late_s)], A_RAD_S, None)
+    assert identification.dead_time.value == pytest.approx(0.05 - late_s, abs=2e-3)
+    assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.01)
+    assert "of two clocks" in tables(identification)[0].note
 
 
 @dataclass(frozen=True)
@@ -266,6 +271,102 @@ def test_a_lag_that_spoils_nothing_leaves_all_intervals(identification):
     printed = stated(identification)
     assert printed.robots[0].a == INTERVAL
     assert printed.dead_time == INTERVAL
+
+
+def turning(*directions, apart_s=0.1):
+    """Tracks without poses that were sent these directions (C,) [rad]."""
+    return [
+        Track(
+            source="c.csv",
+            origin="CSV",
+            unit="mm",
+            names=(),
+            time=np.empty(0),
+            poses=np.empty((0, 0, 3)),
+            valid=np.empty((0, 0), dtype=bool),
+            sent=apart_s * np.arange(len(u)),
+            u=np.asarray(u),
+            until=60.0,
+        )
+        for u in directions
+    ]
+
+
+TIMES_S = np.arange(300) / 10
+ROTATION = 0.8 * TIMES_S
+
+
+def test_directions_that_turn_uniformly_leave_no_interval_of_what_they_cannot_tell():
+    """Regression: 4.87 (4.6 to 5.1) for an a of 4, and a dead time of .302 for .10."""
+    assert turn_uniformly(turning(ROTATION))
+    assert turn_uniformly(turning(np.angle(np.exp(1j * ROTATION))))  # wrapped
+    assert turn_uniformly(turning(ROTATION, -ROTATION))
+    identification = stated(identification_of(identified_robot(), turns_uniformly=True))
+    assert np.isnan(identification.dead_time.low)
+    assert np.isnan(identification.robots[0].a.low)
+    assert identification.robots[0].speed == INTERVAL
+    assert "directions that turn at one rate" in tables(identification)[0].note
+
+
+@pytest.mark.parametrize(
+    "tracks",
+    [
+        turning(np.random.default_rng(1).uniform(-2, 2, 300)),
+        turning(np.where(TIMES_S < 15, ROTATION, 1.5 + ROTATION)),
+        turning(np.sin(ROTATION)),
+        turning(np.full(300, 0.4)),
+        turning(ROTATION[::5], apart_s=0.5),  # by steps of .4 rad
+        turning(ROTATION, 1.5 * ROTATION),
+    ],
+    ids=["random", "one jump", "sine", "constant", "steps", "two rates"],
+)
+def test_directions_that_tell_a_from_dead_time_leave_all_intervals(tracks):
+    assert not turn_uniformly(tracks)
+
+
+@pytest.mark.parametrize(
+    ("dead_time", "says"),
+    [
+        (SampleInterval(1.6, 1.59, 1.61), "of one clock?"),
+        (SampleInterval(-0.1, -0.11, -0.09), "of two clocks"),
+        (SampleInterval(0.5, 0.4, 0.6), ""),
+        (SampleInterval(1.3, 0.0, np.inf), ""),
+        (SampleInterval(0.0, 0.0, 0.01), ""),
+        (SampleInterval(0.1, np.nan, np.nan), ""),
+    ],
+)
+def test_a_dead_time_as_of_two_clocks_is_said(dead_time, says):
+    """Regression: directions stamped 1.5 s early had a dead time of 1.6 s without a word, those
+    stamped late 0.000 (0.000 to 0.000)."""
+    assert says in clock_doubt(dead_time)
+    assert bool(says) == bool(clock_doubt(dead_time))
+
+
+def test_a_spec_gets_no_dead_time_below_0():
+    below = replace(
+        identification_of(identified_robot()), dead_time=SampleInterval(-0.1, -0.2, -0.05)
+    )
+    assert identified(below, "now").dead_time.value == 0
+
+
+@pytest.mark.long
+def test_directions_that_turn_smoothly_take_more_rounds():
+    """Regression: a = 4.16 and a dead time of .112 s after six rounds, for 4 and .1."""
+    directions = np.sin(ROTATION)
+    driven = drive(6, *NOISY, "plant.dead_time=0.1", period_s=0.1, directions=directions)
+    identification = identify([driven.track], None, None)
+    assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.03)
+
+
+@pytest.mark.long
+def test_intervals_are_as_wide_as_blocks_of_time_differ():
+    """A robot whose wheels pull to one side and to the other, for seconds each."""
+    track = drive(5, *NOISY, "plant.dead_time=0.1").track
+    (_, even, _) = identify([track], A_RAD_S).robots
+    pull = 0.15 * np.sign(np.sin(2 * np.pi * track.time / 6.0))
+    track.poses[:, 1, 2] += pull
+    (_, uneven, _) = identify([track], A_RAD_S).robots
+    assert width(uneven.heading_bias) > 3 * width(even.heading_bias)
 
 
 def assert_noise_is_right(robots):

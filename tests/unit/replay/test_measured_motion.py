@@ -169,6 +169,7 @@ OFF = {
     "y reversed": ((1, -1, 1), 0.0, "only with y reversed"),
     "x reversed": ((-1, 1, 1), 0.0, "only with x reversed"),
     "clockwise headings": ((1, 1, -1), 0.0, "only with y reversed .* or the headings"),
+    "a compass's headings": ((1, 1, -1), np.pi / 2, "x and y exchanged .* from a quarter turn"),
 }
 
 
@@ -197,6 +198,29 @@ def test_a_robot_that_moves_across_its_heading_is_none_on_two_wheels():
         check(times, poses)
 
 
+def test_x_and_y_that_are_exchanged_are_named():
+    """Regression: "only with x reversed", which leaves a quarter turn."""
+    times, poses = drive()
+    with pytest.raises(UsageError, match="only with x and y exchanged"):
+        check(times, poses[:, [1, 0, 2]])
+
+
+@pytest.mark.parametrize("rad_s", [0.012, -0.02, 0.05])
+def test_headings_that_drift_are_said_to(rad_s):
+    """Regression: "take 0.302 rad off the headings", or "across its heading in 22% of its way"."""
+    times, poses = drive()
+    poses[:, 2] += rad_s * times
+    with pytest.raises(UsageError, match=r"the angle from the heading of r1 .* changes by"):
+        check(times, poses)
+
+
+def test_a_recording_that_runs_backwards_gets_the_remedy():
+    times, poses = drive()
+    with pytest.raises(UsageError) as error:
+        check(times, poses[::-1])
+    assert_matches("against its heading .* the times, if they run backwards", str(error.value))
+
+
 def ahead_of_the_axle(poses):
     """The tracked point is 60 mm ahead of the wheels' axle, and the robot turns left only."""
     heading = poses[:, 2]
@@ -211,6 +235,9 @@ def test_right_headings_are_accepted():
     check(times, ahead_of_the_axle(poses))
     check(times, poses + np.array([0, 0, 0.05]))  # as markers stuck by hand
     check(times, poses + np.array([0, 0, 6 * np.pi]))
+    drifting = poses.copy()
+    drifting[:, 2] += 0.001 * times  # 0.06 rad in all
+    check(times, drifting)
 
 
 def test_a_robot_that_drives_backwards_moves_along_its_heading():

@@ -8,6 +8,7 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.identification.fit import SampleInterval
+from tetractl.replay.identification.identify import LATE_S
 from tetractl.replay.identification.response import respond, response_table
 from tetractl.replay.identification.tracks import Track
 
@@ -192,6 +193,10 @@ WRONG_COMMANDS = {
     "w per hour": (lambda track: track.twists * (1, 3600), "turning gain .* divide it by 3600"),
     "v in um": (lambda track: track.twists * (1e3, 1), "speed gain .* divide v by 1000"),
     "v in m": (lambda track: track.twists / (1e3, 1), "speed gain .* multiply v by 1000"),
+    "turns of wheels": (
+        lambda track: track.twists / 15,
+        r"turning gain of one is 1\d.* as of a wrong unit .* turns of motors or wheels",
+    ),
     "w clockwise": (lambda track: track.twists * (1, -1), "one turns right where it is sent left"),
     "v reversed": (lambda track: track.twists * (-1, 1), "one moves against its heading"),
 }
@@ -213,6 +218,11 @@ def obeyed_by_half(track):
     """Gains of 0.47 and 0.52 are no other unit."""
     gains = {"turning_gain": TRUE["turning_gain"] / 2, "speed_gain": TRUE["speed_gain"] / 2}
     return with_twists(track, track.twists * 2), gains
+
+
+def obeyed_thrice(track):
+    gains = {"turning_gain": TRUE["turning_gain"] * 3, "speed_gain": TRUE["speed_gain"] * 3}
+    return with_twists(track, track.twists / 3), gains
 
 
 def half_the_poses_missing(track):
@@ -244,7 +254,14 @@ def in_metres(track):
 @pytest.mark.long
 @pytest.mark.parametrize(
     "change",
-    [obeyed_by_half, half_the_poses_missing, poses_twice_a_second, backwards, in_metres],
+    [
+        obeyed_by_half,
+        obeyed_thrice,
+        half_the_poses_missing,
+        poses_twice_a_second,
+        backwards,
+        in_metres,
+    ],
     ids=lambda f: f.__name__,
 )
 def test_right_commands_that_come_nearest_to_wrong_ones_are_accepted(change):
@@ -252,6 +269,16 @@ def test_right_commands_that_come_nearest_to_wrong_ones_are_accepted(change):
     (response,) = respond([track])
     for name, gain in gains.items():
         assert response.quantities[name].value == pytest.approx(gain, rel=0.03)
+
+
+@pytest.mark.long
+def test_a_radius_that_is_the_distance_between_the_wheels_is_asked_for():
+    """Regression: a turning gain of 1.997, without a word."""
+    track = track_of_one_robot(7)
+    (response,) = respond([with_twists(track, track.twists * (1, 0.5))])
+    assert "the distance between the wheels?" in response_table([response], "", "mm").note
+    (response,) = respond([track])
+    assert "between the wheels" not in response_table([response], "", "mm").note
 
 
 @pytest.mark.long
@@ -269,3 +296,4 @@ def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
         assert moved.quantities[name].value == pytest.approx(value, rel=0.01)
     note = response_table([moved], "", "mm").note
     assert ("of two clocks" in note) == (late_s > by_one_clock)
+    assert ("of one clock?" in note) == (by_one_clock - late_s > LATE_S)

@@ -3,7 +3,7 @@ noise, by maximising the likelihood of the controller's filter (`control.filter`
 
 A first pass of the filter over the longest track has a grid of dead times, and each of RATES as
 factors on the expected turning rates a. The fit starts from the likeliest. In each of ROUNDS
-rounds, passes over all tracks
+rounds or more, passes over all tracks
 
 - with the noise varied give gradient and curvature of the likelihood in the noise of measurements
   and the random walks, for a Newton step;
@@ -12,23 +12,22 @@ rounds, passes over all tracks
 
 The filter estimates a, speed and bias as constant states with wide priors, so that the likelihood
 is the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the speed,
-bias, dead time, ln of the measurement noise, and the random walks.
+bias, dead time, ln of the measurement noise, and the random walks, and as wide as the differences
+of blocks of BLOCK_S ask (`_Fit._widen`).
 
 The model does not fit robots whose speed wanders from second to second, nor those whose residuals
-of the heading are not white. Where residuals are not, by the test of Ljung and Box ("On
-a measure of lack of fit in time series models", Biometrika 65, 1978), intervals of a, speed and
-bias are widened by the ratio of the residuals' long-run deviation to their own, and that of the
-dead time by the greatest such ratio.
+of the heading are not white, by the test of Ljung and Box ("On a measure of lack of fit in time
+series models", Biometrika 65, 1978).
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, stdtrit
 
 from tetractl.control.filter_start import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Integers
 from tetractl.replay.identification.passes import (
     UNKNOWN_S,
     WANDER_S,
@@ -42,6 +41,12 @@ from tetractl.replay.identification.passes import (
 )
 
 ROUNDS = 6
+ROUNDS_MOST = 20
+"""Rounds of a fit, and those of one whose dead time has not settled, as where directions turn
+smoothly: a sine of .8 rad/s gave an a of 4.16 for 4 after six."""
+SETTLED_S = 3e-4
+"""Change in a round below which a dead time has settled, if it is not below half its deviation [s].
+"""
 RATES = (1.0, 0.4, 2.5)
 """Factors on the expected a, from which the first pass starts."""
 REACH_S = 0.3
@@ -63,6 +68,16 @@ WIDER = 10.0
 """Prior standard deviation of a pass, over the deviation after the pass before."""
 NOISE_PRIOR_STD = 5.0
 """Prior standard deviation of the noise's parameters."""
+CERTAIN_STD = 1e-6
+"""Prior standard deviation of a, speed and bias that are given."""
+BLOCK_S = 30.0
+BLOCKS_LEAST = 8
+"""Duration of the blocks whose differences give the intervals [s]; and how many there are at least,
+shorter ones. Of 10 runs of real robots, deviations of gains by blocks of 2, 10, 20, 30 and 60 s are
+as 0.7, 0.9, 1, 1.05 and 1.1."""
+DEAD_TIME = 7
+"""Slot of the dead time behind a robot's other parameters: of the noise, then ln a, ln of the speed
+and bias."""
 NORMAL = 1.96
 """Standard deviations to either end of a 95 % interval."""
 FAR = np.array([3.0, 1.0, 1.5])
@@ -74,10 +89,11 @@ DOUBT = 0.001
 """Lags of the test of residuals, and its level."""
 CLIPPED = 4.0
 """Residuals are clipped at so many standard deviations."""
-RESOLVED_S = 5e-4
+RESOLVED_S = 1e-3
+"""Dead time below 0 that is none [s]."""
 RESOLVED = 1e-3
-"""Deviations of residuals below which no camera shows that a model does not fit: of positions over
-the speed [s], and of headings [rad]."""
+"""Deviation of the residuals of headings below which no camera shows that a model does not fit
+[rad]."""
 DELAY_S = 7e-4
 """How far the radio's delay may be from that which a host assumes [s]. Hosts of lagging wheels send
 rates of the headings after that delay, so that robots turn as if a were larger by its share a
@@ -85,7 +101,6 @@ DELAY_S: the bench's host assumes 7 ms of 7.7. With it, intervals of a held the 
 of the bench's logs (n = 120, three robots each; benchmarks/identify_coverage.py --bench)."""
 HEADING = "heading"
 ALONG = "along the path"
-RESIDUALS = (ALONG, "across the path", HEADING)
 WANDERS = 0.03
 """Deviation of a robot's speeds over a second, over the speed, from which the model does not fit:
 of trials of the bench at most 0.010, of robots that slip by 20 % in half of a trial 0.095 or more
@@ -144,9 +159,12 @@ def fit(
     (N,) [rad/s], speeds (N,) [length unit/s] and dead time [s], None if that is unknown.
     """
     state = _Fit(frames, a, speed, dead_time)
-    for _ in range(ROUNDS):
+    for count in range(ROUNDS_MOST):
+        before_s = state.tau
         state.fit_noise()
         state.fit_motion()
+        if count + 1 >= ROUNDS and abs(state.tau - before_s) < max(SETTLED_S, state.tau_std / 2):
+            break
     return state.result(names)
 
 
@@ -251,14 +269,54 @@ class _Fit:
         factors[:, ::2] = np.exp(noise[:, ::2])
         return self._unit[rows] * factors
 
+    def _widen(self) -> None:
+        """Widen the deviations by as much as the slopes of blocks differ more than the likelihood's
+        curvature says: by the root of their ratio, in each parameter."""
+        base, up, down = self._by_blocks()
+        slopes = (up - down) / 2
+        curvatures = 2 * base - up - down
+        slopes[..., DEAD_TIME:] = slopes[..., DEAD_TIME:].sum(axis=1, keepdims=True)
+        curvatures[..., DEAD_TIME:] = curvatures[..., DEAD_TIME:].sum(axis=1, keepdims=True)
+        spread = len(slopes) * np.var(slopes, axis=0, ddof=1)
+        expected = np.maximum(curvatures.sum(axis=0), 1.0)  # 1 without correlated parameters
+        wider = np.maximum(wider_of_blocks(curvatures) * np.sqrt(spread / expected), 1.0)
+        self.noise_std = self.noise_std * wider[:, :4]
+        self.std = self.std * wider[:, 4:DEAD_TIME]
+        self.tau_std *= float(wider[0, DEAD_TIME])
+
+    def _by_blocks(self) -> tuple[Floats, Floats, Floats]:
+        """Return ln of the likelihood of each robot's blocks (B, N, 8): as it is, and with each
+        parameter raised and lowered by its deviation: noise, means and dead time."""
+        count = len(self.mean)
+        blocks = _blocks_of(self.frames)
+        changes = np.vstack([np.eye(DEAD_TIME), -np.eye(DEAD_TIME)])
+        rows = np.repeat(np.arange(count), len(changes))
+        changes = np.tile(changes, (count, 1))
+        noise = self.noise[rows] + self.noise_std[rows] * changes[:, :4]
+        belief = self._belief(rows, noise)
+        belief.mean[...] += self.std[rows] * changes[:, 4:]
+        belief.std[...] = CERTAIN_STD
+        changed = run(self.frames, rows, belief, np.array([self.tau]), blocks=blocks)
+        by_parameter = changed.by_block.reshape(-1, count, 2 * DEAD_TIME)
+
+        belief = self._belief(np.arange(count), self.noise)
+        belief.std[...] = CERTAIN_STD
+        taus = self.tau + self.tau_std * np.array([0.0, 1.0, -1.0])
+        base, later, sooner = run(
+            self.frames, np.arange(count), belief, taus, blocks=blocks
+        ).by_block.transpose(1, 0, 2)[..., None]
+        up = np.concatenate([by_parameter[..., :DEAD_TIME], later], axis=2)
+        down = np.concatenate([by_parameter[..., DEAD_TIME:], sooner], axis=2)
+        return base, up, down
+
     def result(self, names: Sequence[str]) -> Fitted:
         """Return the fit of robots with these names, with its intervals."""
         watched = self.fit_motion(watched=True)
-        speed = np.exp(self.mean[:, 1])
-        resolved = np.stack([RESOLVED_S * speed, RESOLVED_S * speed, RESOLVED + 0 * speed], axis=1)
-        correlated, wider = white(watched.residuals, resolved)
-        motion = self._motion_intervals(wider)
+        self._widen()
+        correlated = _is_correlated(watched.heading_residuals)
+        motion = self._motion_intervals()
         noise = self._noise_intervals()
+        speed = np.exp(self.mean[:, 1])
         position_noise = np.array([of_robot[0].value for of_robot in noise])
         of_noise = 2 * np.sqrt(2) * position_noise / (speed * WANDER_S)
         wanders = speed_wander(self.frames) > np.maximum(WANDERS, of_noise)
@@ -268,7 +326,7 @@ class _Fit:
             a, speed_interval, heading_bias = motion[i]
             position_noise, _, heading_noise, heading_walk = noise[i]
             misfits = [ALONG] if wanders[i] else []
-            if HEADING in correlated[i]:
+            if correlated[i]:
                 misfits.append(HEADING)
             robots.append(
                 FittedRobot(
@@ -284,19 +342,18 @@ class _Fit:
                     misfits=tuple(misfits),
                 )
             )
-        dead_time = self._dead_time_interval(wider.max())
-        return Fitted(dead_time, tuple(robots))
+        return Fitted(self._dead_time_interval(), tuple(robots))
 
-    def _dead_time_interval(self, wider: float) -> SampleInterval:
-        """Return the dead time with its interval, wider by a factor."""
-        reach = NORMAL * self.tau_std * wider if self.tau_std < UNKNOWN_S else np.inf
-        return SampleInterval(
-            max(0.0, self.tau), max(0.0, self.tau - reach), max(0.0, self.tau + reach)
-        )
+    def _dead_time_interval(self) -> SampleInterval:
+        """Return the dead time with its interval, not below 0 if it may be above."""
+        reach = NORMAL * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
+        least = 0.0 if self.tau + reach >= -RESOLVED_S else -np.inf
+        ends = self.tau, self.tau - reach, self.tau + reach
+        return SampleInterval(*np.maximum(ends, least).tolist())
 
-    def _motion_intervals(self, wider: Floats) -> list[list[SampleInterval]]:
-        """Return a, speed and bias of each robot with their intervals, wider by factors (N,)."""
-        deviations = self.std * wider[:, None]
+    def _motion_intervals(self) -> list[list[SampleInterval]]:
+        """Return a, speed and bias of each robot with their intervals."""
+        deviations = self.std.copy()
         if any(track.lag > 0 for track in self.frames):
             deviations[:, 0] = np.hypot(deviations[:, 0], np.exp(self.mean[:, 0]) * DELAY_S)
         half = NORMAL * deviations
@@ -317,6 +374,13 @@ class _Fit:
         return _intervals(np.stack(ends, axis=-1))
 
 
+def _blocks_of(frames: list[TrackFrames]) -> list[Integers]:
+    """Return the blocks in which the frames (F,) of each track are."""
+    durations_s = [np.diff(track.time[:, 0], prepend=track.time[0, 0]) for track in frames]
+    ends = np.cumsum([len(duration_s) for duration_s in durations_s])[:-1]
+    return np.split(block_numbers(np.concatenate(durations_s)), ends)
+
+
 def _intervals(values: Floats) -> list[list[SampleInterval]]:
     """Return the intervals of values (N, K, 3): each the value, its lower and its upper end."""
     return [_intervals_of_robot(of_robot) for of_robot in values]
@@ -327,30 +391,18 @@ def _intervals_of_robot(values: Floats) -> list[SampleInterval]:
     return [SampleInterval(value, low, high) for value, low, high in values.tolist()]
 
 
-def white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]:
-    """Return the kinds of each robot's residuals (F, N, 3) that are not white though their
-    deviation is above `resolved` (N, 3), and the greatest ratio of their long-run deviation to it
-    (N,), at least 1.
-    """
-    _, robots, kinds = residuals.shape
-    misfits: list[list[str]] = [[] for _ in range(robots)]
-    wider = np.ones(robots)
-    level = DOUBT / (robots * kinds)
-    for robot in range(robots):
-        for kind in range(kinds):
-            series = residuals[:, robot, kind]
-            is_residual = np.isfinite(series)
-            std = np.std(series[is_residual])
-            if std < resolved[robot, kind]:
-                continue
-            series = np.nan_to_num(np.clip(series, -CLIPPED * std, CLIPPED * std))
-            correlations = _autocorrelations(series)
-            ljung_box = is_residual.sum() * (correlations**2).sum()
-            if chdtrc(LAGS, ljung_box) < level:
-                misfits[robot].append(RESIDUALS[kind])
-                ratio = np.sqrt(max(1 + 2 * correlations.sum(), 1.0))
-                wider[robot] = max(wider[robot], ratio)
-    return misfits, wider
+def _is_correlated(residuals: Floats) -> list[bool]:
+    """Return whether the headings' residuals (F, N) of each robot [rad] are not white though their
+    deviation is above RESOLVED."""
+    robots = residuals.shape[1]
+    correlated: list[bool] = []
+    for series in residuals.T:
+        is_residual = np.isfinite(series)
+        std = np.std(series[is_residual])
+        clipped = np.nan_to_num(np.clip(series, -CLIPPED * std, CLIPPED * std))
+        ljung_box = is_residual.sum() * np.square(_autocorrelations(clipped)).sum()
+        correlated.append(bool(std >= RESOLVED and chdtrc(LAGS, ljung_box) < DOUBT / robots))
+    return correlated
 
 
 def _autocorrelations(series: Floats) -> Floats:
@@ -359,7 +411,7 @@ def _autocorrelations(series: Floats) -> Floats:
     return np.array(products) / (series @ series + 1e-300)
 
 
-# ---- Newton steps ----
+# ---- Newton steps, and blocks ----
 
 
 DIFFERENCE = 0.1
@@ -409,3 +461,22 @@ def derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, F
     curvature[:, row, column] = mixed
     curvature[:, column, row] = mixed
     return slope, curvature
+
+
+def block_numbers(duration_s: Floats) -> Integers:
+    """Return the number of the block in which each step (S,) of some duration [s] is."""
+    elapsed_s = np.cumsum(duration_s)
+    count = max(BLOCKS_LEAST, round(elapsed_s[-1] / BLOCK_S))
+    return np.minimum(elapsed_s / elapsed_s[-1] * count, count - 1).astype(np.int64)
+
+
+def wider_of_blocks(curvatures: Floats) -> Floats:
+    """Return by how much wider an interval by the spread of blocks is than a normal one, for the
+    negative curvatures h (B, ...) of ln of the likelihood of each block.
+
+    Where a robot turns in few blocks, few tell of its turns: a value counts as of (sum h)^2 / sum
+    h^2 blocks, and has the t distribution's quantile.
+    """
+    information = np.maximum(curvatures, 0.0)
+    blocks = information.sum(axis=0) ** 2 / (np.square(information).sum(axis=0) + 1e-300)
+    return np.asarray(stdtrit(np.maximum(blocks - 1, 1.0), 0.975) / NORMAL)

@@ -29,7 +29,8 @@ class IdentifiedRobots:
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
-    `lag_unstated` says that robots are on wheels whose lag nothing states.
+    `lag_unstated` says that robots are on wheels whose lag nothing states, `turns_uniformly` that
+    all directions turn at one rate.
     """
 
     origin: str
@@ -42,6 +43,7 @@ class IdentifiedRobots:
     strength: float | None = None
     strength_unit: str = "mT"
     lag_unstated: bool = False
+    turns_uniformly: bool = False
 
 
 def identify(
@@ -81,7 +83,25 @@ def identify(
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
         lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
+        turns_uniformly=turn_uniformly(tracks),
     )
+
+
+def turn_uniformly(tracks: list[Track]) -> bool:
+    """Return whether the directions of all tracks turn at one rate, to either side: robots follow
+    them at an angle that the dead time makes as well as a and the heading bias do."""
+    rates: list[float] = []
+    for track in tracks:
+        u = np.unwrap(track.u)
+        if len(u) < 3 or np.ptp(track.sent) == 0:
+            return False
+        rate, first = np.polyfit(track.sent - track.sent[0], u, 1)
+        off = np.abs(u - first - rate * (track.sent - track.sent[0]))
+        steps = np.abs(np.diff(u))
+        if max(off.max(), steps.max()) > UNIFORM_RAD or np.ptp(u) < TURN_LEAST:
+            return False
+        rates.append(abs(rate))
+    return max(rates) < UNIFORM_RATES * min(rates)
 
 
 QUANTITIES = {
@@ -101,6 +121,19 @@ NO_INTERVAL = (
     "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
     "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
 )
+UNIFORM = (
+    "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
+    "tell one from another: send directions that jump"
+)
+UNIFORM_RAD = 0.2
+TURN_LEAST = 1.0
+"""How far from a uniform turn, and from the one before, directions may be that turn uniformly, and
+by how much these turn [rad]. Steps of .4 rad tell a and dead time from one another."""
+UNIFORM_RATES = 1.1
+"""Factor between the rates of tracks below which they are one."""
+LATE_S = 0.6
+"""Dead time from which it is asked whether times are of one clock [s]: those of robots that the
+pages name are .1 at most."""
 _ABREAST = 3
 """Largest number of robots in one table."""
 DECIMALS_MAX = 6
@@ -111,9 +144,10 @@ DECIMALS_OF_EXACT = 3
 def stated(result: IdentifiedRobots) -> IdentifiedRobots:
     """Return the values as they are printed and written: without the ends of intervals that hold in
     fewer than 92 % of the logs of trials (docs/how-to/identify.md). A lag of wheels that nothing
-    states gives the dead time wrong, which all robots share, and with it a and the bias of each.
+    states gives the dead time wrong, which all robots share, and with it a and the bias of each; so
+    may directions that turn uniformly.
     """
-    if not _may_lag(result):
+    if not (_may_lag(result) or result.turns_uniformly):
         return replace(result, robots=tuple(_without(robot, UNSTATED) for robot in result.robots))
     robots = tuple(_without(robot, (*UNSTATED, *OF_HEADING)) for robot in result.robots)
     return replace(result, dead_time=_bare(result.dead_time), robots=robots)
@@ -141,10 +175,17 @@ def identified(result: IdentifiedRobots, when: str) -> Identified:
         origin=result.origin,
         sources=result.sources,
         unit=result.unit,
-        dead_time=_value(result.dead_time),
+        dead_time=_value(_of_spec(result.dead_time)),
         frame_age=result.frame_age or 0.0,
         strength=result.strength,
         robots={robot.name: _identified_robot(robot) for robot in result.robots},
+    )
+
+
+def _of_spec(dead_time: SampleInterval) -> SampleInterval:
+    """Return a dead time as specs have it, not below 0."""
+    return SampleInterval(
+        max(dead_time.value, 0.0), max(dead_time.low, 0.0), max(dead_time.high, 0.0)
     )
 
 
@@ -168,6 +209,9 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     if result.frame_age is not None:
         note += f"; frames are {result.frame_age:.4f} s old at sending"
     note += f"\n{_fits(result)}"
+    if result.turns_uniformly:
+        note += f"\n{UNIFORM}"
+    note += clock_doubt(result.dead_time)
     labels = _labels(result)
     abreast: list[Table] = []
     for start in range(0, len(result.robots), _ABREAST):
@@ -175,6 +219,15 @@ def tables(result: IdentifiedRobots) -> list[Table]:
         columns = [Column(robot.name, _texts(robot, result.strength)) for robot in robots]
         abreast.append(Table(title, (Column("quantity", labels), *columns), note))
     return abreast
+
+
+def clock_doubt(dead_time: SampleInterval) -> str:
+    """Return a line on a dead time as of poses and commands with two clocks, "" for others."""
+    if dead_time.value < 0 and not dead_time.high >= 0:  # or unknown
+        return "\na dead time below 0: times of poses and commands are of two clocks"
+    if dead_time.value > LATE_S and not dead_time.low <= LATE_S:
+        return f"\na dead time above {LATE_S:g} s: are times of poses and commands of one clock?"
+    return ""
 
 
 def _labels(result: IdentifiedRobots) -> list[str]:

@@ -53,6 +53,8 @@ ACROSS = 0.2
 """Share of the way across the heading from which a robot is not one on two wheels."""
 SURE = 3.0
 """Standard deviations of the angle by which it is more."""
+ALONG = 0.5
+"""Share of the way, at the begin and at the end, that an angle explains if headings drift."""
 LEAST_WAY = 1e-9
 DEVIATIONS_ROUNDS = 20
 LEAST_DEVIATION = 1e-4
@@ -265,23 +267,31 @@ def check_angle(source: str, name: str, steps: PoseSteps, sent: Floats) -> None:
     straight = _MotionAngle.of(steps.moved, sent, steps.turned)
     mirrored = _MotionAngle.of(steps.mirrored, sent, steps.turned)
     if mirrored.explained > straight.explained + MIRRORED:
+        if abs(mirrored.angle + math.pi / 2) < math.pi / 4:
+            raise UsageError(
+                f"{source}: {name} moves along its heading only with x and y exchanged",
+                "are headings clockwise from +y, as a compass's? take them from a quarter turn; "
+                "or exchange x and y",
+            )
         axis = "y" if abs(mirrored.angle) < math.pi / 2 else "x"
         raise UsageError(
             f"{source}: {name} moves along its heading only with {axis} reversed",
             f"is the picture mirrored, or y downwards? reverse {axis}, or the headings",
         )
+    off = abs(straight.angle)
+    if off < OFF_RAD + SURE * straight.std and straight.across <= ACROSS:
+        return
+    _refuse_drift(source, name, steps, sent)
     if straight.across > ACROSS:
         raise UsageError(
             f"{source}: {name} moves across its heading in {straight.across:.0%} of its way",
             "robots on two wheels cannot: identify one that moves along its heading",
         )
-    off = abs(straight.angle)
-    if off < OFF_RAD + SURE * straight.std:
-        return
     if off > math.pi - OFF_RAD:
         raise UsageError(
             f"{source}: {name} moves against its heading",
-            "add half a turn to the headings; or reverse v, if it is below 0 ahead",
+            "add half a turn to the headings; or reverse v, if it is below 0 ahead; or the times, "
+            "if they run backwards",
         )
     side = "left" if straight.angle > 0 else "right"
     remedy = "add {} to" if straight.angle > 0 else "take {} off"
@@ -289,3 +299,20 @@ def check_angle(source: str, name: str, steps: PoseSteps, sent: Floats) -> None:
         f"{source}: {name} moves {math.degrees(off):.0f} degrees to the {side} of its heading",
         f"{remedy.format(f'{off:.3f} rad')} the headings",
     )
+
+
+def _refuse_drift(source: str, name: str, steps: PoseSteps, sent: Floats) -> None:
+    """Raise UsageError if the angle from heading to motion changes from the first third of the
+    steps to the last by more than either may be off."""
+    third = len(sent) // 3
+    moved = steps.moved
+    first = _MotionAngle.of(moved[:third], sent[:third], steps.turned[:third])
+    last = _MotionAngle.of(moved[-third:], sent[-third:], steps.turned[-third:])
+    change = float(np.angle(np.exp(1j * (last.angle - first.angle))))
+    are_along = min(first.explained, last.explained) > ALONG
+    if are_along and abs(change) > OFF_RAD + SURE * (first.std + last.std):
+        raise UsageError(
+            f"{source}: the angle from the heading of {name} to its motion changes by "
+            f"{math.degrees(change):.0f} degrees",
+            "do its headings drift, as of a gyroscope? they must not",
+        )

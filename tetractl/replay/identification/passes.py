@@ -235,19 +235,24 @@ class Belief:
 
 @dataclass(frozen=True, slots=True)
 class Passed:
-    """The results of a pass: `likelihood` (B, R) is its logarithm, up to a constant; `mean` and
-    `std` (B, R, 3) are as in `Belief`.
+    """The results of a pass: `by_block` (K, B, R) is ln of the likelihood of each block of time, up
+    to a constant; `mean` and `std` (B, R, 3) are as in `Belief`.
 
-    For the dead time in the middle of the bank, if watched: `residuals` (F, R, 3) along the path,
-    across it and of the heading, NaN where a pose is not used; `lost` (R,) is the expected number
+    For the dead time in the middle of the bank, if watched: `heading_residuals` (F, R) [rad], NaN
+    where a pose is not used; `lost` (R,) is the expected number
     of directions that did not reach the robot.
     """
 
-    likelihood: Floats
+    by_block: Floats
     mean: Floats
     std: Floats
-    residuals: Floats
+    heading_residuals: Floats
     lost: Floats
+
+    @property
+    def likelihood(self) -> Floats:
+        """ln of the likelihood of all frames (B, R)."""
+        return self.by_block.sum(axis=0)
 
 
 def run(
@@ -257,29 +262,31 @@ def run(
     tau: Floats,
     apart_s: float = 0.0,
     watched: bool = False,
+    blocks: Sequence[Integers] = (),
 ) -> Passed:
     """Run the filter over tracks for robots `rows` (R,) and dead times tau (B,) [s], each uncertain
-    by `apart_s`.
+    by `apart_s`; `blocks` are the numbers of the frames' blocks (F,) of each track, by default 0.
     """
     first_model, bank = _start(belief, tau)
-    likelihood = np.zeros((len(tau), len(rows)))
+    blocks = blocks or [np.zeros(len(track.time), dtype=np.int64) for track in tracks]
+    by_block = np.zeros((1 + max(block[-1] for block in blocks), len(tau), len(rows)))
     lost = np.zeros(len(rows))
     residuals: list[Floats] = []
-    for track in tracks:
+    for track, block in zip(tracks, blocks, strict=True):
         _begin_track(bank, track)
         model = first_model._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold=track.hold)
         watch = _Watch(track.u, len(rows)) if watched else None
-        likelihood += _run_track(bank, model, track, rows, apart_s, watch)
+        _run_track(bank, model, track, rows, apart_s, watch, by_block, block)
         if watch is not None:
             residuals += watch.residuals
             lost += watch.lost
         _keep_likeliest(bank)
     variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
     return Passed(
-        likelihood=likelihood,
+        by_block=by_block,
         mean=bank.state[:, :, 0, IDENTIFIED],
         std=np.sqrt(np.maximum(variance, 0.0)),
-        residuals=np.array(residuals),
+        heading_residuals=np.array(residuals),
         lost=lost,
     )
 
@@ -304,8 +311,11 @@ def _run_track(
     rows: NDArray[np.int64],
     apart_s: float,
     watch: "_Watch | None",
-) -> Floats:
-    """Run the filter over the frames of a track; return ln of their likelihood (B, R)."""
+    by_block: Floats,
+    block: Integers,
+) -> None:
+    """Run the filter over the frames of a track (F,), each in a `block` (F,), and add ln of their
+    likelihood to that of its block (K, B, R)."""
     from tetractl.control.kernels import filter as kernel
 
     commands = SentCommands(track.when, track.u)
@@ -313,7 +323,6 @@ def _run_track(
     poses = np.ascontiguousarray(track.poses[:, rows])
     used = np.ascontiguousarray(track.used[:, rows])
     placed = np.ascontiguousarray(track.placed[:, rows])
-    likelihood = np.zeros((len(bank.dead_time_s), len(rows)))
     # the filter is called with two frames: one without poses, by which no interval is too long
     # for its commands, and the camera's
     both_poses = np.full((2, *poses.shape[1:]), np.nan)
@@ -324,21 +333,20 @@ def _run_track(
         both_poses[1] = poses[frame]
         both_valid[1] = used[frame]
         frames = PoseFrames(both_times, both_poses, both_valid)
-        likelihood += kernel.follow(bank, model, commands, frames, False, apart_s)
+        by_block[block[frame]] += kernel.follow(bank, model, commands, frames, False, apart_s)
         bank.noise_scale[...] = 1.0
         if placed[frame].any():
             kernel.place(bank, model, NO_COMMANDS, now, poses[frame], placed[frame])
         if watch is not None:
             watch.add(bank, poses[frame], used[frame])
         last = now
-    return likelihood
 
 
 class _Watch:
     """Watches the dead time in the middle of a bank along a track, with directions u (C,).
 
-    `residuals` has an entry (R, 3) per frame; `lost` (R,) is the expected number of directions that
-    did not reach a robot.
+    `residuals` has an entry (R,) per frame, of headings [rad]; `lost` (R,) is the expected number
+    of directions that did not reach a robot.
     """
 
     def __init__(self, u: Floats, rows: int) -> None:
@@ -354,7 +362,7 @@ class _Watch:
         middle = len(bank.dead_time_s) // 2
         ln_weight = bank.ln_weight[middle]
         state = bank.state[middle, self._rows, ln_weight.argmax(axis=1)]
-        self.residuals.append(np.where(used[:, None], _residual(poses, state), np.nan))
+        self.residuals.append(np.where(used, wrap(poses[:, 2] - state[:, 2]), np.nan))
         newest = bank.next_command[middle] - 1
         follows_another = bank.direction[middle] != self._u[newest][:, None]
         weights = np.exp(ln_weight) * follows_another
@@ -431,11 +439,3 @@ def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
     ones = np.ones((count, len(PARAMETERS)))
     noise = np.ascontiguousarray(noise)
     return FilterModel(ones, noise, walk, 0.0, 0.0, np.inf, branch_all=True), bank
-
-
-def _residual(poses: Floats, states: Floats) -> Floats:
-    """Return measured poses (R, 3) less estimated ones: along the path, across it, in heading."""
-    x, y, heading = (poses - states[:, :3]).T
-    cos = np.cos(states[:, 2])
-    sin = np.sin(states[:, 2])
-    return np.column_stack([cos * x + sin * y, cos * y - sin * x, wrap(heading)])

@@ -36,7 +36,6 @@ from functools import lru_cache, partial
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.special import stdtrit
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
@@ -44,9 +43,11 @@ from tetractl.replay.identification.fit import (
     NORMAL,
     UNLIKELY,
     SampleInterval,
+    block_numbers,
     derivatives,
+    wider_of_blocks,
 )
-from tetractl.replay.identification.identify import INTERVALS_MIN, cell
+from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt
 from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.tracks import Track
 from tetractl.tools.table.table import Column, Table
@@ -109,6 +110,10 @@ SURELY_MORE = 0.2
 a gain of 1 if they are not obeyed."""
 UNIT_WITHIN = 1.5
 """Factor about 1 within which gains are of robots that obey."""
+GAIN_MOST = 4.0
+"""Gain from which, and below its inverse, commands are not of the unit that they state."""
+GAIN_OF_BASE = (1.8, 2.2)
+"""Turning gains as of a distance between wheels that is taken for that to the centre."""
 TURN_UNITS = {
     30 / math.pi: "is w in turns per minute? divide it by 9.549",
     0.5 / math.pi: "is w in turns per second? multiply it by 6.283",
@@ -128,11 +133,6 @@ SPEED_UNITS = {
 """By what gains are to be multiplied if commands are of another unit, and what to do."""
 SEARCHED = 7
 """Number of the parameters that are searched; behind them in a vector come the gains."""
-BLOCK_S = 30.0
-BLOCKS_LEAST = 8
-"""Duration of the blocks whose differences give the intervals [s]; and how many there are at least,
-shorter ones. Of 10 runs of real robots, deviations of gains by blocks of 2, 10, 20, 30 and 60 s are
-as 0.7, 0.9, 1, 1.05 and 1.1."""
 PRIOR_STD = 5.0
 """Standard deviation of the prior of each parameter, in its units: hardly any prior."""
 LEAST_VARIANCE = 1e-18
@@ -347,7 +347,7 @@ def _usable_steps(source: str, name: str, tracks: list[_DrivenTrack], expected_s
         turned=turned[rows],
         way=way[rows],
         duration_s=steps.duration_s[rows],
-        block=_blocks(steps.duration_s)[rows],
+        block=block_numbers(steps.duration_s)[rows],
         neighbours=(np.diff(rows) == 1) & ~np.isin(rows[1:], ends_of_tracks),
         left_out=int((drives & far_off).sum()),
         dead_time=dead_time,
@@ -397,13 +397,6 @@ def _correlation(first: Floats, second: Floats) -> float:
     a = first - first.mean()
     b = second - second.mean()
     return float(a @ b) / (float(np.linalg.norm(a) * np.linalg.norm(b)) + 1e-300)
-
-
-def _blocks(duration_s: Floats) -> Integers:
-    """Return the number of the block in which each step (S,) of some duration [s] is."""
-    elapsed_s = np.cumsum(duration_s)
-    count = max(BLOCKS_LEAST, round(elapsed_s[-1] / BLOCK_S))
-    return np.minimum(elapsed_s / elapsed_s[-1] * count, count - 1).astype(np.int64)
 
 
 def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
@@ -647,6 +640,12 @@ def _check_unit(source: str, what: str, gain: float, units: dict[float, str]) ->
                 f"{source}: the {what} is {gain:.3g}, as of a wrong unit; {right:.3g} otherwise",
                 hint,
             )
+    if not 1 / GAIN_MOST < gain < GAIN_MOST:
+        raise UsageError(
+            f"{source}: the {what} is {gain:.3g}, as of a wrong unit",
+            "are these turns of motors or wheels, not their way? give v and w, or left and right, "
+            "as what the robot was to drive",
+        )
 
 
 def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> Floats:
@@ -654,9 +653,7 @@ def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> 
     ways behind it: the greater of the curvature's and of the jackknife's of blocks.
 
     With s_b and H_b the slope and curvature of ln of the likelihood of each of B blocks, and H that
-    of all, the vector without a block is nearly the likeliest less (H - H_b)^-1 s_b. Where a robot
-    turns in few blocks, few tell of its turns: a value counts as of (sum h_b)^2 / sum h_b^2 blocks,
-    with h_b its entry on the diagonal of H_b.
+    of all, the vector without a block is nearly the likeliest less (H - H_b)^-1 s_b.
     """
     at_best = units.at(likeliest[:SEARCHED])
     unit = np.ones(len(likeliest))
@@ -680,9 +677,7 @@ def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> 
         _inverse(curvature - of_block) @ slope
         for slope, of_block in zip(slopes, curvatures, strict=True)
     ]
-    information = np.maximum(np.diagonal(curvatures, axis1=1, axis2=2), 0.0)
-    blocks = information.sum(axis=0) ** 2 / (np.square(information).sum(axis=0) + 1e-300)
-    wider = stdtrit(np.maximum(blocks - 1, 1.0), 0.975) / NORMAL
+    wider = wider_of_blocks(np.diagonal(curvatures, axis1=1, axis2=2))
     spread = (len(without) - 1) * np.var(without, axis=0)
     variance = np.diag(_inverse(curvature))
     return unit * np.sqrt(np.maximum(variance, wider**2 * spread))
@@ -723,8 +718,11 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
         left_out = f"{robot.left_out} of {robot.left_out + robot.intervals}"
         columns.append(Column(robot.name, [*values, left_out]))
     note = _lag_for_spec(responses)
-    if any(robot.dead_time.high < 0 for robot in responses):
-        note += "\na dead time below 0: times of poses and commands are of two clocks"
+    doubts = [clock_doubt(robot.dead_time) for robot in responses]
+    note += max(doubts, key=len)
+    low, high = GAIN_OF_BASE
+    if any(low < robot.turning_gain.value < high for robot in responses):
+        note += "\na turning gain near 2: is radius, or that of w, the distance between the wheels?"
     return Table(title, tuple(columns), note)
 
 

@@ -531,6 +531,17 @@ def test_a_model_that_does_not_fit_is_said_not_to():
     assert "the model does not fit" in tables(identification)[0].note
 
 
+@pytest.mark.long
+def test_headings_are_not_judged_where_commands_between_two_are_unknown():
+    """Regression: "the model does not fit" of one right export of eight."""
+    track = drive(5, *NOISY, "plant.dead_time=0.1").track
+    track.poses[:, 1, 2] += 0.15 * np.sign(np.sin(track.time))
+    (_, judged, _) = identify([track], A_RAD_S).robots
+    (_, exported, _) = identify([replace(track, all_commands=False)], A_RAD_S).robots
+    assert "heading" in judged.misfits
+    assert "heading" not in exported.misfits
+
+
 def slips(track, robot):
     """From the middle of the track on the robot drives 20 % slower."""
     middle = len(track.poses) // 2

@@ -445,6 +445,7 @@ def _track(
         frame_age=sent.frame_age,
         left_out=tuple(brief),
         lag=numbers.lag_s,
+        all_commands=numbers.lag_s == 0,
         twists=sent.twists,
         remarks=tuple(remarks),
     )

@@ -58,14 +58,14 @@ SEARCHED_APART_S = 0.05
 """Dead times that are searched if it is unknown, and their spacing [s]. Below 0, times are of two
 clocks."""
 USUAL_S = 0.05  # dead time from which the fit begins if none is found [s]
-EARLY_S = 0.1
-"""Time by which robots may seem to turn before they are sent a direction [s]."""
 FIRST_STD = np.array([0.5, 0.5, 0.2])
 MOST_STD = np.array([2.0, 0.5, 1.0])
 """Prior standard deviations of ln a, ln of the speed and bias [rad]: of the first pass, and at
 most."""
 WIDER = 10.0
 """Prior standard deviation of a pass, over the deviation after the pass before."""
+LN_MOST = 50.0
+"""Greatest ln of a noise over the usual one."""
 NOISE_PRIOR_STD = 5.0
 """Prior standard deviation of the noise's parameters."""
 CERTAIN_STD = 1e-6
@@ -170,14 +170,11 @@ def fit(
 
 def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
     """Return the likeliest dead time of those that are possible [s], for robots `rows` (R,) with
-    each of RATES; USUAL_S if it is below 0 or at the end of these, as nothing then fits."""
+    each of RATES; USUAL_S if it is at an end of these, as nothing then fits."""
     taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
     passed = run([frames], rows, belief, taus, SEARCHED_APART_S)
     best = _likeliest(passed)
-    tau = float(taus[best])
-    if tau < -EARLY_S or best == len(taus) - 1:
-        return USUAL_S
-    return max(0.0, tau)
+    return USUAL_S if best in (0, len(taus) - 1) else float(taus[best])
 
 
 def _likeliest(passed: Passed) -> int:
@@ -227,7 +224,8 @@ class _Fit:
         longest = max(self.frames, key=lambda track: len(track.time))
         if dead_time is None:
             dead_time = _searched(longest, rows, belief)
-        taus = np.arange(max(0.0, dead_time - REACH_S), dead_time + REACH_S, APART_S)
+        least = dead_time - REACH_S if dead_time < 0 else max(0.0, dead_time - REACH_S)
+        taus = np.arange(least, dead_time + REACH_S, APART_S)
         passed = run([longest], rows, belief, taus, APART_S)
         best = _likeliest(passed)
         best_rates = passed.likelihood[best].reshape(count, len(RATES)).argmax(axis=1)
@@ -266,7 +264,7 @@ class _Fit:
     def _deviations(self, rows: np.ndarray, noise: Floats) -> Floats:
         """Return the standard deviations (R, 4) for parameters of the noise (R, 4)."""
         factors = np.abs(noise)
-        factors[:, ::2] = np.exp(noise[:, ::2])
+        factors[:, ::2] = np.exp(np.minimum(noise[:, ::2], LN_MOST))
         return self._unit[rows] * factors
 
     def _widen(self) -> None:

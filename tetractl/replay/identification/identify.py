@@ -79,11 +79,21 @@ def identify(
         commands=sum(len(track.u) for track in frames),
         dead_time=fitted.dead_time,
         frame_age=float(np.median(ages)) if ages else None,
-        robots=fitted.robots,
+        robots=_judged(fitted.robots, all(track.all_commands for track in tracks)),
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
         lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
         turns_uniformly=turn_uniformly(tracks),
+    )
+
+
+def _judged(robots: tuple[FittedRobot, ...], all_commands: bool) -> tuple[FittedRobot, ...]:
+    """Return robots without a misfit of their headings if not all commands are known: hosts of
+    lagging wheels send new rates between two directions."""
+    if all_commands:
+        return robots
+    return tuple(
+        replace(robot, misfits=tuple(m for m in robot.misfits if m != HEADING)) for robot in robots
     )
 
 

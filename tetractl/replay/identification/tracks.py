@@ -30,7 +30,8 @@ class Track:
     of the field in `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are
     speed [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent
     none; without any, C is 0. `own_times` (M, N) are those of robots' poses [s], `time` for all if
-    it is empty. `remarks` are lines for the user on the data.
+    it is empty. `all_commands` is False of lagging wheels that were sent others between these.
+    `remarks` are lines for the user on the data.
     """
 
     source: str
@@ -52,6 +53,7 @@ class Track:
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     own_times: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    all_commands: bool = True
     remarks: tuple[str, ...] = ()
 
     @property

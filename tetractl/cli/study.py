@@ -131,7 +131,8 @@ def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", h
     if how.cluster is not None:
         chosen = Cluster(how.cluster, interrupt)
     else:
-        chosen = nullcontext(on_this_machine(how.jobs or _processors(), len(tasks), interrupt))
+        jobs = how.jobs or _processors()
+        chosen = nullcontext(on_this_machine(jobs, len(tasks), interrupt))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive outside of `watch`
     with chosen as executor:
         if not how.quiet:

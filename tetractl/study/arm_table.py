@@ -88,7 +88,10 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     Trials with the same number have the same seed in every arm, so their mean over the arms counts
     as one observation. If each trial counted separately, the interval would be too short.
     """
-    errors = [_errors_by_number(store, arm) for arm in arms]
+    errors: list[dict[int, float]] = []  # of each arm, by the number of the trial
+    for arm in arms:
+        trials = store.batches[arm.name].results.items()
+        errors.append({n: trial.result.total_error for n, trial in trials if counts(trial)})
     in_all = set.intersection(*map(set, errors))
     means: list[float] = []
     for number in sorted(in_all):
@@ -97,12 +100,6 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     bound = arms[0].spec.experiment.error_bound
     label = shown(value)
     return ArmErrors.of(value, label, len(arms), np.array(means), bound)
-
-
-def _errors_by_number(store: Store, arm: Arm) -> dict[int, float]:
-    """Return the total error of each trial of an arm that counts, by its number."""
-    results = store.batches[arm.name].results
-    return {number: trial.result.total_error for number, trial in results.items() if counts(trial)}
 
 
 def field_values(

@@ -230,8 +230,7 @@ def _show_tracks(
         readings.append(image(str(source), str(field), directions))
         check_directions(courses(paths), directions, AT_ONCE_S, readings)
         ui.tell(*side_remarks(directions, paths))
-    else:
-        ui.tell(*stage_remarks(cells.paths))
+    ui.tell(*stage_remarks(cells.paths, directions))
     organism = organism_by_speed(cells.paths) if kind is None else kind
     with ui.progress("Fitting"):
         record = track_record(source, cells, organism, directions)

@@ -28,6 +28,10 @@ TOGETHER = 3.0
 eight cells that swim each its own way reached it in 22 of 10,000 draws."""
 TOGETHER_MIN = 8
 """Fewest cells of which that is said."""
+STRAIGHT = 0.7
+TURNS_ABOUT = 0.5
+"""Share of their way that cells which go with a flow come on at least; and the greatest mean of a
+field's directions, as vectors of length 1, of one that turns about."""
 SPEED_S = 1.0
 """Time over which a speed is measured by which the organism is chosen [s]."""
 
@@ -80,10 +84,11 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
     return CellTracks(paths, PictureTimes(1 / period_s, times.tolist()), tuple(remarks))
 
 
-def stage_remarks(paths: Sequence[CellPath]) -> tuple[str, ...]:
+def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -> tuple[str, ...]:
     """Return a warning if all cells move together, as what lies still does on a stage that moves.
 
-    Cells without a field swim each its own way: the mean of their velocities is small.
+    Cells without a field swim each its own way: the mean of their velocities is small. Those that
+    follow a field that turns about move together, but to no side for long.
     """
     velocities = np.array([_velocity_um_s(path) for path in paths])
     if len(velocities) < TOGETHER_MIN:
@@ -93,6 +98,12 @@ def stage_remarks(paths: Sequence[CellPath]) -> tuple[str, ...]:
     own_um_s = float(np.median(np.linalg.norm(velocities - common, axis=1)))
     if speed_um_s < TOGETHER * own_um_s:
         return ()
+    if field is not None:
+        pace_um_s = float(np.median([_speed_um_s(path) for path in paths]))
+        straight = speed_um_s / pace_um_s
+        times = np.unique(np.concatenate([path.times for path in paths]))
+        if straight < STRAIGHT or abs(np.mean(np.sign(field.at(times)))) > TURNS_ABOUT:
+            return ()
     return (
         f"warning: all cells move together, by {speed_um_s:.0f} um/s, and by {own_um_s:.0f} um/s "
         "apart from that: does the stage move, or the medium flow? It is part of their speeds",

@@ -87,6 +87,31 @@ def test_cells_that_move_with_their_stage_are_said():
     assert not stage_remarks(swimming_tracks(SOURCE, lying[:4], False).paths)
 
 
+def steered(number, field, a=4.0, speed=300.0):
+    """A cell that turns to a field's direction."""
+    when = times()
+    headings = [0.3 * number]
+    for direction in np.angle(field.at(when[1:])):
+        headings.append(headings[-1] + a * np.sin(direction - headings[-1]) / HZ)
+    way = np.cumsum(speed / HZ * np.exp(1j * np.array(headings)))
+    return track(number, when, way.real, way.imag)
+
+
+def test_particles_that_drift_past_a_turning_field_are_said_to():
+    """Regression: an a of one particle in four, without a word."""
+    turning_about = FieldRecord(np.arange(10.0), np.random.default_rng(1).uniform(-3, 3, 10))
+    to_one_side = FieldRecord(np.arange(10.0), np.full(10, 0.5))
+    drifting = [bead(number, 2.0, drift_um_s=20.0) for number in range(10)]
+    paths = swimming_tracks(SOURCE, drifting, True).paths
+    assert "does the stage move, or the medium flow?" in stage_remarks(paths, turning_about)[0]
+    assert not stage_remarks(paths, to_one_side)
+    for field in (turning_about, to_one_side):
+        followed = [steered(number, field) for number in range(10)]
+        assert not stage_remarks(swimming_tracks(SOURCE, followed, True).paths, field)
+    own_ways = [turning(number, 0.1) for number in range(10)]
+    assert not stage_remarks(swimming_tracks(SOURCE, own_ways, True).paths, turning_about)
+
+
 @pytest.mark.parametrize(
     ("speed", "name"),
     [(30.0, "magnetospirillum"), (90.0, "euglena"), (350.0, "tetrahymena"), (900.0, "paramecium")],

@@ -14,7 +14,7 @@ import numpy as np
 
 from tetractl.control.rng import mix
 from tetractl.core.plan import Limits, Problem, Search, never
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, wrap
 from tetractl.core.protocols import Optimizer
 
 GROWTH = 1.2  # ratio of successive lengths tried for a longer plan, under way
@@ -49,10 +49,10 @@ def longer(count: int, most: int) -> Iterator[int]:
 
 
 def resampled(signals: Floats, length: int) -> Floats:
-    """Return signals (L,), drawn together or out in time to (length,)."""
+    """Return signals (L,) [rad], drawn together or out in time to (length,), from -pi to pi."""
     count = len(signals)
     times = (np.arange(length) + 0.5) * (count / length) - 0.5
-    return np.interp(times, np.arange(count), np.unwrap(signals))
+    return wrap(np.interp(times, np.arange(count), np.unwrap(signals)))
 
 
 class Searcher:

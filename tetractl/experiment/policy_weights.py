@@ -96,7 +96,7 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
 def write_weights(path: Path, modules: Iterable[Any]) -> None:
     """Write the file of weights of a network, given as its layers in order: pairs (W, b) of arrays,
     or modules, of which those without a `weight` are left out. Raises UsageError for what is no
-    layer of a policy."""
+    layer of a policy, and for a module of several layers."""
     layers = []
     for module in modules:
         if isinstance(module, tuple | list) and len(module) == 2:
@@ -107,6 +107,8 @@ def write_weights(path: Path, modules: Iterable[Any]) -> None:
             bias = getattr(module, "bias", None)
             name = type(module).__name__
         if weight is None:
+            if _holds_layers(module):
+                raise UsageError(f"a {name} holds layers of its own", "give these in order")
             continue
         try:
             layer = {"weights": _listed(weight), "bias": _listed(bias)}
@@ -121,6 +123,12 @@ def write_weights(path: Path, modules: Iterable[Any]) -> None:
         hint = "give the network's modules in order, or pairs (W, b) of arrays"
         raise UsageError("no layer is given", hint)
     path.write_text(json.dumps({"layers": layers}), encoding="utf-8")
+
+
+def _holds_layers(module: Any) -> bool:
+    """Return whether a module of torch has parameters, as one of other modules has."""
+    parameters = getattr(module, "parameters", None)
+    return parameters is not None and any(True for _ in parameters())
 
 
 def _listed(numbers: Any) -> Any:

@@ -318,7 +318,7 @@ def contrast(
         sides = list(combinations(groups, 2))
     else:
         sides = [(group, baseline) for group in groups]
-    tests = sum(first.origin is second.origin for first, second in sides)
+    tests = sum(_is_tested(first, second) for first, second in sides)
     contrasts = [_contrast(first, second, max(tests, 1)) for first, second in sides]
     means = mean_difference.holm([comparison.difference.p_value for comparison in contrasts])
     ranks = mean_difference.holm([comparison.rank_p for comparison in contrasts])
@@ -327,6 +327,13 @@ def contrast(
         for comparison, p_holm, rank_p_holm in zip(contrasts, means, ranks, strict=True)
     ]
     return BatchComparison(batches, tuple(corrected))
+
+
+def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
+    """Return whether a difference is tested: between plants that are alike, and controllers that
+    decided."""
+    given = directions_given(first.experiment) or directions_given(second.experiment)
+    return first.origin is second.origin and not given
 
 
 def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
@@ -345,17 +352,15 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Co
         )
         rank_p = mean_difference.rank_sum(first.totals, second.totals)
         detects = mean_difference.detectable(ours.n, theirs.n, tests)
-    alike = first.origin is second.origin
-    no_controller = directions_given(first.experiment) or directions_given(second.experiment)
-    if no_controller or not alike:
+    if not _is_tested(first, second):
         difference = replace(difference, p_value=math.nan)
         rank_p = math.nan
         detects = math.nan
     return Contrast(
         first=first,
         second=second,
-        alike=alike,
-        no_controller=no_controller,
+        alike=first.origin is second.origin,
+        no_controller=directions_given(first.experiment) or directions_given(second.experiment),
         pairs=pairs,
         why_unpaired=pairing.why_none,
         difference=difference,

@@ -148,6 +148,25 @@ def test_the_modules_of_a_network_are_written_as_its_file_of_weights(tmp_path):
     assert layers[0].arrays()[1].tolist() == [0, 0.5]
 
 
+class Stack(Module):
+    """A module of others, as torch's `Sequential`: it has parameters, but no weight of its own."""
+
+    def __init__(self, *modules):
+        self._modules = modules
+
+    def parameters(self):
+        return (module.weight for module in self._modules)
+
+
+def test_a_module_of_several_layers_is_refused_not_left_out(tmp_path):
+    first = Module(weight=TOWARDS_TARGET["weights"], bias=[0, 0.5])
+    with pytest.raises(UsageError, match="a Stack holds layers of its own"):
+        api.write_weights(tmp_path / "weights.json", [Stack(first), first])
+    path = spec_file(tmp_path, [TOWARDS_TARGET])
+    api.write_weights(tmp_path / "weights.json", [first, Stack()])  # an activation
+    assert len(api.load_spec(path).experiment.controller.layers) == 1
+
+
 def test_pairs_of_arrays_are_layers(tmp_path):
     path = spec_file(tmp_path, [TOWARDS_TARGET])
     weights = np.array(TOWARDS_TARGET["weights"], dtype=np.float32)

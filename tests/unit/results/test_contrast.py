@@ -184,6 +184,16 @@ def test_given_directions_have_no_rank_among_controllers():
     assert "no verdict (directions were given" in table.note
 
 
+def test_what_is_not_tested_is_not_counted_as_a_test():
+    """Else more seems to be needed to detect a difference of the two that are tested."""
+    directions = {"type": "sequence", "period": 0.2, "directions": [0.1]}
+    mpc, exact = arm("mpc", ERRORS), arm("exact", ERRORS * 2, controller=EXACT)
+    hindsight = arm("given", ERRORS / 100, controller=directions)
+    alone = contrast_of(mpc, exact)
+    first, *_ = contrast([mpc, exact, hindsight]).contrasts
+    assert first.detects == alone.detects > 0
+
+
 def test_trials_with_directions_of_their_own_are_one_batch():
     def trials_steered_by(direction):
         sequence = {"type": "sequence", "period": 0.2, "directions": [direction]}

@@ -41,8 +41,9 @@ _TOPICS = {number: topic for topic, number in NUMBERS.items()}
 UNSTATED = 0
 """What MCAP writes in place of a checksum that is left out."""
 _SUMMARY = {NUMBERS[topic] for topic in SUMMARY}
-_CHUNK_HEAD = 40
-"""Length of what stands in a chunk before its packed records, if its compression is zstd."""
+_CHUNK_HEAD = 44
+"""Length of what stands in a chunk before its packed records, if its compression is zstd: two
+times, a length, a checksum, the word zstd behind its own length, and the length of the records."""
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _MARKS = (
     (Opcode.CHUNK, re.compile(b"\x04\0\0\0zstd"), -28),

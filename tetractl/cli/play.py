@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -25,9 +25,14 @@ if TYPE_CHECKING:
     from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.hand import Ask
     from tetractl.run.interrupt import Interrupt
+    from tetractl.view.terminal.hand_keys import HandKeys
+    from tetractl.view.terminal.live_screen import LiveView
 
 TRIAL = 0
 """The trial that is steered, and that the controller runs."""
+MINE = "Any key: the controller drives from the same start."
+THEIRS = "This was the controller. Any key ends."
+"""What is said when a trial has ended, and its last picture stays."""
 
 
 def play(
@@ -59,7 +64,8 @@ def play(
     which all robots turn; dots show where they go if you hold it. Space stops them, which ends the
     trial. Its error is the sum of the robots' distances to their targets.
 
-    The controller then steers the same robots, from the same start and with the same disturbances.
+    After another key the controller steers the same robots, from the same start and with the same
+    disturbances, and its last picture stays until a key is pressed.
     Both trials are logged, in DIR/you and DIR/controller; `verify`, `replay` and `stats` read yours
     as given directions.
 
@@ -100,9 +106,12 @@ def play(
             else nullcontext(Hand(timed_keys.ask))
         ) as hand:
             yours = _steered(directed, folder / "you", hand, interrupt)
+            aborted = yours is None or yours.outcome is Outcome.ABORTED
+            goes_on = not (aborted or lab or interrupt.requested)
+            if goes_on:
+                hand.hold()
         theirs = None
-        ended = yours is None or interrupt.requested or yours.outcome is Outcome.ABORTED
-        if not (ended or lab):
+        if goes_on and not interrupt.requested:
             shown = console if timed_keys is None else None
             theirs = _by_controller(loaded, folder / "controller", shown, speed, interrupt)
         return _conclude(folder, experiment.units.length, yours, theirs, interrupt)
@@ -128,11 +137,13 @@ def _loaded(spec: Path, sets: Sequence[str], seed: int | None, plant: str | None
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """Who steers: what is asked for each direction, who watches, and who supervises a lab."""
+    """Who steers: what is asked for each direction, who watches, who supervises a lab, and what
+    waits between your trial and the controller's."""
 
     ask: "Ask"
     observers: "Sequence[Observer]" = ()
     supervision: "LabSupervision | None" = None
+    hold: Callable[[], None] = lambda: None
 
 
 @contextmanager
@@ -160,7 +171,8 @@ def _by_keys(
         cancelled=lambda: interrupt.requested,
         signalled=interrupt.request,
     )
-    with StopKey(stop, entered.set, steer=keys.press), keys:
+    enter = entered.set if plant.real_time else partial(keys.press, "enter")
+    with StopKey(stop, enter, steer=keys.press), keys:
         if plant.real_time:
             console.print("; ".join(hints), style="bold", highlight=False)
             with LabWatch(
@@ -169,7 +181,14 @@ def _by_keys(
                 yield Hand(keys.ask, [watch], supervision)
         else:
             with LiveView(console, hints=hints, aside=TASK) as view:
-                yield Hand(keys.ask, [view, WallPace(MonotonicClock(), speed)], supervision)
+                observers = [view, WallPace(MonotonicClock(), speed)]
+                yield Hand(keys.ask, observers, supervision, partial(_hold, view, keys, MINE))
+
+
+def _hold(view: "LiveView", keys: "HandKeys", words: str) -> None:
+    """Leave the last picture of a trial on the screen until a key is pressed."""
+    view.say(words)
+    keys.await_key()
 
 
 def _steered(
@@ -206,14 +225,22 @@ def _by_controller(
     from tetractl.run.folder_lock import make_folder
     from tetractl.run.hand import WallPace
     from tetractl.run.spec_trial import run_logged
+    from tetractl.view.terminal.hand_keys import HandKeys
+    from tetractl.view.terminal.keys import StopKey
     from tetractl.view.terminal.live_screen import LiveView
 
     make_folder(folder)
     if console is None:
         return run_logged(loaded, folder, TRIAL, (), interrupt)
-    with LiveView(console, aside="The controller steers them from the same start.") as view:
+    keys = HandKeys(ended=lambda: interrupt.requested)
+    with (
+        StopKey(keys.stop, partial(keys.press, "enter"), steer=keys.press),
+        LiveView(console, aside="The controller steers them from the same start.") as view,
+    ):
         pace = WallPace(MonotonicClock(), speed)
-        return run_logged(loaded, folder, TRIAL, [view, pace], interrupt)
+        result = run_logged(loaded, folder, TRIAL, [view, pace], interrupt)
+        _hold(view, keys, THEIRS)
+    return result
 
 
 def _conclude(

@@ -28,7 +28,7 @@ from tetractl.core.clock import milliseconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.plan import Outcome, State, StopReason
 from tetractl.core.poses import Floats
-from tetractl.core.trial import Result
+from tetractl.core.trial import Result, Step
 from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
@@ -132,6 +132,11 @@ class _RobotColumns:
         return cls(name_width, value_width, min(bar_width, ROBOT_BAR_MOST), decimals)
 
 
+def _is_given(step: Step) -> bool:
+    """Return whether robots follow a direction that was given: nothing was searched."""
+    return not step.plan.pauses and step.plan.search.stopped == StopReason.FIXED
+
+
 class Dashboard:
     """Shows a trial at one instant, on all the space available.
 
@@ -228,7 +233,7 @@ class Dashboard:
             lines.append(_row(width, "step k", "k", "none yet"))
             return lines
         lines.append(_row(width, "step k", "k", f"{step.k}"))
-        if not step.plan.pauses:
+        if not (step.plan.pauses or _is_given(step)):
             count = len(step.plan.signals)
             signals = "1 signal" if count == 1 else f"{count} signals"
             lines.append(_row(width, "horizon", "h", signals))
@@ -306,9 +311,9 @@ class Dashboard:
         step = self._moment.step
         if step is None or step.plan.pauses:
             return []  # robots that stand follow no plan
+        if _is_given(step):
+            return []
         search = step.plan.search
-        if search.stopped == StopReason.FIXED:
-            return []  # nothing was searched
         done = len(search.history) - 1
         most = max(setup.iterations_max, done)
         first = _number(float(search.history[0])) if done >= 0 else "?"
@@ -333,7 +338,7 @@ class Dashboard:
     def _effort(self, width: int) -> list[Text]:
         """Return how long the newest search took, and its evaluations."""
         step = self._moment.step
-        if step is None:
+        if step is None or _is_given(step):
             return []
         solve = _row(width, "solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
         if step.deadline_missed:

@@ -11,6 +11,7 @@ and times count from it.
 import math
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -90,14 +91,24 @@ class HandKeys:
     def __init__(self, ended: Callable[[], bool]) -> None:
         self._wish = Wish()
         self._ended = ended
+        self._pressed = threading.Event()
 
     def press(self, key: str) -> None:
         """Take a key, by its name."""
         self._wish = self._wish.after(key)
+        self._pressed.set()
 
     def stop(self) -> None:
         """Stop, as by the space bar."""
         self._wish = replace(self._wish, stops=True)
+        self._pressed.set()
+
+    def await_key(self) -> None:
+        """Wait for another key, but not longer than until the trial is `ended` for another
+        reason."""
+        self._pressed.clear()
+        while not (self._pressed.wait(WAIT_S) or self._ended()):
+            pass
 
     def ask(self, time_s: float) -> float | None:
         """Return the direction that is wanted [rad], None to stop. Before the first key, wait for

@@ -213,6 +213,11 @@ class LiveView(Observer):
         self._of_trial.on_stop(stop, result)
         self._draw()
 
+    def say(self, aside: str) -> None:
+        """Show the newest picture with another text aside."""
+        self._aside = aside
+        self._draw()
+
     @property
     def _of_trial(self) -> TrialSoFar:
         assert self._trial is not None, "a trial's first message is its start"

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from support.device_replies import packed_reply
 from support.paths import ROOT
-from tetractl_emulator.m3pi.emulated_radio import at_response
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
 from tetractl.experiment.experiment import Experiment
@@ -31,8 +30,15 @@ from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import scan
 
+UNKNOWN = 2  # status of an answer: the module has no such parameter
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
+
+
+def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
+    """What an XBee module answers to a request; `value` is None for an unknown parameter."""
+    status = UNKNOWN if value is None else xbee.STATUS_OK
+    return xbee.RESPONSE.pack(xbee.AT_RESPONSE, frame_id, command, status) + (value or b"")
 
 
 class Target(NamedTuple):

@@ -96,8 +96,8 @@ def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Differenc
     frames.
 
     A pose that came too late for its robot to count as tracked (`is_known`, but not `is_tracked`)
-    may be a place on its path. The other robots were elsewhere in its frame, so that no distance
-    between robots follows from it.
+    may be a place on its path: its frame is open, as one that was not surely read. The other robots
+    were elsewhere in it, so that no distance between robots follows from it.
     """
     path, is_tracked = trial_path(log)
     is_known = np.asarray(np.isfinite(path).all(axis=2))
@@ -107,10 +107,11 @@ def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Differenc
     first_step_ns = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
     is_read = (log.received_ns > first_step_ns) & (log.received_ns <= stop.sent_ns)
     of_read = check_path(setup, path[is_read], is_tracked[is_read], verdict.final)
-    alone = [slice(i, i + 1) for i in np.flatnonzero(~is_read)]
-    of_unread = [check_path(setup, path[i], is_known[i], verdict.final) for i in alone]
-    clearances = [frame.clearance for frame in of_unread]
-    edges = [frame.edge for frame in of_unread]
+    is_open = ~is_read | (is_known & ~is_tracked).any(axis=1)
+    alone = [slice(i, i + 1) for i in np.flatnonzero(is_open)]
+    of_open = [check_path(setup, path[i], is_known[i], verdict.final) for i in alone]
+    clearances = [frame.clearance for frame in of_open]
+    edges = [frame.edge for frame in of_open]
     aparts = [tracked_separations(path[i], is_tracked[i]).tolist() for i in alone]
     yield from _distances(
         "clearance", verdict.clearance, of_all.clearance, of_read.clearance, clearances
@@ -128,14 +129,14 @@ def _distances(
     stated: Sequence[float],
     of_all: Sequence[float],
     of_read: Sequence[float],
-    of_unread: Sequence[Sequence[float]],
+    of_open: Sequence[Sequence[float]],
 ) -> Iterator[Difference]:
     """Check that each stated least distance is between that of all frames and that of the frames
-    read, and is the latter or that of one of the frames not surely read (K, N). Logs of older
+    read, and is the latter or that of one of the open frames (K, N). Logs of older
     versions state no `edge` and no `apart`: then none is checked.
     """
     for i, (distance, least, most) in enumerate(zip(stated, of_all, of_read, strict=False)):
-        of_frames = {most, *(frame[i] for frame in of_unread)}
+        of_frames = {most, *(frame[i] for frame in of_open)}
         if not least <= distance <= most or distance not in of_frames:
             text = f"states {distance}, the frames show {least} to {most}"
             yield Difference(None, f"result.{name}.{i}", text)

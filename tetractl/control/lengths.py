@@ -52,7 +52,9 @@ def resampled(signals: Floats, length: int) -> Floats:
     """Return signals (L,) [rad], drawn together or out in time to (length,), from -pi to pi."""
     count = len(signals)
     times = (np.arange(length) + 0.5) * (count / length) - 0.5
-    return wrap(np.interp(times, np.arange(count), np.unwrap(signals)))
+    angles = np.unwrap(signals)
+    drawn = np.interp(times, np.arange(count), angles)
+    return wrap(drawn)
 
 
 class Searcher:

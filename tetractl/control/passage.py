@@ -261,7 +261,8 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
     i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
     between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
     apart = (between > problem.separation).all(axis=-1)  # (T, B)
-    outside = (gaps(problem.obstacles, x.ravel(), y.ravel()) > 0).all(axis=0)
+    to_obstacles = gaps(problem.obstacles, x.ravel(), y.ravel())
+    outside = (to_obstacles > 0).all(axis=0)
     outside_all = outside.reshape(x.shape).all(axis=-1)
     return np.asarray((apart & outside_all).all(axis=0))
 

@@ -74,7 +74,8 @@ def encoding_differences(raw: RawLog, log: TrialLog, result: Result) -> Iterator
     sink = Recorder(math.inf)
     encoder = Encoder(sink, real_time=True)
     encoder.on_start(_start_by_spec(log))
-    encoder.on_samples([log.sample(i) for i in range(len(log.frames))])
+    samples = [log.sample(row) for row in range(len(log.frames))]
+    encoder.on_samples(samples)
     steps = {step.command.sent_ns: step for step in log.steps}
     rows = {sampled_ns: row for row, sampled_ns in enumerate(log.mocap_ns.tolist())}
     for command in log.commands:

@@ -138,7 +138,8 @@ def player(logs: Sequence[TrialLog]) -> PlayerPage:
     trials: list[_Carried] = []
     for log in logs:
         name = Path(log.log).name
-        trials.append(_Carried(log.log, name, trial_data(log, name, len(logs) <= MANY)))
+        data = trial_data(log, name, len(logs) <= MANY)
+        trials.append(_Carried(log.log, name, data))
     body = header + _player(trials, logs[0].experiment.units.length)
     return PlayerPage(_page(title, body, with_player=True))
 

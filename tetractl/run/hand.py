@@ -90,8 +90,12 @@ class HandLog(Relay):
 
     def on_step(self, step: Step) -> None:
         """Keep a step; its plan will be that of `sequence`."""
-        planned = self._controller.plan_of_sequence
-        self.put(lambda: self.observer.on_step(replace(step, plan=planned(step.k))))
+
+        def write() -> None:
+            plan = self._controller.plan_of_sequence(step.k)
+            self.observer.on_step(replace(step, plan=plan))
+
+        self.put(write)
 
     def save(self, spec: LoadedSpec, folder: Path) -> Path:
         """Write the log to a folder, and return its path; `spec` is that of the trial."""

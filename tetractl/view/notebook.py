@@ -58,6 +58,7 @@ def _(spec: LoadedSpec) -> str:
     experiment = spec.experiment
     setup = experiment.setup
     unit = unit_of(setup.unit)
+    as_fastest = lengths(float(np.max(setup.speed)))
     robots = Table(
         "",
         (
@@ -65,7 +66,7 @@ def _(spec: LoadedSpec) -> str:
             Column("start", [_place(xy) for xy in setup.starts.xy], unit),
             Column("target", [_place(xy) for xy in setup.targets], unit),
             Column("a", setup.a, "rad/s", fixed(2)),
-            Column("speed", setup.speed, f"{unit}/s", lengths(float(np.max(setup.speed)))),
+            Column("speed", setup.speed, f"{unit}/s", as_fastest),
         ),
     )
     trials = f"{experiment.trials.count} trials, seed {experiment.trials.seed}"
@@ -102,7 +103,8 @@ def _(trial: TrialLog) -> str:
 
 @shown.register
 def _(trial: ResultSummary) -> str:
-    return _output([trial.log], [trials_listed(describe(Batch((trial,))))])
+    group = describe(Batch((trial,)))
+    return _output([trial.log], [trials_listed(group)])
 
 
 @shown.register

@@ -109,8 +109,8 @@ class SamplingOptimizer(OptimizerSection):
 
 def bearing(problem: Problem) -> float:
     """Return the direction of the mean vector from the robots to their targets [rad]."""
-    gaps = problem.targets - problem.poses.xy
-    return float(np.arctan2(gaps[:, 1].sum(), gaps[:, 0].sum()))
+    x, y = (problem.targets - problem.poses.xy).T
+    return float(np.arctan2(y.sum(), x.sum()))
 
 
 def interpolate(knots: Floats, length: int) -> Floats:

@@ -79,7 +79,8 @@ class OwnRobots(WheeledActuator):
         return self.packed(row, 0, 0)
 
     def _halt(self, emergency: bool) -> int:
-        return self.links.send(self.halt(row, emergency) for row in range(len(self.robots)))
+        rows = range(len(self.robots))
+        return self.links.send(self.halt(row, emergency) for row in rows)
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
         pairs = enumerate(outputs.T.tolist())

@@ -398,7 +398,8 @@ def _is_correlated(residuals: Floats) -> list[bool]:
         is_residual = np.isfinite(series)
         std = np.std(series[is_residual])
         clipped = np.nan_to_num(np.clip(series, -CLIPPED * std, CLIPPED * std))
-        ljung_box = is_residual.sum() * np.square(_autocorrelations(clipped)).sum()
+        squares = np.square(_autocorrelations(clipped))
+        ljung_box = is_residual.sum() * squares.sum()
         correlated.append(bool(std >= RESOLVED and chdtrc(LAGS, ljung_box) < DOUBT / robots))
     return correlated
 

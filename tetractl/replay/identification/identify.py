@@ -108,7 +108,8 @@ def turn_uniformly(tracks: list[Track]) -> bool:
         rate, first = np.polyfit(track.sent - track.sent[0], u, 1)
         off = np.abs(u - first - rate * (track.sent - track.sent[0]))
         steps = np.abs(np.diff(u))
-        if max(off.max(), steps.max()) > UNIFORM_RAD or np.ptp(u) < TURN_LEAST:
+        is_uneven = max(off.max(), steps.max()) > UNIFORM_RAD
+        if is_uneven or np.ptp(u) < TURN_LEAST:
             return False
         rates.append(abs(rate))
     return max(rates) < UNIFORM_RATES * min(rates)

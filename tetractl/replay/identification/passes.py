@@ -269,7 +269,8 @@ def run(
     """
     first_model, bank = _start(belief, tau)
     blocks = blocks or [np.zeros(len(track.time), dtype=np.int64) for track in tracks]
-    by_block = np.zeros((1 + max(block[-1] for block in blocks), len(tau), len(rows)))
+    block_count = 1 + max(block[-1] for block in blocks)
+    by_block = np.zeros((block_count, len(tau), len(rows)))
     lost = np.zeros(len(rows))
     residuals: list[Floats] = []
     for track, block in zip(tracks, blocks, strict=True):

@@ -114,8 +114,16 @@ def test_a_tour_that_cannot_be_is_refused(old, new, said):
 @pytest.mark.long
 @pytest.mark.slow
 def test_the_shipped_cells_are_kept_as_near_as_the_common_field_allows(tmp_path):
-    spec = load_spec(ROOT / "experiments" / "tetrahymena_hold.yaml", ["hold.time=8"])
-    result = run_logged(spec, tmp_path)
-    assert result.outcome.complete
-    assert not result.left_arena
-    assert sum(result.inside) > 0.9
+    """Of three cells one after the other is inside, 1.08 of them (10 trials); of single trials 0.6
+    to 1.4."""
+    inside = []
+    for seed in (1, 2, 3, 4):
+        settings = ["hold.time=8", f"trials.seed={seed}"]
+        spec = load_spec(ROOT / "experiments" / "tetrahymena_hold.yaml", settings)
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        result = run_logged(spec, folder)
+        assert result.outcome.complete
+        assert not result.left_arena
+        inside.append(sum(result.inside))
+    assert sum(inside) / len(inside) > 0.9

@@ -82,6 +82,7 @@ Unattended = Annotated[
         "--unattended",
     ),
 ]
+Seed = Annotated[int | None, option("S", "Seed of all random numbers. [spec: trials.seed]", min=0)]
 LogFolder = Annotated[
     Path | None, out_option("DIR", "Folder for the logs. [logs/<spec name>-<UTC time>]")
 ]

@@ -5,14 +5,13 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import options, ui
-from tetractl.cli.trials import RunOptions, stoppable
+from tetractl.cli.trials import RunOptions, load_to_run, new_log_folder, stoppable
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
 
@@ -37,9 +36,7 @@ THEIRS = "This was the controller. Any key ends."
 
 def play(
     spec: options.Spec,
-    seed: Annotated[
-        int | None, options.option("S", "Seed of all random numbers. [spec: trials.seed]", min=0)
-    ] = None,
+    seed: options.Seed = None,
     sets: options.Sets = None,
     plant: Annotated[
         str | None,
@@ -76,11 +73,12 @@ def play(
     """
     from tetractl.control.build import warm_up
     from tetractl.core.plan import Outcome
+    from tetractl.experiment.plants import on_plant
     from tetractl.run.open_trial import directed_spec
     from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.hand_keys import read_script
 
-    loaded = _loaded(spec, sets or [], seed, plant)
+    loaded = on_plant(load_to_run(spec, sets or [], plant, seed=seed), plant)
     directed = directed_spec(loaded)
     experiment = loaded.experiment
     lab = experiment.plant.real_time
@@ -94,7 +92,7 @@ def play(
         raise UsageError("--script and --speed are for virtual time: in the lab a person steers")
     if lab:
         ui.require_confirmation(yes)
-    folder = out or Path("logs") / f"{experiment.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    folder = out or new_log_folder(experiment.name)
     ui.refuse_existing(folder, folder=True)
 
     with stoppable(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt:
@@ -115,21 +113,6 @@ def play(
             shown = console if timed_keys is None else None
             theirs = _by_controller(loaded, folder / "controller", shown, speed, interrupt)
         return _conclude(folder, experiment.units.length, yours, theirs, interrupt)
-
-
-def _loaded(spec: Path, sets: Sequence[str], seed: int | None, plant: str | None) -> "LoadedSpec":
-    """Return the spec on its plant, with its warnings printed."""
-    from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import FieldValue, SpecSetting, read_document
-
-    document = read_document(spec)
-    settings: list[SpecSetting] = list(settings_on(document, sets, plant))
-    if seed is not None:
-        settings.append(FieldValue("trials.seed", seed, "--seed"))
-    loaded = load_document(document, settings)
-    ui.warn(loaded, settings)
-    return on_plant(loaded, plant)
 
 
 # ---- your trial ----

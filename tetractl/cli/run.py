@@ -2,8 +2,8 @@
 
 from typing import Annotated
 
-from tetractl.cli import options, ui
-from tetractl.cli.trials import RunOptions, run_command, wanted_port
+from tetractl.cli import options
+from tetractl.cli.trials import RunOptions, load_to_run, run_command, wanted_port
 from tetractl.core.errors import UsageError
 
 
@@ -12,9 +12,7 @@ def run(
     trials: Annotated[
         int | None, options.option("N", "Number of trials. [spec: trials.count]", min=1)
     ] = None,
-    seed: Annotated[
-        int | None, options.option("S", "Seed of all random numbers. [spec: trials.seed]", min=0)
-    ] = None,
+    seed: options.Seed = None,
     sets: options.Sets = None,
     plant: Annotated[
         str | None,
@@ -51,20 +49,11 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import FieldValue, SpecSetting, read_document
+    from tetractl.experiment.plants import on_plant
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
-    document = read_document(spec)
-    settings: list[SpecSetting] = list(settings_on(document, sets or [], plant))
-    if trials is not None:
-        settings.append(FieldValue("trials.count", trials, "--trials"))
-    if seed is not None:
-        settings.append(FieldValue("trials.seed", seed, "--seed"))
-    loaded = load_document(document, settings)
-    ui.warn(loaded, settings, strict)
+    loaded = load_to_run(spec, sets or [], plant, trials, seed, strict)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")
     how = RunOptions(

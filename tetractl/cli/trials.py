@@ -38,6 +38,36 @@ PORT = 8765
 """TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
 
 
+def new_log_folder(name: str) -> Path:
+    """Return the folder in which an experiment begun now is logged by default."""
+    return Path("logs") / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+
+
+def load_to_run(
+    spec: Path,
+    sets: Sequence[str],
+    plant: str | None,
+    trials: int | None = None,
+    seed: int | None = None,
+    strict: bool = False,
+) -> "LoadedSpec":
+    """Return a spec with what options replace in it, and print its warnings; with `strict`, raise
+    UsageError if there are any."""
+    from tetractl.experiment.load import load_document
+    from tetractl.experiment.plants import settings_on
+    from tetractl.experiment.yaml.document import FieldValue, SpecSetting, read_document
+
+    document = read_document(spec)
+    settings: list[SpecSetting] = list(settings_on(document, sets, plant))
+    if trials is not None:
+        settings.append(FieldValue("trials.count", trials, "--trials"))
+    if seed is not None:
+        settings.append(FieldValue("trials.seed", seed, "--seed"))
+    loaded = load_document(document, settings)
+    ui.warn(loaded, settings, strict)
+    return loaded
+
+
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """How trials are run: the options of `run`, with their defaults.
@@ -82,8 +112,7 @@ def run_command(
     if options.unattended and not (lab and options.yes):
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
 
-    default = Path("logs") / f"{experiment.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-    folder = options.out or default
+    folder = options.out or new_log_folder(experiment.name)
     store = Store.of_batch(folder, experiment)
     if options.dry_run:
         store.read(options.resume)

@@ -105,8 +105,9 @@ def turn_uniformly(tracks: list[Track]) -> bool:
         u = np.unwrap(track.u)
         if len(u) < 3 or np.ptp(track.sent) == 0:
             return False
-        rate, first = np.polyfit(track.sent - track.sent[0], u, 1)
-        off = np.abs(u - first - rate * (track.sent - track.sent[0]))
+        times = track.sent - track.sent[0]
+        rate, first = np.polyfit(times, u, 1)
+        off = np.abs(u - first - rate * times)
         steps = np.abs(np.diff(u))
         is_uneven = max(off.max(), steps.max()) > UNIFORM_RAD
         if is_uneven or np.ptp(u) < TURN_LEAST:

@@ -138,7 +138,7 @@ def track(
         ui.tell(*clock_remarks(directions, str(field), str(film), first_s, last_s))
         paths = [np.column_stack([path.times, path.places]) for path in followed.paths]
         readings = other_readings(str(field), directions, 1 / pictures.rate_hz)
-        check_directions(courses(paths), directions, AT_ONCE_S, readings)
+        check_directions(str(field), courses(paths), directions, AT_ONCE_S, readings)
         followed = replace(followed, remarks=(*followed.remarks, *side_remarks(directions, paths)))
     with ui.progress("Fitting"):
         followed, cells = fit_cells(followed, directions)
@@ -228,7 +228,7 @@ def _show_tracks(
         period_s = 1 / cells.timing.rate_hz
         readings = other_readings(str(field), directions, period_s)
         readings.append(image(str(source), str(field), directions))
-        check_directions(courses(paths), directions, AT_ONCE_S, readings)
+        check_directions(str(field), courses(paths), directions, AT_ONCE_S, readings)
         ui.tell(*side_remarks(directions, paths))
     ui.tell(*stage_remarks(cells.paths, directions))
     organism = organism_by_speed(cells.paths) if kind is None else kind

@@ -492,7 +492,7 @@ def test_robots_on_two_wheels_may_move_against_their_headings(tmp_path):
 def test_a_direction_that_never_changes_shows_no_side(tmp_path):
     poses, commands = write_mirrored_drive(tmp_path)
     commands.write_text(f"{PLAIN_COMMANDS}\n0,0.5\n5,0.5\n11,0.5\n")
-    with pytest.raises(UsageError, match=r"poses\.csv: the directions explain \d+% of the turns"):
+    with pytest.raises(UsageError, match=r"poses\.csv: the commands explain \d+% of the turns"):
         csv_tracks([poses, commands])
 
 

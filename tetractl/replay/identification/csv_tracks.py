@@ -425,12 +425,8 @@ def _track(
         remarks.append(remark)
     if not numbers.twists:
         directions = SentDirections(begin + sent.when, sent.u)
-        explained = _check_turning(poses_path, commands_path, begin + time, poses, directions)
-        if on_wheels and remark is None and explained < FOLLOWED:
-            raise UsageError(
-                f"{poses_path}: the directions explain {max(explained, 0.0):.0%} of the turns",
-                "are they another robot's, or of another recording, or 10 s off?",
-            )
+        least = FOLLOWED if on_wheels and remark is None else 0.0
+        _check_turning(poses_path, commands_path, begin + time, poses, directions, least)
     return Track(
         source=name[0] or str(poses_path),
         origin=ORIGIN,
@@ -578,21 +574,25 @@ def _check_angles(
 
 
 def _check_turning(
-    poses_path: Path, commands_path: Path, time: Floats, poses: Floats, directions: SentDirections
-) -> float:
-    """Return the share of their turning that directions explain which robots were sent; UsageError
-    if they turn by others."""
+    poses_path: Path,
+    commands_path: Path,
+    time: Floats,
+    poses: Floats,
+    directions: SentDirections,
+    least: float,
+) -> None:
+    """Raise UsageError if robots turn by other directions than those that they were sent, or these
+    explain less than a share `least` of their turning."""
     turned: list[TurnedCourse] = []
     for headings in poses[..., 2].T:
         measured = np.isfinite(headings)
         turned += courses_of_headings(time[measured], headings[measured])
-    seen = str(poses_path)
     source = str(commands_path)
     readings = [
-        image(seen, source, directions),
+        image(str(poses_path), source, directions),
         *other_readings(source, directions, _usual_gap(time)),
     ]
-    return check_directions(turned, directions, DELAYS_S, readings)
+    check_directions(str(poses_path), turned, directions, DELAYS_S, readings, least)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,12 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
+from tetractl.replay.identification.explained import (
+    EXPLAINED,
+    SURELY_MORE,
+    Reading,
+    check_explained,
+)
 from tetractl.replay.identification.fit import (
     NORMAL,
     UNLIKELY,
@@ -104,16 +110,16 @@ SETTLED = 0.02
 LEAST_CHANGE = 0.005
 """A step that ends the search whatever the deviations are: 0.25 ms of the dead time, 0.5 % of the
 others. Without noise, these deviations are 0."""
-EXPLAINED = 0.4
-SURELY_MORE = 0.2
-"""Least share of turns or ways that commands explain; and by how much more they would explain with
-a gain of 1 if they are not obeyed."""
+GAIN_OF_BASE = (1.8, 2.2)
+"""Turning gains as of a distance between wheels that is taken for that to the centre."""
 UNIT_WITHIN = 1.5
 """Factor about 1 within which gains are of robots that obey."""
 GAIN_MOST = 4.0
 """Gain from which, and below its inverse, commands are not of the unit that they state."""
-GAIN_OF_BASE = (1.8, 2.2)
-"""Turning gains as of a distance between wheels that is taken for that to the centre."""
+NOT_THEIR_WAY = (
+    "are these turns of motors or wheels, not their way? give v and w, or left and right, as what "
+    "the robot was to drive"
+)
 TURN_UNITS = {
     30 / math.pi: "is w in turns per minute? divide it by 9.549",
     0.5 / math.pi: "is w in turns per second? multiply it by 6.283",
@@ -558,8 +564,15 @@ def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
     sent = steps.integrals(replace(likeliest, turning_lag=LAG_LEAST_S, speed_lag=LAG_LEAST_S))
     turning = _Obeyed.of(steps.turned, driven @ turn_gains, turn_gains[1], sent[:, 1])
     driving = _Obeyed.of(steps.way, driven @ way_gains, way_gains[0], sent[:, 0])
-    _check_turns(source, name, turning)
-    _check_ways(source, name, driving)
+    mirrored = Reading(
+        turning.share(-math.inf, 0.0),
+        f"{source}: {name} turns right where it is sent left",
+        "reverse w; or y and the headings, if the picture is mirrored",
+    )
+    in_units = turning.readings(f"{source}: the turning gain of {name}", TURN_UNITS)
+    turning.check(source, f"turns of {name}", [mirrored, *in_units])
+    in_units = driving.readings(f"{source}: the speed gain of {name}", SPEED_UNITS)
+    driving.check(source, f"way of {name}", in_units)
     std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
     of_search = ResponseParameters(*std[:SEARCHED].tolist())  # in the units of the search
     veer_std, turning_std, speed_std = std[SEARCHED : SEARCHED + 3].tolist()
@@ -601,51 +614,29 @@ class _Obeyed:
             if_obeyed=commanded / (commanded + rest) if commanded else 0.0,
         )
 
+    def share(self, low: float, high: float) -> float:
+        """Return the share that commands explain with a gain between two."""
+        return self.explained if low < self.gain < high else 0.0
 
-def _check_turns(source: str, name: str, turning: _Obeyed) -> None:
-    """Raise UsageError if commands do not explain the turns, or only with other signs or units."""
-    _check_explained(source, f"turns of {name}", turning)
-    if turning.explained < EXPLAINED:
-        return
-    if turning.gain < 0:
-        raise UsageError(
-            f"{source}: {name} turns right where it is sent left",
-            "reverse w; or y and the headings, if the picture is mirrored",
-        )
-    _check_unit(source, f"turning gain of {name}", turning.gain, TURN_UNITS)
-
-
-def _check_ways(source: str, name: str, driving: _Obeyed) -> None:
-    """Raise UsageError if commands do not explain the ways, or only with other units."""
-    _check_explained(source, f"way of {name}", driving)
-    if driving.explained >= EXPLAINED:
-        _check_unit(source, f"speed gain of {name}", driving.gain, SPEED_UNITS)
-
-
-def _check_explained(source: str, what: str, obeyed: _Obeyed) -> None:
-    """Raise UsageError for motion that commands do not explain though they are large enough."""
-    if obeyed.explained < min(EXPLAINED, obeyed.if_obeyed - SURELY_MORE):
-        raise UsageError(
-            f"{source}: the commands explain {max(obeyed.explained, 0.0):.0%} of the {what}",
-            "are they another robot's, or of another recording, or 10 s off?",
-        )
-
-
-def _check_unit(source: str, what: str, gain: float, units: dict[float, str]) -> None:
-    """Raise UsageError for a gain that is near 1 with another unit."""
-    for factor, hint in units.items():
-        right = gain * factor
-        if 1 / UNIT_WITHIN < right < UNIT_WITHIN:
-            raise UsageError(
-                f"{source}: the {what} is {gain:.3g}, as of a wrong unit; {right:.3g} otherwise",
+    def readings(self, what: str, units: dict[float, str]) -> list[Reading]:
+        """Return what commands explain in other units, `what` being the gain's name."""
+        said = f"{what} is {self.gain:.3g}, as of a wrong unit"
+        readings = [
+            Reading(
+                self.share(1 / (UNIT_WITHIN * factor), UNIT_WITHIN / factor),
+                f"{said}; {self.gain * factor:.3g} otherwise",
                 hint,
             )
-    if not 1 / GAIN_MOST < gain < GAIN_MOST:
-        raise UsageError(
-            f"{source}: the {what} is {gain:.3g}, as of a wrong unit",
-            "are these turns of motors or wheels, not their way? give v and w, or left and right, "
-            "as what the robot was to drive",
-        )
+            for factor, hint in units.items()
+        ]
+        of_no_unit = max(self.share(0.0, 1 / GAIN_MOST), self.share(GAIN_MOST, math.inf))
+        return [*readings, Reading(of_no_unit, said, NOT_THEIR_WAY)]
+
+    def check(self, source: str, what: str, readings: Sequence[Reading]) -> None:
+        """Raise UsageError if commands do not explain `what` moves, though they are large enough,
+        or only by another reading."""
+        least = min(EXPLAINED, self.if_obeyed - SURELY_MORE)
+        check_explained(source, what, self.share(1 / GAIN_MOST, GAIN_MOST), least, readings)
 
 
 def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> Floats:

@@ -12,26 +12,21 @@ for the directions that acted, and near 0 for others, unless these hardly change
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
+from tetractl.replay.identification.explained import EXPLAINED, Reading, check_explained
 
 GRID_S = 0.05  # time step of the analysis
 SMOOTH = 8  # steps over which a course is measured: a turn of a cell's helix takes about as long
 LONGEST_GAP_S = 0.25  # a longer gap between two positions separates a path
 SHORTEST_S = 2.0  # least duration of a piece of a path
 STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
-EXPLAINED = 0.4  # least share of the turning that a response to directions explains
 TURNS = 0.3
 """Deviation of turning rates from which robots do turn [rad/s]."""
-SURELY_MORE = 0.2
-"""By how much more another reading of the directions explains if theirs is wrong. In 40 trials of
-the emulated bench the directions that were sent explained .58 or more of the turning, others at
-most .37."""
 DELAYS_S = np.arange(21) / 10
 """Dead times that are tried [s]: up to the longest that `identify` finds."""
 AT_ONCE_S = np.arange(3) / 10
@@ -45,6 +40,9 @@ COURSES_MAX = 20
 """Number of courses, the longest, that are enough to see which directions act."""
 COURSE_S = 120.0
 """Length of a course that is enough [s]."""
+
+WHEN = "{when}"
+"""In a sentence on a reading, what stands for its delay."""
 
 FieldAt = Callable[[Floats], NDArray[np.complex128]]
 """Function that returns the direction that acts at times [s] as x + iy, 0 for none."""
@@ -102,15 +100,14 @@ class Delayed:
 
 @dataclass(frozen=True, slots=True)
 class DirectionReading:
-    """Directions that act instead of those stated, after one of `delays_s` [s]; the response by
-    which robots turn to them; and a function that returns what is wrong if they do, by the delay
-    [s] that fits best.
-    """
+    """Directions that may act instead of those stated, after one of `delays_s`; the response by
+    which robots turn to them; and, if they do, what is said, with the delay, and what to do."""
 
     sent: SentDirections
     delays_s: Floats
     response: Response
-    problem: Callable[[float], UsageError]
+    said: str
+    hint: str
 
 
 def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
@@ -130,33 +127,39 @@ def turning_fit(turned: Sequence[TurnedCourse], field: FieldAt) -> TurningFit:
 
 
 def check_directions(
+    source: str,
     turned: Sequence[TurnedCourse],
     sent: SentDirections,
     delays_s: Floats,
     readings: Sequence[DirectionReading],
-) -> float:
-    """Return the share of the turning that directions explain which act after one of `delays_s`.
-    UsageError if robots turn by another reading of them: of several, by that which explains most.
+    least: float = 0.0,
+) -> None:
+    """Raise UsageError if robots turn by another reading of the directions than that which act
+    after one of `delays_s`, or if these explain less than a share `least` of their turning.
 
     Directions that are only rotated are no problem: the heading bias is the angle. Nothing is known
-    of robots that were seen for less than ENOUGH_S, or hardly turn: the share is 1.
+    of robots that were seen for less than ENOUGH_S, or hardly turn.
     """
     longest = _longest(turned)
     if sum(len(course.times) for course in longest) * GRID_S < ENOUGH_S:
-        return 1.0
-    as_stated = _best_delay(longest, sent, delays_s, towards)
-    if as_stated.share >= EXPLAINED:
-        return as_stated.share
-    only_rotated = _best_delay(longest, sent, delays_s, rotated)
-    by_share = [
-        (_best_delay(longest, reading.sent, reading.delays_s, reading.response), reading)
-        for reading in readings
-    ]
-    best, reading = max(by_share, key=lambda pair: pair[0].share)
-    if best.share >= max(EXPLAINED, only_rotated.share + SURELY_MORE):
-        raise reading.problem(best.delay_s)
+        return
+    if _best_delay(longest, sent, delays_s, towards).share >= EXPLAINED:
+        return
+    others = list[Reading]()
+    for reading in readings:
+        best = _best_delay(longest, reading.sent, reading.delays_s, reading.response)
+        others.append(
+            Reading(best.share, reading.said.replace(WHEN, _when(best.delay_s)), reading.hint)
+        )
     rates = np.concatenate([np.diff(course.angle) / GRID_S for course in longest])
-    return only_rotated.share if rates.std() > TURNS else 1.0
+    turns = rates.std() > TURNS
+    share = _best_delay(longest, sent, delays_s, rotated).share
+    check_explained(source, "turns", share, least if turns else 0.0, others)
+
+
+def _when(delay_s: float) -> str:
+    """Return in words when robots turn."""
+    return f"{abs(delay_s):.1f} s {'before' if delay_s < 0 else 'after'}"
 
 
 def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReading:
@@ -165,72 +168,35 @@ def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReadin
         sent=replace(sent, angles=-sent.angles),
         delays_s=DELAYS_S,
         response=rotated,
-        problem=partial(_mirrored, poses_file, source),
+        said=f"{poses_file}: robots turn right where {source} turns left",
+        hint="is the picture mirrored, or y downwards? reverse y and headings, or the directions",
     )
-
-
-def _mirrored(poses_file: str, source: str, _delay_s: float) -> UsageError:
-    """Return the error that robots turn by the mirror image, whatever its delay."""
-    said = f"{poses_file}: robots turn right where {source} turns left"
-    hint = "is the picture mirrored, or y downwards? reverse y and headings, or the directions"
-    return UsageError(said, hint)
 
 
 def other_readings(source: str, sent: SentDirections, picture_s: float) -> list[DirectionReading]:
     """Return the directions of the file `source` in degrees, or at other times: those of another
     clock, or of times that count pictures, of `picture_s` [s] each, milliseconds or minutes."""
     degrees = replace(sent, angles=np.radians(sent.angles))
-    return [
-        DirectionReading(degrees, DELAYS_S, towards, partial(_degrees, source)),
-        DirectionReading(sent, SHIFTS_S, towards, partial(_other_clock, source)),
-        *(_in_unit(source, sent, unit) for unit in units_of_time(picture_s)),
-    ]
-
-
-@dataclass(frozen=True, slots=True)
-class TimeUnit:
-    """A unit that a file's times may have been counted in: its length, its name, and what to do."""
-
-    seconds: float
-    name: str
-    hint: str
-
-
-def units_of_time(picture_s: float) -> list[TimeUnit]:
-    """Return the units in which times may be counted; a picture takes `picture_s` [s]."""
-    return [
-        TimeUnit(picture_s, "numbers of pictures", f"multiply by {picture_s:.4g} s"),
-        TimeUnit(1e-3, "milliseconds", "name the column time_ms"),
-        TimeUnit(60.0, "minutes", "name the column time_min"),
-    ]
-
-
-def _in_unit(source: str, sent: SentDirections, unit: TimeUnit) -> DirectionReading:
-    """Return the directions at times that count a unit."""
-    return DirectionReading(
-        sent=replace(sent, times=unit.seconds * sent.times),
-        delays_s=DELAYS_S,
-        response=towards,
-        problem=partial(_other_unit, source, unit),
-    )
-
-
-def _other_unit(source: str, unit: TimeUnit, _delay_s: float) -> UsageError:
-    """Return the error that a file's times count a unit, whatever the delay."""
-    return UsageError(f"{source}: robots turn at its times if these are {unit.name}", unit.hint)
-
-
-def _degrees(source: str, _delay_s: float) -> UsageError:
-    """Return the error that a file's directions are in degrees, whatever the delay."""
     said = f"{source}: robots turn by its directions if these are degrees"
-    return UsageError(said, "name the column direction_deg")
-
-
-def _other_clock(source: str, shift_s: float) -> UsageError:
-    """Return the error that robots turn earlier or later than directions are sent."""
-    way = "before" if shift_s < 0 else "after"
-    said = f"{source}: robots turn {abs(shift_s):.1f} s {way} the times of its directions"
-    return UsageError(said, "both files need times of one clock")
+    readings = [
+        DirectionReading(degrees, DELAYS_S, towards, said, "name the column direction_deg"),
+        DirectionReading(
+            sent=sent,
+            delays_s=SHIFTS_S,
+            response=towards,
+            said=f"{source}: robots turn {WHEN} the times of its directions",
+            hint="both files need times of one clock",
+        ),
+    ]
+    for seconds, unit, hint in (
+        (picture_s, "numbers of pictures", f"multiply by {picture_s:.4g} s"),
+        (1e-3, "milliseconds", "name the column time_ms"),
+        (60.0, "minutes", "name the column time_min"),
+    ):
+        in_unit = replace(sent, times=seconds * sent.times)
+        said = f"{source}: robots turn at its times if these are {unit}"
+        readings.append(DirectionReading(in_unit, DELAYS_S, towards, said, hint))
+    return readings
 
 
 def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:

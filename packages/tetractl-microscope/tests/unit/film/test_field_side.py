@@ -81,13 +81,17 @@ def field_at_times(tmp_path, times):
     ],
 )
 def test_a_field_whose_times_are_not_the_films_is_refused(tmp_path, stated, says):
+    def check(sent):
+        readings = other_readings("field.csv", sent, 1 / 30)
+        check_directions("field.csv", turned, sent, AT_ONCE_S, readings)
+
     true_times = [time for time, _ in STEPS]
     true = field_at_times(tmp_path, true_times)
     turned = courses(turned_by(true))
-    check_directions(turned, true, AT_ONCE_S, other_readings("field.csv", true, 1 / 30))
+    check(true)
     wrong = field_at_times(tmp_path, [stated(time) for time in true_times])
     with pytest.raises(UsageError, match=f"field.csv: {says}"):
-        check_directions(turned, wrong, AT_ONCE_S, other_readings("field.csv", wrong, 1 / 30))
+        check(wrong)
 
 
 def test_cells_that_the_field_does_not_turn_say_nothing(tmp_path):

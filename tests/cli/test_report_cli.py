@@ -7,6 +7,9 @@ import pytest
 from support.chromium import chromium, needs_chromium
 from support.cli import tetractl
 
+from tetractl.log.read.reader import read_trial
+from tetractl.report.page import PLAYER_PX, player
+
 pytestmark = pytest.mark.slow
 
 SPEC = """
@@ -54,10 +57,10 @@ def page(folder, browser):
     assert browser.errors == []
 
 
-def show(page, folder, width=1280, height=800):
+def show(browser, folder, width=1280, height=800, page="report.html"):
     """Open the report and wait until its first trial is shown."""
-    page.open(folder / "report.html", width, height)
-    page.run(
+    browser.open(folder / page, width, height)
+    browser.run(
         "new Promise((done) => { const wait = () => window.player"
         " ? done() : setTimeout(wait, 5); wait(); })"
     )
@@ -261,6 +264,21 @@ def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(folder,
       return found;
     })()"""
     assert page.run(covered) == []
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [560, 800, 1150])
+def test_in_a_notebook_the_player_fits_into_its_frame(browser, folder, width):
+    """Regression: half of it was below the frame's edge, the controls with it at 1150 px."""
+    shown = player([read_trial(folder / "logs" / "trial-000.mcap")])
+    (folder / "frame.html").write_text(shown.page)
+    show(browser, folder, width, PLAYER_PX, page="frame.html")
+    assert browser.run("document.documentElement.scrollHeight") <= PLAYER_PX
+    bottoms = browser.run(
+        "['scene', 'scrub', 'play', 'total'].map("
+        "(name) => document.getElementById(name).getBoundingClientRect().bottom)"
+    )
+    assert max(bottoms) < PLAYER_PX
 
 
 @pytest.mark.system

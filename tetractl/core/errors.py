@@ -31,7 +31,8 @@ IN_PYTHON = {"--out": "folder=", "--resume": "resume=True", "--against": "compar
 class TetractlError(Exception):
     """An error that the user can fix: one clear line, a hint, an exit code.
 
-    `str` is for Python: the message, and below it the hint with names of Python.
+    `str` is for Python: the message, and below it the hint, with names of Python. What the
+    command line calls `--set` is a text there, as `load_spec` takes it.
     """
 
     exit = Exit.FAILED
@@ -42,8 +43,10 @@ class TetractlError(Exception):
         self.hint = hint
 
     def __str__(self) -> str:
-        hint = re.sub(r"--\w+", lambda it: IN_PYTHON.get(it[0], it[0][2:]), self.hint or "")
-        return f"{self.message}\nhint: {hint}" if hint else self.message
+        message = re.sub("(?m)^--set ", "setting ", self.message)
+        hint = re.sub(r"--set (\S*[^\s:;,.])", r'"\1"', self.hint or "")
+        hint = re.sub(r"--\w+", lambda it: IN_PYTHON.get(it[0], it[0][2:]), hint)
+        return f"{message}\nhint: {hint}" if hint else message
 
     def _render_traceback_(self) -> list[str]:
         """Return what IPython prints in place of a traceback: the message, and which line of the

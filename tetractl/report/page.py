@@ -52,8 +52,9 @@ COMPARED_MOST = 10
 """Comparisons at most that stand at the top."""
 TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
 """The figures of the first trial, in their order."""
-PLAYER_PX = 820
-"""Height of the player in a notebook."""
+PLAYER_PX = 740
+"""Height of the player in a notebook, whose style `framed` fits the arena and its controls into it
+at any width, and lets the numbers next to them scroll."""
 THEME = '<button id="theme" aria-label="Light or dark">◐</button>'
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
 """The scripts of a page with a player, in the order in which they need each other."""
@@ -140,7 +141,8 @@ def player(logs: Sequence[TrialLog]) -> PlayerPage:
         name = Path(log.log).name
         data = trial_data(log, name, len(logs) <= MANY)
         trials.append(_Carried(log.log, name, data))
-    body = header + _player(trials, logs[0].experiment.units.length)
+    parts = header + _player(trials, logs[0].experiment.units.length)
+    body = f'<div class="framed">{parts}</div>'
     return PlayerPage(_page(title, body, with_player=True))
 
 

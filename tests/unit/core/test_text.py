@@ -46,3 +46,9 @@ def test_the_text_of_an_error_has_its_hint_in_words_of_python():
     said = "out: holds logs already\nhint: name another folder with folder=, or add resume=True"
     assert (str(error), error.message) == (said, "out: holds logs already")
     assert str(UsageError("alone")) == "alone"
+    bad = UsageError(
+        "--set a=1: no key 'a'\n--set b=2: too large", "give it by --set robots.0.a=1."
+    )
+    assert str(bad) == (
+        "setting a=1: no key 'a'\nsetting b=2: too large\nhint: give it by \"robots.0.a=1\"."
+    )

@@ -1,5 +1,6 @@
 """What results show in a notebook, without `print` and without `%matplotlib inline`."""
 
+import importlib
 import re
 from html import unescape
 from types import SimpleNamespace
@@ -136,13 +137,12 @@ def test_a_notebook_has_one_bar_that_grows():
 
 
 @pytest.mark.system  # a kernel
-def test_the_example_notebook_runs():
+def test_the_example_notebook_runs_and_stores_what_it_shows():
     """Each cell shows what it ends with; the last one is a mistake."""
-    nbformat = pytest.importorskip("nbformat")
-    client = pytest.importorskip("nbclient").NotebookClient
-    path = ROOT / "examples" / "notebook.ipynb"
-    notebook = nbformat.read(path, as_version=4)
-    client(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
+    for needed in ("nbformat", "nbclient"):
+        pytest.importorskip(needed)
+    make_notebook = importlib.import_module("make_notebook")
+    notebook = make_notebook.executed()
     *cells, mistake = [cell for cell in notebook.cells if cell.cell_type == "code"]
     for cell in cells:
         kinds = [kind for output in cell.outputs for kind in output.get("data", ())]
@@ -151,3 +151,11 @@ def test_the_example_notebook_runs():
     (error,) = mistake.outputs
     assert error.traceback[0].endswith("did you mean 'speed'?")
     assert "site-packages" not in "".join(error.traceback)
+    stored = make_notebook.nbformat.read(make_notebook.NOTEBOOK, as_version=4)
+    told = "run: python docs/make_notebook.py"
+    assert make_notebook.words(stored) == make_notebook.words(notebook), told
+
+
+def test_the_stored_pictures_are_small():
+    stored = (ROOT / "examples" / "notebook.ipynb").read_text("utf-8")
+    assert 60_000 < len(stored) < 130_000

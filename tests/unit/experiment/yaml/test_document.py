@@ -118,7 +118,7 @@ def test_texts_that_are_no_spec_at_all(text, words):
 def test_a_bad_value_on_the_command_line_has_no_line_number():
     with pytest.raises(InvalidSpecError) as caught:
         parse_value("{a: 1, a: !x 2}", "--set b={a: 1, a: !x 2}")
-    assert "--set b={a: 1, a: !x 2}: a: is given twice" in str(caught.value)
+    assert "--set b={a: 1, a: !x 2}: a: is given twice" in caught.value.message
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Write the tables of reproduced papers into docs/reference/reproduce.md, between its markers.
+"""Write the tables of reproduced papers into the page of tetractl-papers, between its markers.
 
 Run `python docs/make_reproduce.py [FOLDER]` after a change of a paper: it does what `tetractl
 reproduce --all --out FOLDER` does. Trials in FOLDER (logs/reproduce) are kept, so that what was
@@ -9,15 +9,16 @@ import sys
 from functools import partial
 from pathlib import Path
 
+from tetractl_papers.claim import assess
+from tetractl_papers.paper import table
+from tetractl_papers.registries import PAPERS
+from tetractl_papers.trials import run_arms
+
 from tetractl.api import run_batch
-from tetractl.core.registries import PAPERS
 from tetractl.experiment.examples import examples
-from tetractl.reproduce.claim import assess
-from tetractl.reproduce.paper import table
-from tetractl.reproduce.trials import run_arms
 from tetractl.tools.table.terminal_table import markdown
 
-PAGE = Path(__file__).parent / "reference/reproduce.md"
+PAGE = Path(__file__).parents[1] / "packages/tetractl-papers/README.md"
 BEGIN = "<!-- figures: begin -->\n"
 END = "<!-- figures: end -->"
 

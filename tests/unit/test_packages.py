@@ -19,7 +19,9 @@ HIDDEN = """
 import sys
 import importlib.metadata
 
-PACKAGES = {"tetractl_emulator", "tetractl_microscope", "tetractl_motioncapture", "tetractl_toio"}
+NAMES = {"emulator", "microscope", "motioncapture", "papers", "toio"}
+PACKAGES = {f"tetractl_{name}" for name in NAMES}
+OURS = {f"tetractl-{name}" for name in NAMES}
 
 class Hidden:
     def find_spec(self, name, path=None, target=None):
@@ -30,11 +32,10 @@ sys.meta_path.insert(0, Hidden())
 found = importlib.metadata.entry_points
 
 def points(**by):
-    ours = ("tetractl-emulator", "tetractl-microscope", "tetractl-motioncapture", "tetractl-toio")
     got = found(**by)
     if not by.get("group", "").startswith("tetractl."):
         return got
-    return [one for one in got if one.dist.name not in ours]
+    return [one for one in got if one.dist.name not in OURS]
 
 importlib.metadata.entry_points = points
 """
@@ -97,7 +98,7 @@ def test_tests_of_the_core_need_no_package():
     for path in files:
         assert set(TAKEN.findall(path.read_text("utf-8"))) <= of_the_core, path
     imports = re.compile(
-        r"^ *(from|import) (tetractl_(emulator|microscope|toio)|cv2|tifffile)", re.M
+        r"^ *(from|import) (tetractl_(emulator|microscope|papers|toio)|cv2|tifffile)", re.M
     )
     assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
 
@@ -117,6 +118,7 @@ def test_the_core_imports_whole_without_the_packages_and_opencv():
         ("tetractl-emulator", ["lab", "emulate", "x.yaml"]),
         ("tetractl-emulator", ["run", "experiments/three_m3pi_lab.yaml", "--plant", "emulated"]),
         ("tetractl-microscope", ["track", "dish.avi"]),
+        ("tetractl-papers", ["reproduce", "ou"]),
         ("tetractl-microscope", ["validate", str(MICROSCOPE_EXAMPLES / "tetrahymena_dish.yaml")]),
         ("tetractl-microscope", ["init", "--example", "two_cells"]),
         ("tetractl-microscope", ["init", "x", "--lab", "--camera", "apriltag"]),

@@ -39,8 +39,10 @@ PANELS = {
     "Robots and cells": ("identify", "track", "lab"),
     "This program": ("schema", "kinds"),
 }
-"""The groups of commands in the help; a command that is in none is another package's."""
+"""The groups of commands in the help, in its order; a command that is in none is another
+package's."""
 OTHERS = "Of other packages"
+PANEL_OF = {name: panel for panel, names in PANELS.items() for name in names}
 
 _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")
 """A break of a docstring inside a paragraph, and not before a line of a list."""
@@ -67,10 +69,10 @@ class _Group(TyperGroup):
     def __init__(self, **attrs: Any) -> None:
         super().__init__(**attrs)
         self.registry = LAB_COMMANDS if self.name == "lab" else COMMANDS
-        self.commands: dict[str, Any] = {
-            **dict.fromkeys(self.registry.names()),  # None until they are imported
-            **self.commands,
-        }
+        registered = dict.fromkeys(self.registry.names())  # None until they are imported
+        commands: dict[str, Any] = {**registered, **self.commands}
+        names = [name for name in PANEL_OF if name in commands]
+        self.commands = {name: commands[name] for name in (*names, *commands)}
 
     def get_params(self, ctx: Any) -> Any:
         return _without_types_of_switches(super().get_params(ctx))
@@ -93,8 +95,7 @@ class _Group(TyperGroup):
 def _command(registry: Registry, name: str) -> Any:
     """Return the command of a registry's function, or, if the function of another package cannot
     be used, a command that says why."""
-    panels = [panel for panel, names in PANELS.items() if name in names]
-    panel = None if registry is LAB_COMMANDS else (*panels, OTHERS)[0]
+    panel = None if registry is LAB_COMMANDS else PANEL_OF.get(name, OTHERS)
     try:
         function = registry.load(name)
         try:

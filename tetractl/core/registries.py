@@ -148,15 +148,7 @@ FIGURES = Registry(
         "over-time": "tetractl.view.figures.over_time:over_time_figure",
     },
 )
-PAPERS = Registry(
-    "tetractl.papers",
-    {
-        "ou": "tetractl.reproduce.ou:PAPER",
-        "khalil-2013": "tetractl.reproduce.khalil_2013:PAPER",
-    },
-)
-OTHERS = (SWEEPS, STATISTICS, FIGURES, PAPERS)
-REGISTRIES = (*SPEC_REGISTRIES, *OTHERS)
+REGISTRIES = (*SPEC_REGISTRIES, SWEEPS, STATISTICS, FIGURES)
 
 COMMANDS = Registry(
     "tetractl.commands",
@@ -170,7 +162,6 @@ COMMANDS = Registry(
         "rerun": "tetractl.cli.again:rerun",
         "study": "tetractl.cli.study:study",
         "analyze": "tetractl.cli.stats:analyze",
-        "reproduce": "tetractl.cli.reproduce:reproduce",
         "warm": "tetractl.cli.specs:warm",
         "plot": "tetractl.cli.outputs:plot",
         "report": "tetractl.cli.outputs:report",

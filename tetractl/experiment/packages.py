@@ -8,12 +8,14 @@ MICROSCOPE = "tetractl-microscope"
 EMULATOR = "tetractl-emulator"
 TOIO = "tetractl-toio"
 MOTION_CAPTURE = "tetractl-motioncapture"
+PAPERS = "tetractl-papers"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
     ("tetractl.lab_commands", "emulate"): EMULATOR,
     ("tetractl.lab_commands", "rehearse"): EMULATOR,
     ("tetractl.lab_commands", "survey"): MICROSCOPE,
     ("tetractl.lab_commands", "markers"): MICROSCOPE,
+    ("tetractl.commands", "reproduce"): PAPERS,
     ("tetractl.commands", "track"): MICROSCOPE,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,

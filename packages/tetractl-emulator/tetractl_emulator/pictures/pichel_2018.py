@@ -19,11 +19,11 @@ from tetractl_microscope.film.fit_cell import CellSummary, fit_cells
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import MAGNETOSPIRILLUM
+from tetractl_papers.claim import Claim, Fate, as_often, at_most
+from tetractl_papers.paper import Paper, Work
 
 from tetractl.core.poses import Floats, Grey
 from tetractl.model.swimmers import Swimmers, bodies
-from tetractl.reproduce.claim import Claim, Fate, as_often, at_most
-from tetractl.reproduce.paper import Paper, Work
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
 STRENGTHS_MT = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0)

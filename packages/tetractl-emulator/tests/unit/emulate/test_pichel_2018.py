@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tetractl_emulator.pictures import pichel_2018
 from tetractl_emulator.pictures.pichel_2018 import PAPER, fitted
+from tetractl_papers.claim import Fate, assess
+from tetractl_papers.command import reproduce
 
-from tetractl.cli.reproduce import reproduce
 from tetractl.core.errors import Exit
-from tetractl.reproduce.claim import Fate, assess
 
 SPREAD = 0.15  # of the slopes of cells: the standard deviation of their logarithm
 

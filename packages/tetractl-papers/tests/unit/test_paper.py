@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tetractl_papers import command
+from tetractl_papers import trials as reproduce_trials
+from tetractl_papers.claim import Claim, Fate, assess, at_most, same_deviation
+from tetractl_papers.ou_measures import spinning_time, total_error
+from tetractl_papers.paper import Paper, Runs, Work, table
+from tetractl_papers.registries import PAPERS
 
 from tetractl import api
-from tetractl.cli import reproduce as command
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.registries import PAPERS
 from tetractl.experiment.examples import examples
-from tetractl.reproduce import trials as reproduce_trials
-from tetractl.reproduce.claim import Claim, Fate, assess, at_most, same_deviation
-from tetractl.reproduce.ou_measures import spinning_time, total_error
-from tetractl.reproduce.paper import Paper, Runs, Work, table
 
 COMPLETE = partial(api.run_batch, resume=True)
-PAGE = Path(__file__).parents[3] / "docs/reference/reproduce.md"
+PAGE = Path(__file__).parents[2] / "README.md"
 
 
 def claim(bound, expected=Fate.REACHED, why=""):
@@ -40,6 +40,12 @@ ARMS = {"one": Runs("single_cell")}
 PAPER = Paper("Somebody, 2026", ARMS, [claim(500), claim(0, Fate.MISSED, "noise")])
 
 
+def add(paper, monkeypatch):
+    """Let the registry have the paper `mine`."""
+    monkeypatch.setitem(PAPERS.builtin, "mine", "")
+    monkeypatch.setattr(PAPERS, "load", lambda name: paper)
+
+
 def logs_of_one(folder):
     """The logs of the arm `one` of the paper `mine`."""
     return list((folder / "mine/one").glob("*.mcap"))
@@ -58,7 +64,7 @@ def test_a_reversal_of_more_than_its_bound_ends_a_turn():
 
 @pytest.mark.long
 def test_a_paper_is_run_once_and_its_table_printed(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(PAPERS.builtin, "mine", f"{__name__}:PAPER")
+    add(PAPER, monkeypatch)
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.DONE
     printed = capsys.readouterr().out
     assert "Somebody, 2026" in printed
@@ -71,8 +77,7 @@ def test_a_paper_is_run_once_and_its_table_printed(tmp_path, monkeypatch, capsys
 
 @pytest.mark.long
 def test_another_verdict_than_the_pages_is_told(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(PAPERS, "load", lambda name: Paper("x", ARMS, [claim(0)]))
-    monkeypatch.setitem(PAPERS.builtin, "mine", f"{__name__}:PAPER")
+    add(Paper("x", ARMS, [claim(0)]), monkeypatch)
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.FAILED
     assert "mine: error: missed, but reached on the page" in capsys.readouterr().err
 
@@ -102,7 +107,7 @@ def test_after_ctrl_c_it_goes_on_with_the_trials_it_lacks(tmp_path, monkeypatch)
     def run_until_a_result(*args, **options):
         return run_batch(*args, **options, on_result=press_ctrl_c)
 
-    monkeypatch.setitem(PAPERS.builtin, "mine", f"{__name__}:PAPER")
+    add(PAPER, monkeypatch)
     monkeypatch.setattr(api, "run_batch", run_until_a_result)
     with pytest.raises(KeyboardInterrupt):
         command.reproduce(["mine"], trials=3, out=tmp_path)

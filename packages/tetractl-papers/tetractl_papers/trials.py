@@ -9,8 +9,8 @@ from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.experiment.yaml.document import FieldValue
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.reproduce.paper import Paper, Runs, Work
 from tetractl.run.spec_trial import log_path
+from tetractl_papers.paper import Paper, Runs, Work
 
 SEED = 20261128
 """The root seed of all trials."""

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.registries import PAPERS
 from tetractl.experiment.yaml.problems import did_you_mean
 from tetractl.tools.table.table_files import json_text
 from tetractl.tools.table.terminal_table import print_tables
+from tetractl_papers.registries import PAPERS
 
 
 def reproduce(
@@ -27,15 +27,15 @@ def reproduce(
 
     Without a PAPER it lists them. Trials with a log in DIR are kept: an interrupted command goes on
     where it was. The exit code is 1 if a verdict differs from that of
-    docs/reference/reproduce.md.
+    packages/tetractl-papers/README.md.
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
     from tetractl.api import run_batch
     from tetractl.experiment.examples import examples
-    from tetractl.reproduce.claim import assess
-    from tetractl.reproduce.paper import Paper, items, table
-    from tetractl.reproduce.trials import run_arms
+    from tetractl_papers.claim import assess
+    from tetractl_papers.paper import Paper, items, table
+    from tetractl_papers.trials import run_arms
 
     names = PAPERS.names() if all_papers else papers or []
     for name in names:

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from tetractl.reproduce.claim import (
+from tetractl_papers.claim import (
     Claim,
     Fate,
     NumberKind,

@@ -7,9 +7,9 @@ outcome. A disc of 23 um for 95 % of the time is out of the bacterium's reach at
 import json
 
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.reproduce.claim import Claim, Fate, at_most
-from tetractl.reproduce.paper import Paper, Runs
 from tetractl.results.disc import discs
+from tetractl_papers.claim import Claim, Fate, at_most
+from tetractl_papers.paper import Paper, Runs
 
 DISC = "diameter of the disc of 95 % of a hold"
 BACTERIUM_UM = 23.0

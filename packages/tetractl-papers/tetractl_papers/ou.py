@@ -8,8 +8,8 @@ that of a cell the same, scaled by the speeds.
 
 import math
 
-from tetractl.reproduce import ou_measures as measures
-from tetractl.reproduce.claim import (
+from tetractl_papers import ou_measures as measures
+from tetractl_papers.claim import (
     Claim,
     Fate,
     at_least,
@@ -20,7 +20,7 @@ from tetractl.reproduce.claim import (
     same_mean,
     same_number,
 )
-from tetractl.reproduce.paper import Paper, Runs
+from tetractl_papers.paper import Paper, Runs
 
 AS_PUBLISHED = "controller={type: pso-mpc, horizon_max: 70, obstacle_weight: 5000, time_limit: 60}"
 EARLIER = "controller={type: ensemble, arrival_tolerance: 20, time_limit: 400}"

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from tetractl.reproduce.claim import Claim, NumberKind, OurNumber, Row
 from tetractl.tools.table.table import Table, lengths
+from tetractl_papers.claim import Claim, NumberKind, OurNumber, Row
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""The figures and claims of published papers, run again and printed next to ours."""

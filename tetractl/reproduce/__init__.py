@@ -1,1 +1,0 @@
-"""Published papers reproduced: their figures next to ours, each with a verdict."""

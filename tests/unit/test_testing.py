@@ -1,9 +1,11 @@
 """`tetractl.testing` and `tetractl kinds --check`: each thing wrong with a kind is found."""
 
+import re
 import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Literal
@@ -41,6 +43,7 @@ from tetractl.testing import (
     check_kind,
     check_optimizer,
     check_shape,
+    findings_of,
 )
 from tetractl.testing.device_checks import _check_leaving
 
@@ -48,8 +51,13 @@ SETUP = parse_spec(template("check", "check"), "check").experiment.setup
 EXACT = MOTIONS.load("exact")
 
 
-def wrong(findings):
-    return [finding.what for finding in findings if finding.problem]
+def wrong(check, *args):
+    """What a check finds wrong, of which the first is what it raises."""
+    problems = [finding for finding in findings_of(partial(check, *args)) if finding.problem]
+    if problems:
+        with pytest.raises(AssertionError, match=f"^{re.escape(problems[0].what)}: "):
+            check(*args)
+    return [finding.what for finding in problems]
 
 
 def compiled(**methods):
@@ -104,7 +112,9 @@ def test_what_is_wrong_with_a_motion_is_found(motion, what):
     module = type("module", (), {"MOTION": motion})
     with pytest.MonkeyPatch.context() as patched:
         patched.setitem(__import__("sys").modules, "mine", module)
-        assert what in wrong(check_kind("mine:MOTION", {}, SETUP))
+        assert what in [
+            finding.what for finding in check_kind("mine:MOTION", {}, SETUP) if finding.problem
+        ]
 
 
 class Sketch(ShapeSection):
@@ -129,7 +139,7 @@ class Sketch(ShapeSection):
     ],
 )
 def test_what_is_wrong_with_a_shape_is_found(corners, radius, what):
-    problems = wrong(check_shape(Sketch(corners=corners, radius=radius), SETUP))
+    problems = wrong(check_shape, Sketch(corners=corners, radius=radius), SETUP)
     assert any(problem.startswith(what) for problem in problems)
 
 
@@ -162,7 +172,7 @@ class Other(Mppi):
 )
 def test_what_is_wrong_with_an_optimiser_is_found(fault, what):
     optimizer = Other(type="mppi", iterations=6, particles=12, fault=fault)
-    problems = wrong(check_optimizer(optimizer, SETUP))
+    problems = wrong(check_optimizer, optimizer, SETUP)
     if what:
         assert what in problems
     else:
@@ -205,7 +215,7 @@ class Faulty(SequenceSection):
 )
 def test_what_is_wrong_with_a_controller_is_found(fault, what):
     section = Faulty(type="sequence", directions=(0.1,) * 9, fault=fault)
-    assert what in wrong(check_controller(section, SETUP))
+    assert what in wrong(check_controller, section, SETUP)
 
 
 class Ill(DisturbanceSection):
@@ -248,14 +258,14 @@ class IllOne(Disturbance):
     ],
 )
 def test_what_is_wrong_with_a_disturbance_is_found(fault, what):
-    assert wrong(check_disturbance(Ill(fault=fault), SETUP)) == [what]
+    assert wrong(check_disturbance, Ill(fault=fault), SETUP) == [what]
 
 
 def test_a_radio_that_delays_each_robot_on_its_own_passes_its_checks():
     radio = RadioSection(type="radio", spread=0.1)
     of_three = experiment().setup
     assert len(of_three.names) == 3
-    assert wrong(check_disturbance(radio, of_three)) == []
+    assert wrong(check_disturbance, radio, of_three) == []
 
 
 class FakeCameraSection(CameraSection):
@@ -294,12 +304,13 @@ class FakeActuatorSection(ActuatorSection):
 
 
 def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
-    of_camera = list(check_camera(FakeCameraSection(type="fake"), SETUP))
+    of_camera = findings_of(partial(check_camera, FakeCameraSection(type="fake"), SETUP))
     assert of_camera[0].problem == "lacks damaged"
     assert of_camera[1].what == "not opened, so its frames are not checked (no camera answers)"
-    of_actuator = list(check_actuator(FakeActuatorSection(type="fake"), SETUP))
+    of_actuator = findings_of(partial(check_actuator, FakeActuatorSection(type="fake"), SETUP))
     assert of_actuator[1].problem == "lacks __enter__, __exit__, check, poll, send, stop"
-    assert wrong(of_actuator)[1:] == ["period_ns: above 0", "halts: true or false"]
+    problems = wrong(check_actuator, FakeActuatorSection(type="fake"), SETUP)
+    assert problems[1:] == ["period_ns: above 0", "halts: true or false"]
 
 
 class PortSection(ActuatorSection):
@@ -351,10 +362,10 @@ class PortActuator:
 
 
 def test_an_actuator_sends_to_a_port_behind_which_nothing_is():
-    findings = list(check_actuator(PortSection(), SETUP))
-    assert (len(findings), wrong(findings)) == (15, [])
+    check_actuator(PortSection(), SETUP)
+    assert len(findings_of(partial(check_actuator, PortSection(), SETUP))) == 15
     with pytest.raises(ZeroDivisionError):
-        list(check_actuator(PortSection(divisor=0.0), SETUP))
+        check_actuator(PortSection(divisor=0.0), SETUP)
 
 
 def test_nothing_is_sent_to_the_port_of_a_network():
@@ -363,8 +374,8 @@ def test_nothing_is_sent_to_the_port_of_a_network():
     class NetworkSection(PortSection):
         port: int = 9001
 
-    findings = list(check_actuator(NetworkSection(), SETUP))
-    assert wrong(findings) == []
+    findings = findings_of(partial(check_actuator, NetworkSection(), SETUP))
+    assert not any(finding.problem for finding in findings)
     assert findings[-1].what.startswith("send: not called")
 
 
@@ -380,7 +391,7 @@ def test_robots_with_ports_of_their_own_are_not_steered_there(monkeypatch):
     monkeypatch.setattr(line_ports, "open_port", NotedPort)
     robots = [{"name": name, "radius_mm": 40.0, "port": f"/dev/{name}"} for name in SETUP.names]
     section = TwistSection.model_validate({"type": "twist", "port": "/dev/none", "robots": robots})
-    assert wrong(check_actuator(section, SETUP)) == []
+    check_actuator(section, SETUP)
     assert len(opened) == 1
     assert opened.isdisjoint({"/dev/none", *(robot["port"] for robot in robots)})
 
@@ -388,7 +399,7 @@ def test_robots_with_ports_of_their_own_are_not_steered_there(monkeypatch):
 def test_closing_before_opening_is_a_finding():
     """Regression: it ended in a traceback."""
     unopened = PortActuator(PortSection(), SETUP, None)
-    (finding,) = _check_leaving(unopened, unopened)
+    (finding,) = findings_of(partial(_check_leaving, unopened, unopened))
     assert finding.problem == "AttributeError: 'PortActuator' object has no attribute 'port'"
 
 

@@ -162,7 +162,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     experiment = _experiment(spec)
     if spec is not None:
         fields = _fields_of_lab(experiment, code) | fields
-    findings = list(check_kind(code, fields, experiment.setup))
+    findings = check_kind(code, fields, experiment.setup)
     wrong = [finding for finding in findings if finding.problem]
     if as_json:
         print(json_text({"code": code, "ok": not wrong, "findings": findings}))

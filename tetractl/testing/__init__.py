@@ -1,15 +1,14 @@
 """Checks code that extends tetractl, such as your own camera, against what tetractl requires of it.
 
 A kind is a motion, or the section of a shape, optimiser, controller, disturbance, camera or
-actuator. Each check is a generator of findings; `failed` names those with a problem, for a test of
-your own. `tetractl kinds --check` calls them from the command line. Random numbers come from a
-fixed seed, so findings repeat.
+actuator. In a test of your own, a check raises AssertionError for the first thing that is wrong;
+`tetractl kinds --check` lists all that it finds. Random numbers come from a fixed seed, so findings
+repeat.
 """
 
 from collections.abc import Callable, Mapping
 from functools import partial
 from pkgutil import resolve_name
-from traceback import extract_tb
 from typing import Any, Protocol, get_args, runtime_checkable
 
 from pydantic import ValidationError
@@ -26,13 +25,13 @@ from tetractl.model.motion.motion import Motion
 from tetractl.testing.control_checks import check_controller, check_optimizer
 from tetractl.testing.device_checks import MovedRobots, SeenRobots, check_actuator, check_camera
 from tetractl.testing.disturbance_checks import check_disturbance
-from tetractl.testing.finding import Finding, Findings, failed
+from tetractl.testing.expect import Finding, findings_of
 from tetractl.testing.model_checks import check_motion, check_shape
 
 __all__ = [
-    "Finding", "Findings", "MovedRobots", "SeenRobots", "check_actuator", "check_camera",
-    "check_controller", "check_disturbance", "check_kind", "check_motion", "check_optimizer",
-    "check_shape", "failed",
+    "Finding", "MovedRobots", "SeenRobots", "check_actuator", "check_camera", "check_controller",
+    "check_disturbance", "check_kind", "check_motion", "check_optimizer", "check_shape",
+    "findings_of",
 ]  # fmt: skip
 
 
@@ -40,12 +39,12 @@ __all__ = [
 class Checked(Protocol):
     """A kind of another package's interface, which brings its check."""
 
-    def checked(self) -> Findings:
+    def checked(self) -> None:
         """Check this section."""
         ...
 
 
-CHECKS: Mapping[type, Callable[[Any, Setup], Findings]] = {
+CHECKS: Mapping[type, Callable[[Any, Setup], None]] = {
     ShapeSection: check_shape,
     OptimizerSection: check_optimizer,
     ControllerSection: check_controller,
@@ -55,8 +54,9 @@ CHECKS: Mapping[type, Callable[[Any, Setup], Findings]] = {
 }
 
 
-def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
-    """Check "module:attribute": a Motion, or the section of another kind with a check.
+def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> list[Finding]:
+    """Check "module:attribute", a Motion or the section of another kind with a check; return all
+    findings.
 
     `fields` are the section's fields, and `setup` describes the robots of the experiment. Raises
     UsageError if the object cannot be imported or is something else.
@@ -69,12 +69,12 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
     except (Exception, SystemExit) as error:  # a module may raise anything, or leave
         raise UsageError(f"{code}: cannot be imported: {text_of(error)}") from None
     if isinstance(kind, Motion):
-        return _guarded(partial(check_motion, kind))
+        return findings_of(partial(check_motion, kind))
     if isinstance(kind, type) and issubclass(kind, Model) and issubclass(kind, Checked):
-        return _guarded(lambda: _section(code, kind, fields).checked())
+        return findings_of(_section(code, kind, fields).checked)
     for base, check in CHECKS.items():
         if isinstance(kind, type) and issubclass(kind, base):
-            return _guarded(partial(check, _section(code, kind, fields), setup))
+            return findings_of(partial(check, _section(code, kind, fields), setup))
     with_a_check = ", ".join(base.__name__ for base in CHECKS)
     raise UsageError(
         f"{code}: there is no check for this kind",
@@ -95,15 +95,3 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
         text = words(details, details["input"])
         hint = f"give the value by --set {field}=VALUE"
         raise UsageError(f"{code}: {field}: {text}", hint) from None
-
-
-def _guarded(check: Callable[[], Findings]) -> Findings:
-    """Yield the findings; an exception in the kind's own code becomes the last finding."""
-    try:
-        yield from check()
-    except UsageError:
-        raise
-    except Exception as error:
-        line = extract_tb(error.__traceback__)[-1]
-        problem = f"{line.filename}:{line.lineno}: {type(error).__name__}: {error}"
-        yield Finding("runs", problem)

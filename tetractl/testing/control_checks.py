@@ -21,7 +21,7 @@ from tetractl.experiment.controller import ControllerSection, Host, OptimizerSec
 from tetractl.model.obstacles import Obstacles
 from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import CheckedController
-from tetractl.testing.finding import SEED, Finding, Findings, near, random_watched, same, true
+from tetractl.testing.expect import SEED, expect, near, random_watched, same, true
 
 STEPS_MAX = 3
 """Number of control periods of a simulation before its time limit."""
@@ -35,7 +35,7 @@ CLOCKS = {"time", "perf_counter", "monotonic", "process_time", "now", "utcnow", 
 """Functions that read a clock, which a controller must not call."""
 
 
-def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
+def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> None:
     """Check that an optimiser's search records are consistent, and that its searches repeat."""
     problem = Problem(
         poses=setup.starts, targets=setup.targets, a=setup.a, speed=setup.speed, motion="exact",
@@ -45,13 +45,13 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
     rng = np.random.default_rng(SEED)
     for length in LENGTHS:
         warm = rng.uniform(-math.pi, math.pi, length)
-        yield from _check_search(optimizer, problem, length, None)
-        yield from _check_search(optimizer, problem, length, warm)
+        _check_search(optimizer, problem, length, None)
+        _check_search(optimizer, problem, length, warm)
 
 
 def _check_search(
     optimizer: OptimizerSection, problem: Problem, length: int, start: Floats | None
-) -> Findings:
+) -> None:
     """Check the search for `length` signals, with a warm `start` if it is given."""
     from tetractl.control.evaluate import compiled_costs
 
@@ -61,26 +61,26 @@ def _check_search(
     again = optimizer.search(problem, length, start, SEED, Limits())
     if start is not None:
         what = f"{length} signals, warm start: "
-        yield same(f"{what}not changed", [start], [before])
+        same(f"{what}not changed", [start], [before])
     shape = np.shape(search.signals)
     if shape != (length,):
-        yield Finding(f"{what}signals", f"have shape {shape}, not ({length},)")
+        expect(f"{what}signals", f"have shape {shape}, not ({length},)")
         return
     record = (search.signals, search.history, search.evaluations)
     record_again = (again.signals, again.history, again.evaluations)
-    yield same(f"{what}same search for the same key", record, record_again)
+    same(f"{what}same search for the same key", record, record_again)
     cost = float(compiled_costs(problem, 1)(search.signals[:, None])[0])
-    yield near(f"{what}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
-    yield near(f"{what}history: ends with cost", search.history[-1], search.cost, 1 + cost)
-    yield true(f"{what}history: never rises", np.diff(search.history) <= 0, "it rises")
-    yield true(f"{what}evaluations: at least 1", search.evaluations >= 1, "there are none")
+    near(f"{what}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
+    near(f"{what}history: ends with cost", search.history[-1], search.cost, 1 + cost)
+    true(f"{what}history: never rises", np.diff(search.history) <= 0, "it rises")
+    true(f"{what}evaluations: at least 1", search.evaluations >= 1, "there are none")
     most = optimizer.evaluations_max
     if most is not None:
         text = f"{what}evaluations: at most evaluations_max"
-        yield true(text, search.evaluations <= most, str(search.evaluations))
+        true(text, search.evaluations <= most, str(search.evaluations))
     budget = optimizer.evaluations_min + EXTRA_EVALUATIONS
     spent = optimizer.search(problem, length, start, SEED, Limits(budget)).evaluations
-    yield true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
+    true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
 
 
 class Play:
@@ -141,7 +141,7 @@ class Play:
             self.clocks.add(f"line {frame.f_lineno} calls {name}")
 
 
-def check_controller(section: ControllerSection, setup: Setup) -> Findings:
+def check_controller(section: ControllerSection, setup: Setup) -> None:
     """Check a controller's plans and its end, and that the key alone determines its decisions."""
     if any(section.contradictions(setup)):
         setup = setup.only([0])  # some controllers steer one robot
@@ -152,48 +152,48 @@ def check_controller(section: ControllerSection, setup: Setup) -> Findings:
     with random_watched() as used:
         play = Play(section, setup)
         again = Play(section, setup)
-    yield Finding("plan: a Plan, an Outcome or an End that can be sent and logged", play.wrong)
+    expect("plan: a Plan, an Outcome or an End that can be sent and logged", play.wrong)
     if play.wrong:
         return
-    yield from _check_plans(play.plans, section, setup, play.first)
-    yield from _check_ends(play, section, setup)
+    _check_plans(play.plans, section, setup, play.first)
+    _check_ends(play, section, setup)
     searches = any(isinstance(value, OptimizerSection) for _, value in section)
-    yield true("wrap: gets the optimiser", play.wrapped or not searches)
-    yield same("key: same key, same decisions", play.numbers, again.numbers)
-    yield Finding("random numbers: from the key", " and ".join(used))
-    yield Finding("clock: only timer", ", ".join(sorted(play.clocks)))
+    true("wrap: gets the optimiser", play.wrapped or not searches)
+    same("key: same key, same decisions", play.numbers, again.numbers)
+    expect("random numbers: from the key", " and ".join(used))
+    expect("clock: only timer", ", ".join(sorted(play.clocks)))
 
 
 def _check_plans(
     plans: list[Plan], section: ControllerSection, setup: Setup, first: Floats
-) -> Findings:
+) -> None:
     """Check each plan, and that the first one begins at the poses `first` (N, 3)."""
     finite = [np.isfinite(plan.path).all() for plan in plans]
-    yield true("plan: path is finite", finite)
+    true("plan: path is finite", finite)
     largest = [np.abs(plan.signals).max(initial=0.0) for plan in plans]
-    yield true("plan: signals from -pi to pi", np.array(largest) <= SIGNAL_MAX)
+    true("plan: signals from -pi to pi", np.array(largest) <= SIGNAL_MAX)
     chosen = [np.array_equal(plan.signals, plan.search.signals) for plan in plans]
-    yield true("plan: signals of the chosen search", chosen)
+    true("plan: signals of the chosen search", chosen)
     consistent = [_consistent(search) for plan in plans for search in plan.searches]
-    yield true("searches: signals, history and cost fit together", consistent)
+    true("searches: signals, history and cost fit together", consistent)
     if plans:
         path = plans[0].path
         size = max(plans[0].target_cost, 1e-9)
-        yield near("plan: path from the observed poses", path[0], first, 1.0)
+        near("plan: path from the observed poses", path[0], first, 1.0)
         to_targets = path[-1, :, :2] - setup.targets
         distance = np.hypot(to_targets[:, 0], to_targets[:, 1]).sum()
-        yield near("plan: target_cost of the path's end", plans[0].target_cost, distance, size)
+        near("plan: target_cost of the path's end", plans[0].target_cost, distance, size)
     fields = [section.switches_field or not isinstance(plan.instead, FieldOff) for plan in plans]
-    yield true("plan: FieldOff only with switches_field", fields)
+    true("plan: FieldOff only with switches_field", fields)
 
 
-def _check_ends(play: Play, section: ControllerSection, setup: Setup) -> Findings:
+def _check_ends(play: Play, section: ControllerSection, setup: Setup) -> None:
     """Check that a trial ends at its time limit, and where all robots are at their targets."""
     count_of_plans = len(play.plans)
     in_time = count_of_plans < len(play.decisions) and count_of_plans <= STEPS_MAX + 1
     if count_of_plans == STEPS_MAX + 1:
         in_time = in_time and play.decisions[-1] is Outcome.TIME_LIMIT
-    yield true("time_limit: ends the trial", in_time)
+    true("time_limit: ends the trial", in_time)
     robots = len(setup.names)
     for share, arrived in ((0.95, True), (1.05, False)):
         aside = np.array([share * section.arrival_tolerance, 0.0])
@@ -203,7 +203,7 @@ def _check_ends(play: Play, section: ControllerSection, setup: Setup) -> Finding
         decision = controller.plan(Observation(0, 0, 0, poses, all_seen))
         ended = decision is Outcome.ARRIVED
         what = "ends the trial" if arrived else "a robot further off has not arrived"
-        yield true(f"arrival_tolerance: {what}", ended == arrived)
+        true(f"arrival_tolerance: {what}", ended == arrived)
 
 
 def _consistent(search: Search) -> bool:

@@ -32,7 +32,7 @@ from tetractl.lab.guard_checks import ChecksOf
 from tetractl.lab.rig import guard_rules
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
-from tetractl.testing.finding import Finding, Findings, near, true
+from tetractl.testing.expect import expect, near, true
 
 EMULATED_S = 120.0
 """Time in which an emulated device must do what it shall, on a host that is busy [s]."""
@@ -83,7 +83,7 @@ class MovedRobots:
     ports: Ports | None = None
 
 
-def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None = None) -> Findings:
+def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None = None) -> None:
     """Check that a camera can be built and, if it can be opened, that its frames are valid; before
     a `scene` also that they show it.
     """
@@ -99,33 +99,33 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
         return resolve_name(section.device)(section, setup, clock, wake, scene.ports)
 
     camera = build()
-    yield _members("camera", camera, Camera)
+    _members("camera", camera, Camera)
     with ExitStack() as stack:
         try:
             entered = stack.enter_context(camera)
         except AbortError as error:
-            yield Finding(f"not opened, so its frames are not checked ({error.message})")
+            expect(f"not opened, so its frames are not checked ({error.message})")
             return
-        yield true("__enter__: returns the camera", entered is camera)
+        true("__enter__: returns the camera", entered is camera)
         camera.frames()  # while it connects, it may not know its clock yet
         before = len(calls)
         frames = _next_frames(camera, clock, EMULATED_S if scene else REAL_S)
         now_ns = clock.now()
         woken = len(calls) - before
         if len(frames) < 2:
-            yield Finding("frames: at least 2", f"{len(frames)} in {now_ns / SECOND:.0f} s")
+            expect("frames: at least 2", f"{len(frames)} in {now_ns / SECOND:.0f} s")
             return
-        yield from _check_frames(frames, now_ns, len(setup.names))
+        _check_frames(frames, now_ns, len(setup.names))
         enough = woken >= len(frames) - 1
-        yield true("wake: after each frame", enough, f"{woken} of {len(frames)}")
-        yield from _check_health(camera, healthy=scene is not None)
+        true("wake: after each frame", enough, f"{woken} of {len(frames)}")
+        _check_health(camera, healthy=scene is not None)
         if scene is not None:
-            yield from _check_scene(camera, setup, scene, frames)
+            _check_scene(camera, setup, scene, frames)
     if scene is not None:
         camera.frames()
         clock.sleep_until(clock.now() + LEFT_NS)
-        yield true("__exit__: no frame comes afterwards", camera.frames() == [])
-        yield from _check_leaving(camera, build())
+        true("__exit__: no frame comes afterwards", camera.frames() == [])
+        _check_leaving(camera, build())
 
 
 def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
@@ -140,32 +140,32 @@ def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[Camera
     return frames
 
 
-def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> Findings:
+def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> None:
     """Check the order of frames that have come by `now_ns`, and their number of poses."""
     numbers = [frame.number for frame in frames]
     times = [frame.sampled_ns for frame in frames]
     rise = numbers == sorted(set(numbers))
-    yield true("frames: numbers rise", rise, str(numbers))
-    yield true("frames: times rise", times == sorted(times), str(times))
+    true("frames: numbers rise", rise, str(numbers))
+    true("frames: times rise", times == sorted(times), str(times))
     in_order = [frame.sampled_ns <= frame.received_ns <= now_ns for frame in frames]
-    yield true("frames: received after their exposure", in_order)
+    true("frames: received after their exposure", in_order)
     poses = [len(frame.poses) for frame in frames]
-    yield true("frames: one pose per robot", np.equal(poses, robots), f"{poses}")
+    true("frames: one pose per robot", np.equal(poses, robots), f"{poses}")
 
 
 def _check_scene(
     camera: Camera, setup: Setup, scene: SeenRobots, frames: Sequence[CameraFrame]
-) -> Findings:
+) -> None:
     """Check that frames show a scene, and what they show after a robot is hidden."""
     healthy = [frame.fault == "" and frame.strangers == () for frame in frames]
-    yield true("frames: neither a fault nor a stranger", healthy)
-    yield true("damaged: 0", camera.damaged == 0, str(camera.damaged))
+    true("frames: neither a fault nor a stranger", healthy)
+    true("damaged: 0", camera.damaged == 0, str(camera.damaged))
     poses = [pose for pose in frames[-1].poses if pose is not None]
     true_poses = scene.poses()
-    yield true("poses: of every robot", len(poses) == len(setup.names))
+    true("poses: of every robot", len(poses) == len(setup.names))
     if len(poses) < len(setup.names):
         return
-    yield from _check_poses(poses, true_poses, setup.metres)
+    _check_poses(poses, true_poses, setup.metres)
     scene.hide(setup.names[0])
     last = frames[-1]
 
@@ -175,35 +175,35 @@ def _check_scene(
             last = frame
         return last.poses[0] is None
 
-    yield true("poses: None for a robot out of sight", wait_for(scene.clock, hidden, EMULATED_S))
+    true("poses: None for a robot out of sight", wait_for(scene.clock, hidden, EMULATED_S))
     others_go_on = [pose is not None for pose in last.poses[1:]]
-    yield true("poses: those of the others go on", others_go_on)
+    true("poses: those of the others go on", others_go_on)
 
 
-def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> Findings:
+def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> None:
     """Check the poses of robots against the true ones (N, 3), in lengths of `metres`."""
     measured = np.array([(pose.x, pose.y, pose.heading) for pose in poses])
     differences = measured - true_poses
     gaps_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
     turned = np.remainder(differences[:, 2] + math.pi, math.tau) - math.pi
-    yield near("poses: in the spec's coordinates", gaps_m, 0.0, 1.0, PLACE_M)
-    yield near("poses: headings of the robots", turned, 0.0, 1.0, HEADING)
+    near("poses: in the spec's coordinates", gaps_m, 0.0, 1.0, PLACE_M)
+    near("poses: headings of the robots", turned, 0.0, 1.0, HEADING)
     heights_m = [pose.height * metres for pose in poses if pose.height is not None]
     what = "poses: height of the body on the floor"
-    yield near(what, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
+    near(what, [HEIGHT_M, *heights_m], HEIGHT_M, 1.0, HEIGHT_BAND_M)
     upright = [pose.tilt is None or 0.0 <= pose.tilt < TILT_MAX for pose in poses]
-    yield true("poses: tilt of a robot on the floor", upright)
+    true("poses: tilt of a robot on the floor", upright)
 
 
 def check_actuator(
     section: ActuatorSection, setup: Setup, robots: MovedRobots | None = None
-) -> Findings:
+) -> None:
     """Check that an actuator can be built; emulated `robots` are steered and stopped in every way.
     Without them, an actuator with a field `port`, or of an `OwnSection`, sends to ports behind
     which there is nothing.
     """
     wrong = "; ".join(_contradictions(section, setup))
-    yield Finding("section: fits the spec's robots", wrong)
+    expect("section: fits the spec's robots", wrong)
     if wrong:
         return
     clock = robots.clock if robots else MonotonicClock()
@@ -214,25 +214,25 @@ def check_actuator(
         return resolve_name(section.device)(section, setup, clock, robots.ports)
 
     actuator = build()
-    yield _members("actuator", actuator, Actuator)
+    _members("actuator", actuator, Actuator)
     period_ns = actuator.period_ns
     halts = actuator.halts
-    yield Finding("period_ns: above 0", "" if period_ns > 0 else f"{period_ns}")
-    yield Finding("halts: true or false", "" if isinstance(halts, bool) else repr(halts))
-    yield Finding("failure: None before the device is opened", actuator.failure or "")
+    expect("period_ns: above 0", "" if period_ns > 0 else f"{period_ns}")
+    expect("halts: true or false", "" if isinstance(halts, bool) else repr(halts))
+    expect("failure: None before the device is opened", actuator.failure or "")
     if robots is None:
-        yield from _check_sending(section, setup)
+        _check_sending(section, setup)
         return
     with actuator as entered:
-        yield true("__enter__: returns the actuator", entered is actuator)
+        true("__enter__: returns the actuator", entered is actuator)
         statuses = actuator.poll(1.0)
         problems = any(status.problems for status in statuses)
         all_well = len(statuses) == len(setup.names) and not problems
-        yield true("poll: a status of each robot, without problems", all_well)
-        yield from _check_health(actuator, healthy=True)
-        yield true("poll, check: nothing moves", not any(robots.moves()))
-        yield from _SteeringChecks(actuator, section, setup, robots).check()
-    yield from _check_leaving(actuator, build())
+        true("poll: a status of each robot, without problems", all_well)
+        _check_health(actuator, healthy=True)
+        true("poll, check: nothing moves", not any(robots.moves()))
+        _SteeringChecks(actuator, section, setup, robots).check()
+    _check_leaving(actuator, build())
 
 
 def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
@@ -244,16 +244,16 @@ def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
     return texts
 
 
-def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
+def _check_sending(section: ActuatorSection, setup: Setup) -> None:
     """Steer and stop by an actuator whose port is a pseudo-terminal, which takes what it sends, or
     robots at ports of their own that take everything."""
     nobody = MovedRobots(MonotonicClock(), list, None)
     if isinstance(section, OwnSection):
         with resolve_name(section.device)(section, setup, nobody.clock, _Nowhere) as actuator:
-            yield from _SteeringChecks(actuator, section, setup, nobody).check_sent()
+            _SteeringChecks(actuator, section, setup, nobody).check_sent()
         return
     if not isinstance(section, OnPort) or type(section.port) is not str:  # but that of a network
-        yield Finding("send: not called, as the section has no field `port` for a serial port")
+        expect("send: not called, as the section has no field `port` for a serial port")
         return
     with ExitStack() as stack:
         everywhere = _at_port(section.model_dump(), _pseudo_terminal(stack))
@@ -261,11 +261,9 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> Findings:
         try:
             actuator = stack.enter_context(to_nowhere.build(setup, nobody.clock))
         except AbortError as error:
-            yield Finding(
-                f"send: not called, as a port without a device is refused ({error.message})"
-            )
+            expect(f"send: not called, as a port without a device is refused ({error.message})")
             return
-        yield from _SteeringChecks(actuator, section, setup, nobody).check_sent()
+        _SteeringChecks(actuator, section, setup, nobody).check_sent()
 
 
 def _at_port(data: Any, port: str) -> Any:
@@ -329,62 +327,62 @@ class _SteeringChecks:
         self.poses = [Pose(*map(float, row)) for row in setup.starts.array()]
         self.all = (True,) * len(self.poses)
 
-    def check(self) -> Findings:
+    def check(self) -> None:
         """Steer, stop, turn, hold, stop in an emergency, and lose the device."""
         actuator = self.actuator
-        yield from self.check_sent()
+        self.check_sent()
         self._steer(DIRECTION, self.all)
         moved = self._wait(lambda: all(self.robots.moves()))
-        yield true("steer: robots move", moved)
-        yield from self._check_stop("stop", actuator.stop())
-        yield from self._check_turn()
+        true("steer: robots move", moved)
+        self._check_stop("stop", actuator.stop())
+        self._check_turn()
         if not self.together:
-            yield self._check_held()
-        yield from self._check_stop("emergency stop", actuator.stop(emergency=True))
-        yield true("failure: None", actuator.failure is None)
+            self._check_held()
+        self._check_stop("emergency stop", actuator.stop(emergency=True))
+        true("failure: None", actuator.failure is None)
         if self.robots.unplug is None:
-            yield Finding("failure: not checked, as nothing tells that the device is gone")
+            expect("failure: not checked, as nothing tells that the device is gone")
             return
         self.robots.unplug()
-        yield true("failure: a device that is gone", self._wait(self._failed))
-        yield _check_aborts("steer", lambda: self._steer(DIRECTION, self.all))
-        yield _check_aborts("stop", actuator.stop)
+        true("failure: a device that is gone", self._wait(self._failed))
+        _check_aborts("steer", lambda: self._steer(DIRECTION, self.all))
+        _check_aborts("stop", actuator.stop)
 
-    def check_sent(self) -> Findings:
+    def check_sent(self) -> None:
         """Steer, and check what was sent; then stop."""
         speed = self.setup.speed
         for direction in (0.0, 1.5, -2.5, DIRECTION):
             sent = self._steer(direction, self.all)
-            yield self._check_turning("steer: robots turn towards the direction", sent, direction)
+            self._check_turning("steer: robots turn towards the direction", sent, direction)
         # of the last one
         as_asked = sent.action == Steer(DIRECTION) and sent.moving == self.all
-        yield true("steer: action, robots", as_asked)
+        true("steer: action, robots", as_asked)
         age_ns = self.robots.clock.now() - sent.sent_ns
-        yield true("steer: sent now", 0 <= age_ns <= SECOND)
-        yield near("steer: speeds of the spec", sent.speed, speed, speed, SPEED)
+        true("steer: sent now", 0 <= age_ns <= SECOND)
+        near("steer: speeds of the spec", sent.speed, speed, speed, SPEED)
         wheels = [wheel for wheel in (sent.left, sent.right) if wheel is not None]
         of_each = all(wheel.shape == speed.shape for wheel in wheels)
         numbers = all(isinstance(value, float) for value in sent.outputs.values())
-        yield true("steer: wheels (N,) or None; outputs are numbers", of_each and numbers)
+        true("steer: wheels (N,) or None; outputs are numbers", of_each and numbers)
         sent = self._steer(DIRECTION, (self.together, *self.all[1:]), first_tracked=False)
         finite = np.isfinite([sent.speed, sent.turning]).all()
-        yield true("steer: past a robot that is not tracked", finite)
-        yield true("steer: then stop", self.actuator.stop().action == Stop())
+        true("steer: past a robot that is not tracked", finite)
+        true("steer: then stop", self.actuator.stop().action == Stop())
 
-    def _check_turning(self, what: str, sent: Transmission, towards: float) -> Finding:
+    def _check_turning(self, what: str, sent: Transmission, towards: float) -> None:
         """Check the turning rates [rad/s] towards a direction [rad] by the paper's equation (3)."""
         setup = self.setup
         _, _, turning = rates(setup.starts.heading, towards, setup.a, setup.speed)
-        return near(what, sent.turning, turning, float(setup.a.max()), TURNING)
+        near(what, sent.turning, turning, float(setup.a.max()), TURNING)
 
-    def _check_stop(self, name: str, stop: Transmission) -> Findings:
+    def _check_stop(self, name: str, stop: Transmission) -> None:
         """Check a stop."""
-        yield true(f"{name}: says that it stops", stop.action == Stop())
+        true(f"{name}: says that it stops", stop.action == Stop())
         if self.actuator.halts:
             rests = not (any(stop.moving) or stop.speed.any() or stop.turning.any())
-            yield true(f"{name}: robots stand still", rests and self._wait(self._resting))
+            true(f"{name}: robots stand still", rests and self._wait(self._resting))
 
-    def _check_turn(self) -> Findings:
+    def _check_turn(self) -> None:
         """Check that robots that halt turn on the spot, and that others cannot."""
         turn = Turn(1.5)
         try:
@@ -392,15 +390,15 @@ class _SteeringChecks:
         except AbortError as error:
             unfounded = self.actuator.halts or "on the spot" not in error.message
             problem = error.message if unfounded else ""
-            yield Finding("turn: robots that halt, no others", problem)
+            expect("turn: robots that halt, no others", problem)
             return
         as_asked = sent.action == turn and sent.moving == self.all
-        yield true("turn: robots that halt, no others", as_asked and self.actuator.halts)
+        true("turn: robots that halt, no others", as_asked and self.actuator.halts)
         fastest = np.abs(sent.speed).max()
-        yield true("turn: on the spot", fastest < SPEED * self.setup.speed.min())
-        yield self._check_turning("turn: towards the direction", sent, turn.facing)
+        true("turn: on the spot", fastest < SPEED * self.setup.speed.min())
+        self._check_turning("turn: towards the direction", sent, turn.facing)
 
-    def _check_held(self) -> Finding:
+    def _check_held(self) -> None:
         """Check that one robot can be held while the others move."""
         clock = self.robots.clock
         clock.sleep_until(clock.now() + self.actuator.period_ns)  # so that the turn has begun
@@ -410,7 +408,7 @@ class _SteeringChecks:
         held = not (sent.moving[0] or sent.speed[0] or sent.turning[0])
         others_move = self._wait(lambda: all(self.robots.moves()[1:]))
         stands = others_move and not self.robots.moves()[0]
-        return true("moving: one robot is held, the others move", held and stands)
+        true("moving: one robot is held, the others move", held and stands)
 
     def _steer(
         self, direction: float, moving: Sequence[bool], first_tracked: bool = True
@@ -437,42 +435,43 @@ class _SteeringChecks:
         return self.actuator.failure is not None
 
 
-def _check_aborts(name: str, call: Callable[[], object]) -> Finding:
+def _check_aborts(name: str, call: Callable[[], object]) -> None:
     """Check that a call of a device that is gone raises AbortError."""
     what = f"{name}: AbortError when the device is gone"
+    problem = "none is raised"
     try:
         call()
     except AbortError:
-        return Finding(what)
-    return Finding(what, "none is raised")
+        problem = ""
+    expect(what, problem)
 
 
-def _check_health(device: Device, healthy: bool) -> Findings:
+def _check_health(device: Device, healthy: bool) -> None:
     """Check what a device says of itself, which it is asked twice, as it may be."""
     reports: list[Health] = [device.check(), device.check()]
     facts = [fact for health in reports for fact in health.facts.values()]
-    yield true("check: facts are text", all(isinstance(fact, str) for fact in facts))
+    true("check: facts are text", all(isinstance(fact, str) for fact in facts))
     if healthy:
         problems = [problem for health in reports for problem in health.problems]
-        yield Finding("check: no problems", "; ".join(problems))
+        expect("check: no problems", "; ".join(problems))
 
 
-def _check_leaving(closed: Device, unopened: Device) -> Findings:
+def _check_leaving(closed: Device, unopened: Device) -> None:
     """Leave a device once more that was left, and one twice that was never entered."""
     what = "__exit__: may be called again, and before __enter__"
+    problem = ""
     try:
         for device in (closed, unopened, unopened):
             device.__exit__(None, None, None)
     except Exception as error:
-        yield Finding(what, f"{type(error).__name__}: {error}")
-    else:
-        yield Finding(what)
+        problem = f"{type(error).__name__}: {error}"
+    expect(what, problem)
 
 
-def _members(what: str, device: Device, protocol: type) -> Finding:
+def _members(what: str, device: Device, protocol: type) -> None:
     """Check that a device has all members of a protocol."""
     members = [name for base in protocol.__mro__ for name in vars(base)]
     public = {name for name in members if not name.startswith("_")}
     needed = public | {"__enter__", "__exit__"}
     lacking = ", ".join(sorted(name for name in needed if not hasattr(device, name)))
-    return Finding(f"{what}: all members", f"lacks {lacking}" if lacking else "")
+    expect(f"{what}: all members", f"lacks {lacking}" if lacking else "")

@@ -11,7 +11,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
-from tetractl.testing.finding import SEED, Finding, Findings, random_watched, same, true
+from tetractl.testing.expect import SEED, expect, random_watched, same, true
 
 FRAME_NS = SECOND // 60
 """Time between two frames [ns]."""
@@ -42,20 +42,20 @@ class Call:
     numbers: Floats
 
 
-def check_disturbance(section: DisturbanceSection, setup: Setup) -> Findings:
+def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
     """Check the results of each method, and that the seed alone determines them."""
     with random_watched() as used:
         calls = _calls(section, setup)
         calls_again = _calls(section, setup)
-    yield Finding("methods: at least one", "" if calls else "overrides none")
+    expect("methods: at least one", "" if calls else "overrides none")
     for method, of_method in calls.items():
         numbers = [call.numbers for call in of_method]
         numbers_again = [call.numbers for call in calls_again[method]]
-        yield true(f"{method}: {FITS[method]}", [call.fits for call in of_method])
+        true(f"{method}: {FITS[method]}", [call.fits for call in of_method])
         unchanged = [call.unchanged for call in of_method]
-        yield true(f"{method}: arguments unchanged", unchanged, "changed")
-        yield same(f"{method}: same seed, same results", numbers, numbers_again)
-    yield Finding("random numbers: from rng", " and ".join(used))
+        true(f"{method}: arguments unchanged", unchanged, "changed")
+        same(f"{method}: same seed, same results", numbers, numbers_again)
+    expect("random numbers: from rng", " and ".join(used))
 
 
 def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:

@@ -14,7 +14,7 @@ from tetractl.core.shape import meet, turn
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.model.motion.exact import rates
 from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
-from tetractl.testing.finding import COUNT, NEAR, SEED, Finding, Findings, near, same, true
+from tetractl.testing.expect import COUNT, NEAR, SEED, expect, near, same, true
 
 STEP = 1e-6
 """Step of a central difference: of an angle [rad], or relative of a parameter."""
@@ -68,56 +68,56 @@ def _random_cases() -> Cases:
     return Cases(x, y, heading, u, a, v)
 
 
-def check_motion(motion: Motion) -> Findings:
+def check_motion(motion: Motion) -> None:
     """Check the NumPy step, the plant's `hold`, the compiled step and its derivatives."""
     cases = _random_cases()
     moved = cases.moved(motion)
-    yield from _check_step(motion, cases, moved)
-    yield from _check_hold(motion, cases, moved)
-    yield from _check_advance(motion.lanes, cases, moved)
-    yield from _check_derivatives(motion, cases, moved)
+    _check_step(motion, cases, moved)
+    _check_hold(motion, cases, moved)
+    _check_advance(motion.lanes, cases, moved)
+    _check_derivatives(motion, cases, moved)
 
 
-def _check_step(motion: Motion, cases: Cases, moved: XYHeading) -> Findings:
+def _check_step(motion: Motion, cases: Cases, moved: XYHeading) -> None:
     """Check the NumPy step, by which the robots `moved`."""
-    yield true("step: finite", np.isfinite(moved), "a pose is not finite")
-    yield same("step: repeats exactly", moved, cases.moved(motion))
+    true("step: finite", np.isfinite(moved), "a pose is not finite")
+    same("step: repeats exactly", moved, cases.moved(motion))
     distance = cases.distance(moved)
     in_reach = distance <= cases.reach * (1 + NEAR)
-    yield true("step: moves by <= v t", in_reach, "a robot moves further")
+    true("step: moves by <= v t", in_reach, "a robot moves further")
     in_no_time = cases.moved(motion, seconds=0.0)
-    yield near("step: keeps x, y if t = 0", cases.distance(in_no_time), 0.0, cases.reach)
+    near("step: keeps x, y if t = 0", cases.distance(in_no_time), 0.0, cases.reach)
     turned = cases.moved(motion, turned=TURNED)
     towards = np.arctan2(moved[1] - cases.y, moved[0] - cases.x) + TURNED
     dx = distance * np.cos(towards)
-    yield near("step: turns with heading and u", turned[0] - cases.x, dx, cases.reach)
+    near("step: turns with heading and u", turned[0] - cases.x, dx, cases.reach)
 
 
-def _check_hold(motion: Motion, cases: Cases, moved: XYHeading) -> Findings:
+def _check_hold(motion: Motion, cases: Cases, moved: XYHeading) -> None:
     """Check that the plant's robots move as by the step, and do not while they stand."""
     _, _, turning = rates(cases.heading, cases.u, cases.a, cases.v)
     seconds = np.full(COUNT, STEP_S)
     driving = Held(cases.u, turning, cases.heading, np.ones(COUNT))
     driven = motion.hold(cases.x, cases.y, cases.heading, driving, cases.a, cases.v, seconds)
-    yield near("hold: same x as step", driven[0], moved[0], cases.reach)
-    yield near("hold: same y as step", driven[1], moved[1], cases.reach)
+    near("hold: same x as step", driven[0], moved[0], cases.reach)
+    near("hold: same y as step", driven[1], moved[1], cases.reach)
     standing = Held(cases.u, 0 * cases.u, cases.heading, np.zeros(COUNT))
     stood = motion.hold(cases.x, cases.y, cases.heading, standing, cases.a, 0 * cases.v, seconds)
-    yield near("hold: does not move a stopped robot", cases.distance(stood), 0, cases.v)
+    near("hold: does not move a stopped robot", cases.distance(stood), 0, cases.v)
 
 
-def _check_advance(compiled: Any, cases: Cases, moved: XYHeading) -> Findings:
+def _check_advance(compiled: Any, cases: Cases, moved: XYHeading) -> None:
     """Check that the compiled step is the NumPy step."""
     constants = compiled.of(cases.parameters, STEP_S)
     if constants.rows.shape != (COUNT, constants.size):
-        yield Finding("advance: rows", f"have shape {constants.rows.shape}, not (N, size)")
+        expect("advance: rows", f"have shape {constants.rows.shape}, not (N, size)")
         return
     states = [_advanced(constants, cases, i) for i in range(COUNT)]
     x, y, cos_heading, sin_heading = np.array(states, dtype=float).T
-    yield near("advance: same x as step", x, moved[0], cases.reach)
-    yield near("advance: same y as step", y, moved[1], cases.reach)
-    yield near("advance: same cos(heading) as step", cos_heading, np.cos(moved[2]), 1.0)
-    yield near("advance: same sin(heading) as step", sin_heading, np.sin(moved[2]), 1.0)
+    near("advance: same x as step", x, moved[0], cases.reach)
+    near("advance: same y as step", y, moved[1], cases.reach)
+    near("advance: same cos(heading) as step", cos_heading, np.cos(moved[2]), 1.0)
+    near("advance: same sin(heading) as step", sin_heading, np.sin(moved[2]), 1.0)
 
 
 def _advanced(constants: Any, cases: Cases, i: int) -> tuple[float, float, float, float]:
@@ -131,13 +131,13 @@ def _advanced(constants: Any, cases: Cases, i: int) -> tuple[float, float, float
     return state
 
 
-def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> Findings:
+def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> None:
     """Check the compiled step with derivatives against the NumPy step and its differences."""
     step, *derivatives = _differentiated(motion.lanes, cases)
     turned = wrap(moved[2] - cases.heading)
-    yield near("differentiate: same dx as step", step[0], moved[0] - cases.x, cases.reach)
-    yield near("differentiate: same dy as step", step[1], moved[1] - cases.y, cases.reach)
-    yield near("differentiate: same dheading as step", wrap(step[2] - turned), 0.0, 1.0)
+    near("differentiate: same dx as step", step[0], moved[0] - cases.x, cases.reach)
+    near("differentiate: same dy as step", step[1], moved[1] - cases.y, cases.reach)
+    near("differentiate: same dheading as step", wrap(step[2] - turned), 0.0, 1.0)
     of_parameters = [
         f"d(ln {parameter.name})" if parameter.positive else f"d{parameter.name}"
         for parameter in PARAMETERS
@@ -151,7 +151,7 @@ def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> Findin
         for axis, (name, scale) in enumerate(scales.items()):
             slope = (above[axis] - below[axis]) / STEP
             what = f"differentiate: d({name})/{variables[k]}"
-            yield near(what, derivative[axis], slope, scale, SLOPE)
+            near(what, derivative[axis], slope, scale, SLOPE)
 
 
 def _differentiated(compiled: Any, cases: Cases) -> Floats:
@@ -182,30 +182,30 @@ def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
     return motion.step(cases.x, cases.y, heading, u, a, v, STEP_S)
 
 
-def check_shape(section: ShapeSection, setup: Setup) -> Findings:
+def check_shape(section: ShapeSection, setup: Setup) -> None:
     """Check the corners and the radius of a shape; everything else is derived from them."""
     shape = section.shape()
     corners = shape.corners
     count = len(corners)
     right = corners.shape == (count, 2) and count > 0 and bool(np.isfinite(corners).all())
-    yield true("corners: an array (K, 2) of finite numbers", right, "is something else")
-    yield true("radius: finite, at least 0", 0 <= shape.radius < np.inf, f"is {shape.radius}")
+    true("corners: an array (K, 2) of finite numbers", right, "is something else")
+    true("radius: finite, at least 0", 0 <= shape.radius < np.inf, f"is {shape.radius}")
     if not right:
         return
-    yield true("corners: edges do not cross", ~_crossed(corners), "two edges cross or touch")
+    true("corners: edges do not cross", ~_crossed(corners), "two edges cross or touch")
     ends = np.roll(corners, -1, axis=0)
     onward = np.roll(ends, -1, axis=0)
     anticlockwise = turn(*corners.T, *ends.T, *onward.T) >= 0
     convex = anticlockwise | (shape.radius == 0)
-    yield true("corners: convex if there is a radius", convex, "turns right")
+    true("corners: convex if there is a radius", convex, "turns right")
     outline = shape.outline()
     clockwise = "encloses no area, or runs clockwise"
     after = np.roll(outline, -1, axis=0)
     twice_area = np.sum(outline[:, 0] * after[:, 1] - after[:, 0] * outline[:, 1])
-    yield true("outline: anticlockwise", twice_area > 0, clockwise)
+    true("outline: anticlockwise", twice_area > 0, clockwise)
     size = float(np.ptp(outline, axis=0).max())
     gap = shape.distance(*outline.T)
-    yield near("outline: corners at distance 0", gap, 0.0, size)
+    near("outline: corners at distance 0", gap, 0.0, size)
 
 
 def _crossed(corners: Floats) -> Bools:

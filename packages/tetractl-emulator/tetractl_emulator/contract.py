@@ -1,7 +1,6 @@
 """The checks of `tetractl.testing` for a camera and an actuator before their emulated sides, in
 virtual time."""
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -10,16 +9,16 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.udp_port import SCHEME
-from tetractl.testing import Finding, MovedRobots, SeenRobots, check_actuator, check_camera
+from tetractl.testing import MovedRobots, SeenRobots, check_actuator, check_camera
 from tetractl_emulator.m3pi.wheeled_side import PortedSide
 from tetractl_emulator.pose_stream import PoseStream
 from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_wires import LabClock, started
 
 
-def check_lab(lab: LabSection, setup: Setup) -> Iterator[Finding]:
+def check_lab(lab: LabSection, setup: Setup) -> None:
     """Check a lab whose camera is emulated by a `PoseStream` and its actuator by a `PortedSide`,
-    such as `OwnLines`; `tetractl.testing.failed` returns what is wrong."""
+    such as `OwnLines`."""
     clock = LabClock()
     emulation = started(lab, setup, clock, Options(address=None))
     camera = emulation.camera
@@ -42,6 +41,8 @@ def check_lab(lab: LabSection, setup: Setup) -> Iterator[Finding]:
     unplug = None  # a robot that is gone from a network is not noticed
     if not all(radio.port.name.startswith(SCHEME) for radio in actuator.radios):
         unplug = partial(actuator.plugged, False)
-    yield from check_camera(lab.camera, setup, SeenRobots(clock, poses, hide, ports))
-    yield from check_actuator(lab.actuator, setup, MovedRobots(clock, moves, unplug, ports))
-    emulation.close()
+    try:
+        check_camera(lab.camera, setup, SeenRobots(clock, poses, hide, ports))
+        check_actuator(lab.actuator, setup, MovedRobots(clock, moves, unplug, ports))
+    finally:
+        emulation.close()

@@ -4,7 +4,7 @@ OpenCV is imported only if the camera is built.
 """
 
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,9 +16,6 @@ from tetractl.experiment.lab_section import CameraSection
 from tetractl.experiment.registry_fields import KindSection
 from tetractl_microscope.pictures.feed import Feed
 from tetractl_microscope.registries import PICTURE_SOURCES
-
-if TYPE_CHECKING:
-    from tetractl.testing.finding import Findings
 
 PIXELS_MAX = 8192  # longest side of a picture [px]
 Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
@@ -42,16 +39,16 @@ class PictureSource(Model):
         fails."""
         return resolve_name(self.feed)(self, clock, timeout_s)
 
-    def checked(self) -> "Findings":
+    def checked(self) -> None:
         """Read five pictures; for `tetractl kinds --check`. A source that cannot be opened is not
         checked further."""
-        from tetractl.testing.finding import Finding, true
+        from tetractl.testing.expect import expect, true
 
         clock = MonotonicClock()
         try:
             feed = self.open(clock, 5.0)
         except AbortError as error:
-            yield Finding(f"not opened, so its pictures are not checked ({error.message})")
+            expect(f"not opened, so its pictures are not checked ({error.message})")
             return
         try:
             readings = [feed.read() for _ in range(5)]
@@ -60,19 +57,19 @@ class PictureSource(Model):
             feed.close()
         times = [reading.received_ns for reading in readings]
         rise = times == sorted(set(times)) and times[-1] <= clock.now()
-        yield true("read: times rise, on the clock given", rise, str(times))
+        true("read: times rise, on the clock given", rise, str(times))
         jpeg = [
             isinstance(reading.content, bytes) or reading.content.dtype == np.uint8
             for reading in readings
         ]
-        yield true("read: JPEG bytes, or pixels of 8 bits", jpeg)
+        true("read: JPEG bytes, or pixels of 8 bits", jpeg)
         shapes = [
             np.shape(reading.content)
             for reading in readings
             if not isinstance(reading.content, bytes)
         ]
         right = [len(shape) == 2 or (len(shape) == 3 and shape[2] == 3) for shape in shapes]
-        yield true("read: pixels (height, width) or (height, width, 3)", right)
+        true("read: pixels (height, width) or (height, width, 3)", right)
 
 
 class DeviceSource(PictureSource):

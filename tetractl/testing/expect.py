@@ -1,0 +1,114 @@
+"""What a check of a plug-in expects, and the comparisons that checks make.
+
+What does not hold raises AssertionError, as a test of pytest should; `findings_of` lists all that
+holds and all that does not instead.
+"""
+
+import random
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from traceback import extract_tb
+from typing import Any
+
+import numpy as np
+from numpy.random import mtrand
+
+from tetractl.core.errors import UsageError
+
+SEED = 20
+"""Seed of the checks, so that findings repeat."""
+COUNT = 200
+"""Number of random cases in a check."""
+NEAR = 1e-6
+"""Relative error up to which two results agree."""
+TINY = 1e-300
+"""Least scale that a difference is divided by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is expected, and what is wrong with it, "" for nothing."""
+
+    what: str
+    problem: str = ""
+
+
+_FINDINGS: ContextVar[list[Finding] | None] = ContextVar("findings", default=None)
+"""Where a check lists what it expects; None if it raises what does not hold."""
+
+
+def expect(what: str, problem: str = "") -> None:
+    """Expect something, with which a problem is wrong, "" if it holds."""
+    findings = _FINDINGS.get()
+    if findings is not None:
+        findings.append(Finding(what, problem))
+    elif problem:
+        raise AssertionError(f"{what}: {problem}")
+
+
+def findings_of(check: Callable[[], object]) -> list[Finding]:
+    """Return all that a check expects; an exception in the kind's own code is the last finding."""
+    findings: list[Finding] = []
+    token = _FINDINGS.set(findings)
+    try:
+        check()
+    except UsageError:
+        raise
+    except Exception as error:
+        line = extract_tb(error.__traceback__)[-1]
+        problem = f"{line.filename}:{line.lineno}: {type(error).__name__}: {error}"
+        findings.append(Finding("runs", problem))
+    finally:
+        _FINDINGS.reset(token)
+    return findings
+
+
+def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> None:
+    """Expect that two results differ by at most `share` times `scale`; the problem names the case
+    that differs most."""
+    arrays = [np.asarray(value, float) for value in (ours, theirs, scale)]
+    ours, theirs, scale = np.broadcast_arrays(*arrays)
+    off = np.abs(ours - theirs) / np.maximum(scale, TINY)
+    comparable_off = np.where(np.isfinite(off), off, np.inf)
+    worst = int(np.argmax(comparable_off))
+    problem = ""
+    if off.ravel()[worst] > share:
+        values = f"{ours.ravel()[worst]:.9g} and {theirs.ravel()[worst]:.9g}"
+        problem = f"{values} in case {worst} of {off.size}"
+    expect(what, problem)
+
+
+def true(what: str, good: Any, problem: str = "not so") -> None:
+    """Expect that all cases are good; the problem names the first that is not."""
+    cases = np.asarray(good, bool).ravel()
+    bad = np.flatnonzero(~cases)
+    expect(what, f"{problem} in case {bad[0]} of {cases.size}" if bad.size else "")
+
+
+def same(what: str, ours: Any, theirs: Any) -> None:
+    """Expect that two sequences of arrays or numbers have the same bits."""
+    pairs = zip(ours, theirs, strict=True)
+    alike = all(np.array_equal(our, their, equal_nan=True) for our, their in pairs)
+    expect(what, "" if alike else "differs bit for bit")
+
+
+@contextmanager
+def random_watched() -> Iterator[list[str]]:
+    """Seed the global random generators; after the `with` block, the list names those used."""
+    random.seed()
+    mtrand.set_bit_generator(np.random.MT19937())
+    used = list[str]()
+    before = random.getstate()
+    before_of_numpy = _numpy_state()
+    yield used
+    if random.getstate() != before:
+        used.append("random")
+    if _numpy_state() != before_of_numpy:
+        used.append("numpy.random")
+
+
+def _numpy_state() -> str:
+    """Return the state of NumPy's global generator as text, which can be compared."""
+    return repr(mtrand.get_bit_generator().state)

@@ -215,7 +215,7 @@ def watched(labs: list[VirtualLab], peaks: list[float], lab: VirtualLab) -> None
     peaks.append(0.0)
 
     def look() -> None:
-        peaks[-1] = max(peaks[-1], lab.plant.rig.guard.drift.worst)
+        peaks[-1] = max(peaks[-1], lab.plant.rig.loop.guard.drift.worst)
 
     lab.clock.steps.append(look)
 
@@ -237,7 +237,7 @@ def alarms(first: int, last: int) -> None:
     for trial in range(first, last):
         labs: list[VirtualLab] = []
         result = trial_of(partial(watched, labs, peaks), trial, RATE_HZ)
-        guard = labs[0].plant.rig.guard
+        guard = labs[0].plant.rig.loop.guard
         near = any(text in result.reason for text in NEAR)
         close += near
         ended += not result.outcome.complete and not near

@@ -45,7 +45,7 @@ def check(
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
     from tetractl.lab.preflight import look_over
-    from tetractl.run.model_news import stated_model
+    from tetractl.run.news import stated_model
     from tetractl.view.terminal.findings import preflight_items, print_findings
 
     experiment = _experiment_on(spec, sets, plant)

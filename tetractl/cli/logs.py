@@ -117,7 +117,7 @@ def _result(log: "Overview") -> dict[str, str]:
 
 def _estimate(log: "Overview") -> dict[str, str]:
     """Return the last estimate, one line per robot, each value with its standard deviation."""
-    from tetractl.run.model_news import turning
+    from tetractl.run.news import turning
 
     estimate = log.estimate
     if estimate is None:

@@ -32,9 +32,9 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
-from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.actuators.wheeled_section import Found, FoundWheel, WheeledSection
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import CountArray
 
@@ -173,9 +173,9 @@ class _Bench:
         """The robot's first place."""
         self._late_s = 0.0
         """By how much frames may be later than GAP_S [s]."""
-        rig.guard.change_rules(
+        rig.loop.guard.change_rules(
             replace(
-                rig.guard.rules,
+                rig.loop.guard.rules,
                 speeds=(FASTEST_MM_S / rig.mm,),
                 turning=(FASTEST_RAD_S,),
                 silence_ns=SILENCE_S * SECOND,
@@ -196,7 +196,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name} does not answer", "find the cause with `tetractl lab check`"
             )
-        rig.guard.pass_preflight()
+        rig.loop.guard.pass_preflight()
 
     def close(self) -> None:
         """Stop the robot and release the devices."""
@@ -288,10 +288,10 @@ class _Bench:
     def _time_of_start(self, counts: CountArray) -> float | None:
         """Return how long after the sending of outputs a robot at rest is seen to turn [s]; None if
         it is not seen, or does not turn."""
-        frames = self.rig.frames.last(SECOND // 10)
+        frames = self.rig.loop.frames.last(SECOND // 10)
         recent = [frame.pose(0) for frame in frames]
         poses = [pose for pose in recent if pose is not None]
-        first = self.rig.frames.count
+        first = self.rig.loop.frames.count
         if not poses:
             return None
         headings = [pose.heading for pose in poses]
@@ -300,7 +300,7 @@ class _Bench:
         sent_ns = self._hold(counts)
 
         def arrived_ns() -> int | None:
-            for frame in self.rig.frames.since(first)[0]:
+            for frame in self.rig.loop.frames.since(first)[0]:
                 pose = frame.pose(0)
                 if pose and abs(math.remainder(pose.heading - headings[-1], math.tau)) > enough:
                     return frame.frame.received_ns
@@ -358,12 +358,12 @@ class _Bench:
         If frames were missing, the motion is repeated, since the guard may have stopped the robot.
         """
         for _ in range(ATTEMPTS):
-            first = self.rig.frames.count
+            first = self.rig.loop.frames.count
             began_ns = self._hold(counts)
             end_ns = began_ns + round((seconds + 2 * self._late_s) * SECOND)
             wait_for(self.rig.clock, self._strayed, (end_ns - self.rig.clock.now()) / SECOND)
             self._raise_abort()
-            frames, _ = self.rig.frames.since(first)
+            frames, _ = self.rig.loop.frames.since(first)
             self._late_s = max(self._late_s, _late_s(frames))
             poses = _poses_since(frames, began_ns)
             times_ns = [began_ns, *(t_ns for t_ns, _ in poses), end_ns]
@@ -390,8 +390,8 @@ class _Bench:
         """Abort the calibration if the robot is too far from its first place; return whether it
         has been aborted.
         """
-        guard = self.rig.guard
-        newest = self.rig.frames.newest
+        guard = self.rig.loop.guard
+        newest = self.rig.loop.frames.newest
         pose = None if newest is None else newest.poses[0]
         if pose is not None:
             self._home = self._home or pose
@@ -402,8 +402,8 @@ class _Bench:
 
     def _raise_abort(self) -> None:
         """Raise AbortError if the guard has aborted the calibration."""
-        if self.rig.guard.reason:
-            raise AbortError(f"{self.name}: {self.rig.guard.reason}")
+        if self.rig.loop.guard.reason:
+            raise AbortError(f"{self.name}: {self.rig.loop.guard.reason}")
 
 
 def latency_line(times_s: Sequence[float]) -> str:

@@ -34,8 +34,14 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort
 from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
 from tetractl.core.protocols import GuardCheck
-from tetractl.lab.command_history import CommandHistory
-from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS, MotionCheck, motion
+from tetractl.lab.motion_check import (
+    ANOTHER,
+    KINDS,
+    WATCHDOG_NS,
+    CommandHistory,
+    MotionCheck,
+    motion,
+)
 from tetractl.model.motion.rolling import rolled
 
 BLOCK_NS = SECOND // 20

@@ -87,15 +87,13 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.accepted_frame import AcceptedFrame, FrameBuffer
-from tetractl.lab.accepted_poses import AcceptedPoses
-from tetractl.lab.camera_stream import CameraStream
 from tetractl.lab.culprit import RECENT_NS, Culprit
 from tetractl.lab.drift_check import DriftCheck
+from tetractl.lab.frames import AcceptedFrame, CameraStream, FrameBuffer
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, REPEATS
-from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
+from tetractl.lab.robot_track import MISSING, AcceptedPoses, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
@@ -103,38 +101,6 @@ BUSY = "; control steps were late just before: is this computer busy?"
 """Added to a reason that blames a robot or the camera."""
 RARELY = 3.0
 """A robot may be unseen for so many times `untracked_abort`, though not all at once."""
-
-
-class GuardStatus:
-    """The guard's `state`, after an abort its `reason` and the robot that seems to be at fault, and
-    whether all robots are stopped for good, by the operator or as plain stops did not hold them: an
-    `emergency`. Several threads may change it: an abort is final, also if another thread enters a
-    state at the same moment.
-    """
-
-    def __init__(self) -> None:
-        self.state = GuardState.PREFLIGHT
-        self.reason = ""
-        self.suspect: int | None = None
-        self.emergency = False
-        self._lock = threading.Lock()
-
-    def enter(self, state: GuardState) -> None:
-        """Enter a state, but not after an abort."""
-        with self._lock:
-            if self.state is not GuardState.ABORT:
-                self.state = state
-
-    def abort(self, reason: str, emergency: bool, suspect: int | None) -> bool:
-        """Enter `abort` for a reason; return False if that has happened before."""
-        with self._lock:
-            self.emergency |= emergency
-            if self.state is GuardState.ABORT:
-                return False
-            self.reason = reason
-            self.suspect = suspect
-            self.state = GuardState.ABORT
-            return True
 
 
 @dataclass(slots=True)
@@ -152,13 +118,24 @@ class Pace:
 class Guard:
     """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks.
 
-    `checks_of` makes the list of checks of the robots: of wheeled ones by default.
+    `checks_of` makes the list of checks of the robots: of wheeled ones by default. Several threads
+    may change the `state`; after an abort `reason` says why. In an `emergency` robots are to latch
+    the stops: the operator has stopped them for good, or plain stops did not hold them.
     """
+
+    drift: DriftCheck
+    """The check of motion over the whole trial."""
+    together: bool
+    """Whether no robot can be held still while the others move."""
 
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
         self.rules = rules
+        self.state = GuardState.PREFLIGHT
+        self.reason = ""
+        self.emergency = False
+        self._state_lock = threading.Lock()
+        self._suspect: int | None = None  # the robot that seems to be at fault for an abort
         self._checks_of = checks_of
-        self._status = GuardStatus()
         self._stream = CameraStream()
         self._pace = Pace()
         self._warnings: list[str] = []  # that no ruling has passed on yet
@@ -170,35 +147,12 @@ class Guard:
             RobotTrack(name, AcceptedPoses(self.rules, i))
             for i, name in enumerate(self.rules.names)
         ]
-        self._checks = self._checks_of(self.rules)
+        of_robots = self._checks_of(self.rules)
+        self._checks = of_robots.checks
+        self.drift = of_robots.drift
+        self.together = of_robots.together
 
     # ---- what others may know ----
-
-    @property
-    def state(self) -> GuardState:
-        """The state."""
-        return self._status.state
-
-    @property
-    def reason(self) -> str:
-        """Why the run was aborted, "" if it was not."""
-        return self._status.reason
-
-    @property
-    def emergency(self) -> bool:
-        """Whether robots are to latch the stops: the operator has stopped them for good, or plain
-        stops did not hold them."""
-        return self._status.emergency
-
-    @property
-    def drift(self) -> DriftCheck:
-        """The check of motion over the whole trial."""
-        return self._checks.drift
-
-    @property
-    def together(self) -> bool:
-        """Whether no robot can be held still while the others move."""
-        return self._checks.together
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -234,7 +188,7 @@ class Guard:
 
     @property
     def _in_run(self) -> bool:
-        state = self._status.state
+        state = self.state
         return state is GuardState.RUN or state is GuardState.HOLD
 
     def why_no_frame(self, silent_ns: int) -> str:
@@ -251,56 +205,63 @@ class Guard:
     def pass_preflight(self) -> None:
         """Enter `ready`: the preflight has passed."""
         if self.state is GuardState.PREFLIGHT:
-            self._status.enter(GuardState.READY)
+            self._enter(GuardState.READY)
 
     def start_run(self, now_ns: int) -> None:
         """Enter `run`, so that robots may move; only from `ready`."""
         if self.state is not GuardState.READY:
             return
-        self._status.enter(GuardState.RUN)
+        self._enter(GuardState.RUN)
         self._pace.ticked_ns = now_ns
         self._pace.directed_ns = now_ns
         self._pace.driven = True
         self._stream.dropped = 0
-        for check in self._checks.checks:
+        for check in self._checks:
             check.start()
         for robot in self._robots:
             robot.start_run()
 
+    def _enter(self, state: GuardState) -> None:
+        """Enter a state, but not after an abort, also if another thread aborts at this moment."""
+        with self._state_lock:
+            if self.state is not GuardState.ABORT:
+                self.state = state
+
     def end_run(self) -> None:
         """Return to `ready`: the run has ended normally and the robots are stopped."""
         if self._in_run:
-            self._status.enter(GuardState.READY)
+            self._enter(GuardState.READY)
 
     def abort(self, reason: str, emergency: bool = False, suspect: int | None = None) -> None:
         """Enter `abort`, for good; later calls do not change the reason. `suspect` is the robot
         that seems to be at fault, None for no one robot. Robots that are hidden since their poses
         are refused become ghosts.
         """
-        if not self._status.abort(reason, emergency, suspect):
-            return
+        with self._state_lock:
+            self.emergency |= emergency
+            if self.state is GuardState.ABORT:
+                return
+            self.reason = reason
+            self._suspect = suspect
+            self.state = GuardState.ABORT
         for robot in self._robots:
             if robot.decision.refused and robot.hidden:
                 robot.ghost = robot.decision.refused
-
-    def correct_reason(self, reason: str) -> None:
-        """Give a better reason of an abort."""
-        self._status.reason = reason
 
     def name_culprit(self, frames: FrameBuffer) -> None:
         """After an abort, correct its reason once if by the last frames not the suspected robot is
         at fault; slow, so to be called once the robots are stopped.
         """
-        suspect = self._status.suspect
+        suspect = self._suspect
         if suspect is None:
             return
-        self._status.suspect = None
+        self._suspect = None
         recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
         culprit = Culprit(self.rules.names, self.drift, self.rules.mm, recent)
         reason = culprit.why(suspect, self.reason) or self.reason
         late_ns = self._pace.late_ns
         is_busy = late_ns is not None and recent[-1].received_ns - late_ns <= COMPARED_NS
-        self._status.reason = reason + BUSY if is_busy else reason
+        self.reason = reason + BUSY if is_busy else reason
 
     def lose_robot(self, i: int, reason: str) -> None:
         """Continue without a robot; abort if the rules forbid that or no other robot is left."""
@@ -319,7 +280,7 @@ class Guard:
         lost = self._robots[i]
         poses = AcceptedPoses(self.rules, i, last_ns=lost.newest_ns)  # counts as seen now
         self._robots[i] = RobotTrack(lost.name, poses, lost.newest_ns)
-        for check in self._checks.checks:
+        for check in self._checks:
             check.replace(i)
 
     # ---- what controller and actuator did ----
@@ -341,7 +302,7 @@ class Guard:
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
         """Note a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        for check in self._checks.checks:
+        for check in self._checks:
             check.sent(now_ns, speed, turning)
 
     # ---- each step of the inner loop: check_awake, check_frame for each new frame, decide ----
@@ -377,7 +338,7 @@ class Guard:
         times = frame.times([robot.poses.last_ns for robot in self._robots])
         for robot, read_ns in zip(self._robots, times, strict=True):
             robot.read(frame.sampled_ns, read_ns, own_times=bool(frame.exposed_ns))
-        for check in self._checks.checks:
+        for check in self._checks:
             check.exposed(times)
         if in_run:
             for robot in self._robots:
@@ -390,7 +351,7 @@ class Guard:
         decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(frame.poses)]
         self._record_poses(decisions)
         accepted = self._accepted(frame)
-        for check in self._checks.checks:
+        for check in self._checks:
             if self._in_run:  # up to the first abort
                 self._record(check.frame(frame.sampled_ns, times, accepted.poses))
         return accepted
@@ -409,7 +370,8 @@ class Guard:
             self.abort(failure)
         recently_damaged = self._stream.damaged_recently(now_ns, damaged)
         poses = tuple(self._pose_now(i, robot) for i, robot in enumerate(self._robots))
-        moving = self._nobody()
+        nobody = (False,) * len(self._robots)
+        moving = nobody
         warnings: tuple[str, ...] = ()
         if self._in_run:
             self._check_run(now_ns, recently_damaged, poses)
@@ -421,15 +383,11 @@ class Guard:
                 robot.lost or (moves and robot.tracked)
                 for robot, moves in zip(self._robots, moving, strict=True)
             )
-            self._status.enter(GuardState.RUN if in_order else GuardState.HOLD)
+            self._enter(GuardState.RUN if in_order else GuardState.HOLD)
         state = self.state
         if state is not GuardState.RUN and state is not GuardState.HOLD:
-            moving = self._nobody()
+            moving = nobody
         return Ruling(state, moving, poses, self.reason, warnings)
-
-    def _nobody(self) -> tuple[bool, ...]:
-        """Return that no robot may move (N,)."""
-        return (False,) * len(self._robots)
 
     # ---- a frame ----
 
@@ -463,7 +421,7 @@ class Guard:
             return PoseDecision(refused=fault)
         if last is None or not self._pace.driven:
             return PoseDecision(pose)
-        checks = self._checks.checks
+        checks = self._checks
         if not in_run:
             findings = [check.pause(i, last, pose, robot.read_ns) for check in checks]
             return PoseDecision(pose, findings=tuple(chain(*findings)))
@@ -514,7 +472,7 @@ class Guard:
         if not self._in_run:
             return
         places = self._places(poses)  # without the robots that were lost just now
-        for check in self._checks.checks:
+        for check in self._checks:
             self._record(check.tick(places))
             if not self._in_run:
                 return

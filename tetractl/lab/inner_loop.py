@@ -40,8 +40,8 @@ from tetractl.core.errors import AbortError, WrongValueError, text_of
 from tetractl.core.poses import POSE_MAX, CameraFrame
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
-from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.device_abilities import HearsDirections
+from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_records import GuardState, Ruling
 from tetractl.tools.plugin_fault import plugin_fault
@@ -257,7 +257,7 @@ class InnerLoop:
                     self._repeat_stop(now)
             fault = plugin_fault(error)  # slow, so after the stop
             if fault and self.guard.reason == reason:
-                self.guard.correct_reason(fault.message)
+                self.guard.reason = fault.message
             return None
 
     def _check_and_transmit(self) -> Transmission | None:

@@ -48,6 +48,7 @@ greatest.
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -58,8 +59,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Finding, Refuse
 from tetractl.core.poses import UNSTATED, Bools, Floats, Pose, Sight
 from tetractl.core.protocols import GuardCheck
-from tetractl.lab.command_history import CommandHistory
 
+ROOM = 256
+"""Transmissions for which a history has room at first."""
 DELAY_NS = 3 * SECOND // 10
 """Longest delay by radio, wheels and some lost commands."""
 WATCHDOG_NS = SECOND // 4
@@ -99,6 +101,52 @@ ANOTHER = (
 """Holds a place for one of KINDS."""
 KINDS = ("along its heading", "sideways", "around")
 """The names of a motion's three parts."""
+
+
+class CommandHistory:
+    """Rates in arrays of a `shape`, each commanded from its transmission until the next; 0 before
+    the first.
+    """
+
+    def __init__(self, *shape: int) -> None:
+        self._none = np.zeros(shape)
+        self._times: list[int] = []
+        self._sent = np.zeros((ROOM, *shape))  # of which the first rows are used
+
+    def sent(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
+        """Take the rates of a transmission."""
+        count = len(self._times)
+        if count == len(self._sent):
+            self._sent = np.concatenate([self._sent, np.zeros_like(self._sent)])
+        self._sent[count] = rates
+        self._times.append(now_ns)
+        old = bisect_right(self._times, now_ns - 2 * SECOND)
+        if old > 64:  # old entries are removed occasionally, all at once
+            self._sent[: count + 2 - old] = self._sent[old - 1 : count + 1].copy()
+            del self._times[: old - 1]
+
+    def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
+        """Return the transmissions of which one acted between two times: times (K,), and rates (K,
+        ...), a view."""
+        first = max(0, bisect_right(self._times, since_ns) - 1)
+        last = bisect_right(self._times, until_ns)
+        return self._times[first:last], self._sent[first:last]
+
+    def mean(self, until_ns: int, dt_ns: int) -> Floats:
+        """Return the mean of the rates commanded during the `dt_ns` before a time."""
+        first = until_ns - dt_ns
+        k = bisect_left(self._times, until_ns) - 1
+        if k >= 0 and self._times[k] <= first:  # the most frequent case
+            return self._sent[k] * dt_ns / dt_ns
+        total = self._none
+        while k >= 0:
+            since = max(self._times[k], first)
+            total = total + self._sent[k] * (until_ns - since)
+            if since == first:
+                break
+            until_ns = since
+            k = bisect_left(self._times, since) - 1
+        return total / dt_ns
 
 
 class MotionSinceRest:

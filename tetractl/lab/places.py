@@ -23,6 +23,7 @@ class Keeps(GuardCheck):
 
     def __init__(self, rules: GuardRules) -> None:
         self._rules = rules
+        self._largest_error = rules.largest_error
         self._speeds: Sequence[float] = (0.0,) * len(rules.names)  # of the last transmission
         self._turning: Sequence[float] = (0.0,) * len(rules.names)
         self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
@@ -59,7 +60,7 @@ class Keeps(GuardCheck):
         the last transmission. A robot that has touched one since the run started may leave it, but
         not go deeper.
         """
-        noise = self._rules.largest_error
+        noise = self._largest_error
         depth = self._depth(pose.x, pose.y)
         least = self._least[i] = min(depth, self._least.get(i, depth))
         if least > -noise:
@@ -78,7 +79,7 @@ class Keeps(GuardCheck):
     def _depth(self, x: float, y: float) -> float:
         """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""
         deepest = -math.inf
-        near = self._rules.largest_error
+        near = self._largest_error
         for shape in self._rules.obstacles:
             left, bottom, right, top = shape.box
             if left - near <= x <= right + near and bottom - near <= y <= top + near:

@@ -9,8 +9,7 @@ from tetractl.core.commands import EMULATED_DEVICES, Health, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
-from tetractl.lab.accepted_frame import AcceptedFrame, as_shown
-from tetractl.lab.camera_stream import rate_hz
+from tetractl.lab.frames import AcceptedFrame, as_shown, rate_hz
 from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 
@@ -110,7 +109,7 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
         robots = [replace(robots[i], status=status) for i, status in enumerate(statuses)]
     elif "camera" not in failures:
         health = rig.camera.check()
-        newest = rig.frames.newest
+        newest = rig.loop.frames.newest
         frames = [] if newest else rig.camera.frames()  # which no guard has checked
         newest = as_shown(frames[-1]) if frames else newest
         robots = [_robot(rig, i, newest) for i in range(len(names))]
@@ -128,17 +127,17 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
 def inspect(rig: Rig) -> Preflight:
     """Check some camera frames, both devices and the robots' answers, without moving a robot."""
     statuses = rig.actuator.poll(1.0)
-    outdated = rig.guard.dropped
+    outdated = rig.loop.guard.dropped
     watched = _watch(rig)
-    outdated = rig.guard.dropped - outdated
+    outdated = rig.loop.guard.dropped - outdated
     camera = rig.camera.check()
     actuator = rig.actuator.check()
-    newest = rig.frames.newest
+    newest = rig.loop.frames.newest
     problems = [*camera.problems, *actuator.problems]
     if newest is not None and newest.frame.fault:
         problems.append(newest.frame.fault)
     if not watched:
-        problems.append(rig.guard.why_no_frame(rig.silent_ns()))
+        problems.append(rig.loop.guard.why_no_frame(rig.silent_ns()))
     latency_ms = _latency_ms(watched)
     comes_hz = rate_hz(
         [frame.number for frame in watched], [frame.received_ns for frame in watched]
@@ -171,7 +170,7 @@ def inspect(rig: Rig) -> Preflight:
 
 def unplaced(rig: Rig) -> list[str]:
     """Return one line per robot that the camera does not see on its start."""
-    newest = rig.frames.newest
+    newest = rig.loop.frames.newest
     robots = (_robot(rig, i, newest) for i in range(len(rig.setup.names)))
     return [line for robot in robots if (line := robot.untracked or robot.misplaced)]
 
@@ -209,8 +208,8 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
 def _watch(rig: Rig) -> list[CameraFrame]:
     """Return the next `FRAMES_CHECKED` frames, or fewer if the camera falls silent."""
     clock = rig.clock
-    frames = rig.frames
-    first = rig.frames.count
+    frames = rig.loop.frames
+    first = rig.loop.frames.count
     began = heard = clock.now()
     silence = round(rig.limits.stream_lost * SECOND)
     count = first
@@ -275,8 +274,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
 
 def _check_stream(rig: Rig) -> None:
     silent_ns = rig.silent_ns()
-    newest = rig.frames.newest
+    newest = rig.loop.frames.newest
     if newest is not None and newest.frame.fault:
         raise AbortError(newest.frame.fault)
     if silent_ns > max(rig.limits.stream_lost, 0.5) * SECOND:
-        raise AbortError(rig.guard.why_no_frame(silent_ns))
+        raise AbortError(rig.loop.guard.why_no_frame(silent_ns))

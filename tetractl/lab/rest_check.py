@@ -27,7 +27,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
-from tetractl.lab.accepted_frame import AcceptedFrame, as_shown
+from tetractl.lab.frames import AcceptedFrame, as_shown
 from tetractl.lab.guard_records import GuardState
 from tetractl.lab.rig import Rig
 
@@ -120,7 +120,7 @@ def moving_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
     """Return one line for each robot that did not stand still during the last `REST_NS`, or the
     multiples `longer` of it; or one line for all, if they move in the same way.
     """
-    window = rig.frames.last(longer[-1] * REST_NS)
+    window = rig.loop.frames.last(longer[-1] * REST_NS)
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
     findings = [_at_rest(rig, i, window, longer) for i in rig.left]
@@ -130,7 +130,7 @@ def moving_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
 
 def drifting_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
     """Return the lines of `moving_robots` of robots that are seen to move, not of unseen ones."""
-    window = rig.frames.last(longer[-1] * REST_NS)
+    window = rig.loop.frames.last(longer[-1] * REST_NS)
     if not window:
         return []
     findings = [_at_rest(rig, i, window, longer) for i in rig.left]
@@ -149,14 +149,14 @@ def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest
     fault = ""
     latched = False
     while True:
-        newest = rig.frames.newest
+        newest = rig.loop.frames.newest
         lines = _stream_lost(rig)
         if not lines and halts:
             lines = moving_robots(rig)
         elif not lines and newest is not None:
             lines = [rig.not_tracked(i) for i in rig.left if not newest.fresh[i]]
         waited_s = (rig.clock.now() - began_ns) / SECOND
-        aborted = rig.guard.state is GuardState.ABORT
+        aborted = rig.loop.guard.state is GuardState.ABORT
         watched = waited_s >= WATCHED_S or not (halts and aborted) or hurried()
         seen_ns = 0 if newest is None else newest.frame.received_ns - began_ns
         if not lines and watched and (not halts or seen_ns >= REST_NS):
@@ -165,8 +165,8 @@ def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest
             fault = fault or f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
         if lines and waited_s >= (PLAIN_S if aborted else STANDSTILL_S):
             moving, unseen = _restless(rig) if halts else ([], [])
-            if moving and not rig.guard.emergency:
-                rig.guard.abort(fault, emergency=True)
+            if moving and not rig.loop.guard.emergency:
+                rig.loop.guard.abort(fault, emergency=True)
                 latched = True
                 rig.loop.stop()
             ends = hurried() or waited_s >= UNREST_S or not moving
@@ -180,7 +180,7 @@ def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest
 def _restless(rig: Rig) -> tuple[list[str], list[str]]:
     """Return the names of the robots that the camera shows moving, also by poses that the guard
     refuses, none if all move alike, as then the camera does; and of those that it does not show."""
-    window = rig.frames.last(LONGER[1] * REST_NS)
+    window = rig.loop.frames.last(LONGER[1] * REST_NS)
     if not window or _stream_lost(rig):
         return [], [rig.setup.names[i] for i in rig.left]
     frames = [as_shown(accepted.frame) for accepted in window]
@@ -198,8 +198,8 @@ def _restless(rig: Rig) -> tuple[list[str], list[str]]:
 def _stream_lost(rig: Rig) -> list[str]:
     """Return a line that says that no camera frames arrive; [] if frames arrive."""
     silent_ns = rig.silent_ns()
-    if rig.frames.newest is None or silent_ns > rig.limits.stream_lost * SECOND:
-        why = rig.guard.why_no_frame(silent_ns)
+    if rig.loop.frames.newest is None or silent_ns > rig.limits.stream_lost * SECOND:
+        why = rig.loop.guard.why_no_frame(silent_ns)
         return [f"the cameras do not show that the robots stand: {why}"]
     return []
 

@@ -13,7 +13,6 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
-from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules
@@ -82,6 +81,8 @@ class Rig:
         checks_of: ChecksOf = robot_checks,
     ) -> None:
         self.devices = RigDevices(camera, actuator, emulated)
+        self.camera = camera
+        self.actuator = actuator
         self.limits = limits
         self.setup = setup
         self.clock = clock
@@ -96,26 +97,6 @@ class Rig:
         )
         self._threaded = threaded
         self._entered = False
-
-    @property
-    def camera(self) -> Camera:
-        """The camera."""
-        return self.devices.camera
-
-    @property
-    def actuator(self) -> Actuator:
-        """The actuator."""
-        return self.devices.actuator
-
-    @property
-    def guard(self) -> Guard:
-        """The guard of the present robots."""
-        return self.loop.guard
-
-    @property
-    def frames(self) -> FrameBuffer:
-        """The camera frames that this guard accepted."""
-        return self.loop.frames
 
     @property
     def mm(self) -> float:
@@ -135,7 +116,7 @@ class Rig:
                 raise AbortError("; ".join(messages), "; ".join(hints) or None)
             if self._threaded:
                 self.loop.start()
-                wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
+                wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
         except BaseException:
             self.close()
             raise
@@ -151,7 +132,7 @@ class Rig:
         self.setup = setup
         self.start_anywhere()
         self.loop.restart(Guard(guard_rules(setup, self.limits), self._checks_of))
-        wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
+        wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:
         """Let the robots start where they stand, however far from the setup's starts."""
@@ -161,11 +142,11 @@ class Rig:
     @property
     def left(self) -> list[int]:
         """The indices of the robots that are not lost."""
-        return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
+        return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost]
 
     def not_tracked(self, i: int) -> str:
         """Return a line that says that robot i is not tracked and, if known, why."""
-        why = self.guard.refused[i]
+        why = self.loop.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 
     def close(self) -> None:
@@ -175,7 +156,7 @@ class Rig:
 
     def silent_ns(self) -> int:
         """Return the time since the last accepted frame [ns]."""
-        newest = self.frames.newest
+        newest = self.loop.frames.newest
         return self.clock.now() - (0 if newest is None else newest.frame.received_ns)
 
 

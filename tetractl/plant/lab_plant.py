@@ -1,7 +1,10 @@
-"""The plant of the lab: real robots with a camera and an actuator."""
+"""The plant of the lab: real robots with a camera and an actuator.
 
+`LabFrames` makes observations and samples of the frames that the guard has accepted.
+"""
+
+import math
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from typing import Literal
@@ -14,6 +17,7 @@ from tetractl.core.commands import (
     Action,
     Command,
     FieldOff,
+    FrameAddition,
     Note,
     PlantInfo,
     Sample,
@@ -28,12 +32,13 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.culprit import CAMERA
-from tetractl.lab.device_abilities import RobotWatch, WatchesRobots
+from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard_records import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import LONGER, REST_NS, Rest, drifting_robots, wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
-from tetractl.plant.lab_frames import LabFrames
+from tetractl.model.path_check import PathCheck
 from tetractl.tools.worker import WAITING_MAX
 
 PAUSED_NS = 3 * REST_NS  # time after a stop after which robots have stood for REST_NS
@@ -81,34 +86,89 @@ class LabPlantSection(RigSection):
     type: Literal["lab"] = "lab"
 
 
-class LabNews:
-    """What a lab's plant has to report: notes, and the commands that no call has returned."""
+RECENT = 600
+"""Number of frames, of some seconds, of which one is the last of robots that cannot stand."""
 
-    def __init__(self) -> None:
-        self._events: deque[Command | Note] = deque(maxlen=WAITING_MAX)  # not yet read
-        self._returned: set[int] = set()  # send times of commands that a call has returned
 
-    def leave_out(self, sent: Transmission) -> None:
-        """Do not report the command of a transmission: a call returns it."""
-        self._returned.add(sent.sent_ns)
+class LabFrames:
+    """Reads the frames of a rig: `newest` is the last one that was read, None before the first.
 
-    def add(self, events: Iterable[Command | Note]) -> None:
-        """Report these, but for commands that are left out."""
-        for event in events:
-            if isinstance(event, Note) or event.sent_ns not in self._returned:
-                self._events.append(event)
+    The robots' paths are checked frame by frame; those of lost robots are left out.
+    """
 
-    def warn(self, t_ns: int, text: str) -> None:
-        """Report a warning."""
-        self._events.append(Note(t_ns, "warning", text))
+    def __init__(self, rig: Rig) -> None:
+        self.newest: Observation | None = None
+        self._rig = rig
+        self._adds = rig.camera if isinstance(rig.camera, AddsToFrames) else None
+        self._heading = rig.setup.starts.heading  # not wrapped, of the last poses
+        self.path_check = PathCheck.of(rig.setup)
+        self._read_count = 0  # of the rig's accepted frames
+        self._samples: list[Sample] = []  # not yet handed over, oldest first
+        self._additions: dict[int, FrameAddition] = {}  # by the time of exposure [ns]
+        self._recent: deque[Observation] = deque(maxlen=RECENT)
 
-    def read(self) -> list[Command | Note]:
-        """Return what was added since the last call, in the order of time."""
-        events = sorted(
-            self._events, key=lambda item: item.t_ns if isinstance(item, Note) else item.sent_ns
+    def begin(self) -> None:
+        """Begin with the newest frame, which `observe` may return; leave out those before it."""
+        self._read_count = self._rig.loop.frames.count - 1
+
+    def read(self) -> list[Observation]:
+        """Read the frames since the last call, oldest first."""
+        frames, self._read_count = self._rig.loop.frames.since(self._read_count)
+        if self._adds is not None:
+            for addition in self._adds.additions():
+                self._additions[addition.sampled_ns] = addition
+        observations = [self._observation(frame) for frame in frames]
+        for observation in observations:
+            addition = self._additions.get(observation.sampled_ns)
+            messages = addition.messages if addition else ()
+            self._recent.append(observation)
+            self._samples.append(Sample(observation, None, messages))
+        if observations:
+            self.newest = observations[-1]
+            xy = np.array([observation.poses.xy for observation in observations])
+            x, y = xy.transpose(2, 0, 1)
+            x[:, list(self._rig.loop.guard.lost)] = np.nan
+            valid = np.array([observation.valid for observation in observations])
+            self.path_check.add(x, y, valid)
+        if self.newest is not None:  # frames that the guard rejected give no sample
+            for sampled_ns in list(self._additions):
+                if sampled_ns <= self.newest.sampled_ns:
+                    del self._additions[sampled_ns]
+        return observations
+
+    def hand_over(self) -> list[Sample]:
+        """Return the samples of the frames read since the last call, oldest first."""
+        samples = self._samples
+        self._samples = []
+        return samples
+
+    def nearest(self, t_ns: int) -> Observation:
+        """Return the recent frame that was exposed nearest to a time."""
+        return min(self._recent, key=lambda frame: abs(frame.sampled_ns - t_ns))
+
+    def _observation(self, accepted: AcceptedFrame) -> Observation:
+        """Return the observation of a frame, the next after all before, with headings unwrapped
+        relative to the last ones. A robot that has had no pose so far counts as being at its start.
+        """
+        starts = self._rig.setup.starts
+        x = starts.x.copy()
+        y = starts.y.copy()
+        heading = self._heading.copy()
+        for i, pose in enumerate(accepted.poses):
+            if pose is not None:
+                x[i] = pose.x
+                y[i] = pose.y
+                heading[i] += math.remainder(pose.heading - heading[i], math.tau)
+        self._heading = heading
+        frame = accepted.frame
+        return Observation(
+            frame.number,
+            frame.sampled_ns,
+            frame.received_ns,
+            Poses(x, y, heading),
+            np.array(accepted.fresh),
+            accepted.exposed_ns,
         )
-        self._events.clear()
-        return events
 
 
 class LabPlant:
@@ -122,7 +182,8 @@ class LabPlant:
         self._kind = kind
         self._supervision = supervision
         self._frames = LabFrames(rig)
-        self._news = LabNews()
+        self._notes: deque[Note] = deque(maxlen=WAITING_MAX)  # not yet read
+        self._returned: set[int] = set()  # send times of commands that a call has returned
         self._observed_ns: int | None = None  # when the frame of this control step was observed
         self._stop: Command | None = None
         self._stopped_ns = 0  # when the robots were stopped last, 0 before
@@ -142,10 +203,10 @@ class LabPlant:
         findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
         for warning in findings.all_warnings:
-            self._news.warn(now, warning)
-        rig.guard.pass_preflight()
+            self._notes.append(Note(now, "warning", warning))
+        rig.loop.guard.pass_preflight()
         self._frames.begin()
-        if rig.frames.newest is None:
+        if rig.loop.frames.newest is None:
             raise AbortError("no camera frame arrived")
         rate_hz = findings.camera_rate_hz or 0.0
         facts = {**_facts(findings), HALTS: "yes" if rig.actuator.halts else "no"}
@@ -166,7 +227,7 @@ class LabPlant:
             raise AbortError("this lab cannot switch its field off while robots drive")
         if isinstance(action, Stop):
             return self._halt()
-        guard = self.rig.guard
+        guard = self.rig.loop.guard
         if isinstance(action, Steer) and self._observed_ns is not None:
             begins = guard.state is GuardState.READY  # a step that begins a run is never late
             period_ns = round(self.setup.period_s * SECOND)
@@ -175,7 +236,7 @@ class LabPlant:
         self._check_pause("in a pause")
         self._raise_abort()
         sent = self.rig.loop.hold(action)
-        self._news.leave_out(sent)
+        self._returned.add(sent.sent_ns)
         if isinstance(sent.action, Stop):  # the guard holds all robots still at present
             unheard = (False,) * len(sent.moving)
             return Command(action, sent.sent_ns, unheard, sent.left, sent.right)
@@ -193,11 +254,15 @@ class LabPlant:
     def news(self) -> list[Command | Note]:
         """Return every transmission not returned by `send`, and every warning, since the last
         call."""
-        loop = self.rig.loop
-        self._news.add(self._command(sent) for sent in loop.sent())
-        for t_ns, text in loop.warnings():
-            self._news.warn(t_ns, text)
-        return self._news.read()
+        commands = [self._command(sent) for sent in self.rig.loop.sent()]
+        warnings = [Note(t_ns, "warning", text) for t_ns, text in self.rig.loop.warnings()]
+        events: list[Command | Note] = [
+            *self._notes,
+            *(command for command in commands if command.sent_ns not in self._returned),
+            *warnings,
+        ]
+        self._notes.clear()
+        return sorted(events, key=lambda it: it.t_ns if isinstance(it, Note) else it.sent_ns)
 
     def stop(self) -> Command:
         """Stop every robot, ten times over 200 ms."""
@@ -211,9 +276,9 @@ class LabPlant:
         After a fault since the last step, such as a stop that could not be sent, the robots count
         as not at rest.
         """
-        guard = self.rig.guard
+        guard = self.rig.loop.guard
         rest = Rest()
-        if self.rig.frames.newest:
+        if self.rig.loop.frames.newest:
             rest = wait_for_rest(self.rig, self._supervision.cancelled)
         self._check_pause("after the stop")
         not_at_rest = rest.reason
@@ -229,7 +294,7 @@ class LabPlant:
         self._take_frames()
         self._settled = True
         turn, turn_std = guard.drift.turning()
-        verdict = self._frames.verdict(self._final(), not_at_rest)
+        verdict = self._frames.path_check.verdict(self._final(), not_at_rest)
         return replace(verdict, unrest=rest.unrest, turn=turn, turn_std=turn_std)
 
     def close(self) -> None:
@@ -243,7 +308,7 @@ class LabPlant:
         that are lost by them."""
         for observation in self._frames.read():
             if self._watch is not None:
-                self._news.add(self._watch.see(observation.sampled_ns))
+                self._notes.extend(self._watch.see(observation.sampled_ns))
         newest = self._frames.newest
         if newest is not None and self._watch is not None:
             self._take_losses(self._watch, newest.sampled_ns)
@@ -267,14 +332,14 @@ class LabPlant:
         loss = self.setup.loss
         if loss is None or not loss.replaced:
             return
-        for i, seen_ns in self.rig.guard.lost.items():
+        for i, seen_ns in self.rig.loop.guard.lost.items():
             if now - seen_ns < loss.after_s * SECOND:
                 continue
             what = watch.replace(i)
             if what:
                 with self.rig.loop.between_steps() as guard:
                     guard.replace_robot(i)
-                self._news.warn(now, f"{self.setup.names[i]} {what}")
+                self._notes.append(Note(now, "warning", f"{self.setup.names[i]} {what}"))
 
     def _final(self) -> Poses:
         """Return the final poses: at rest or, if the robots swim on, the poses in the frame whose
@@ -298,14 +363,14 @@ class LabPlant:
         if first is None:
             return Command(Stop(), self._stopped_ns, delivered=(False,) * robots)
         delivered = (self.rig.actuator.failure is None,) * robots
-        self._news.leave_out(first)
+        self._returned.add(first.sent_ns)
         return Command(Stop(), first.sent_ns, delivered, first.left, first.right)
 
     def _check_pause(self, when: str) -> None:
         """Abort if a robot was seen to move in a pause as no command does, or once all have stood
         for `REST_NS`.
         """
-        guard = self.rig.guard
+        guard = self.rig.loop.guard
         if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):
             return
         lines: list[str] = []
@@ -320,11 +385,11 @@ class LabPlant:
             guard.abort(f"{when} {lines[0]}")
 
     def _raise_abort(self) -> None:
-        if self.rig.guard.state is GuardState.ABORT:
-            raise AbortError(self.rig.guard.reason)
+        if self.rig.loop.guard.state is GuardState.ABORT:
+            raise AbortError(self.rig.loop.guard.reason)
 
     def _note(self, level: str, text: str) -> None:
-        self._news.add([Note(self.clock.now(), level, text)])
+        self._notes.append(Note(self.clock.now(), level, text))
 
     def _command(self, sent: Transmission) -> Command:
         delivered = sent.moving  # assumed, since broadcasts are not acknowledged

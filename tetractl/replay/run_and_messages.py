@@ -44,7 +44,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import Encoder, end_text, tracking_texts, undelivered_texts
 from tetractl.replay.comparison import Difference, first_difference, log_differences
 from tetractl.replay.run_again import Recorder
-from tetractl.run.model_news import ModelNews, stated_model
+from tetractl.run.news import ModelNews, stated_model
 from tetractl.run.task import code_of
 
 

@@ -78,8 +78,7 @@ from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure, told_dead
 from tetractl.core.trial import Result, Start, Step
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.model_news import ModelNews, StatedModel
-from tetractl.run.rest_news import RestNews
+from tetractl.run.news import ModelNews, RestNews, StatedModel
 from tetractl.tools.plugin_fault import FaultyPluginError, plugin_fault
 
 AT_ONCE = "stopped at once by a second interruption"

@@ -154,7 +154,9 @@ class EmulatedPlantSection(RigSection):
         else:
             clock.steps.append(rig.loop.step_if_due)
         if record is not None:
-            clock.watchers.append(lambda: emulation.ruled(rig.guard.state, rig.guard.reason))
+            clock.watchers.append(
+                lambda: emulation.ruled(rig.loop.guard.state, rig.loop.guard.reason)
+            )
             rig.devices.after_close(lambda: outlive(emulation))
         return rig
 

@@ -60,7 +60,7 @@ def watch_turning(
     tracker = tracker_of(rig)
 
     def on_look() -> None:
-        if (newest := rig.frames.newest) is None:
+        if (newest := rig.loop.frames.newest) is None:
             return
         now_s = newest.frame.sampled_ns / SECOND
         for cell in tracker.candidates():

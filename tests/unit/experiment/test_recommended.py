@@ -7,7 +7,7 @@ from support.paths import SPECS as FILES
 from tetractl.cli.specs import template
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.run.model_news import stated_model
+from tetractl.run.news import stated_model
 
 EXPERIMENTS = ROOT / "experiments"
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.accepted_frame import AcceptedFrame, FrameBuffer
+from tetractl.lab.frames import AcceptedFrame, FrameBuffer
 from tetractl.tools.worker import WAITING_MAX
 
 

@@ -8,8 +8,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
-from tetractl.lab.accepted_poses import AcceptedPoses
 from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.robot_track import AcceptedPoses
 
 RULES = GuardRules(
     names=("green",),

@@ -19,8 +19,8 @@ from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
-from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.drift_check import DriftCheck
+from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import BUSY, Guard
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState

@@ -47,7 +47,7 @@ def hung(monkeypatch):
 def test_steering_past_a_loop_that_hangs_aborts(hung):
     with pytest.raises(AbortError, match="the inner loop did not answer"):
         hung.plant.send(Steer(0.1))
-    assert hung.plant.rig.guard.state is GuardState.ABORT
+    assert hung.plant.rig.loop.guard.state is GuardState.ABORT
 
 
 class LosesBlue:
@@ -74,7 +74,7 @@ def test_the_controller_loses_no_robot_while_the_loop_is_within_a_step(hung):
 def test_a_guard_of_newly_found_robots_does_not_wait_for_a_loop_that_hangs(hung):
     """Regression: it waited without a limit."""
     with pytest.raises(AbortError, match="the inner loop did not answer"):
-        hung.plant.rig.loop.restart(hung.plant.rig.guard)
+        hung.plant.rig.loop.restart(hung.plant.rig.loop.guard)
 
 
 def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
@@ -89,7 +89,7 @@ def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
 
 def test_an_emergency_stop_past_a_loop_that_hangs_is_one_to_the_devices(hung, monkeypatch):
     """Regression: only stops of the loop itself said that devices are to latch them."""
-    hung.plant.rig.guard.abort("emergency stop by the operator", emergency=True)
+    hung.plant.rig.loop.guard.abort("emergency stop by the operator", emergency=True)
     emergencies = []
     stop = hung.actuator.stop
 
@@ -182,7 +182,7 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(monkeypatch):
     lab = fake_lab(experiment().setup)
     lab.plant.open()
     lab.plant.send(Steer(0.5))
-    guard = lab.plant.rig.guard
+    guard = lab.plant.rig.loop.guard
     sent = []
 
     class Asked:
@@ -234,7 +234,7 @@ def test_a_frame_that_no_log_can_hold_stops_the_robots(number, value):
     spoilt = CameraFrame(number, 0, 0, (Pose(value, 0.0, 0.0), None, None))
     lab.camera.frames = lambda: [*frames(), spoilt]
     lab.plant.rig.loop.step()
-    guard = lab.plant.rig.guard
+    guard = lab.plant.rig.loop.guard
     assert guard.state is GuardState.ABORT
     assert "a camera returned a frame that no log can hold" in guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop
@@ -247,7 +247,7 @@ def test_a_failure_that_is_no_text_stops_the_robots():
     lab.plant.send(Steer(0.5))
     lab.actuator.failure = 5
     lab.plant.rig.loop.step()
-    assert "an actuator returned a failure that is no text" in lab.plant.rig.guard.reason
+    assert "an actuator returned a failure that is no text" in lab.plant.rig.loop.guard.reason
 
 
 def test_a_frame_that_arrives_before_its_exposure_stops_the_robots():
@@ -257,7 +257,7 @@ def test_a_frame_that_arrives_before_its_exposure_stops_the_robots():
     lab.plant.send(Steer(0.5))
     lab.camera.frames = lambda: [CameraFrame(10**6, 10**18, lab.clock.now(), (None,) * 3)]
     lab.plant.rig.loop.step()
-    assert "a camera returned a frame received " in lab.plant.rig.guard.reason
+    assert "a camera returned a frame received " in lab.plant.rig.loop.guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop
 
 
@@ -278,7 +278,7 @@ def lab_whose_camera_is_gone():
 def test_a_camera_that_raises_for_good_stops_the_robots():
     """Regression: the stop was left to the next step, which failed before it: robots drove on."""
     lab = lab_whose_camera_is_gone()
-    assert lab.plant.rig.guard.reason == "the camera is gone"
+    assert lab.plant.rig.loop.guard.reason == "the camera is gone"
     assert [sent.direction for sent in lab.actuator.sent[-10:]] == [None] * 10
     assert lab.world.moving == (False,) * 3
 
@@ -287,13 +287,13 @@ def test_an_emergency_stop_is_sent_after_an_abort_too():
     lab = fake_lab(experiment().setup)
     lab.plant.open()
     lab.plant.send(Steer(0.5))
-    lab.plant.rig.guard.abort("another fault")
+    lab.plant.rig.loop.guard.abort("another fault")
     lab.clock.sleep_until(lab.clock.now() + SECOND)
     assert lab.actuator.emergencies == 0
     lab.supervision.emergency.set()
     lab.clock.sleep_until(lab.clock.now() + SECOND)
     assert lab.actuator.emergencies == 10
-    assert lab.plant.rig.guard.reason == "another fault"
+    assert lab.plant.rig.loop.guard.reason == "another fault"
 
 
 def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step():
@@ -307,7 +307,7 @@ def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step():
     stops = [sent for sent in lab.actuator.sent if sent.sent_ns > pressed_ns]
     assert lab.actuator.emergencies == len(stops) == 10
     assert stops[0].sent_ns - pressed_ns == STEP_NS  # in the next step
-    assert lab.plant.rig.guard.reason == "the camera is gone"
+    assert lab.plant.rig.loop.guard.reason == "the camera is gone"
 
 
 def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops():
@@ -323,7 +323,7 @@ def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops():
         raise AbortError("green's port is gone")
 
     lab.actuator.stop = stop_the_others
-    lab.plant.rig.guard.abort("another fault")
+    lab.plant.rig.loop.guard.abort("another fault")
     lab.clock.sleep_until(lab.clock.now() + SECOND)
     assert emergencies == [False] * 10
     assert lab.plant.rig.loop.stop() is None
@@ -350,4 +350,4 @@ def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops():
     assert len(sent_ns) == 11
     assert min(np.diff(sent_ns)) > 0
     assert sent_ns[-1] - sent_ns[0] < SECOND // 4
-    assert lab.plant.rig.guard.reason == "green's port is gone"
+    assert lab.plant.rig.loop.guard.reason == "green's port is gone"

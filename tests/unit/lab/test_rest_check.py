@@ -171,7 +171,7 @@ def rest_of(lab, hurried=False, aborted=False):
     with lab.plant.rig as rig:
         lab.clock.sleep_until(SECOND // 2)
         if aborted:
-            rig.guard.abort("green moves along its heading as no command does")
+            rig.loop.guard.abort("green moves along its heading as no command does")
         rest = wait_for_rest(rig, lambda: hurried)
         return rest, emergencies, lab.clock.now() / SECOND
 

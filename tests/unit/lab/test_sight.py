@@ -292,7 +292,7 @@ def test_a_pose_that_is_later_than_its_frame_stops_the_robots():
     late = CameraFrame(10**6, now, now, (None,) * 3, exposed_ns=(now, now, now + 1))
     lab.camera.frames = lambda: [late]
     lab.plant.rig.loop.step()
-    assert "a pose exposed after the time of its frame" in lab.plant.rig.guard.reason
+    assert "a pose exposed after the time of its frame" in lab.plant.rig.loop.guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop
 
 

@@ -7,7 +7,7 @@ import pytest
 from support.trials import experiment
 
 from tetractl.core.plan import Estimate
-from tetractl.run.model_news import (
+from tetractl.run.news import (
     FITS_S,
     LATER_FOR_S,
     NOISE_UNSTATED,

@@ -8,7 +8,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.plan import Plan, State
 from tetractl.core.poses import Observation, Poses
-from tetractl.run.rest_news import LOOK_S, RestNews, speeds_at_rest
+from tetractl.run.news import LOOK_S, RestNews, speeds_at_rest
 
 SETUP = experiment().setup
 GREEN = SETUP.names[0]

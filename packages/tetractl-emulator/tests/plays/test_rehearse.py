@@ -11,8 +11,8 @@ from tetractl_emulator.rehearsal import day, shrink
 from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.accepted_poses import AcceptedPoses
 from tetractl.lab.guard import Guard
+from tetractl.lab.robot_track import AcceptedPoses
 
 pytestmark = pytest.mark.slow
 

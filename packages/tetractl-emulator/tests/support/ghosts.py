@@ -168,7 +168,7 @@ class Ghost:
         if self._began is None or self.lab.clock.timeline.now_ns < self._began:
             self._from = [(robot.x, robot.y) for robot in self.lab.robots]
             return
-        guard = self.lab.plant.rig.guard
+        guard = self.lab.plant.rig.loop.guard
         last = self.lab.plant.rig.loop.last
         if self._since_s > self.limit_s and guard.state is not GuardState.ABORT:
             guard.abort("not noticed")
@@ -182,7 +182,7 @@ class Ghost:
             if stopped and all(robot.standing for robot in self.lab.robots):
                 self.rest_s = self._since_s
             return
-        frame = self.lab.plant.rig.frames.newest
+        frame = self.lab.plant.rig.loop.frames.newest
         if frame:
             self.late += [frame.fresh[i] for i in self.who]
 
@@ -207,7 +207,7 @@ def slow_radio(lab: VirtualLab, delay_s: float) -> None:
     take = radio._take_air
 
     def late(size):
-        running = lab.plant.rig.guard.state in (GuardState.RUN, GuardState.HOLD)
+        running = lab.plant.rig.loop.guard.state in (GuardState.RUN, GuardState.HOLD)
         return take(size) + round(running * delay_s * SECOND)
 
     radio._take_air = late

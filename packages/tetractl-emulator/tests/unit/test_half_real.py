@@ -18,7 +18,7 @@ def test_an_emulated_radio_that_fails_keeps_no_stop_from_the_real_robots():
     lab.clock.steps.remove(lab.plant.rig.loop.step)  # the loop below is the only one
     emulated = FakeActuator(lab.world, failure="the port of the emulated radio is gone")
     both = TwinActuator(lab.actuator, emulated)
-    guard = lab.plant.rig.guard
+    guard = lab.plant.rig.loop.guard
     loop = InnerLoop(lab.camera, both, guard, lab.clock, threading.Event(), threading.Event())
     first = loop.stop()
     stops = lab.actuator.sent

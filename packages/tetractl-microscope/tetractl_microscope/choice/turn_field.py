@@ -52,7 +52,7 @@ def turn_field(
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
     began = rig.clock.now()
-    before = rig.frames.count
+    before = rig.loop.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
         walled |= {cell.number for cell in tracker.candidates() if not cell.free}
@@ -64,12 +64,12 @@ def turn_field(
         if (failure := rig.actuator.failure) is not None:
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
-            raise AbortError(rig.guard.why_no_frame(rig.silent_ns()))
+            raise AbortError(rig.loop.guard.why_no_frame(rig.silent_ns()))
     now = tracker.candidates()
     cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
     # a cell is recognised if it moves by at most 35 um between two pictures
     least = choice.speed * rig.setup.metres * 1e6 / 35.0
-    rate = (rig.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
+    rate = (rig.loop.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
     if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
         raise AbortError(
             f"{rate:.1f} pictures per second were searched; to follow cells that swim "

@@ -22,9 +22,8 @@ from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
-from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
-from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
+from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, Senders, pack
 from tetractl.tools.worker import WAITING_MAX, drained
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time

@@ -5,9 +5,8 @@ from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import LAYOUTS
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
-from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import Stream
-from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.lab.cameras.optitrack.wire import Senders, parse
 
 SHOWN = 12  # largest number of rigid bodies listed in a message
 

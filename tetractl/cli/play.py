@@ -29,9 +29,11 @@ if TYPE_CHECKING:
 
 TRIAL = 0
 """The trial that is steered, and that the controller runs."""
-MINE = "Any key: the controller drives from the same start."
-THEIRS = "This was the controller. Any key ends."
-"""What is said when a trial has ended, and its last picture stays."""
+THEIRS = (
+    "The controller too sends one direction to all: it simulates many sequences, and sends the "
+    "first step of the best. Any key ends."
+)
+"""What is said when the controller's trial has ended, and its last picture stays."""
 
 
 def play(
@@ -137,7 +139,7 @@ def _by_keys(
     end."""
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.hand import WallPace
-    from tetractl.view.terminal.hand_keys import HINTS, TASK, HandKeys
+    from tetractl.view.terminal.hand_keys import HINTS, WHY, HandKeys, task
     from tetractl.view.terminal.keys import StopKey
     from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
 
@@ -155,17 +157,18 @@ def _by_keys(
         signalled=interrupt.request,
     )
     enter = entered.set if plant.real_time else partial(keys.press, "enter")
+    aside = task(experiment.setup)
     with StopKey(stop, enter, steer=keys.press), keys:
         if plant.real_time:
             console.print("; ".join(hints), style="bold", highlight=False)
             with LabWatch(
-                console, console, experiment.units.length, live=True, hints=hints, aside=TASK
+                console, console, experiment.units.length, live=True, hints=hints, aside=aside
             ) as watch:
                 yield Hand(keys.ask, [watch], supervision)
         else:
-            with LiveView(console, hints=hints, aside=TASK) as view:
+            with LiveView(console, hints=hints, aside=aside) as view:
                 observers = [view, WallPace(MonotonicClock(), speed)]
-                yield Hand(keys.ask, observers, supervision, partial(_hold, view, keys, MINE))
+                yield Hand(keys.ask, observers, supervision, partial(_hold, view, keys, WHY))
 
 
 def _hold(view: "LiveView", keys: "HandKeys", words: str) -> None:
@@ -177,20 +180,12 @@ def _hold(view: "LiveView", keys: "HandKeys", words: str) -> None:
 def _steered(
     directed: "LoadedSpec", folder: Path, hand: Hand, interrupt: "Interrupt"
 ) -> "Result | None":
-    """Run the trial that a person steers, and write its log; None if no direction was given."""
-    from tetractl.run.hand import HandController, HandLog
-    from tetractl.run.spec_trial import ready_trial
+    """Run the trial that a person steers; None if no direction was given."""
+    from tetractl.run.hand import HandController, run_by_hand
 
     controller = HandController(directed, TRIAL, hand.ask)
-    log = HandLog(controller)
-    with ready_trial(
-        [log], directed, TRIAL, hand.observers, interrupt, hand.supervision, controller
-    ) as ready:
-        result = ready.run()
-    if not controller.directions:
-        return None
-    log.save(directed, folder)
-    return result
+    result = run_by_hand(directed, folder, controller, hand.observers, interrupt, hand.supervision)
+    return result if controller.directions else None
 
 
 # ---- the controller's trial, and the end ----

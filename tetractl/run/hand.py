@@ -2,14 +2,17 @@
 
 The trial is that of the controller `sequence` with the directions given, and so is its log. But a
 log begins with its spec, whose directions are known when the trial has ended, and each logged plan
-holds the directions that came later. So nothing is written while the robots drive:
+holds the directions that came later. So the trial is logged twice:
+
+    LogWriter        while the robots drive, as any trial, each plan being the direction held: what
+                     a crash leaves
+    HandLog          when they stand, in its place: the log of `sequence`
 
     HandController   asks for the direction of each step, and keeps it with the step's problem
-    HandLog          keeps what a log is to hold; `save` writes it, with the plans of `sequence`
     WallPace         lets a simulation take as long as people need to steer it
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,12 +25,13 @@ from tetractl.control.sequence import SequenceSection
 from tetractl.core.clock import Clock
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Observation
-from tetractl.core.protocols import Observer
-from tetractl.core.trial import Start, Step
+from tetractl.core.protocols import LabSupervision, Observer
+from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.folder_lock import make_folder
-from tetractl.run.spec_trial import log_path, trial_seeds
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.spec_trial import log_path, ready_trial, trial_seeds
 from tetractl.tools.worker import Relay
 
 Ask = Callable[[float], float | None]
@@ -42,6 +46,7 @@ class HandController(PlainController):
     """
 
     def __init__(self, spec: LoadedSpec, trial: int, ask: Ask) -> None:
+        self.trial = trial
         experiment = spec.experiment
         section = experiment.controller
         assert isinstance(section, SequenceSection), "a spec by `directed_spec`"
@@ -97,10 +102,8 @@ class HandLog(Relay):
 
         self.put(write)
 
-    def save(self, spec: LoadedSpec, folder: Path) -> Path:
-        """Write the log to a folder, and return its path; `spec` is that of the trial."""
-        make_folder(folder)
-        path = log_path(folder, self._start.trial)
+    def save(self, spec: LoadedSpec, path: Path) -> None:
+        """Write the log; `spec` is that of the trial."""
         with_directions = with_controller(spec, self._controller.given)
         start = start_of(
             with_directions, self._start.trial, self._start.plant, self._start.start_unix_ns
@@ -110,7 +113,42 @@ class HandLog(Relay):
             self.observer = log
             for call in self._calls:
                 call()
-        return path
+
+
+def run_by_hand(
+    spec: LoadedSpec,
+    folder: Path,
+    controller: HandController,
+    observers: Sequence[Observer] = (),
+    interrupt: Interrupt | None = None,
+    supervision: LabSupervision | None = None,
+) -> Result:
+    """Run the controller's trial of a spec by `directed_spec`, and write its log to `folder`; no
+    log if no direction was given."""
+    make_folder(folder)
+    path = log_path(folder, controller.trial)
+    kept = HandLog(controller)
+    with (
+        LogWriter(path, real_time=spec.experiment.plant.real_time) as log,
+        ready_trial(
+            [log, kept],
+            spec,
+            controller.trial,
+            observers,
+            interrupt or Interrupt(),
+            supervision,
+            controller,
+        ) as ready,
+    ):
+        result = ready.run()
+    if controller.directions:
+        finished = path.with_name(f"finished-{path.name}")
+        kept.save(spec, finished)
+        finished.replace(path)
+    else:
+        path.unlink()
+        folder.rmdir()
+    return result
 
 
 class WallPace(Observer):

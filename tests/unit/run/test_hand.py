@@ -11,10 +11,9 @@ from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
 from tetractl.experiment.load import parse_contents
 from tetractl.log.read.reader import content_digest
-from tetractl.run.hand import HandController, HandLog
+from tetractl.run.hand import HandController, run_by_hand
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.open_trial import directed_spec
-from tetractl.run.spec_trial import ready_trial
 
 CONTENTS = {
     "name": "by-hand",
@@ -40,12 +39,8 @@ def steer(spec, folder, ask, interrupt=None, observers=()):
     """Run trial 1 of a spec by hand, and return its log, its result and its controller."""
     directed = directed_spec(spec)
     hand = HandController(directed, 1, ask)
-    log = HandLog(hand)
-    with ready_trial(
-        [log], directed, 1, observers, interrupt or Interrupt(), controller=hand
-    ) as ready:
-        result = ready.run()
-    return log.save(directed, folder), result, hand
+    result = run_by_hand(directed, folder, hand, observers, interrupt)
+    return folder / "trial-001.mcap", result, hand
 
 
 def chosen(directions):
@@ -96,6 +91,21 @@ def test_an_interruption_ends_it_and_its_log_is_whole(tmp_path):
     saved = tetractl.read_log(log)
     assert [step.plan.direction for step in saved.steps] == hand.directions == [1.0] * 6
     assert isinstance(saved.commands[-1].action, Stop)
+
+
+def test_a_crash_leaves_the_log_so_far(tmp_path):
+    """Regression: a log by hand was written at its end, and a killed process had none."""
+    directions = iter([0.5, 1.0, 1.5])
+    with pytest.raises(StopIteration):
+        steer(SPEC, tmp_path, lambda time_s: next(directions))
+    left = tetractl.read_log(tmp_path / "trial-001.mcap")
+    assert [step.plan.direction for step in left.steps] == [0.5, 1.0, 1.5]
+    assert len(left.mocap) > 3
+
+
+def test_no_direction_leaves_no_log(tmp_path):
+    steer(SPEC, tmp_path / "hand", chosen([]))
+    assert not (tmp_path / "hand").exists()
 
 
 def test_while_it_runs_a_plan_shows_where_robots_go_if_the_direction_is_held(tmp_path):

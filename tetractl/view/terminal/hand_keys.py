@@ -18,7 +18,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from tetractl.core.errors import UsageError
+from tetractl.core.setup import Setup
 from tetractl.experiment.yaml.document import read_text
 
 ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2}
@@ -26,10 +29,11 @@ ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2
 STOPS = {"space", "q"}
 HINTS = ("arrows steer", "SPACE stops", "drag steers too")
 """What the keys do, the most important first."""
-TASK = (
-    "Arrows set one direction for all robots. Each turns to it at its own rate. "
-    "Bring each to the square of its colour, then stop them all by SPACE."
+WHY = (
+    "Each turn parts the robots: slow turners swing wide. So the order and length of directions "
+    "decide where each ends. Hard: no robot moves alone. Any key: the controller."
 )
+"""What a person has felt when the trial has ended, in eight lines of the smallest panel."""
 WAIT_S = 0.01
 """Time between two questions whether the first key has been pressed [s]."""
 CELL_HEIGHT = 2.0
@@ -126,6 +130,16 @@ class HandKeys:
         self.stop()  # a thread that still asks must end
         sys.stderr.write(MOUSE_OFF)
         sys.stderr.flush()
+
+
+def task(setup: Setup) -> str:
+    """Return what a person is to do, and what differs between the robots."""
+    by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
+    rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
+    return (
+        "An arrow key is one direction for all robots. Each turns to it at its own rate"
+        f"{rates}, then drives that way. Bring each to the square of its colour; SPACE stops all."
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ def check(
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
     from tetractl.lab.preflight import look_over
-    from tetractl.run.news import stated_model
+    from tetractl.run.news import LATENCY, stated_model
     from tetractl.view.terminal.findings import preflight_items, print_findings
 
     experiment = _experiment_on(spec, sets, plant)
@@ -57,7 +57,7 @@ def check(
     if as_json:
         print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:
-        print_findings(preflight, stated_model(experiment).has_latency)
+        print_findings(preflight, LATENCY in stated_model(experiment).delays)
     if not preflight.ready:
         return Exit.FAILED
     if yes:

@@ -33,6 +33,9 @@ LATER_S = 0.05
 """Least difference of two robots' dead times that is news [s]: docs/decisions/filter.md."""
 LATER_FOR_S = 2.0
 """Time for which it has lasted then [s]: while a bank is opened again, dead times differ."""
+DEAD_TIME = "controller.dead_time"
+LATENCY = "lab.camera.latency"
+HOST_DELAY = "the host's delay (plant.drive.lead, lab.actuator.delay)"
 NOISE_UNSTATED = (
     "headings are not as predicted, and the camera's noise is not stated: "
     "controller.prior.position_noise, heading_noise"
@@ -54,11 +57,11 @@ REST_SURE_STDS = 5.0
 @dataclass(frozen=True, slots=True)
 class StatedModel:
     """What a spec states that a trial may contradict: the time from a command to its effect [s],
-    whether it states its camera's `latency` too, whose error is an error of this time, and whether
-    it lacks the noise of a camera that sees cells, of which none is usual."""
+    the `delays` in it whose errors are errors of this time, and whether it lacks the noise of a
+    camera that sees cells, of which none is usual."""
 
     dead_time_s: float
-    has_latency: bool
+    delays: tuple[str, ...] = (DEAD_TIME,)
     lacks_noise: bool = False
 
 
@@ -69,11 +72,12 @@ def stated_model(experiment: Experiment) -> StatedModel:
     lacks_noise = False
     if isinstance(control, Accepting) and experiment.setup.wheel_radius is None:
         lacks_noise = control.prior.position_noise == 0 or control.prior.heading_noise == 0
-    return StatedModel(
-        dead_time_s=control.dead_time,
-        has_latency=isinstance(plant, LabSection) and hasattr(plant.camera, "latency"),
-        lacks_noise=lacks_noise,
-    )
+    delays = [DEAD_TIME]
+    if isinstance(plant, LabSection) and hasattr(plant.camera, "latency"):
+        delays.append(LATENCY)
+    if experiment.setup.wheel_radius is not None:
+        delays.append(HOST_DELAY)
+    return StatedModel(control.dead_time, tuple(delays), lacks_noise)
 
 
 def other_delay(estimate: Estimate, stated: StatedModel) -> str:
@@ -85,14 +89,11 @@ def other_delay(estimate: Estimate, stated: StatedModel) -> str:
         return ""
     if abs(now_s - stated.dead_time_s) <= max(DELAY_S, SURE_STDS * std_s):
         return ""
-    text = (
+    delays = " or ".join(stated.delays)
+    return (
         f"commands act {now_s:.3f} s after they are sent, not {stated.dead_time_s:.3f} s: "
-        "is controller.dead_time right"
+        f"is {delays} wrong?"
     )
-    if not stated.has_latency:
-        return f"{text}?"
-    way = "short" if now_s > stated.dead_time_s else "long"
-    return f"{text}, or lab.camera.latency too {way}?"
 
 
 def turning(estimate: Estimate, i: int) -> str:

@@ -276,9 +276,12 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     if not 0 <= message.chosen < len(message.searches):
         raise ValueError(f"step {message.k} chooses a search that does not exist")
     command = decode_command(message.command)
+    x = _floats(message.path_x)
+    y = _floats(message.path_y)
+    path = np.stack([x, y, np.full_like(x, np.nan)], axis=-1)
     plan = Plan(
         signals=_floats(message.signals),
-        path=_decode_path(message, robots),
+        path=path.reshape(-1, robots, 3),
         cost=message.cost,
         target_cost=message.target_cost,
         obstacle_cost=message.obstacle_cost,
@@ -301,19 +304,6 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         solve_ns=timing.solve_ns if timing else 0,
         deadline_missed=timing.deadline_missed if timing else False,
     )
-
-
-def _decode_path(message: pb.ControllerStep, robots: int) -> Floats:
-    """Return the predicted poses (S + 1, N, 3) of S signals, with headings of NaN."""
-    x = _floats(message.path_x)
-    y = _floats(message.path_y)
-    heading = np.full_like(x, np.nan)
-    return np.stack([x, y, heading], axis=-1).reshape(-1, robots, 3)
-
-
-def encode_timing(step: Step) -> pb.StepTiming:
-    """Encode the solve time of a control step."""
-    return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
 
 
 def _encode_search(search: Search) -> pb.Search:

@@ -29,19 +29,17 @@ class LogDigests:
 
     def messages(self, entries: Iterable[Entry]) -> None:
         """Add messages."""
-        for entry in entries:
-            if entry.topic not in _UNCOVERED:
-                self._message(*entry)
-
-    def _message(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
-        head = self._heads.get(topic)
-        if head is None:
-            name = topic.encode()
-            head = self._heads[topic] = b"4;7:message%d:%b" % (len(name), name)
-        times = b"%d %d" % (log_ns, publish_ns)
-        # one call of the hash per message, since a log has thousands
-        digest = self._host if topic in HOST_RECORDS else self._content
-        digest.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
+        for topic, log_ns, publish_ns, data in entries:
+            if topic in _UNCOVERED:
+                continue
+            head = self._heads.get(topic)
+            if head is None:
+                name = topic.encode()
+                head = self._heads[topic] = b"4;7:message%d:%b" % (len(name), name)
+            times = b"%d %d" % (log_ns, publish_ns)
+            # one call of the hash per message, since a log has thousands
+            digest = self._host if topic in HOST_RECORDS else self._content
+            digest.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
 
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
         """Add an attachment, without its time."""

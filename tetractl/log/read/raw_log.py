@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from google.protobuf.message import DecodeError
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Schema
 
 from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.core.trial import Result
@@ -39,8 +38,7 @@ class RawLog:
     lost: list[str] = field(default_factory=list)
     channels: dict[str, tuple[Channel, Schema | None]] = field(default_factory=dict)  # by topic
     library: str = ""  # the program that wrote the file
-    metadata: list[Metadata] = field(default_factory=list)
-    strange: frozenset[int] = frozenset()  # opcodes that no log has outside chunks
+    has_loose_messages: bool = False  # outside chunks
 
     @cached_property
     def entries(self) -> list[Entry]:
@@ -87,10 +85,6 @@ class RawLog:
         if channels.TRACK in self.attachments:
             message = f"{self.path}: was written by `tetractl track`, and holds no trial"
             raise UsageError(message, "tetractl track shows such a log")
-        stated = {item.name: item.metadata for item in self.metadata}
-        early_run = stated.get("tetractl.run", {})
-        if "format_version" in early_run:  # the first two formats stated the run as metadata
-            raise self._of_format(early_run["format_version"], stated.get("tetractl.host", {}))
         if not self.by_topic[channels.RUN]:
             raise self._without_run()
         try:
@@ -99,12 +93,14 @@ class RawLog:
             text = f"the record of the run cannot be read: {_reason(error)}"
             raise LogError(f"{self.path}: {text}") from None
         if run.format_version != channels.FORMAT_VERSION:
-            raise self._of_format(str(run.format_version), self.facts)
+            text = f"is in format {run.format_version}, not {channels.FORMAT_VERSION}"
+            text += f"; read it by what wrote it, {writer(self.facts)}"
+            raise LogError(f"{self.path}: {text}")
         return run
 
     def _without_run(self) -> LogError:
         """Return the error for a file without the record of a run."""
-        if Opcode.MESSAGE in self.strange:
+        if self.has_loose_messages:
             return LogError(
                 f"{self.path}: was written again without chunks by another program: its messages "
                 "are not read",
@@ -114,11 +110,6 @@ class RawLog:
             return LogError(f"{self.path}: damaged: the record of the run is lost")
         text = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
         return LogError(f"{self.path}: {text}")
-
-    def _of_format(self, version: str, facts: Mapping[str, str]) -> LogError:
-        """Return the error for a log of another format, which names the version that reads it."""
-        text = f"is in format {printable(version, 12)}, not {channels.FORMAT_VERSION}"
-        return LogError(f"{self.path}: {text}; read it by what wrote it, {writer(facts)}")
 
     @property
     def result(self) -> Result | None:

@@ -1,8 +1,9 @@
-"""Finds every intact record of an MCAP file, however damaged the file is.
+"""Reads a log file however damaged it is: finds every record that is still as it was written.
 
-MCAP has checksums for chunks and attachments, so each is verified by itself. The file is read from
-record to record; if a record is damaged, or the checksum over the data section does not match, the
-file is also searched for further chunks and attachments.
+A log is an MCAP file: a row of records, each an opcode, the length of its contents, and these. The
+messages of a trial are in chunks; chunks and attachments have checksums, so each is verified by
+itself. The file is read from record to record; if one is damaged, or the checksum over all of them
+does not match, the file is also searched for further chunks and attachments.
 
 What decodes a record gets the bytes of this record only, and all of the reading of a file counts
 towards one limit of processor time: records that claim to be longer than they are, or very many of
@@ -15,7 +16,6 @@ import time
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 
@@ -23,7 +23,7 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Header, Schema, Statistics
 
 from tetractl.core.errors import LogError, printable
 from tetractl.log.format.channels import NUMBERS, SUMMARY, WRITER, Entry
@@ -31,26 +31,36 @@ from tetractl.log.read.limits import CHUNK_MAX, file_limit, seconds_limit, too_m
 from tetractl.log.read.raw_log import RawLog, read_file
 
 MAGIC = b"\x89MCAP0\r\n"
+"""How an MCAP file begins and ends."""
 PROBLEMS_MAX = 50
 """Largest number of damaged records of a log that are listed."""
-
-_HEAD = struct.Struct("<BQ")  # opcode and length, before the contents of every record
-_MESSAGE = struct.Struct("<HIQQ")
-_FOOTER = bytes([Opcode.FOOTER]) + (20).to_bytes(8, "little")
-_TOPICS = {number: topic for topic, number in NUMBERS.items()}
 UNSTATED = 0
 """What MCAP writes in place of a checksum that is left out."""
-_SUMMARY = {NUMBERS[topic] for topic in SUMMARY}
-_CHUNK_HEAD = 44
-"""Length of what stands in a chunk before its packed records, if its compression is zstd: two
-times, a length, a checksum, the word zstd behind its own length, and the length of the records."""
-_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_MARKS = (
-    (Opcode.CHUNK, re.compile(b"\x04\0\0\0zstd"), -28),
-    (Opcode.ATTACHMENT, re.compile(rb"\x09(?=.{3}\0{5})", re.DOTALL), _HEAD.size),
-)
-"""How a record is found whose place is not known: bytes that it has, and where its contents begin
-from there. Of a chunk, they are its compression, so that its head may be damaged."""
+
+_RECORD = struct.Struct("<BQ")
+"""Before the contents of every record: opcode, length of the contents."""
+_MESSAGE = struct.Struct("<HIQQ")
+"""Before the data of a message: channel, sequence, log time, publish time."""
+_CHUNK_TIMES_AND_SIZE = struct.Struct("<QQQI")
+"""A chunk's first fields: first and last time, size and checksum of its records unpacked."""
+_CHUNK = struct.Struct(_CHUNK_TIMES_AND_SIZE.format + "I4sQ")
+"""All fields before the packed records of a zstd chunk: the compression and its length, and the
+length of what follows."""
+_TIMES = struct.Struct("<QQ")
+"""An attachment's first fields: log time and time of creation."""
+_LENGTH = struct.Struct("<I")
+_LONG_LENGTH = struct.Struct("<Q")
+_CHECKSUM = struct.Struct("<I")
+_FOOTER = struct.Struct("<QQI")
+"""The last record: where the index begins, where its own index begins, checksum of the index."""
+_FOOTER_HEAD = _RECORD.pack(Opcode.FOOTER, _FOOTER.size)
+
+_ZSTD = re.compile(_LENGTH.pack(4) + b"zstd")
+"""What every chunk of tetractl contains, after its times and size: its head may be damaged."""
+_SMALL_ATTACHMENT = re.compile(rb"\x09(?=.{3}\0{5})", re.DOTALL)
+"""How an attachment of less than 16 MiB begins."""
+_TOPICS = {number: topic for topic, number in NUMBERS.items()}
+_SUMMARY_NUMBERS = {NUMBERS[topic] for topic in SUMMARY}
 
 RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, data
 
@@ -58,9 +68,9 @@ RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, dat
 def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
     """Yield the opcode of each record, and where its contents begin and end, up to one that is cut
     off; a power cut leaves zeros."""
-    while offset + _HEAD.size <= len(data):
-        opcode, length = _HEAD.unpack_from(data, offset)
-        begin = offset + _HEAD.size
+    while offset + _RECORD.size <= len(data):
+        opcode, length = _RECORD.unpack_from(data, offset)
+        begin = offset + _RECORD.size
         offset = begin + length
         if offset > len(data) or opcode == 0:
             return
@@ -85,20 +95,6 @@ def scan(path: Path) -> RawLog:
     return _Scan(path).whole()
 
 
-@dataclass
-class _Records:
-    """The intact records found in a file so far; chunks and attachments by their offset."""
-
-    by_offset: dict[int, list[RawMessage] | Attachment] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    metadata: list[Metadata] = field(default_factory=list)
-    strange: set[int] = field(default_factory=set)  # opcodes that no log has outside chunks
-    library: str = ""
-    foreign: bool = False  # another program wrote it, and may have left out index and checksums
-    size: int = 0  # bytes
-
-
 class _Scan:
     """One reading of a file: verifies its records, keeps the intact ones, and lists problems."""
 
@@ -106,9 +102,15 @@ class _Scan:
         self._path = path
         self._data = read_file(path)
         self._until_s = time.thread_time() + seconds_limit()
-        self._records = _Records()
+        self._kept_bytes = 0
         self._problems: list[str] = []
-        self._sealed = False  # the data section has a checksum
+        self._is_sealed = False  # the data section has a checksum
+        self._library = ""
+        self._is_foreign = False  # another program wrote it, perhaps without index and checksums
+        self._has_loose_messages = False
+        self._by_offset: dict[int, list[RawMessage] | Attachment] = {}  # chunks and attachments
+        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, Schema] = {}
 
     def whole(self) -> RawLog:
         """Read the file record by record, search it if it is damaged, and sort the records."""
@@ -118,45 +120,42 @@ class _Scan:
         for opcode, begin, end in self._walk():
             why = self._verify(opcode, begin, end)
             if why and len(self._problems) < PROBLEMS_MAX:
-                offset = begin - _HEAD.size
+                offset = begin - _RECORD.size
                 self._problems.append(f"the record at byte {offset} is damaged: {why}")
         expected = self._read_index()
         if self._problems:
             self._search()
-        if not (begins or self._records.by_offset):
+        if not (begins or self._by_offset):
             raise LogError(f"{self._path}: not an MCAP file")
-        result = self._collected()
-        result.lost.extend(self._lost(result, expected))
-        return result
+        raw = self._collected()
+        if expected is None and self._problems:
+            raw.lost.append("the messages of every missing or damaged chunk")
+        elif expected is not None and expected != len(raw.entries):
+            raw.lost.append(f"{expected - len(raw.entries)} of {expected} messages")
+        return raw
 
     def summary(self) -> RawLog | None:
         """Read what `peek` returns; None for a damaged file, or one that others wrote."""
         wanted: set[tuple[int, int, int]] = set()
         chunk: tuple[int, int, int] | None = None  # the last one
         for record in self._walk():
-            opcode, begin, _ = record
+            opcode, begin, end = record
             if opcode == Opcode.CHUNK:
                 chunk = record
-            elif opcode == Opcode.MESSAGE_INDEX and self._number(begin, 2) in _SUMMARY:
-                if chunk is not None:
+            elif opcode == Opcode.MESSAGE_INDEX and chunk is not None:
+                channel = self._data[begin:end][:2]  # its first field
+                if int.from_bytes(channel, "little") in _SUMMARY_NUMBERS:
                     wanted.add(chunk)
             elif opcode == Opcode.ATTACHMENT:
                 wanted.add(record)
             elif opcode == Opcode.MESSAGE:  # outside a chunk
                 return None
         self._read_index()
-        if self._problems or not self._sealed:
+        if self._problems or not self._is_sealed:
             return None
         if any(self._verify(*record) for record in sorted(wanted)):
             return None
         return self._collected()
-
-    def _lost(self, result: RawLog, expected: int | None) -> list[str]:
-        """Return what the file has lost, if its index states an `expected` number of messages."""
-        if expected is None:
-            return ["the messages of every missing or damaged chunk"] if self._problems else []
-        missing = expected - len(result.entries)
-        return [f"{missing} of {expected} messages"] if missing else []
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
         """Yield the opcode of each record of the data section, and where its contents begin and
@@ -165,11 +164,12 @@ class _Scan:
         for opcode, begin, end in records(self._data, cut):
             self._require_time()
             if opcode == Opcode.DATA_END:
-                stated = self._number(begin)
-                self._sealed = stated != 0
-                if end - begin != 4:
+                if end - begin != _CHECKSUM.size:
                     self._problems.append("the end of the data section has a wrong length")
-                elif self._sealed and stated != self._crc(0, begin - _HEAD.size):
+                    return
+                (stated,) = _CHECKSUM.unpack_from(self._data, begin)
+                self._is_sealed = stated != UNSTATED
+                if self._is_sealed and stated != self._crc(0, begin - _RECORD.size):
                     self._problems.append("the checksum of the data section does not match")
                 return
             yield opcode, begin, end
@@ -181,53 +181,48 @@ class _Scan:
         is damaged, or left out; of a damaged file, read the channels in it, as the chunk with the
         record of a channel may be lost.
         """
-        footer = len(self._data) - len(MAGIC) - 20
-        head = self._data[max(0, footer - len(_FOOTER)) : footer]
-        if head != _FOOTER or not self._data.endswith(MAGIC):
+        footer = len(self._data) - len(MAGIC) - _FOOTER.size
+        head = self._data[max(0, footer - _RECORD.size) : max(0, footer)]
+        if head != _FOOTER_HEAD or not self._data.endswith(MAGIC):
             self._problems.append("the file breaks off: the index at its end is missing")
             return None
-        index = self._number(footer, 8)
-        if index == 0 and self._records.foreign:
+        index, _, _ = _FOOTER.unpack_from(self._data, footer)
+        if index == 0 and self._is_foreign:
             return None
-        if index > footer or not self._matches(index, footer + 16):
+        if index > footer or not self._matches(index, footer + _FOOTER.size - _CHECKSUM.size):
             self._problems.append("the index at the end of the file is damaged")
             return None
         expected = None
-        for opcode, begin, end in records(self._data, index) if index else ():
+        for opcode, begin, end in records(self._data, index):
             self._require_time()
-            if opcode == Opcode.STATISTICS:
-                expected = self._number(begin, 8)
-            elif self._problems:
-                with suppress(Exception):  # errors of UTF-8 and MCAP
-                    self._know(opcode, self._data[begin:end])
+            contents = self._data[begin:end]
+            with suppress(Exception):  # errors of UTF-8 and MCAP
+                if opcode == Opcode.STATISTICS:
+                    expected = Statistics.read(ReadDataStream(BytesIO(contents))).message_count
+                elif self._problems:
+                    self._know(opcode, contents)
         return expected
 
     def _search(self) -> None:
-        """Find further records anywhere in the file, by bytes that records of their kind
-        contain.
-        """
-        for opcode, mark, away in _MARKS:
+        """Find further chunks and attachments anywhere in the file; most bytes that look like one
+        are none."""
+        kinds = (
+            (Opcode.CHUNK, _ZSTD, -_CHUNK_TIMES_AND_SIZE.size),
+            (Opcode.ATTACHMENT, _SMALL_ATTACHMENT, _RECORD.size),
+        )
+        for opcode, mark, from_mark_to_contents in kinds:
             for match in mark.finditer(self._data):
                 self._require_time()
-                begin = match.start() + away
-                if begin > 0 and begin not in self._records.by_offset:
-                    # mostly bytes that only look like a record
-                    self._verify(opcode, begin, self._end(opcode, begin))
+                begin = match.start() + from_mark_to_contents
+                if begin > 0 and begin not in self._by_offset:
+                    self._verify(opcode, begin)
 
-    def _end(self, opcode: int, begin: int) -> int:
-        """Return where a chunk or an attachment ends, by the lengths of its parts, as the length in
-        its head may be damaged."""
-        if opcode == Opcode.CHUNK:
-            packed = begin + _CHUNK_HEAD
-            return packed + self._number(packed - 8, 8)
-        name = begin + 20  # after two times and a length
-        media_type = name + self._number(name - 4) + 4
-        data = media_type + self._number(media_type - 4) + 8
-        return data + self._number(data - 8, 8) + 4
-
-    def _verify(self, opcode: int, begin: int, end: int) -> str:
-        """Decode and keep a record; return the reason if that fails, else ""."""
+    def _verify(self, opcode: int, begin: int, end: int | None = None) -> str:
+        """Decode and keep a record; return the reason if that fails, else "". Without `end`, where
+        a chunk or an attachment ends follows from the lengths of its parts."""
         try:
+            if end is None:
+                end = self._end(opcode, begin)
             self._keep(opcode, begin, self._data[begin:end])
         except LogError:
             raise
@@ -236,28 +231,33 @@ class _Scan:
             return message.splitlines()[0] if message else type(error).__name__
         return ""
 
+    def _end(self, opcode: int, begin: int) -> int:
+        """Return where a zstd chunk or an attachment ends."""
+        if opcode == Opcode.CHUNK:
+            *_, packed = _CHUNK.unpack_from(self._data, begin)
+            return begin + _CHUNK.size + packed
+        end = begin + _TIMES.size
+        for part in (_LENGTH, _LENGTH, _LONG_LENGTH):  # of the name, the media type and the data
+            (length,) = part.unpack_from(self._data, end)
+            end += part.size + length
+        return end + _CHECKSUM.size
+
     def _keep(self, opcode: int, begin: int, contents: bytes) -> None:
-        if len(contents) > CHUNK_MAX and opcode not in (Opcode.CHUNK, Opcode.ATTACHMENT):
-            raise ValueError(f"it has {len(contents)} bytes")
         stream = ReadDataStream(BytesIO(contents))
         if opcode == Opcode.CHUNK:
-            data = unpack(Chunk.read(stream), self._records.foreign)
-            self._records.by_offset[begin] = self._inside(data)
+            data = unpack(Chunk.read(stream), self._is_foreign)
+            self._by_offset[begin] = self._inside(data)
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
-            crc = begin + stream.count - 4
-            if not self._matches(begin, crc):
+            if not self._matches(begin, begin + stream.count - _CHECKSUM.size):
                 raise ValueError("the attachment's checksum does not match")
             self._spend(stream.count)
-            self._records.by_offset[begin] = attachment
-        elif opcode == Opcode.METADATA:
-            self._spend(len(contents) + 256)
-            self._records.metadata.append(Metadata.read(stream))
+            self._by_offset[begin] = attachment
         elif opcode == Opcode.HEADER:
-            self._records.library = printable(Header.read(stream).library, 200)
-            self._records.foreign = not self._records.library.startswith(WRITER)
-        elif opcode in _IN_CHUNKS or opcode > max(Opcode):
-            self._records.strange.add(opcode)
+            self._library = printable(Header.read(stream).library, 200)
+            self._is_foreign = not self._library.startswith(WRITER)
+        elif opcode == Opcode.MESSAGE:
+            self._has_loose_messages = True
 
     def _inside(self, data: bytes) -> list[RawMessage]:
         """Return the messages of an unpacked chunk; its schemas and channels are kept.
@@ -281,33 +281,25 @@ class _Scan:
         return messages
 
     def _know(self, opcode: int, contents: bytes) -> None:
+        """Keep the record of a channel or of a schema."""
         if opcode == Opcode.CHANNEL:
             channel = Channel.read(ReadDataStream(BytesIO(contents)))
-            self._records.channels[channel.id] = channel
+            self._channels[channel.id] = channel
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(contents)))
-            self._records.schemas[schema.id] = schema
-
-    def _require_time(self) -> None:
-        if time.thread_time() > self._until_s:
-            raise too_much(self._path, "very many records, or very many damaged ones")
-
-    def _spend(self, size: int) -> None:
-        self._records.size += size
-        if self._records.size > file_limit():
-            raise too_much(self._path, "very many bytes or messages in its chunks")
+            self._schemas[schema.id] = schema
 
     def _collected(self) -> RawLog:
         """Return the records found, in file order. The topic of each channel is that which its
         record states and, for records that are lost, that of the format for its number, unless a
         record that is left contradicts it.
         """
-        topics = {number: channel.topic for number, channel in self._records.channels.items()}
+        topics = {number: channel.topic for number, channel in self._channels.items()}
         if all(_TOPICS.get(number, topic) == topic for number, topic in topics.items()):
             topics = _TOPICS | topics
         in_order: list[Entry | Attachment] = []
         chunks = 0
-        for _, record in sorted(self._records.by_offset.items(), key=lambda item: item[0]):
+        for _, record in sorted(self._by_offset.items(), key=lambda item: item[0]):
             if isinstance(record, Attachment):
                 in_order.append(record)
                 continue
@@ -324,25 +316,30 @@ class _Scan:
             chunks=chunks,
             problems=self._problems,
             channels={
-                channel.topic: (channel, self._records.schemas.get(channel.schema_id))
-                for channel in self._records.channels.values()
+                channel.topic: (channel, self._schemas.get(channel.schema_id))
+                for channel in self._channels.values()
             },
-            library=self._records.library,
-            metadata=self._records.metadata,
-            strange=frozenset(self._records.strange),
+            library=self._library,
+            has_loose_messages=self._has_loose_messages,
         )
-
-    def _number(self, begin: int, size: int = 4) -> int:
-        return int.from_bytes(self._data[begin : begin + size], "little")
 
     def _matches(self, begin: int, end: int) -> bool:
         """Return whether the checksum at `end` is that of the bytes before it."""
-        stated = self._number(end)
-        return stated == self._crc(begin, end) or (self._records.foreign and stated == UNSTATED)
+        (stated,) = _CHECKSUM.unpack_from(self._data, end)
+        return stated == self._crc(begin, end) or (self._is_foreign and stated == UNSTATED)
 
     def _crc(self, begin: int, end: int) -> int:
         with memoryview(self._data) as view:
             return zlib.crc32(view[begin:end])
+
+    def _require_time(self) -> None:
+        if time.thread_time() > self._until_s:
+            raise too_much(self._path, "very many records, or very many damaged ones")
+
+    def _spend(self, size: int) -> None:
+        self._kept_bytes += size
+        if self._kept_bytes > file_limit():
+            raise too_much(self._path, "very many bytes or messages in its chunks")
 
 
 def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:

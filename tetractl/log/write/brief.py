@@ -78,7 +78,7 @@ class BriefLog(Encoder):
     def on_stop(self, stop: Command, result: Result) -> None:
         """Keep the end of the trial."""
         super().on_stop(stop, result)
-        self._end_ns = self._trial.start_ns + stop.sent_ns
+        self._end_ns = self._start.start_unix_ns + stop.sent_ns
 
     def save(self, path: Path) -> None:
         """Write the brief log of a trial that has ended; LogError if that fails. Nothing waits for

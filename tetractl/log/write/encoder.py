@@ -15,7 +15,6 @@ simulation are collected until their chunk ends, those of a lab are added as the
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from google.protobuf.message import Message
@@ -31,7 +30,7 @@ from tetractl.log.format.channels import Entry
 from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import encode_facts, encode_result, encode_run
 from tetractl.log.format.scene import Scene, encode_note
-from tetractl.log.format.tetractl_pb2 import Host, HostEnd
+from tetractl.log.format.tetractl_pb2 import Host, HostEnd, StepTiming
 
 CHUNK_NS = 2 * SECOND
 """Length of a simulation's chunks [ns of trial time], so that a repeated simulation has the same
@@ -63,57 +62,6 @@ class RecordSink(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class _Grouping:
-    """How camera frames are divided into messages: frames of a message, and frames for each that is
-    shown by transforms. In the lab each frame is a message and is shown.
-    """
-
-    per_message: int = 1
-    per_shown: int = 1
-
-    @classmethod
-    def of(cls, start: Start) -> "_Grouping":
-        """Return the grouping for a trial's plant."""
-        if not start.plant.simulated:
-            return cls()
-        return cls(
-            per_message=max(1, MESSAGE_POSES_MAX // len(start.setup.names)),
-            per_shown=max(1, round(start.plant.camera_rate_hz / SHOWN_HZ)),
-        )
-
-    def messages(self, frames: Frames) -> list[Frames]:
-        """Return the frames of each message."""
-        begins = range(0, len(frames.numbers), self.per_message)
-        return [frames.part(slice(begin, begin + self.per_message)) for begin in begins]
-
-    def shown(self, message: Frames) -> Frames:
-        """Return the frames of a message that are shown, of which the last is its last frame."""
-        if self.per_shown == 1:
-            return message
-        first = (len(message.numbers) - 1) % self.per_shown
-        return message.part(slice(first, None, self.per_shown))
-
-
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """What the start of a trial determines for all its messages."""
-
-    start: Start
-    scene: Scene
-    grouping: _Grouping
-
-    @property
-    def names(self) -> Sequence[str]:
-        """The robots' names."""
-        return self.start.setup.names
-
-    @property
-    def start_ns(self) -> int:
-        """When the trial began [Unix ns]."""
-        return self.start.start_unix_ns
-
-
 class Encoder:
     """An observer that adds the records of one trial to a sink; without the host records, which
     differ from run to run, if not `hosted`.
@@ -127,21 +75,24 @@ class Encoder:
         self._sink = sink
         self._real_time = real_time
         self._hosted = hosted
+        self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
         self._waiting: list[Sample] = []  # frames of a simulation's open chunk
         self._flushed_ns = 0  # trial time at which the open chunk began
         self._next_plan_ns = 0  # trial time from which the next plan is shown
         self.warnings = 0
 
-    @property
-    def _chunk_ns(self) -> int:
-        return LAB_CHUNK_NS if self._real_time else CHUNK_NS
-
     def on_start(self, start: Start) -> None:
         """Add what identifies the trial, specs, static scene and the message on the start."""
         setup = start.setup
-        scene = Scene(setup, exact=not start.plant.simulated)
-        self._trial = _Trial(start, scene, _Grouping.of(start))
+        self._start = start
+        self._scene = Scene(setup, exact=not start.plant.simulated)
         self._tracked = b"\1" * len(setup.names)  # which robots were tracked in the last frame
+        # in the lab each frame is a message and is shown by transforms
+        self._frames_per_message = 1
+        self._frames_per_shown = 1
+        if start.plant.simulated:
+            self._frames_per_message = max(1, MESSAGE_POSES_MAX // len(setup.names))
+            self._frames_per_shown = max(1, round(start.plant.camera_rate_hz / SHOWN_HZ))
         self._add(channels.RUN, encode_run(start), 0)
         if self._hosted:
             facts = provenance.host_facts(start.packages)
@@ -153,7 +104,7 @@ class Encoder:
         self._attach(channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(setup))
         if self._hosted:  # last, for it may be long, and a log cut off here can still be read
             self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
-        self._add(channels.SCENE, scene.static(self._trial.start_ns), 0)
+        self._add(channels.SCENE, self._scene.static(start.start_unix_ns), 0)
         self._say(0, "info", f"trial {start.trial} of {setup.name} starts")
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
@@ -181,13 +132,19 @@ class Encoder:
         """
         if not self._waiting:
             return
-        trial = self._trial
-        waiting = Frames.of(self._waiting, len(trial.names))
+        waiting = Frames.of(self._waiting, len(self._start.setup.names))
         self._waiting = []
-        messages = trial.grouping.messages(waiting)
-        to_show = [trial.grouping.shown(message) for message in messages]
+        count = self._frames_per_message
+        begins = range(0, len(waiting.numbers), count)
+        messages = [waiting.part(slice(begin, begin + count)) for begin in begins]
+        # the last frame of a message is shown
+        every = self._frames_per_shown
+        to_show = [
+            message.part(slice((len(message.numbers) - 1) % every, None, every))
+            for message in messages
+        ]
         # of all messages at once, which takes little longer than of one frame
-        transforms = trial.scene.transforms(to_show, trial.start_ns)
+        transforms = self._scene.transforms(to_show, self._start.start_unix_ns)
         for message, thinned, transform in zip(messages, to_show, transforms, strict=True):
             last_received_ns = int(message.received_ns[-1])
             last_sampled_ns = int(message.sampled_ns[-1])
@@ -215,10 +172,11 @@ class Encoder:
         if sent_ns >= self._next_plan_ns:
             self._next_plan_ns = sent_ns + PLAN_SHOWN_NS
             path = codec.drawn(step.plan.path)
-            plan = self._trial.scene.plan(path, self._trial.start_ns + sent_ns)
+            plan = self._scene.plan(path, self._start.start_unix_ns + sent_ns)
             self._add_bytes(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
-        self._add(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
-        for text in undelivered_texts(self._trial.names, step):
+        timing = StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
+        self._add(channels.HOST_TIMING, timing, sent_ns)
+        for text in undelivered_texts(self._start.setup.names, step):
             self._say(sent_ns, "warning", text)
         self._end_chunk(sent_ns)
 
@@ -239,8 +197,8 @@ class Encoder:
                 ended=provenance.now(),
             )
             self._add(channels.HOST_END, end, t_ns)
-        self._add(channels.RUN, encode_run(self._trial.start), t_ns)
-        stated = encode_result(result, self._trial.start.setup.unit, warnings)
+        self._add(channels.RUN, encode_run(self._start), t_ns)
+        stated = encode_result(result, self._start.setup.unit, warnings)
         self._add(channels.RESULT, stated, t_ns)
 
     def _tell_tracking(self, observation: Observation) -> None:
@@ -248,7 +206,7 @@ class Encoder:
         tracked = observation.valid.tobytes()
         if tracked == self._tracked:
             return
-        for level, text in tracking_texts(self._trial.names, self._tracked, tracked):
+        for level, text in tracking_texts(self._start.setup.names, self._tracked, tracked):
             self._say(observation.received_ns, level, text)
         self._tracked = tracked
 
@@ -262,11 +220,11 @@ class Encoder:
     def _say(self, t_ns: int, level: str, text: str) -> None:
         if level in ("warning", "error"):
             self.warnings += 1
-        message = encode_note(Note(t_ns, level, text), self._trial.start_ns)
+        message = encode_note(Note(t_ns, level, text), self._start.start_unix_ns)
         self._add(channels.LOG, message, t_ns)
 
     def _attach(self, name: str, media_type: str, text: str) -> None:
-        self._sink.attachment(name, media_type, self._trial.start_ns, text.encode())
+        self._sink.attachment(name, media_type, self._start.start_unix_ns, text.encode())
 
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
@@ -276,7 +234,7 @@ class Encoder:
 
     def _add_bytes(self, topic: str, data: bytes, log_ns: int, publish_ns: int) -> None:
         """Add a message with times of the trial [ns]."""
-        begin_ns = self._trial.start_ns
+        begin_ns = self._start.start_unix_ns
         self._sink.messages([Entry(topic, begin_ns + log_ns, begin_ns + publish_ns, data)])
 
 

@@ -283,22 +283,6 @@ def test_a_log_of_another_format_is_refused(tmp_path, log):
         read_trial(newer)
 
 
-@pytest.mark.parametrize("version", ["1", "2"])
-def test_a_log_of_the_first_formats_is_named(tmp_path, version):
-    """Regression: it was "an MCAP file, but not a log of tetractl"."""
-    path = tmp_path / "old.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start(library="tetractl 0.1.0")
-        writer.add_metadata("tetractl.run", {"format_version": version})
-        writer.add_metadata("tetractl.host", {"tetractl": "0.1.0", "git_commit": "e47a2adaa665ea"})
-        writer.finish()
-    said = rf"is in format {version}, not 4; read it .* tetractl 0.1.0, git commit e47a2adaa665$"
-    for read in (read_trial, read_result, overview):
-        with pytest.raises(LogError, match=said):
-            read(path)
-
-
 def test_a_log_that_was_written_again_without_chunks_is_told(log, tmp_path):
     """Regression: it was "not a log of tetractl in format 4"."""
     again = rewritten(log, tmp_path / "again.mcap", use_chunking=False)

@@ -31,10 +31,11 @@ from tetractl.log.read.reader import read_result
 pytestmark = pytest.mark.long
 
 NAMES = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGRTMIN"]
+MODULES = ["numba", "typer", "pydantic", "tetractl.run.task"]
 LINUX = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
 
 
-@pytest.mark.parametrize("name", first_of(NAMES))
+@pytest.mark.parametrize("name", first_of(NAMES, also=["SIGTERM"]))
 def test_every_signal_finishes_the_step_and_the_log(tmp_path, name):
     with Running(tmp_path, ENDLESS) as running:
         running.until_logging(1, size=30_000)
@@ -60,7 +61,7 @@ def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path,
         assert lines[-1] == "interrupted; continue with the same command and --out logs --resume"
 
 
-@pytest.mark.parametrize("module", first_of(["numba", "typer", "pydantic", "tetractl.run.task"]))
+@pytest.mark.parametrize("module", first_of(MODULES, also=["tetractl.run.task"]))
 @pytest.mark.parametrize("number", first_of([signal.SIGINT, signal.SIGHUP]))
 def test_a_signal_during_an_import_is_one_line(tmp_path, module, number):
     """Sent once, after the first part of the module; importtime writes a line after each."""
@@ -236,9 +237,14 @@ ENDING = {  # every command that ends by itself and needs no lab, and its exit c
     "identify logs": 0,
     "lab stop --port nowhere": 1,
 }
+OF_THREADS = (  # what is done beside the writing; the others write as `stats` does
+    "run spec.yaml --out new --jobs 2",
+    f"replay {LOG} --rate 100",
+    "study study.yaml --out arms --jobs 2",
+)
 
 
-@pytest.mark.parametrize("words", first_of(ENDING))
+@pytest.mark.parametrize("words", first_of(ENDING, also=OF_THREADS))
 def test_every_command_ends_though_nobody_reads_it(files, tmp_path, words):
     """Regression: `python -m tetractl stats`, unread, waited for ever for a thread that had ended.
 

@@ -36,10 +36,14 @@ HEAVY = ENDLESS.replace("horizon_max: 6", "horizon_max: 2000").replace(
 )
 
 
-def first_of(values):
-    """Parameters of a test of processes: `make test` runs the first, `make test-all` the rest."""
+def first_of(values, also=()):
+    """Parameters of a test of processes: `make test` runs the first, `make test-ci` the rest; of
+    those, if another test finds what they would, only what is `also` named."""
     first, *rest = values
-    return [first, *(pytest.param(value, marks=pytest.mark.system) for value in rest)]
+    later = [pytest.mark.system, *([pytest.mark.release] if also else [])]
+    marks = [[pytest.mark.system] if value in also else later for value in rest]
+    pairs = zip(rest, marks, strict=True)
+    return [first, *(pytest.param(value, marks=marks) for value, marks in pairs)]
 
 
 def take_signals():

@@ -154,9 +154,10 @@ def test_an_action_of_another_shape_is_refused_in_one_line(action):
         env.step(action)
 
 
-def test_an_option_that_a_reset_does_not_have_is_refused():
-    with pytest.raises(UsageError, match="no option 'trail'"):
-        TrialEnv(SPEC).reset(seed=1, options={"trail": 3})
+@pytest.mark.parametrize("option", ["trail", "seed"])
+def test_an_option_that_a_reset_does_not_have_is_refused(option):
+    with pytest.raises(UsageError, match=f"no option '{option}'"):
+        TrialEnv(SPEC).reset(seed=1, options={option: 3})
 
 
 def test_an_obstacle_counts_as_the_greatest_error():

@@ -15,10 +15,15 @@ LATE_S = 0.05  # half of the shortest tolerance: an emulator as late as that spo
 AGAIN = ("no_server", "radio_unplugged", "stream_stops")  # in both, over sockets and ports
 SIGNALS = ("asleep", "ctrl_c", "hung_up", "killed", "quit", "terminated")
 PROCESS = ("disk_full", "second_run", *SIGNALS, *AGAIN)
-CHOSEN = [path for path in SCRIPTS if path.stem in PROCESS or camera_of(path) == "apriltag"]
+LIKE_CTRL_C = ("hung_up", "quit", "terminated")  # in virtual time, and at `tetractl run` alone
+CHOSEN = [
+    pytest.param(path, id=path.stem, marks=pytest.mark.release if path.stem in LIKE_CTRL_C else ())
+    for path in SCRIPTS
+    if path.stem in PROCESS or camera_of(path) == "apriltag"
+]
 
 
-@pytest.mark.parametrize("path", CHOSEN, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", CHOSEN)
 def test_fault(path, tmp_path):
     script = load_script(path, camera_of(path))
     played = play(path, script, tmp_path)

@@ -11,7 +11,10 @@ from support.lab_processes import SMALL, Emulator
 pytestmark = pytest.mark.system
 
 
-@pytest.mark.parametrize("real", ["camera", "actuator", "both"])
+ONE = [pytest.param(real, marks=pytest.mark.release) for real in ("camera", "actuator")]
+
+
+@pytest.mark.parametrize("real", ["both", *ONE])  # one of them: in virtual time, in `plays`
 def test_each_mix_of_real_and_emulated_devices_runs_and_verifies(tmp_path, real):
     emulator = Emulator(tmp_path, SMALL)
     try:

@@ -103,20 +103,14 @@ def _loaded(registry: "Registry", kind: "Kind") -> _ListedKind:
     try:
         registry.load(kind.name)
     except (PluginError, ModuleNotFoundError) as error:
-        module = _missing_module(error)
+        cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
+        module = cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
         outside = module.partition(".")[0] not in ("", kind.code.partition(".")[0])
         if outside and kind.package in ("", *BRINGS.values()):
             return _ListedKind(registry, kind, lacks=module)
         message = error.message if isinstance(error, PluginError) else str(error)
         return _ListedKind(registry, kind, broken=message)
     return _ListedKind(registry, kind)
-
-
-def _missing_module(error: Exception) -> str:
-    """Return the name of the module for lack of which a kind cannot be loaded, "" if that is not
-    why."""
-    cause = error if isinstance(error, ModuleNotFoundError) else error.__cause__
-    return cause.name or "" if isinstance(cause, ModuleNotFoundError) else ""
 
 
 def _items(row: _ListedKind) -> dict[str, str | None]:

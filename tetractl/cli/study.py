@@ -3,7 +3,6 @@
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -88,19 +87,8 @@ def study(
     with store.opened():
         tasks, outdated = options.lacking(loaded, store, whole_logs, rerun_outdated)
         _tell_of_outdated(outdated)
-        how = _How(jobs, cluster, fail_fast, quiet)
-        interrupted = _run_tasks(loaded, store, tasks, how)
+        interrupted = _run_tasks(loaded, store, tasks, jobs, cluster, fail_fast, quiet)
         return _conclude(loaded, store, interrupted)
-
-
-@dataclass(frozen=True, slots=True)
-class _How:
-    """How the trials of a study are run: the options of these names."""
-
-    jobs: int | None
-    cluster: str | None
-    fail_fast: bool
-    quiet: bool
 
 
 def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
@@ -116,7 +104,15 @@ def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
     )
 
 
-def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", how: _How) -> bool:
+def _run_tasks(
+    loaded: "LoadedStudy",
+    store: "Store",
+    tasks: "Sequence[Task]",
+    jobs: int | None,
+    cluster: str | None,
+    fail_fast: bool,
+    quiet: bool,
+) -> bool:
     """Run trials with their progress on stderr; return whether a signal asked to stop."""
     from tetractl.run.batch import run_batch
     from tetractl.run.cluster import Cluster
@@ -126,33 +122,28 @@ def _run_tasks(loaded: "LoadedStudy", store: "Store", tasks: "Sequence[Task]", h
     from tetractl.view.terminal.progress import StudyProgress
 
     interrupt = Interrupt(notice_of_signals(STOPPING))
-    if how.cluster is None and tasks:
-        warm_up_arms(loaded, partial(ui.announce_compiling, how.quiet))
-    if how.cluster is not None:
-        chosen = Cluster(how.cluster, interrupt)
+    if cluster is not None:
+        chosen = Cluster(cluster, interrupt)
     else:
-        jobs = how.jobs or _processors()
-        chosen = nullcontext(on_this_machine(jobs, len(tasks), interrupt))
+        if tasks:
+            warm_up_arms(loaded, partial(ui.announce_compiling, quiet))
+        processors = os.cpu_count() or 1
+        if hasattr(os, "sched_getaffinity"):  # Linux only
+            processors = len(os.sched_getaffinity(0))
+        chosen = nullcontext(on_this_machine(jobs or processors, len(tasks), interrupt))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive outside of `watch`
     with chosen as executor:
-        if not how.quiet:
+        if not quiet:
             arms = len(loaded.arms)
             count = loaded.study.trials.count
             ui.tell(
                 f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of "
                 f"{arms * count} to run, {executor.workers} at a time"
             )
-        display = StudyProgress(open_console(stderr=True), len(tasks), how.quiet)
+        display = StudyProgress(open_console(stderr=True), len(tasks), quiet)
         with interrupt.watch(), display as progress:
-            run_batch(tasks, store, executor, progress, how.fail_fast)
+            run_batch(tasks, store, executor, progress, fail_fast)
     return interrupt.requested
-
-
-def _processors() -> int:
-    """Return the number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):  # Linux only
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:

@@ -2,7 +2,7 @@
 
 `run_command` is the whole of it: check the options, then in one `with` block serve the trials to
 viewers, lock the folder of logs, listen to signals and run; at the end print the statistics and how
-the run ended (`RunEnd`).
+the run ended.
 """
 
 import gc
@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from enum import Enum
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -127,8 +126,8 @@ def run_command(
     ):
         planned = _planned(store, only)
         report = _run_trials(loaded, store, planned, options, interrupt, viewers)
-        end = RunEnd.of(report, planned, interrupt.requested)
-        return _conclude(report, end, planned, folder, options.json), folder
+        code = _conclude(report, planned, interrupt.requested, folder, options.json)
+        return code, folder
 
 
 def _planned(store: "Store", only: int | None) -> list[int]:
@@ -315,28 +314,8 @@ def _in_lines(
 # ---- The end of a run ----
 
 
-class RunEnd(Enum):
-    """How a run ended: the first of these that is true."""
-
-    FAILED = "a trial has no result: its error is raised"
-    ABORTED = "a trial was aborted: exit code 1"
-    INTERRUPTED = "a signal stopped it before its last trial ended: exit code 130"
-    COMPLETE = "all else: exit code 0"
-
-    @classmethod
-    def of(cls, report: "Report", planned: list[int], stop_requested: bool) -> "RunEnd":
-        """Return how a run of the planned trials ended."""
-        if report.errors:
-            return cls.FAILED
-        if report.aborted:
-            return cls.ABORTED
-        if report.interrupted or (stop_requested and _not_run(report, planned)):
-            return cls.INTERRUPTED
-        return cls.COMPLETE
-
-
 def _conclude(
-    report: "Report", end: RunEnd, planned: list[int], folder: Path, as_json: bool
+    report: "Report", planned: list[int], stop_requested: bool, folder: Path, as_json: bool
 ) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
@@ -344,44 +323,35 @@ def _conclude(
     """
     from tetractl.run.spec_trial import log_path
 
-    if end is RunEnd.FAILED and not report.results:
-        raise _first_error(report)
+    not_run = len(planned) - len(report.results)
+    interrupted = report.interrupted or (stop_requested and not_run > 0)
+    error = next(iter(report.errors.values()), None)
+    complete = error is None and not report.aborted and not interrupted
+    if error is not None and not report.results:
+        raise error
     unwritten = None
-    not_run = _not_run(report, planned)
     if report.results or not not_run:
         unwritten = _print_statistics(folder, as_json, logs_may_lack=bool(report.aborted))
-    if unwritten is not None and end is not RunEnd.COMPLETE:  # there, it is the error of the run
+    if unwritten is not None and not complete:  # of a complete run, it is the error
         ui.tell(f"error: the statistics were not written: {unwritten.strerror or unwritten}")
     rest = f"; {not_run} trials were not run" if not_run else ""
     ui.tell(f"logs in {folder}{rest}; every figure: tetractl stats {quote(str(folder))} --full")
     for (_, trial), result in report.aborted.items():  # last: it may name robots that still move
         ui.tell(f"error: trial {trial + 1}: {result.reason}")
 
-    match end:
-        case RunEnd.FAILED:
-            raise _first_error(report)
-        case RunEnd.ABORTED:
-            return Exit.FAILED
-        case RunEnd.INTERRUPTED:
-            resume = f"--out {quote(str(folder))} --resume"
-            ui.tell(f"interrupted; continue with the same command and {resume}")
-            return Exit.INTERRUPTED
-        case RunEnd.COMPLETE:
-            first = min((trial for _, trial in report.results), default=0)
-            first_log = quote(str(log_path(folder, first)))
-            ui.tell(f"look at one with: tetractl replay {first_log}")
-            if unwritten is not None:
-                raise unwritten
-            return Exit.DONE
-
-
-def _not_run(report: "Report", planned: list[int]) -> int:
-    """Return the number of planned trials without a result."""
-    return len(planned) - len(report.results)
-
-
-def _first_error(report: "Report") -> Exception:
-    return next(iter(report.errors.values()))
+    if error is not None:
+        raise error
+    if report.aborted:
+        return Exit.FAILED
+    if interrupted:
+        resume = f"--out {quote(str(folder))} --resume"
+        ui.tell(f"interrupted; continue with the same command and {resume}")
+        return Exit.INTERRUPTED
+    first = min((trial for _, trial in report.results), default=0)
+    ui.tell(f"look at one with: tetractl replay {quote(str(log_path(folder, first)))}")
+    if unwritten is not None:
+        raise unwritten
+    return Exit.DONE
 
 
 def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSError | None:

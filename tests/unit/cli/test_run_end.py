@@ -6,14 +6,13 @@ from pathlib import Path
 from support.batches import result
 
 from tetractl.cli import trials
-from tetractl.cli.trials import RunEnd
 from tetractl.core.errors import Exit
 from tetractl.run.batch import Report
 
 
 def end_interrupted(folder, report):
     """End a run of two trials that was interrupted."""
-    return trials._conclude(report, RunEnd.INTERRUPTED, [0, 1], Path(folder), as_json=False)
+    return trials._conclude(report, [0, 1], True, Path(folder), as_json=False)
 
 
 def test_a_folder_with_a_blank_is_quoted_in_the_command_that_continues(capsys):

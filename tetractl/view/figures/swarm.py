@@ -55,7 +55,10 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
         style.panel(axes, letter, title, "signal $u_1$ [rad]")
     panels[0].set_ylabel("signal $u_2$ [rad]")
     _course(panels[-1], history)
-    bar = figure.colorbar(shades[0], ax=panels.tolist(), pad=0.01, aspect=30, format=_three_digits)
+    bar = figure.colorbar(
+        shades[0], ax=panels.tolist(), pad=0.01, aspect=30,
+        format=lambda cost, _: f"{float(f'{cost:.3g}'):g}",
+    )  # fmt: skip
     bar.set_label(f"$J$ over $u_1$ and $u_2$ [{unit}]")
     bar.ax.spines["outline"].set_visible(False)
     _legend(figure, history, log.steps[0].plan.search.length)
@@ -68,11 +71,6 @@ def _course(axes: Axes, history: SwarmHistory) -> None:
     axes.plot(u_1, u_2, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(u_1, u_2, "o", color=style.INK, ms=1.8, zorder=3, gid="course")
     _dots(axes, history.path_best, style.INK, 6, mew=0.6, marker="D", zorder=4)
-
-
-def _three_digits(cost: float, _: int) -> str:
-    rounded = float(f"{cost:.3g}")
-    return f"{rounded:g}"
 
 
 def _legend(figure: Figure, history: SwarmHistory, signals: int) -> None:

@@ -102,7 +102,9 @@ def report(
     contents = _read(paths, progress)
     groups = contents.groups
     first = contents.first
-    name = title or _title(paths, groups)
+    experiments = dict.fromkeys(group.experiment.name for group in groups)
+    of_study = len(paths) == 1 and len(groups) > 1
+    name = title or (paths[0].resolve().name if of_study else ", ".join(experiments))
     compared = contrast(groups)
     errors = "".join(contents.errors)
     parts = [
@@ -225,13 +227,6 @@ def _batches(
 
 
 # ---- Parts of the page ----
-
-
-def _title(paths: Sequence[Path], groups: Sequence[BatchStatistics]) -> str:
-    """Return the name of a study from its folder, or the names of the experiments."""
-    if len(paths) == 1 and len(groups) > 1:
-        return paths[0].resolve().name
-    return ", ".join(dict.fromkeys(group.experiment.name for group in groups))
 
 
 def _page(title: str, body: str, with_player: bool) -> str:

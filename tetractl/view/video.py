@@ -257,41 +257,29 @@ class _Scene:
         axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
         visible = BODY_LEAST * max(arena.width, arena.height)
         self._half_length = max(setup.wheel_radius or 0.0, visible)
-        self._robots = [_RobotArtists.on(axes, color) for color in colors]
-
-    @property
-    def artists(self) -> list[Artist]:
-        """What moves, in order of depth."""
-        return [part for robot in self._robots for part in (robot.plan, robot.trail, robot.body)]
+        self._plans: list[Line2D] = []
+        self._trails: list[Line2D] = []
+        self._bodies: list[Polygon] = []
+        self.artists: list[Artist] = []  # what moves, in order of depth
+        for color in colors:
+            (plan,) = axes.plot([], [], ".", color=color, ms=2.5, mew=0)
+            (trail,) = axes.plot([], [], color=color, lw=1.3)
+            body = Polygon(np.zeros((4, 2)), fc=color, ec="white", lw=0.6)
+            axes.add_patch(body)
+            self._plans.append(plan)
+            self._trails.append(trail)
+            self._bodies.append(body)
+            self.artists += [plan, trail, body]
 
     def show(self, moment: Moment) -> None:
         """Move the robots to where they are at a moment."""
         step = _followed(moment)
         trail = moment.trail[:: max(1, len(moment.trail) // TRAIL_POINTS)]
-        for number, robot in enumerate(self._robots):
-            x, y, heading = moment.poses[number]
-            robot.plan.set_data(*(step.plan.path[:, number, :2].T if step else ([], [])))
-            robot.trail.set_data(*np.vstack([trail[:, number], [x, y]]).T)
+        for robot, (x, y, heading) in enumerate(moment.poses):
+            self._plans[robot].set_data(*(step.plan.path[:, robot, :2].T if step else ([], [])))
+            self._trails[robot].set_data(*np.vstack([trail[:, robot], [x, y]]).T)
             corners = self._half_length * WEDGE * np.exp(1j * heading)
-            robot.body.set_xy(np.column_stack([x + corners.real, y + corners.imag]))
-
-
-@dataclass(frozen=True, slots=True)
-class _RobotArtists:
-    """What is drawn of one robot."""
-
-    plan: Line2D
-    trail: Line2D
-    body: Polygon
-
-    @classmethod
-    def on(cls, axes: Axes, color: str) -> "_RobotArtists":
-        """Return the parts of a robot of a colour, without a place yet."""
-        (plan,) = axes.plot([], [], ".", color=color, ms=2.5, mew=0)
-        (trail,) = axes.plot([], [], color=color, lw=1.3)
-        body = Polygon(np.zeros((4, 2)), fc=color, ec="white", lw=0.6)
-        axes.add_patch(body)
-        return cls(plan, trail, body)
+            self._bodies[robot].set_xy(np.column_stack([x + corners.real, y + corners.imag]))
 
 
 class _ErrorCurve:

@@ -156,22 +156,22 @@ def _of_trial(log: TrialLog) -> Figure:
     # only the names show the last values, which are the result's
     gaps = np.vstack([gaps, ends])
     show = lengths(float(ends.sum()))
-    figure, [panels] = _panels([setup], 1.9, 1.6, end_s(log))
+    figure, [[of_total, of_robots]] = _panels([setup], 1.9, 1.6, end_s(log))
     name = f"{show(ends.sum())} {unit}"
     total = [Curve(gaps.sum(axis=1), style.WHOLE, name, "total", width=1.4)]
     robots = robot_curves(setup, gaps, show=show)
-    _draw_from_zero(panels.total, time_s, total, gaps.sum(axis=1))
-    _draw_from_zero(panels.robots, time_s, robots, gaps)
+    _draw_from_zero(of_total, time_s, total, gaps.sum(axis=1))
+    _draw_from_zero(of_robots, time_s, robots, gaps)
     tolerance = log.experiment.controller.arrival_tolerance
     if tolerance:
         label = f"arrival within {tolerance:g} {unit}"
-        panels.robots.axhline(tolerance, **style.LIMIT, label=label)
-    _mark_steps(panels.robots, log)
-    panels.total.set_title("(a) total error, the sum over the robots", loc="left")
-    panels.robots.set_title("(b) distance of each robot to its target", loc="left")
-    style.legend(figure, panels.robots.get_legend_handles_labels()[0])
-    name_curves(panels.total, total)
-    name_curves(panels.robots, robots)
+        of_robots.axhline(tolerance, **style.LIMIT, label=label)
+    _mark_steps(of_robots, log)
+    of_total.set_title("(a) total error, the sum over the robots", loc="left")
+    of_robots.set_title("(b) distance of each robot to its target", loc="left")
+    style.legend(figure, of_robots.get_legend_handles_labels()[0])
+    name_curves(of_total, total)
+    name_curves(of_robots, robots)
     return figure
 
 
@@ -197,66 +197,62 @@ def _of_trials(logs: Sequence[TrialLog]) -> Figure:
     setups = [of_arm[0].start.setup for of_arm in arms.values()]
     figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
     signs: dict[str, Artist] = {}
-    drawn: list[_ArmCurves] = []
+    to_name: dict[Axes, list[Curve]] = {}
     letters = iter("abcdefghijklmnopqrstuvwxyz")
-    for (name, of_arm), of_panels in zip(arms.items(), panels, strict=True):
-        curves = _arm_errors(of_arm, time_s, of_panels)
-        drawn.append(curves)
-        signs |= {str(sign.get_label()): sign for sign in curves.signs}
+    for (name, of_arm), (of_total, of_robots) in zip(arms.items(), panels, strict=True):
+        to_name |= _draw_errors(of_total, of_robots, of_arm, time_s)
+        signs |= {str(sign.get_label()): sign for sign in _draw_signs(of_total, of_arm)}
         start = f"{name}: " if name else ""
         trials = f"{len(of_arm)} {plural('trial', len(of_arm))}"
         total = f"total error of {trials}, the sum over the robots"
         robots = "distance of each robot to its target, median of the trials"
-        of_panels.total.set_title(f"({next(letters)}) {start}{total}", loc="left")
-        of_panels.robots.set_title(f"({next(letters)}) {start}{robots}", loc="left")
-        of_panels.total.set_ylim(bottom=0)
-        of_panels.robots.set_ylim(bottom=0)
+        of_total.set_title(f"({next(letters)}) {start}{total}", loc="left")
+        of_robots.set_title(f"({next(letters)}) {start}{robots}", loc="left")
+        of_total.set_ylim(bottom=0)
+        of_robots.set_ylim(bottom=0)
     style.legend(figure, list(signs.values()), 5)
-    for curves, of_panels in zip(drawn, panels, strict=True):  # the limits are set
-        name_curves(of_panels.total, curves.total)
-        name_curves(of_panels.robots, curves.robots)
+    for axes, curves in to_name.items():  # the limits are set
+        name_curves(axes, curves)
     return figure
 
 
-@dataclass(frozen=True, slots=True)
-class _ArmCurves:
-    """The medians that were drawn of a folder's trials: of the total error, and of the robots'
-    errors; and signs of the legend."""
-
-    total: list[Curve]
-    robots: list[Curve]
-    signs: list[Artist]
-
-
-def _arm_errors(logs: Sequence[TrialLog], time_s: Floats, panels: "_Panels") -> _ArmCurves:
-    """Draw the errors of one folder's trials."""
+def _draw_errors(
+    of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time_s: Floats
+) -> dict[Axes, list[Curve]]:
+    """Draw the errors of one folder's trials, and return the medians in each axes."""
     setup = logs[0].start.setup
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, M, N)
     completed = np.array([not unfinished(log) for log in logs])
     counted = errors[completed] if completed.any() else errors
     for values, complete in zip(errors.sum(axis=2), completed, strict=True):
         color = style.GREY if complete else style.ALARM
-        panels.total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
+        of_total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
     middle, band = _quartiles(counted.sum(axis=2))
     name = f"median {middle[-1]:.3g} {unit_of(setup.unit)}"
     median = [Curve(middle, style.WHOLE, name, "median", band, "median", 1.5)]
-    draw_curves(panels.total, time_s, median)
+    draw_curves(of_total, time_s, median)
     medians, bands = _quartiles(counted)
     robots = robot_curves(setup, medians, bands, "{:.3g}".format)
-    draw_curves(panels.robots, time_s, robots)
+    draw_curves(of_robots, time_s, robots)
+    return {of_total: median, of_robots: robots}
+
+
+def _draw_signs(of_total: Axes, logs: Sequence[TrialLog]) -> list[Artist]:
+    """Draw the published mean, if there is one, and return the signs of the legend."""
     signs: list[Artist] = [
         style.sign("one trial", ls="-", lw=0.5),
-        *panels.total.get_legend_handles_labels()[0],
+        *of_total.get_legend_handles_labels()[0],
         Patch(color=style.WHOLE, alpha=0.25, lw=0, label="middle half of the trials"),
     ]
-    if not completed.all():
-        label = f"{(~completed).sum()} of {len(logs)} did not run to their end"
+    incomplete = [log for log in logs if unfinished(log)]
+    if incomplete:
+        label = f"{len(incomplete)} of {len(logs)} did not run to their end"
         signs.append(style.sign(label, color=style.ALARM, ls="-", lw=0.5))
     reference = logs[0].experiment.reference
     if reference:
         label = "published mean at the end"
-        signs.append(panels.total.axhline(reference.mean, **style.LIMIT, label=label))
-    return _ArmCurves(median, robots, signs)
+        signs.append(of_total.axhline(reference.mean, **style.LIMIT, label=label))
+    return signs
 
 
 def _quartiles(values: Floats) -> tuple[Floats, Floats]:
@@ -265,19 +261,11 @@ def _quartiles(values: Floats) -> tuple[Floats, Floats]:
     return middle, np.stack([low, high])
 
 
-@dataclass(frozen=True, slots=True)
-class _Panels:
-    """The axes of a batch: for the total error and, below, for the robots' errors."""
-
-    total: Axes
-    robots: Axes
-
-
 def _panels(
     setups: Sequence[Setup], total_in: float, least_in: float, end_s: float
-) -> tuple[Figure, list[_Panels]]:
-    """Return a figure with two axes for each batch, all from 0 to `end_s` [s] and of the same
-    scale.
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure and its axes (batches, 2), for the total error and, below, for the robots'
+    errors, all from 0 to `end_s` [s] and of the same scale.
     """
     robots_in = max(least_in, *(NAME_IN * len(setup.names) for setup in setups))
     figure = style.figure(style.PAGE_IN, (total_in + robots_in) * len(setups))
@@ -287,8 +275,7 @@ def _panels(
         axes.sharey(places[index % 2])
         axes.set(ylabel=f"error [{unit_of(setups[0].unit)}]", xlim=(0, end_s))
     places[-1].set_xlabel(SINCE)
-    pairs = zip(places[::2], places[1::2], strict=True)
-    return figure, [_Panels(total, robots) for total, robots in pairs]
+    return figure, places.reshape(-1, 2)
 
 
 def _since(log: TrialLog) -> Floats:

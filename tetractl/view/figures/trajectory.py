@@ -120,7 +120,10 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     alone = len(logs) == 1
 
     heading = _heading(logs, ends)
-    figure = style.figure(WIDTH_IN, _height_in(setup.arena, heading))
+    shape = min(max(setup.arena.height / setup.arena.width, SHAPE_LEAST), SHAPE_MOST)
+    axes_in = (WIDTH_IN - BESIDE_AXES_IN) * shape
+    lines_in = LEGEND_LINE_IN * heading.lines
+    figure = style.figure(WIDTH_IN, axes_in + ABOVE_AND_BELOW_AXES_IN + lines_in)
     axes = figure.subplots()
     _name_robots(figure, heading, colors)
     draw_scene(axes, setups, colors, trails)
@@ -447,13 +450,6 @@ def _mean_and_std(errors: Floats) -> str:
         return f"{mean:.{digits}f}"
     std = float(errors.std(ddof=1))
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
-
-
-def _height_in(arena: Bounds, heading: _Heading) -> float:
-    """Return the height of the figure, whose axes have the shape of the arena."""
-    shape = min(max(arena.height / arena.width, SHAPE_LEAST), SHAPE_MOST)
-    axes_in = (WIDTH_IN - BESIDE_AXES_IN) * shape
-    return axes_in + ABOVE_AND_BELOW_AXES_IN + LEGEND_LINE_IN * heading.lines
 
 
 def _name_robots(figure: Figure, heading: _Heading, colors: list[str]) -> None:

@@ -170,7 +170,8 @@ class TourMeasure:
         self._inside = np.zeros(legs.shape[1], dtype=np.int64)
         self._frames = 0
         self._passed: list[float] = []
-        self._losses = Losses(loss, speed)
+        self.losses = Losses(loss, speed)
+        """Which robots were lost, or do not move while others drive."""
 
     def step(self, leg: int, observation: Observation) -> str:
         """Set the leg of a control step; return a message if a new leg begins, otherwise ""."""
@@ -192,7 +193,7 @@ class TourMeasure:
             observation = sample.observation
             if until_ns and observation.sampled_ns > until_ns:
                 continue
-            self._losses.see(observation)
+            self.losses.see(observation)
             if (
                 self._hold is None
                 or self._began_ns is None
@@ -212,24 +213,19 @@ class TourMeasure:
         return tuple(self._passed)
 
     @property
-    def dead(self) -> Bools:
-        """Which robots (N,) are seen and do not move while others drive."""
-        return self._losses.dead
-
-    @property
     def stood(self) -> Bools:
         """Which robots (N,) are dead and were not lost for it."""
-        return self._losses.dead & self._losses.left
+        return self.losses.dead & self.losses.left
 
     @property
     def gone(self) -> tuple[bool, ...]:
         """Whether each robot is lost at the end, (N,)."""
-        return tuple(self._losses.lost.tolist())
+        return tuple(self.losses.lost.tolist())
 
     @property
     def lost(self) -> tuple[int, ...]:
         """How often each robot was lost, (N,); empty if none ever was."""
-        times = self._losses.times
+        times = self.losses.times
         return tuple(times.tolist()) if times.any() else ()
 
     @property

@@ -70,7 +70,12 @@ class CheckedController:
             checked = _made(Plan if isinstance(decision, Plan) else End, decision)
         if isinstance(checked, Plan):
             check_plan(checked, len(self._setup.names))
-            _check_integers(checked)
+            for search in checked.searches:
+                if not 0 <= search.evaluations < 1 << 63:
+                    raise ValueError(f"a search has {search.evaluations} evaluations")
+            searched = sum(search.signals.size + search.history.size for search in checked.searches)
+            if checked.signals.size + checked.path.size + searched > NUMBERS_MAX:
+                raise ValueError("a plan has very many numbers")
             if not 0 <= checked.chosen < len(checked.searches):
                 raise ValueError(f"chosen is {checked.chosen} of {len(checked.searches)} searches")
             if not (0 <= checked.leg <= len(self._setup.legs) and 0 <= checked.generator < 1 << 64):
@@ -78,16 +83,6 @@ class CheckedController:
         if not 0 <= checked.delay_ns <= round(self._setup.period_s * SECOND):
             raise ValueError(f"delay_ns is {checked.delay_ns}, not within a control period")
         return checked
-
-
-def _check_integers(plan: Plan) -> None:
-    """Check that a log can hold the evaluations of a plan, and as many numbers as it has."""
-    for search in plan.searches:
-        if not 0 <= search.evaluations < 1 << 63:
-            raise ValueError(f"a search has {search.evaluations} evaluations")
-    searched = sum(search.signals.size + search.history.size for search in plan.searches)
-    if plan.signals.size + plan.path.size + searched > NUMBERS_MAX:
-        raise ValueError("a plan has very many numbers")
 
 
 class _FieldError(ValueError):

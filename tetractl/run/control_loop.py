@@ -414,12 +414,12 @@ class Trial:
 
     def _report_dead(self, t_ns: int) -> None:
         """Report which robots do not move while others drive, once more do so than before."""
-        dead = int(self._measure.dead.sum())
+        dead = int(self._measure.losses.dead.sum())
         if dead == self._dead:
             return
         self._dead = dead
         goes_on = "" if self._measure.stood.any() else ": the trial goes on without"
-        text = told_dead(self._start.setup.names, self._measure.dead)
+        text = told_dead(self._start.setup.names, self._measure.losses.dead)
         self._report(t_ns, text + goes_on, "warning")
 
     # ---- the end ----

@@ -88,7 +88,7 @@ class Interrupt:
         Another exception that the block then raises is taken for it: numba may turn a
         KeyboardInterrupt during an import or compilation into one.
         """
-        self.let_break()
+        self._breakable = True
         try:
             self._break()
             yield

@@ -79,7 +79,8 @@ class EmulatedLab:
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
         self.loop = make_loop(self.timeline, lambda lag: self.note("late", lag_ms=lag / 1e6))
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
-        reports = self.note, self._exposed, self.injector.sent, self._client
+        note = None if options.record is None else self.note
+        reports = note, self._exposed, self.injector.sent, self._client
         self.wires = wires or Wires()
         self._ruling = ("", "")
         stage = Stage(lab, setup, self.timeline, options, *reports, self.wires)
@@ -153,7 +154,9 @@ class EmulatedLab:
         return self.camera if type(fault) in self.camera.faults else self.actuator
 
     def note(self, event: str, **facts: Any) -> None:
-        """Record an event with its facts."""
+        """Record an event with its facts, if a record is kept."""
+        if self._options.record is None:
+            return
         if event in ("command", "truth"):
             now = self.timeline.now_ns
             facts["unseen_ms"] = [round((now - t_ns) / 1e6, 1) for t_ns in self.camera.shown_ns]
@@ -161,14 +164,15 @@ class EmulatedLab:
 
     def _exposed(self, exposure: int, frame: int) -> None:
         self.injector.exposed(exposure)
-        bodies = self.actuator.bodies
-        self.note(
-            "truth",
-            exposure=exposure,
-            frame=frame,
-            poses=[[round(b.x, 3), round(b.y, 3), round(b.heading, 5)] for b in bodies],
-            **self.actuator.truth,
-        )
+        if self._options.record is not None:
+            bodies = self.actuator.bodies
+            self.note(
+                "truth",
+                exposure=exposure,
+                frame=frame,
+                poses=[[round(b.x, 3), round(b.y, 3), round(b.heading, 5)] for b in bodies],
+                **self.actuator.truth,
+            )
 
     def _client(self, address: str) -> None:
         self.note("client", address=address)

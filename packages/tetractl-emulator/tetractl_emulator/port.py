@@ -70,12 +70,12 @@ class SerialLine:
 class SerialDevice(ABC):
     """A device that receives and answers through `port`, with the delays of its `line`.
 
-    `note(event, **facts)` records each command when it is read from the port; `garbled` is the
-    number of chunks sent at another baud rate than the device's.
+    `note(event, **facts)` records each command when it is read from the port, None if no record is
+    kept; `garbled` is the number of chunks sent at another baud rate than the device's.
     """
 
     def __init__(
-        self, timeline: Timeline, port: "PseudoPort", baud: int, note: Callable[..., None]
+        self, timeline: Timeline, port: "PseudoPort", baud: int, note: Callable[..., None] | None
     ) -> None:
         self.port = port
         self.note = note
@@ -101,7 +101,8 @@ class SerialDevice(ABC):
             self._came(data)
 
     def _came(self, data: bytes) -> None:
-        self._witness(data)
+        if self.note is not None:
+            self._witness(data)
         if self.port.baud() not in (self.line.speed, None):
             self.garbled += 1
             return
@@ -115,6 +116,7 @@ class SerialDevice(ABC):
 
     def _note_commands(self, frames: Sequence[bytes]) -> None:
         """Record the commands, or the garbage, in frames read from the port."""
+        assert self.note is not None, "nothing is witnessed without a record"
         for sealed in frames:
             try:
                 self.note("command", **self._command(sealed))
@@ -160,7 +162,7 @@ class RobotRadio(SerialDevice):
         timeline: Timeline,
         port: "PseudoPort",
         baud: int,
-        note: Callable[..., None],
+        note: Callable[..., None] | None,
         loss: float,
     ) -> None:
         super().__init__(timeline, port, baud, note)

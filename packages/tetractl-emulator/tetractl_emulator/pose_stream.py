@@ -16,8 +16,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.section_abilities import Addressed
-from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.pose_camera import PoseCamera, world

@@ -47,17 +47,17 @@ class Options:
 class Stage:
     """The data and functions shared by both devices; `setup` and `lab` come from the spec.
 
-    `note(event, **facts)` adds an event to the record. A camera calls `exposed(exposure, frame)`,
-    with the numbers of exposure and frame, at each exposure; `sent(exposure)` when the exposure's
-    frame is sent or would be sent without a fault; and `client(address)` for each new client.
-    `wires` makes the ends of the connections.
+    `note(event, **facts)` adds an event to the record; it is None if none is kept. A camera calls
+    `exposed(exposure, frame)`, with the numbers of exposure and frame, at each exposure;
+    `sent(exposure)` when the exposure's frame is sent or would be sent without a fault; and
+    `client(address)` for each new client. `wires` makes the ends of the connections.
     """
 
     lab: LabSection
     setup: Setup
     timeline: Timeline
     options: Options
-    note: Callable[..., None]
+    note: Callable[..., None] | None
     exposed: Callable[[int, int], None]
     sent: Callable[[int], None]
     client: Callable[[str], None]

@@ -10,8 +10,7 @@ from tetractl.core.errors import printable
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
-from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.optitrack.natnet import Placement, RigidBody, UpAxis
 from tetractl.lab.cameras.port_camera import PortCamera
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl_motioncapture.process_port import ProcessPort

@@ -15,7 +15,7 @@ from tetractl_emulator.sides import Body, Stage
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection, entry
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.udp_port import SCHEME
 from tetractl_motioncapture.section import MotionCaptureSection
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
 from tetractl.tools.table.motive import is_motive, motive_rows
 
 TIMES_S = np.arange(40) / 20

@@ -12,7 +12,7 @@ import numpy as np
 
 from tetractl.core.commands import Action, Command, Sample, Steer, Turn
 from tetractl.core.errors import printable
-from tetractl.core.plan import INNOVATIONS, Estimate, Plan, Search
+from tetractl.core.plan import INNOVATIONS, Estimate, Plan
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
@@ -77,9 +77,23 @@ def check_plan(plan: Plan, robots: int) -> None:
     if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
         shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
         raise ValueError(f"a path has shape {shapes} and {robots} robots")
-    for search in plan.searches:
-        _check_search(search)
-    values = _numbers(plan)
+    searches = plan.searches
+    for search in searches:
+        if not (search.signals.shape == (search.length,) and search.length):
+            raise ValueError(
+                f"a search of length {_shown(search.length)} has a different number of signals"
+            )
+        if search.history.ndim != 1 or not search.history.size:
+            raise ValueError("a search has no history")
+        if not isinstance(search.stopped, str):
+            raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
+    costs = [plan.cost, plan.target_cost, plan.obstacle_cost]
+    costs += [search.cost for search in searches]
+    values = {
+        "a predicted position": drawn(plan.path[..., :2]).ravel(),
+        "a signal": np.concatenate([plan.signals, *(search.signals for search in searches)]),
+        "a cost": np.concatenate([costs, *(search.history for search in searches)]),
+    }
     if plan.estimate is not None:
         values |= _numbers_of_estimate(plan.estimate, robots)
     all_numbers = np.concatenate([*values.values()])
@@ -87,30 +101,6 @@ def check_plan(plan: Plan, robots: int) -> None:
         return  # at once, as this is done in every control step
     for what, numbers in values.items():
         _finite(what, numbers)
-
-
-def _check_search(search: Search) -> None:
-    """Check that a search has as many signals as it says, a history, and a reason for its end."""
-    if not (search.signals.shape == (search.length,) and search.length):
-        raise ValueError(
-            f"a search of length {_shown(search.length)} has a different number of signals"
-        )
-    if search.history.ndim != 1 or not search.history.size:
-        raise ValueError("a search has no history")
-    if not isinstance(search.stopped, str):
-        raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
-
-
-def _numbers(plan: Plan) -> dict[str, Floats]:
-    """Return all numbers of a plan and its searches that must be finite, by what they are."""
-    searches = plan.searches
-    costs = [plan.cost, plan.target_cost, plan.obstacle_cost]
-    costs += [search.cost for search in searches]
-    return {
-        "a predicted position": drawn(plan.path[..., :2]).ravel(),
-        "a signal": np.concatenate([plan.signals, *(search.signals for search in searches)]),
-        "a cost": np.concatenate([costs, *(search.history for search in searches)]),
-    }
 
 
 def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:

@@ -12,7 +12,7 @@ from tetractl_emulator.script import parse_script
 from tetractl.core.errors import SpecError, WireError
 from tetractl.core.poses import CameraFrame
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import parse

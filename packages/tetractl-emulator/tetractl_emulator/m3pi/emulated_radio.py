@@ -62,7 +62,7 @@ class EmulatedRadio(RobotRadio):
         robots: Sequence[EmulatedRobot],
         loss: float,
         seed: int,
-        note: Callable[..., None],
+        note: Callable[..., None] | None,
     ) -> None:
         super().__init__(timeline, port, baud, note, loss)
         self.robots = robots
@@ -137,7 +137,8 @@ class EmulatedRadio(RobotRadio):
     def _deliver(self, robot: EmulatedRobot, payload: bytes) -> None:
         if robot.powered:
             robot.hear(payload)
-            self.note("heard", robot=robot.name, hex=payload.hex())
+            if self.note is not None:
+                self.note("heard", robot=robot.name, hex=payload.hex())
 
     def _reply(self, payload: bytes) -> None:
         for _ in range(4):

@@ -146,24 +146,15 @@ class EmulatedRobot:
         return self.robots.now().wheels[self.row]
 
     @property
-    def load(self) -> float:
-        """The motors' load, from 0 to 1."""
-        return min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
-
-    @property
     def standing(self) -> bool:
         """Whether both wheels are at rest, or turn more slowly than a camera could detect."""
         return self.robots.standing[self.row]
 
-    @property
-    def battery_mv(self) -> int:
-        """The battery's present voltage [mV]."""
-        return self.battery.voltage_mv(self.load)
-
     def hear(self, data: bytes) -> None:
         """Take bytes from the robot's radio module."""
         if self.powered:
-            self.core.set_battery(self.battery_mv)
+            load = min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
+            self.core.set_battery(self.battery.voltage_mv(load))
             self.core.push(data, self.robots.now_ms)
 
     def answer(self) -> bytes:
@@ -206,16 +197,6 @@ class RobotSteps:
     now_ns: int
     settled_ns: int
     ends_ns: list[int] = field(default_factory=list)
-
-    def take(self, end_ns: int) -> None:
-        """Take a step that ends at `end_ns`."""
-        self.now_ns = end_ns
-        self.ends_ns.append(end_ns)
-
-    def settle(self) -> None:
-        """Begin with the steps that come after the present time."""
-        self.settled_ns = self.now_ns
-        self.ends_ns = []
 
 
 class EmulatedRobots:
@@ -285,7 +266,8 @@ class EmulatedRobots:
                 speeds = weak * self._drivetrains.speeds(counts)
                 wheeled.targets[:] = np.where(stuck, 0.0, speeds)
                 wheeled.wheels[stuck] = 0.0
-            steps.take(min(steps.now_ns + MILLISECOND, until_ns))
+            steps.now_ns = min(steps.now_ns + MILLISECOND, until_ns)
+            steps.ends_ns.append(steps.now_ns)
 
     def place(self, row: int, x: float, y: float, heading: float) -> None:
         """Put a robot, at rest, at a pose [mm, rad]."""
@@ -323,28 +305,21 @@ class EmulatedRobots:
         if not steps.ends_ns:
             return wheeled
         seconds = (steps.now_ns - steps.settled_ns) / SECOND
-        loads = self._loads(seconds)
+        # how far wheels turn that follow the same speeds all the time: so the same charge is drawn,
+        # however often this is asked for
+        wheels = zip(*wheeled.body[3:7].tolist(), wheeled.body[LAG].tolist(), strict=True)
+        turned_mm = [
+            _turned(left, left_target, lag_s, seconds)
+            + _turned(right, right_target, lag_s, seconds)
+            for left, right, left_target, right_target, lag_s in wheels
+        ]
         if wheeled.targets.any() or wheeled.wheels.any():
             wheeled.drive(steps.settled_ns, np.array(steps.ends_ns))
-        steps.settle()
-        for robot, load in zip(self.robots, loads, strict=True):
-            robot.battery.draw(load, seconds)
+        steps.settled_ns = steps.now_ns
+        steps.ends_ns = []
+        for robot, way_mm in zip(self.robots, turned_mm, strict=True):
+            robot.battery.draw(way_mm / (FULL_LOAD_MM_S * seconds), seconds)
         return wheeled
-
-    def _loads(self, seconds: float) -> list[float]:
-        """Return the mean load of each robot's battery in a time from now on, in which its wheels
-        follow the same speeds: however often it is asked for, the same charge is drawn."""
-        body = self._wheeled.body
-        return [
-            (
-                _turned(left, left_target, lag_s, seconds)
-                + _turned(right, right_target, lag_s, seconds)
-            )
-            / (FULL_LOAD_MM_S * seconds)
-            for left, right, left_target, right_target, lag_s in zip(
-                *body[3:7].tolist(), body[LAG].tolist(), strict=True
-            )
-        ]
 
 
 def _turned(mm_s: float, target_mm_s: float, lag_s: float, seconds: float) -> float:

@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl_emulator.loop import Timeline
 from tetractl_emulator.optitrack.scripted import SendingTrouble, Trouble
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, has_a_pose
 from tetractl_emulator.sides import Stage
@@ -37,12 +36,6 @@ class Shutter:
     rate: float
     start_ns: int = 0
     count: int = 0
-
-    def plan(self) -> int:
-        """Plan the next exposure; return its time [ns]."""
-        due_ns = self.start_ns + round(self.count * SECOND / self.rate)
-        self.count += 1
-        return due_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +92,7 @@ class PoseCamera(ABC):
         self.view = view
         self.trouble = Trouble()
         self.shown_ns = [0] * len(tracked)
+        self.timeline = stage.timeline
         self._stage = stage
         self._shutter = Shutter(rate)
         self._outlet = Outlet(
@@ -106,11 +100,6 @@ class PoseCamera(ABC):
         )
         self._latency_s = latency_s
         self._random = random.Random(stage.options.seed)
-
-    @property
-    def timeline(self) -> Timeline:
-        """The time in which it exposes and sends."""
-        return self._stage.timeline
 
     @abstractmethod
     def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> BodyFrame:
@@ -140,7 +129,11 @@ class PoseCamera(ABC):
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
     def _plan(self) -> None:
-        self.timeline.at(self._shutter.plan(), self._take)
+        """Plan the next exposure."""
+        shutter = self._shutter
+        due_ns = shutter.start_ns + round(shutter.count * SECOND / shutter.rate)
+        shutter.count += 1
+        self.timeline.at(due_ns, self._take)
 
     def _take(self) -> None:
         """Expose one frame, and schedule its sending after the latency."""
@@ -176,19 +169,16 @@ class PoseCamera(ABC):
         return delay_s
 
     def _leave(self, exposure_number: int, exposure: Exposure) -> None:
-        """Send an exposure unless the server's trouble forbids it, and remember whom it showed."""
+        """Send an exposure unless the server's trouble forbids it, and remember when each robot was
+        last shown as tracked."""
         sent = self._outlet.send(exposure)
         if sent is not None:
-            self._show(sent)
+            bodies = sent.frame.bodies
+            shown_ids = {body.id for body in bodies if body.tracking_valid and has_a_pose(body)}
+            for i, body in enumerate(self.tracked):
+                if body.asset.number in shown_ids:
+                    self.shown_ns[i] = max(self.shown_ns[i], sent.at_ns)
         self._stage.sent(exposure_number)
-
-    def _show(self, exposure: Exposure) -> None:
-        """Remember when each robot was last shown as tracked."""
-        bodies = exposure.frame.bodies
-        shown_ids = {body.id for body in bodies if body.tracking_valid and has_a_pose(body)}
-        for i, body in enumerate(self.tracked):
-            if body.asset.number in shown_ids:
-                self.shown_ns[i] = max(self.shown_ns[i], exposure.at_ns)
 
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""

@@ -1,7 +1,7 @@
 """What a script may change of the emulated cameras of type `optitrack`: settings and faults.
 
 `OptitrackSettings` holds for a whole run. `FAULTS`, at the end, is the table of faults: what each
-sets while it lasts is the server's `Trouble` or `ServerClock`, one robot's `TrackedBody`, or the
+sets while it lasts is the server's `Trouble` or its clock, one robot's `TrackedBody`, or the
 `View` of all. Lengths are in mm, angles in rad, times in s; displacements are complex, x + iy.
 
 When a fault ends, all is as it would be without it: after `clock_rate`, too, the server's clock
@@ -161,18 +161,6 @@ class ClockError:
     def gained_ns(self, when_ns: int) -> int:
         """Return what the clock has gained by a time on the host's clock [ns]."""
         return self.ahead_ns + round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
-
-
-@dataclass(eq=False, slots=True)
-class ServerClock:
-    """The server's clock, with the errors that faults have added and not yet taken back."""
-
-    errors: list[ClockError] = field(default_factory=list)
-
-    def ticks(self, when_ns: int) -> int:
-        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
-        gained_ns = sum(error.gained_ns(when_ns) for error in self.errors)
-        return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
 
 # Kinds of faults, by what they act on: `sets` are attributes and their values, or functions of the

@@ -7,7 +7,7 @@ import socket
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
 
@@ -18,7 +18,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
@@ -26,9 +26,10 @@ from tetractl_emulator.optitrack.natnet_server import mangle, pack_answer, parse
 from tetractl_emulator.optitrack.pose_camera import PoseCamera, world
 from tetractl_emulator.optitrack.scripted import (
     CLOCK_HZ,
+    CLOCK_START,
     FAULTS,
+    ClockError,
     OptitrackSettings,
-    ServerClock,
     TrueBody,
 )
 from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
@@ -46,6 +47,18 @@ class Client:
 
     version: natnet.Version
     heard_ns: int
+
+
+@dataclass(eq=False, slots=True)
+class ServerClock:
+    """The server's clock, with the errors that faults have added and not yet taken back."""
+
+    errors: list[ClockError] = field(default_factory=list)
+
+    def ticks(self, when_ns: int) -> int:
+        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
+        gained_ns = sum(error.gained_ns(when_ns) for error in self.errors)
+        return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
 
 @dataclass(slots=True)
@@ -121,6 +134,8 @@ class EmulatedOptitrack(PoseCamera):
         super().__init__(stage, tracked, settings.rate, settings.latency, view)
         self.section = section
         self.settings = settings
+        self.multicast = section.transport == "multicast"
+        self.own_version = natnet.Version.of(settings.version)
         self.ports = ServerPorts(section, options)
         self.clock = ServerClock()
         self.clients: dict[Address, Client] = {}
@@ -131,16 +146,6 @@ class EmulatedOptitrack(PoseCamera):
     def join(self) -> Any:
         """What makes our camera's socket."""
         return self._stage.wires.make_socket
-
-    @property
-    def multicast(self) -> bool:
-        """Whether frames are sent to a group of receivers."""
-        return self.section.transport == "multicast"
-
-    @property
-    def own_version(self) -> natnet.Version:
-        """The server's protocol version."""
-        return natnet.Version.of(self.settings.version)
 
     def open(self, loop: Loop) -> Facts:
         """Open the UDP ports and expose the first frame now; return the ports' addresses."""

@@ -17,8 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from random import Random
 
-from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl.lab.cameras.optitrack.pose import NORM_TOLERANCE, UpAxis
+from tetractl.lab.cameras.optitrack.natnet import NORM_TOLERANCE, RigidBody, UpAxis
 from tetractl_emulator.sides import Body
 
 BodyChange = Callable[[RigidBody], RigidBody]
@@ -152,11 +151,6 @@ class Displacement:
     strayed_turn: float = 0.0
     """How far it has turned away until now [rad]."""
 
-    def stray(self, robot_direction: complex) -> None:
-        """Go on straying; `robot_direction` is the unit vector of the robot's heading."""
-        self.strayed += self.step * (robot_direction if self.along_robot else 1.0)
-        self.strayed_turn += self.turn_step
-
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
 class Plate:
@@ -192,7 +186,10 @@ class TrackedBody:
         """
         is_seen = self._is_seen_now()
         if self.last_pose is None or (is_seen and not self.tracking.repeats):
-            self.displacement.stray(cmath.rect(1.0, self.robot.heading))
+            seen_at = self.displacement
+            axis = cmath.rect(1.0, self.robot.heading) if seen_at.along_robot else 1.0
+            seen_at.strayed += seen_at.step * axis
+            seen_at.strayed_turn += seen_at.turn_step
             self.last_pose = self._new_pose(view)
         body = replace(self.last_pose, id=self.asset.number)
         if not is_seen:

@@ -79,7 +79,7 @@ class CurrentDriver(SerialDevice):
         limits: DriverLimits,
         baud: int = 115_200,
         lag_s: float = 0.004,  # 20 mH over 5 ohm
-        note: Callable[..., None] = lambda event, **facts: None,
+        note: Callable[..., None] | None = lambda event, **facts: None,
     ) -> None:
         super().__init__(timeline, port, baud, note)
         self.currents: Pair = (0.0, 0.0)

@@ -20,7 +20,7 @@ from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, Senders, pack

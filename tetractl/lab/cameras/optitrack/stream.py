@@ -17,7 +17,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import WireError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.wire import number_in, parse
 

@@ -7,15 +7,15 @@ import pytest
 from support.lab_specs import SPEC
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.loop import Loop, Timeline
-from tetractl_emulator.optitrack.scripted import OptitrackSettings, ServerClock
-from tetractl_emulator.optitrack.side import EmulatedOptitrack
+from tetractl_emulator.optitrack.scripted import OptitrackSettings
+from tetractl_emulator.optitrack.side import EmulatedOptitrack, ServerClock
 from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.sides import Options, Stage
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.wire import pack, parse
 
 TICKS_PER_MS = 10_000  # of the server's clock

@@ -7,7 +7,7 @@ from tetractl_emulator.optitrack.natnet_server import pack_answer
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
-from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
 
 pytestmark = pytest.mark.slow
 

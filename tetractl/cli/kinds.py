@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, option
+from tetractl.cli.specs import template
 from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.core.registries import all_registries
+from tetractl.core.registry import PluginError
+from tetractl.experiment.packages import BRINGS, missing
 from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
@@ -74,8 +78,6 @@ class _ListedKind:
 
 def _list(as_json: bool) -> int:
     """Print all kinds; return the exit code."""
-    from tetractl.core.registries import all_registries
-    from tetractl.experiment.packages import missing
 
     registries = all_registries()
     listed = [_loaded(registry, kind) for registry in registries for kind in registry.kinds()]
@@ -97,8 +99,6 @@ def _loaded(registry: "Registry", kind: "Kind") -> _ListedKind:
 
     That a module is not installed is no error in a package of ours; in another's, each problem is.
     """
-    from tetractl.core.registry import PluginError
-    from tetractl.experiment.packages import BRINGS
 
     try:
         registry.load(kind.name)
@@ -187,7 +187,6 @@ def _fields(sets: list[str]) -> dict[str, Any]:
 
 def _experiment(spec: Path | None) -> "Experiment":
     """Return the experiment whose robots and arena are used: a spec's, or that of `init`."""
-    from tetractl.cli.specs import template
     from tetractl.experiment.load import parse_spec
 
     if spec is not None:

@@ -14,6 +14,7 @@ import typer
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Lab, Sets, Spec, Yes, argument, option, out_option, switch
 from tetractl.cli.unread import hung_up_unread
+from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
 from tetractl.lab.port_holder import stop_beside
 from tetractl.lab.serial_port import PortHeldError
@@ -113,7 +114,6 @@ def _stops(
     if spec is not None and port is None:
         return _stops_of_spec(spec, sets or [])
     if port is not None and spec is None:
-        from tetractl.core.clock import MonotonicClock
         from tetractl.lab.actuators.m3pi import broadcast as m3pi
 
         return partial(m3pi.stop_all, _xbee(port, baud), MonotonicClock())
@@ -123,7 +123,6 @@ def _stops(
 def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
     """Return what stops every robot of a spec's real lab, without its calibration. If the spec is
     wrong elsewhere, its actuator alone stops them, and the errors are warnings."""
-    from tetractl.core.clock import MonotonicClock
     from tetractl.experiment.actuator_alone import actuator_alone
     from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import lab_of, on_plant, settings_on

@@ -14,6 +14,8 @@ from tetractl.cli import options, ui
 from tetractl.cli.trials import RunOptions, load_to_run, new_log_folder, stoppable
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
+from tetractl.tools.table.table import lengths
+from tetractl.tools.table.terminal_table import open_console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,7 +79,6 @@ def play(
     from tetractl.core.plan import Outcome
     from tetractl.experiment.plants import on_plant
     from tetractl.run.open_trial import directed_spec
-    from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.hand_keys import read_script
 
     loaded = on_plant(load_to_run(spec, sets or [], plant, seed=seed), plant)
@@ -249,7 +250,6 @@ def _conclude(
 
 def _how_well(result: "Result", unit: str) -> str:
     """Return the total error and the time of a trial, and where robots must not have been."""
-    from tetractl.tools.table.table import lengths
 
     error = lengths(result.total_error)(result.total_error)
     where = [" through an obstacle"] if result.entered_obstacle else []

@@ -13,7 +13,9 @@ from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_opt
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import EXAMPLES
 from tetractl.experiment.packages import not_installed
+from tetractl.experiment.yaml.problems import InvalidSpecError, did_you_mean
 from tetractl.tools.table.table_files import json_text
+from tetractl.tools.table.terminal_table import open_console
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -55,7 +57,6 @@ def example_files(name: str) -> dict[str, str]:
 
 def _no_example(name: str, examples: Sequence[str]) -> UsageError:
     """Return the error that says which examples there are, or which package would bring it."""
-    from tetractl.experiment.yaml.problems import did_you_mean
 
     folders = sorted({f"{example.partition('/')[0]}/" for example in examples if "/" in example})
     group = name.partition("/")[0]
@@ -207,7 +208,6 @@ def _check(path: Path, sets: list[str] | None) -> _Checked:
     """Check a spec, or a study and the specs of its arms; print its warnings."""
     from tetractl.experiment.load import is_study, load_document
     from tetractl.experiment.yaml.document import read_document
-    from tetractl.experiment.yaml.problems import InvalidSpecError
 
     file = printable(str(path))
     try:
@@ -300,7 +300,6 @@ def warm(
     """
     from tetractl.control.build import compiled_for, warm_up
     from tetractl.tools.cache import cache_folder
-    from tetractl.tools.table.terminal_table import open_console
 
     wanted: dict[str, list[Experiment]] = {}
     for experiment in _experiments(specs or [], sets or []):

@@ -12,7 +12,7 @@ from tetractl.cli.options import argument, option, out_option, switch
 from tetractl.cli.unread import notice_of_signals
 from tetractl.core.errors import Exit, UsageError
 from tetractl.run.interrupt import Interrupt, leave_on_signals
-from tetractl.tools.table.terminal_table import print_tables
+from tetractl.tools.table.terminal_table import open_console, print_tables
 
 if TYPE_CHECKING:
     from tetractl.run.store import Store
@@ -118,7 +118,6 @@ def _run_tasks(
     from tetractl.run.cluster import Cluster
     from tetractl.run.executors import on_this_machine
     from tetractl.study.options import warm_up_arms
-    from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.progress import StudyProgress
 
     interrupt = Interrupt(notice_of_signals(STOPPING))

@@ -17,9 +17,12 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from tetractl.cli import ui
+from tetractl.cli.stats import show
 from tetractl.cli.unread import give_up_unread, hung_up_unread, notice_of_signals
+from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 from tetractl.run.interrupt import Interrupt, interrupted_once, leave_on_signals
+from tetractl.tools.table.terminal_table import open_console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -181,7 +184,6 @@ def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
     if port is None:
         yield ()
         return
-    from tetractl.core.clock import MonotonicClock
     from tetractl.serve.live import ServedRun, Viewers
     from tetractl.serve.server import LoopbackServer
 
@@ -227,7 +229,6 @@ def _run_trials(
     """
     from tetractl.run.batch import run_batch
     from tetractl.run.task import batch_tasks
-    from tetractl.tools.table.terminal_table import open_console
 
     tasks = batch_tasks(loaded, planned)
     console = open_console(stderr=True, quiet=options.quiet)
@@ -259,7 +260,6 @@ def _in_lab(
     """
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.executors import Here
-    from tetractl.tools.table.terminal_table import open_console
     from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
@@ -361,7 +361,6 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
     logs that cannot be described are no error: an aborted trial may leave none, or one without
     poses.
     """
-    from tetractl.cli.stats import show
     from tetractl.results.describe import contrast, describe
     from tetractl.results.open_batch import open_batch
 

@@ -15,7 +15,7 @@ from tetractl.results.open_batch import GIVEN_DIRECTIONS, Batch, counts, directi
 from tetractl.results.tables import error_table, processors_note
 from tetractl.results.trial_tables import trials_table
 from tetractl.run.store import Store
-from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml, shown
+from tetractl.study.load_study import Arm, LoadedStudy, as_yaml, shown
 from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.table_files import table_files
 
@@ -62,7 +62,11 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
             if column.name not in ("log", "trial"):
                 cells = of_host if column.key in HOST_COLUMNS else repeatable
                 cells[column.key] = column.known[0]
-        swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
+        swept: dict[str, Any] = {}
+        for path in loaded.paths:
+            value = arm.values.get(path)
+            is_cell = isinstance(value, int | float | str) or value is None
+            swept[path] = value if is_cell else as_yaml(value)
         sources = {"content_digest": trial.digest, "code": trial.code}
         trials.append(name | {"controller": arm.controller} | swept | repeatable | sources)
         times.append(name | of_host | _times(trial))

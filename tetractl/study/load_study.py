@@ -84,18 +84,9 @@ def shown(value: Any) -> str:
     return value if isinstance(value, str) else as_yaml(value)
 
 
-def as_cell(value: Any) -> Any:
-    """Return a value for a table: numbers, truth values and text unchanged, others as YAML."""
-    return value if isinstance(value, int | float | str) or value is None else as_yaml(value)
-
-
 def as_yaml(value: Any) -> str:
     """Return a value as YAML in one line, as in `--set`."""
     return json.dumps(value, ensure_ascii=False)  # JSON is YAML
-
-
-def _kind_of_base(base: object) -> str:
-    return "contents" if isinstance(base, dict) else "file"
 
 
 class Study(Model):
@@ -110,7 +101,7 @@ class Study(Model):
     base: Annotated[
         Annotated[str, Field(min_length=1, max_length=1000), Tag("file")]
         | Annotated[dict[str, Any], Tag("contents")],
-        Discriminator(_kind_of_base),
+        Discriminator(lambda base: "contents" if isinstance(base, dict) else "file"),
     ]
     """Path of the spec that every arm changes, relative to the study's file. In Python also the
     spec's contents."""

@@ -15,6 +15,7 @@ from tetractl.cli.options import Sets, Spec, option, out_option, switch
 from tetractl.core.errors import AbortError, Exit, UsageError
 from tetractl.run.interrupt import interrupted_once
 from tetractl.tools.files import save_whole
+from tetractl.tools.table.table import plural
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
 
@@ -61,7 +62,6 @@ def rehearse(
     from tetractl.run.executors import called
     from tetractl.run.spec_trial import run_logged
     from tetractl.run.store import RecordStore
-    from tetractl.tools.table.table import plural
     from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.summary import FIELDS, broken, reasons, summary, table
 

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.identify import show_found, tell_remarks
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.tools.table.table_files import table_files
 
 if TYPE_CHECKING:
     from tetractl_microscope.organisms import Organism
@@ -161,7 +163,6 @@ def track(
 
 def _show(log: Path, out: Path | None, as_json: bool) -> int:
     """Print the cells in the log of a film; draw all figures and write the table into `out`."""
-    from tetractl.tools.table.table_files import table_files
     from tetractl.view.style import save
     from tetractl_microscope.film.track_log import read_track
     from tetractl_microscope.registries import CELL_FIGURES
@@ -203,7 +204,6 @@ def _show_tracks(
         image,
         other_readings,
     )
-    from tetractl.tools.table.table_files import table_files
     from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
     from tetractl_microscope.foreign_tracks import spot_tracks
     from tetractl_microscope.results.cell_tables import cell_data, cell_tables
@@ -245,7 +245,6 @@ def _show_tracks(
 
 def _identify(poses: Path, field: Path, out: Path | None, as_json: bool) -> int:
     """Identify cells from their poses and the field's direction, and print what was found."""
-    from tetractl.cli.identify import show_found, tell_remarks
     from tetractl.replay.identification.csv_tracks import csv_tracks
     from tetractl.replay.identification.identify import identify
     from tetractl_microscope.film.fit_cell import SHORTEST_S

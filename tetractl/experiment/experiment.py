@@ -228,9 +228,22 @@ class Experiment(Model):
     def _with_assigned_targets(self) -> Self:
         """Assign the targets and set `assign` to `given`, so that they are assigned once only."""
         if isinstance(self.robots, TrialRobots):
+            # placeholders in the arena's middle, until a trial's robots are known
+            arena = self.arena
+            middle = (arena.left + arena.width / 2, arena.bottom + arena.height / 2)
+            placeholders = tuple(
+                Robot(
+                    name=robot.name,
+                    start=middle,
+                    target=robot.target,
+                    a=robot.a,
+                    speed=robot.speed,
+                )
+                for robot in self.robots.stand_ins
+            )
             # allowed, although the model is immutable: it is not in use yet
             object.__setattr__(self, "chosen", self.robots)
-            object.__setattr__(self, "robots", _stand_ins(self.robots, self.arena))
+            object.__setattr__(self, "robots", placeholders)
         if self.assign == "given" or self.chosen is not None:
             return self
         targets = [robot.target for robot in self.robots]
@@ -305,6 +318,20 @@ class Experiment(Model):
         """The experiment's numbers as arrays."""
         starts = [(*robot.start, robot.heading) for robot in self.robots]
         control = self.controller
+        lab = self.plant if isinstance(self.plant, LabSection) else None
+        lag_s = self.wheels.lag if self.wheels else 0.0
+        if lab is not None and lab.lag is not None:
+            lag_s = lab.lag
+        on_wheels = self.wheels is not None
+        loss = None  # the plant alone decides what happens if a robot is lost
+        if on_wheels or self.on_lost != "stop":
+            limits = lab.limits if lab is not None else LabLimits()
+            loss = LossRule(
+                limits.untracked_abort,
+                replaced=self.on_lost == "replace",
+                dead=on_wheels,
+                ends=self.on_lost == "stop",
+            )
         return Setup(
             name=self.name,
             unit=self.units.length,
@@ -324,51 +351,15 @@ class Experiment(Model):
             iterations_max=control.iterations_max,
             wheel_radius=self.wheels.radius if self.wheels else None,
             watchdog_s=(self.wheels and self.wheels.watchdog) or math.inf,
-            lag_s=self._lag_s,
+            lag_s=lag_s,
             body_radius=control.body_radius,
             sight=self.plant.sight,
             way_points=np.array([robot.via for robot in self.robots], dtype=np.float64)
             .reshape(len(self.robots), -1, 2)
             .swapaxes(0, 1),
             hold=HoldTask(self.hold.radius, self.hold.time) if self.hold else None,
-            loss=self._loss,
+            loss=loss,
         )
-
-    @property
-    def _lag_s(self) -> float:
-        """The time constant of the wheels [s]: the lab's own, or that of all plants."""
-        if isinstance(self.plant, LabSection) and self.plant.lag is not None:
-            return self.plant.lag
-        return self.wheels.lag if self.wheels else 0.0
-
-    @property
-    def _loss(self) -> LossRule | None:
-        """What happens if a robot is lost, None if the plant alone decides it."""
-        on_wheels = self.wheels is not None
-        if self.on_lost == "stop" and not on_wheels:
-            return None
-        limits = self.plant.limits if isinstance(self.plant, LabSection) else LabLimits()
-        return LossRule(
-            limits.untracked_abort,
-            replaced=self.on_lost == "replace",
-            dead=on_wheels,
-            ends=self.on_lost == "stop",
-        )
-
-
-def _stand_ins(rule: TrialRobots, arena: Arena) -> tuple[Robot, ...]:
-    """Return placeholder robots in the arena's middle, used until a trial's robots are known."""
-    middle = arena.left + arena.width / 2, arena.bottom + arena.height / 2
-    return tuple(
-        Robot(
-            name=stand_in.name,
-            start=middle,
-            target=stand_in.target,
-            a=stand_in.a,
-            speed=stand_in.speed,
-        )
-        for stand_in in rule.stand_ins
-    )
 
 
 def dealt(starts: Floats, targets: Floats) -> list[int]:

@@ -1,5 +1,6 @@
 """Fields of a spec whose values are names in a registry."""
 
+from dataclasses import dataclass, field
 from typing import Any, LiteralString
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -13,6 +14,7 @@ STRICT = {"strict": True}
 """Validation context in which values of another type are refused, as when a spec is read."""
 
 
+@dataclass(eq=False)
 class KindSection:
     """Annotation of a field that holds a mapping with a `type`, the name of a class in a registry;
     this class validates the mapping.
@@ -24,10 +26,9 @@ class KindSection:
     package's class cannot be used.
     """
 
-    def __init__(self, registry: Registry, default: str | None = None) -> None:
-        self.registry = registry
-        self.default = default
-        self._base: type[Any] = object
+    registry: Registry
+    default: str | None = None
+    _base: type[Any] = field(default=object, init=False)
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
@@ -89,11 +90,11 @@ class KindSection:
         return PydanticCustomError(kind, text, {"known": texts})
 
 
+@dataclass(eq=False)
 class KindName:
     """Annotation of a text field whose value is a name in a registry; no kind is imported."""
 
-    def __init__(self, registry: Registry) -> None:
-        self.registry = registry
+    registry: Registry
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler

@@ -53,12 +53,12 @@ class TrialRobots(Model):
         """The robots until a trial has found them."""
 
 
+@dataclass(eq=False)
 class OrTrialRobots:
     """Annotation of a field whose value may be a rule by which trials find their robots, as a
     mapping; `listed` is what the value is otherwise, by default None."""
 
-    def __init__(self, listed: Any = None) -> None:
-        self.listed = listed
+    listed: Any = None
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler

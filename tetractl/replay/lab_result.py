@@ -32,9 +32,13 @@ def lab_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         return
     yield from _lasted(log, result, log.stop)
     yield from error_differences(log, result)
-    if result.outcome.complete or not _is_untold(result.verdict):
-        yield from _final_poses(log, result.verdict, log.stop)
-        yield from _paths(log, result.verdict, log.stop)
+    verdict = result.verdict
+    # a trial whose end is unknown has no final poses, no distance to an obstacle, and entered none
+    is_told = any(verdict.entered) or np.isfinite(verdict.clearance).any()
+    is_told = is_told or not np.isnan(verdict.final.array()).all()
+    if result.outcome.complete or is_told:
+        yield from _final_poses(log, verdict, log.stop)
+        yield from _paths(log, verdict, log.stop)
 
 
 def error_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
@@ -67,14 +71,6 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
     if not least <= result.duration_s <= most:
         text = f"states {result.duration_s} s, but the commands give {least} to {most} s"
         yield Difference(None, "result.duration_s", text)
-
-
-def _is_untold(verdict: Verdict) -> bool:
-    """Return whether a verdict is that of a trial whose end is unknown: no final poses, no distance
-    to an obstacle, and nothing entered.
-    """
-    is_something_told = any(verdict.entered) or np.isfinite(verdict.clearance).any()
-    return not is_something_told and bool(np.isnan(verdict.final.array()).all())
 
 
 def _final_poses(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Difference]:

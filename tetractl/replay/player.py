@@ -161,16 +161,6 @@ class Playback(StrEnum):
     QUIT = "quit"
 
 
-@dataclass(frozen=True, slots=True)
-class Anchor:
-    """The trial's time at a time of the wall clock [ns], at the last change of rate, pause or
-    place.
-    """
-
-    trial_ns: int
-    wall_ns: int
-
-
 class Player:
     """Plays a span [ns] of a recording, `rate` times as fast as the wall clock; keys change its
     state.
@@ -199,15 +189,17 @@ class Player:
         self.rate = rate  # seconds of the trial per second
         self._wall = wall
         self._paused = paused
-        self._anchor = Anchor(self.start_ns, wall.now())
+        # the trial's time and the wall clock's at the last change of rate, pause or place
+        self._anchor_ns = self.start_ns
+        self._anchor_wall_ns = wall.now()
 
     @property
     def now(self) -> int:
         """Time of the trial [ns], within the span played."""
         passed_ns = 0
         if not self._paused:
-            passed_ns = round(self.rate * (self._wall.now() - self._anchor.wall_ns))
-        return min(self._anchor.trial_ns + passed_ns, self.until_ns)
+            passed_ns = round(self.rate * (self._wall.now() - self._anchor_wall_ns))
+        return min(self._anchor_ns + passed_ns, self.until_ns)
 
     @property
     def state(self) -> Playback:
@@ -272,7 +264,8 @@ class Player:
         self._seek(time_ns)
 
     def _anchor_at(self, time_ns: int) -> None:
-        self._anchor = Anchor(time_ns, self._wall.now())
+        self._anchor_ns = time_ns
+        self._anchor_wall_ns = self._wall.now()
 
     def _after(self, times: Integers, otherwise: int) -> int:
         """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`."""

@@ -25,7 +25,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
-from tetractl.core.trial import Result, Step
+from tetractl.core.trial import Step
 from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.format.codec import DRAWN_PRECISION, drawn
 from tetractl.log.read.limits import FACTOR, seconds_limit
@@ -360,14 +360,18 @@ def _outcome_difference(
     the logged outcome.
 
     The log does not name the frame on which the trial ended: it is one of `_last_frames`. An abort
-    or an interrupt is checked only where the controller may have decided it (`_stopped_by_itself`),
+    or an interrupt is checked only where the controller may have decided it,
     and then only if it ends the trial on the newest of these frames.
     """
     result = log.result
     if result is None or log.stop is None:
         return None
-    if not result.outcome.complete and not _stopped_by_itself(log, result):
-        return None
+    if not result.outcome.complete:
+        # in the lab a fault may occur at the same time, and a trial whose robots do not come to
+        # rest after its end counts as aborted, too
+        is_error = any(note.level == "error" and note.text == result.reason for note in log.notes)
+        if is_error or not log.start.plant.simulated:
+            return None
     ends: list[_LastDecision] = []
     for frame in _last_frames(log, last, log.stop.sent_ns):
         end = _decide_last(controller, log, last, log.sample(frame).observation)
@@ -432,16 +436,6 @@ def _decide_last(
 def _outcome_of(decision: Outcome | End) -> Outcome:
     """Return the outcome with which a controller ends a trial."""
     return decision.outcome if isinstance(decision, End) else decision
-
-
-def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
-    """Return whether the controller may have ended a trial that is logged as aborted or
-    interrupted, so that its last decision can be checked. False in the lab: a fault may occur at
-    the same time, and a trial also counts as aborted if the robots did not come to rest after its
-    end.
-    """
-    is_error = any(note.level == "error" and note.text == result.reason for note in log.notes)
-    return log.start.plant.simulated and not is_error
 
 
 def _tolerance(xy: Floats, targets: Floats) -> Tolerance:

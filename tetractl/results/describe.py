@@ -31,6 +31,7 @@ from tetractl.results.statistic import Figure, statistics
 
 ENOUGH = 8
 """Least number of pairs or, without pairs, of trials on each side, for a verdict."""
+NO_PAIRS: Floats = np.zeros(0)
 _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
 """Sections of a spec that do not change the disturbances of a trial."""
 
@@ -181,11 +182,6 @@ class Decision:
     verdict: str | None
     reason: str | None = None
 
-    @classmethod
-    def none(cls, reason: str) -> "Decision":
-        """Return that there is no verdict."""
-        return cls(None, reason)
-
 
 @dataclass(frozen=True, slots=True)
 class Contrast(Shown):
@@ -235,18 +231,18 @@ class Contrast(Shown):
         difference below or above 0, and a corrected p below 0.05.
         """
         if not self.alike:
-            return Decision.none("plants are not alike")
+            return Decision(None, "plants are not alike")
         if self.no_controller:
-            return Decision.none("directions were given: no controller decided")
+            return Decision(None, "directions were given: no controller decided")
         if self.compared < ENOUGH:
             what = "pairs" if self.pairs else "complete trials on each side"
-            return Decision.none(f"a verdict needs {ENOUGH} {what}")
+            return Decision(None, f"a verdict needs {ENOUGH} {what}")
         intervals = [self.difference.ci95]
         if not self.pairs:
             intervals.append(self.from_both_means)
         for interval in intervals:
             if not interval.known:
-                return Decision.none(f"no interval: {interval.reason}")
+                return Decision(None, f"no interval: {interval.reason}")
         if self.p_holm < 1 - CONFIDENCE:
             if all(interval.high < 0 for interval in intervals):
                 return Decision("lower")
@@ -380,11 +376,6 @@ class Pairing:
     differences: Floats
     why_none: str = ""
 
-    @classmethod
-    def none(cls, why: str) -> "Pairing":
-        """Return that there are no pairs."""
-        return cls(np.zeros(0), why)
-
 
 def pair_up(first: BatchStatistics, second: BatchStatistics) -> Pairing:
     """Pair the trials of two batches.
@@ -393,14 +384,14 @@ def pair_up(first: BatchStatistics, second: BatchStatistics) -> Pairing:
     on the controller.
     """
     if not (first.origin.simulated and second.origin.simulated):
-        return Pairing.none("no two trials in a lab have the same disturbances")
+        return Pairing(NO_PAIRS, "no two trials in a lab have the same disturbances")
     if _world(first) != _world(second):
-        return Pairing.none("the batches differ in more than the controller")
+        return Pairing(NO_PAIRS, "the batches differ in more than the controller")
     ours = _errors_by_trial(first.batch.trials)
     theirs = _errors_by_trial(second.batch.trials)
     pairs = [error - theirs[trial] for trial, error in ours.items() if trial in theirs]
     if not pairs:
-        return Pairing.none("the batches have no seed and trial in common")
+        return Pairing(NO_PAIRS, "the batches have no seed and trial in common")
     return Pairing(np.array(pairs))
 
 

@@ -277,9 +277,6 @@ def error_table(
         least = min((value.mean for value in values if value.mean > 0), default=0.0)
     show = error_format(least, decimals_most)
 
-    def interval(ends: Interval) -> str:
-        return ends.text(show)
-
     return Table(
         title,
         (
@@ -290,7 +287,11 @@ def error_table(
             Column("median", [value.median for value in values], format=show),
             Column("min", [value.min for value in values], format=show),
             Column("max", [value.max for value in values], format=show),
-            Column("95 % interval", [value.ci95 for value in values], format=interval),
+            Column(
+                "95 % interval",
+                [value.ci95 for value in values],
+                format=lambda interval: interval.text(show),
+            ),
         ),
     )
 

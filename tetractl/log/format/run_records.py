@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from tetractl.core.commands import PlantInfo, Verdict
+from tetractl.core.commands import Verdict
 from tetractl.core.errors import printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
@@ -49,11 +49,6 @@ def encode_run(start: Start) -> pb.Run:
         camera_rate_hz=plant.camera_rate_hz,
         facts=encode_facts(plant.facts),
     )
-
-
-def decode_plant(run: pb.Run) -> PlantInfo:
-    """Return the description of a run's plant."""
-    return PlantInfo(run.plant, run.mode == "sim", run.camera_rate_hz, decode_facts(run.facts))
 
 
 def run_items(run: pb.Run) -> dict[str, str]:

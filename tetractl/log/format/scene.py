@@ -5,7 +5,6 @@ viewers drop a whole message for one NaN.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -77,17 +76,6 @@ BODY_OF_ARENA = 0.03
 """Size of a robot without wheels, over the arena's shorter side."""
 
 
-@dataclass(frozen=True, slots=True)
-class _PlanParts:
-    """What all plans of a robot have in common: the `entity` without its time, and the line
-    `before` and `after` its points; serialised.
-    """
-
-    entity: bytes
-    before: bytes
-    after: bytes
-
-
 class Scene:
     """Composes the messages that draw one experiment, from lengths in the experiment's unit.
 
@@ -104,19 +92,22 @@ class Scene:
         if setup.wheel_radius:
             body = 2 * setup.wheel_radius
         self._body = body * self._metres
-        # What the messages of a robot have in common: the frames of its transforms; the entity of
-        # its plan; that entity's line before and after the points.
+        # What the messages of each robot have in common: the frames of its transforms; the entity
+        # of its plan without its time; that entity's line before and after the points.
         self._frame_ids: list[bytes] = []
-        self._plans: list[_PlanParts] = []
+        self._plans: list[bytes] = []
+        self._before_points: list[bytes] = []
+        self._after_points: list[bytes] = []
         point = _point(self._metres, self._metres).SerializeToString()
         for name, color in zip(setup.names, self._colors, strict=True):
             ids = FrameTransform(parent_frame_id=WORLD, child_frame_id=frame_of(name))
             self._frame_ids.append(ids.SerializeToString())
             timed_entity = self._entity(f"plan/{name}", 0).SerializeToString()
-            entity = timed_entity.removeprefix(_time(0))
+            self._plans.append(timed_entity.removeprefix(_time(0)))
             line = self._line(np.ones((1, 2)), color).SerializeToString()
             before, _, after = line.partition(point)
-            self._plans.append(_PlanParts(entity, before, after))
+            self._before_points.append(before)
+            self._after_points.append(after)
 
     def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[bytes]:
         """Serialise the poses in each part of camera frames as FrameTransforms; the trial began at
@@ -151,10 +142,10 @@ class Scene:
         entities: list[bytes] = []
         begin = 0
         counts = has_point.sum(axis=1).tolist()
-        for parts, count in zip(self._plans, counts, strict=True):
-            of_robot = points[begin : begin + count]
-            line = b"".join((parts.before, *of_robot, parts.after))
-            entity = time + parts.entity + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
+        of_robots = zip(self._plans, self._before_points, self._after_points, counts, strict=True)
+        for plan, before, after, count in of_robots:
+            line = b"".join((before, *points[begin : begin + count], after))
+            entity = time + plan + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
             entities.append(_nested(SceneUpdate.ENTITIES_FIELD_NUMBER, entity))
             begin += count
         return b"".join(entities)

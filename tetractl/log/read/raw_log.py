@@ -114,20 +114,15 @@ class RawLog:
     @property
     def result(self) -> Result | None:
         """The result stated in the log, None if it cannot be read."""
-        return self._result_or_reason if isinstance(self._result_or_reason, Result) else None
+        return self.result_or_why_not if isinstance(self.result_or_why_not, Result) else None
 
     @property
     def damaged(self) -> bool:
         """Whether the log is torn, recovered or unfinished; `TrialLog.damage` says how."""
         return bool(self.problems) or self.recovered is not None or self.result is None
 
-    @property
-    def why_no_result(self) -> str:
-        """Why the result cannot be read, "" if it can."""
-        return self._result_or_reason if isinstance(self._result_or_reason, str) else ""
-
     @cached_property
-    def _result_or_reason(self) -> Result | str:
+    def result_or_why_not(self) -> Result | str:
         """The result, or why it cannot be read."""
         if not self.by_topic[channels.RESULT]:
             return "the log has no result: the run was cut short or the log's end is lost"

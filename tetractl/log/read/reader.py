@@ -19,7 +19,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
-from tetractl.core.commands import Note
+from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
@@ -30,7 +30,7 @@ from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format.codec import Frames
-from tetractl.log.format.run_records import decode_plant
+from tetractl.log.format.run_records import decode_facts
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import validate
 from tetractl.log.read.raw_log import RawLog, writer
@@ -65,8 +65,45 @@ def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
     """Decode the trial in a scanned file, with only its first `steps` control steps if given. A
     brief log has a trial without frames and steps."""
     experiment, start = _start(contents)
+    start_ns = start.start_unix_ns
+    robots = len(start.setup.names)
     with decode_errors(contents):
-        return _trial(contents, experiment, start, steps)
+        frames = _frames(contents, robots)
+        commands = tuple(map(codec.decode_command, contents.messages(channels.COMMANDS)))
+        validate.check_commands(commands, robots)
+        decided = _steps(contents, robots, steps)
+        notes = [decode_note(message, start_ns) for message in contents.messages(channels.LOG)]
+        pictures = [
+            (entry.publish_ns - start_ns, CompressedImage.FromString(entry.data).data)
+            for entry in contents.by_topic[channels.PICTURE]
+        ]
+    stops = [command for command in commands if command.stops]
+    trial = TrialLog(
+        log=str(contents.path),
+        experiment=experiment,
+        start=start,
+        mocap_ns=frames.sampled_ns,
+        mocap=frames.poses,
+        valid=frames.valid,
+        truth=frames.truth if start.plant.simulated else None,
+        steps=decided,
+        stop=stops[-1] if stops else None,
+        result=contents.result,
+        damage=None,
+        facts=contents.facts,
+        frames=frames.numbers,
+        received_ns=frames.received_ns,
+        exposed_ns=frames.exposed_ns,
+        commands=commands,
+        notes=tuple(replace(note, text=printable(note.text, channels.TEXT)) for note in notes),
+        digest=contents.stated_digest,
+        pictures=tuple(pictures),
+    )
+    if not contents.damaged:
+        return trial
+    # damage is stated with a time since the first direction, which the trial knows
+    until_s = trial.elapsed_s(int(frames.received_ns.max(initial=0)))
+    return replace(trial, damage=_damage(contents, until_s))
 
 
 @contextmanager
@@ -81,40 +118,6 @@ def decode_errors(contents: RawLog) -> Iterator[None]:
         ) from None
 
 
-def _trial(contents: RawLog, experiment: Experiment, start: Start, steps: int | None) -> TrialLog:
-    robots = len(start.setup.names)
-    frames = _frames(contents, robots)
-    commands = tuple(map(codec.decode_command, contents.messages(channels.COMMANDS)))
-    validate.check_commands(commands, robots)
-    stops = [command for command in commands if command.stops]
-    trial = TrialLog(
-        log=str(contents.path),
-        experiment=experiment,
-        start=start,
-        mocap_ns=frames.sampled_ns,
-        mocap=frames.poses,
-        valid=frames.valid,
-        truth=frames.truth if start.plant.simulated else None,
-        steps=_steps(contents, robots, steps),
-        stop=stops[-1] if stops else None,
-        result=contents.result,
-        damage=None,
-        facts=contents.facts,
-        frames=frames.numbers,
-        received_ns=frames.received_ns,
-        exposed_ns=frames.exposed_ns,
-        commands=commands,
-        notes=tuple(_notes(contents, start.start_unix_ns)),
-        digest=contents.stated_digest,
-        pictures=_pictures(contents, start.start_unix_ns),
-    )
-    if not contents.damaged:
-        return trial
-    # damage is stated with a time since the first direction, which the trial knows
-    until_s = trial.elapsed_s(int(frames.received_ns.max(initial=0)))
-    return replace(trial, damage=_damage(contents, until_s))
-
-
 def _damage(contents: RawLog, until_s: float) -> Damage:
     """Return how a log is torn, recovered and unfinished; its last frame was received at `until_s`
     [s]."""
@@ -122,18 +125,9 @@ def _damage(contents: RawLog, until_s: float) -> Damage:
     problems = [*source.problems, *contents.problems]
     lost = [*source.lost, *contents.lost]
     if contents.result is None:
-        problems.append(contents.why_no_result)
+        problems.append(str(contents.result_or_why_not))
         lost.append(f"the result and everything after {until_s:.3f} s")
     return Damage(tuple(problems), tuple(lost))
-
-
-def _pictures(contents: RawLog, start_unix_ns: int) -> tuple[tuple[int, bytes], ...]:
-    """Return the microscope's pictures, each with its time on the trial's clock [ns]."""
-    pictures = []
-    for entry in contents.by_topic[channels.PICTURE]:
-        picture = CompressedImage.FromString(entry.data)
-        pictures.append((entry.publish_ns - start_unix_ns, picture.data))
-    return tuple(pictures)
 
 
 def read_result(path: Path) -> ResultSummary:
@@ -243,7 +237,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         spec_hash=spec_hash,
         seed=run.seed,
         trial=run.trial,
-        plant=decode_plant(run),
+        plant=PlantInfo(run.plant, run.mode == "sim", run.camera_rate_hz, decode_facts(run.facts)),
         start_unix_ns=run.start_unix_ns,
         attached=tuple(
             (name, item.data.decode(errors="replace"))
@@ -278,10 +272,3 @@ def _steps(contents: RawLog, robots: int, most: int | None) -> tuple[Step, ...]:
     )
     validate.check_steps(steps, robots)
     return steps
-
-
-def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
-    """Decode the operator messages; unprintable characters in them are escaped."""
-    for message in contents.messages(channels.LOG):
-        note = decode_note(message, start_unix_ns)
-        yield replace(note, text=printable(note.text, channels.TEXT))

@@ -25,13 +25,12 @@ def digest(function: Callable[..., Any], sig: Any) -> str:
     constants = list[str]()
     for reached, named in _reached(function):
         overloads = (value for _, value in named if isinstance(value, FunctionType))
-        files.update(
-            *map(_own_file, (reached, *overloads))
-        )  # an overload's code is in the same file
+        codes = [function.__code__ for function in (reached, *overloads)]
+        files.update(Path(code.co_filename) for code in codes)  # an overload's is in the same file
         constants += [f"{name} = {_frozen(value)}" for name, value in named]
     for kind in _classes(sig if isinstance(sig, tuple) else sig.args):
         files.update(_module_files(kind.__module__))
-    return files_digest(files, "\n".join(constants))
+    return files_digest([file for file in files if file.is_file()], "\n".join(constants))
 
 
 Named = list[tuple[str, Any]]
@@ -99,8 +98,3 @@ def _module_files(name: str) -> frozenset[Path]:
     file = Path(origin)
     inside = (file.parent / "__init__.py").exists()
     return frozenset(file.parent.glob("*.py") if inside else (file,))
-
-
-def _own_file(function: FunctionType) -> tuple[Path, ...]:
-    file = Path(function.__code__.co_filename)
-    return (file,) if file.is_file() else ()

@@ -38,7 +38,7 @@ def test_a_log_without_a_result_says_up_to_when_it_is_known():
     trial = trial_of(raw)
     until_s = trial.elapsed_s(int(trial.received_ns.max()))
     assert trial.damage is not None
-    assert trial.damage.problems == (raw.why_no_result,)
+    assert trial.damage.problems == (raw.result_or_why_not,)
     assert trial.damage.lost == (f"the result and everything after {until_s:.3f} s",)
 
 
@@ -75,4 +75,4 @@ def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path
 @pytest.mark.parametrize("log", [WHOLE, TORN])
 def test_a_result_that_is_known_has_no_reason_to_be_unknown(log):
     raw = scan(log)
-    assert (raw.result is None) == bool(raw.why_no_result)
+    assert (raw.result is None) == isinstance(raw.result_or_why_not, str)

@@ -174,6 +174,7 @@ def _by_keys(
 
 def _hold(view: "LiveView", keys: "HandKeys", words: str) -> None:
     """Leave the last picture of a trial on the screen until a key is pressed."""
+    keys.forget()  # before the words are on the screen: a key that answers them counts
     view.say(words)
     keys.await_key()
 

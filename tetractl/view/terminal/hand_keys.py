@@ -107,10 +107,12 @@ class HandKeys:
         self._wish = replace(self._wish, stops=True)
         self._pressed.set()
 
-    def await_key(self) -> None:
-        """Wait for another key, but not longer than until the trial is `ended` for another
-        reason."""
+    def forget(self) -> None:
+        """Let `await_key` wait for a key that is pressed from now on."""
         self._pressed.clear()
+
+    def await_key(self) -> None:
+        """Wait for a key, but not longer than until the trial is `ended` for another reason."""
         while not (self._pressed.wait(WAIT_S) or self._ended()):
             pass
 

@@ -6,7 +6,8 @@ import threading
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.view.terminal.hand_keys import MOUSE_OFF, MOUSE_ON, HandKeys, Wish, read_script
+from tetractl.experiment.load import parse_contents
+from tetractl.view.terminal.hand_keys import MOUSE_OFF, MOUSE_ON, HandKeys, Wish, read_script, task
 
 NORTH = math.pi / 2
 
@@ -71,6 +72,33 @@ def test_the_first_key_is_waited_for():
 
 def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():
     assert HandKeys(lambda: True).ask(0.0) is None
+
+
+def test_a_key_that_answers_the_words_before_they_are_waited_for_counts():
+    """Regression: it was forgotten, as when the machine is slow."""
+    steering = HandKeys(lambda: False)
+    steering.press("space")
+    steering.forget()
+    steering.press("x")
+    steering.await_key()
+
+
+def test_the_task_names_who_turns_fastest_and_slowest():
+    robots = [
+        {"name": name, "start": [0.2, 0.2], "target": [0.5, 0.5], "a": a, "speed": 0.1}
+        for name, a in (("kim", 2), ("lea", 5), ("max", 3))
+    ]
+    arena = {"left": 0, "bottom": 0, "width": 1, "height": 1}
+    contents = {
+        "name": "x",
+        "arena": arena,
+        "units": {"length": "m"},
+        "controller": {"type": "mpc"},
+    }
+    two = parse_contents(contents | {"robots": robots}, "x").experiment.setup
+    assert "(lea fastest, kim slowest)" in task(two)
+    one = parse_contents(contents | {"robots": robots[:1]}, "x").experiment.setup
+    assert "fastest" not in task(one)
 
 
 def test_the_terminal_tells_of_its_mouse_inside_the_block_alone(capsys):

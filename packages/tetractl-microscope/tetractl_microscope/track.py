@@ -230,10 +230,11 @@ def _show_tracks(
         readings.append(image(str(source), str(field), directions))
         check_directions(str(field), courses(paths), directions, AT_ONCE_S, readings)
         ui.tell(*side_remarks(directions, paths))
-    ui.tell(*stage_remarks(cells.paths, directions))
+    together = stage_remarks(cells.paths, directions)
+    ui.tell(*together)
     organism = organism_by_speed(cells.paths) if kind is None else kind
     with ui.progress("Fitting"):
-        record = track_record(source, cells, organism, directions)
+        record = track_record(source, cells, organism, None if together else directions)
     ui.show(as_json, record, cell_tables(record))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

@@ -104,9 +104,11 @@ def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -
         times = np.unique(np.concatenate([path.times for path in paths]))
         if straight < STRAIGHT or abs(np.mean(np.sign(field.at(times)))) > TURNS_ABOUT:
             return ()
+    of_field = "" if field is None else ", and no a is fitted"
     return (
         f"warning: all cells move together, by {speed_um_s:.0f} um/s, and by {own_um_s:.0f} um/s "
-        "apart from that: does the stage move, or the medium flow? It is part of their speeds",
+        "apart from that: does the stage move, or the medium flow? It is part of their speeds"
+        + of_field,
     )
 
 

@@ -643,6 +643,99 @@ def test_times_of_a_smaller_unit_are_told(tmp_path, units_per_s, unit):
         tracks_of(tmp_path, scaled(ONE_POSES), scaled(NO_NAME))
 
 
+def poses_at(times):
+    """A table of a robot that drives straight on, at these times."""
+    rows = [f"{float(time_s)},{k},0,0" for k, time_s in enumerate(times)]
+    return "\n".join(["time_s,x_mm,y_mm,heading_rad", *rows, ""])
+
+
+PICTURES = "if its times count pictures, divide them by the pictures per second"
+
+
+@pytest.mark.parametrize(
+    ("times", "hints"),
+    [
+        (np.arange(40), [PICTURES]),
+        (np.arange(1000, 1040), [PICTURES]),
+        (np.arange(0, 400, 10), [PICTURES, "time_ms"]),
+        (np.arange(0, 1320, 33), ["time_ms"]),
+        (np.arange(40) * 0.7, []),
+        (np.arange(40) * 33.3, ["time_ms"]),
+    ],
+    ids=["pictures", "from 1000", "each tenth", "ms", "seldom", "broken ms"],
+)
+def test_times_that_count_pictures_are_told(tmp_path, times, hints):
+    """Regression: "if its times are in ms" of 0, 1, 2, ..."""
+    with pytest.raises(UsageError, match="s apart") as error:
+        tracks_of(tmp_path, poses_at(times), NO_NAME)
+    for hint in (PICTURES, "time_ms"):
+        assert (hint in str(error.value)) == (hint in hints)
+
+
+def test_whole_seconds_of_commands_and_whole_milliseconds_are_read(tmp_path):
+    poses = poses_at(range(0, 3300, 33)).replace("time_s", "time_ms")
+    assert tracks_of(tmp_path, poses, NO_NAME)
+    assert tracks_of(tmp_path, poses_at(np.arange(40) * 0.5), NO_NAME)
+
+
+def heading_as_sent(late_s):
+    """Headings that are the directions of `drive`, some time [s] late."""
+    sent_s, directions = drive().commands.T
+
+    def heading_of(time_s):
+        return directions[max(np.searchsorted(sent_s, time_s - late_s, side="right") - 1, 0)]
+
+    return heading_of
+
+
+def write_headings_at(folder, heading_of):
+    """Write the drive with other headings [rad], by the time [s] and the heading."""
+    paths = write_drive(folder)
+    rows = [(*row[:3], heading_of(row[0], row[3])) for row in drive().poses]
+    write_table(paths[0], PLAIN, PLAIN_POSES, np.array(rows), robot="green")
+    return paths
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05])
+def test_headings_that_are_the_directions_are_refused(tmp_path, late_s):
+    """Regression: an a of 313, "poses that repeat the one before are left out: 35.9%"."""
+    heading_of = heading_as_sent(late_s)
+    paths = write_headings_at(tmp_path, lambda time_s, _: heading_of(time_s))
+    with pytest.raises(UsageError, match="the headings of green are the directions that were sent"):
+        csv_tracks(paths)
+
+
+def soon_at(time_s, _):
+    """The heading of a robot without noise that turns to its direction with a lag of 0.1 s."""
+    sent_s, directions = drive().commands.T
+    newest = np.searchsorted(sent_s, time_s, side="right") - 1
+    before = directions[max(newest - 1, 0)]
+    return directions[newest] + (before - directions[newest]) * math.exp(
+        (sent_s[newest] - time_s) / 0.1
+    )
+
+
+AS_SENT = heading_as_sent(0.0)
+NOISE = np.random.default_rng(2).normal(0, 0.008, 400)
+MEASURED = {
+    "as it is": lambda _, heading: heading,
+    "rounded to 0.1 rad": lambda _, heading: round(heading, 1),
+    "without noise, at once": soon_at,
+    "as sent, with noise": lambda time_s, _: AS_SENT(time_s) + NOISE[round(30 * time_s)],
+    "as sent for a third": lambda time_s, heading: AS_SENT(time_s) if time_s < 4 else heading,
+}
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_headings_near_the_directions_are_not_taken_for_them(tmp_path, name):
+    said = ""
+    try:
+        csv_tracks(write_headings_at(tmp_path, MEASURED[name]))
+    except UsageError as error:  # some do not fit the motion
+        said = str(error)
+    assert "are the directions" not in said
+
+
 @pytest.mark.parametrize(
     ("poses", "commands", "lacks"),
     [

@@ -13,6 +13,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
+from tetractl.replay.identification import fit
 from tetractl.replay.identification.fit import WANDERS, FittedRobot, SampleInterval
 from tetractl.replay.identification.identify import (
     IdentifiedRobots,
@@ -21,6 +22,7 @@ from tetractl.replay.identification.identify import (
     identify,
     stated,
     tables,
+    turn_smoothly,
     turn_uniformly,
 )
 from tetractl.replay.identification.passes import TrackFrames, speed_wander
@@ -324,6 +326,37 @@ def test_directions_that_tell_a_from_dead_time_leave_all_intervals(tracks):
     assert not turn_uniformly(tracks)
 
 
+TRIANGLE = 1.5 - 2 * np.abs(TIMES_S % 6 - 3) / 2
+"""Directions that turn by 1 rad/s to and fro."""
+
+
+def test_directions_that_never_jump_leave_no_interval_of_what_a_lag_may_spoil():
+    """Regression: of a triangle, an a of 4.46 (4.25 to 4.68) for 4, of wheels that lag by .04 s."""
+    assert turn_smoothly(turning(TRIANGLE))
+    assert turn_smoothly(turning(np.sin(ROTATION)))
+    assert turn_smoothly(turning(np.angle(np.exp(1j * ROTATION))))
+    on_wheels = identification_of(identified_robot(), turns_smoothly=True, lag_unstated=True)
+    assert np.isnan(stated(on_wheels).robots[0].a.low)
+    assert "send directions that jump" in tables(on_wheels)[0].note
+    without = identification_of(identified_robot(), turns_smoothly=True, lag_unstated=False)
+    assert stated(without).robots[0].a == INTERVAL
+
+
+@pytest.mark.parametrize(
+    "tracks",
+    [
+        turning(np.random.default_rng(1).uniform(-2, 2, 300)),
+        turning(TRIANGLE + (TIMES_S > 15)),
+        turning(TRIANGLE[::5], apart_s=0.5),  # by steps of .5 rad
+        turning(0.1 * TRIANGLE),
+        turning(TRIANGLE, np.random.default_rng(1).uniform(-2, 2, 300)),
+    ],
+    ids=["random", "one jump", "steps", "hardly turns", "two tracks"],
+)
+def test_directions_that_show_a_lag_leave_all_intervals(tracks):
+    assert not turn_smoothly(tracks)
+
+
 @pytest.mark.parametrize(
     ("dead_time", "says"),
     [
@@ -458,15 +491,16 @@ def test_a_is_found_where_nothing_is_expected():
 
 
 @pytest.mark.long
-def test_pooled_tracks_tell_more_than_one():
+def test_pooled_tracks_tell_more_than_one(monkeypatch):
     tracks = [drive(seed, *NOISY, "plant.dead_time=0.1").track for seed in (1, 2)]
+    monkeypatch.setattr(fit, "wider_of_blocks", np.zeros_like)  # blocks differ at random
     of_one = identify(tracks[:1], A_RAD_S)
     of_both = identify(tracks, A_RAD_S)
     assert of_both.commands == 2 * 50
-    assert sum(robot.lost for robot in of_one.robots) == 0
-    # blocks differ at random: the widths of one robot may by a quarter
-    pooled = sum(width(robot.a) for robot in of_both.robots)
-    assert pooled < 0.8 * sum(width(robot.a) for robot in of_one.robots)
+    for one, both in zip(of_one.robots, of_both.robots, strict=True):
+        assert both.intervals == pytest.approx(2 * one.intervals, rel=0.02)
+        assert width(both.a) < 0.8 * width(one.a)
+        assert one.lost == 0
 
 
 @pytest.mark.long

@@ -297,3 +297,17 @@ def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
     note = response_table([moved], "", "mm").note
     assert ("of two clocks" in note) == (late_s > by_one_clock)
     assert ("of one clock?" in note) == (by_one_clock - late_s > LATE_S)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rate", [1.01, 0.99, 1.0005])
+def test_a_clock_that_is_fast_is_refused(rate):
+    """Regression: a dead time of -0.61 (-1.23 to 0.01) s and a lag of 0.36 for 0.09 and 0.10."""
+    track = track_of_one_robot(7)
+    moved = replace(track, sent=track.sent * rate)
+    if abs(rate - 1) < 1e-3:
+        respond([moved])
+        return
+    said = r"clock of the commands is about \d\.\d% " + ("fast" if rate > 1 else "slow")
+    with pytest.raises(UsageError, match=said):
+        respond([moved])

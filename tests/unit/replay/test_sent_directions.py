@@ -11,6 +11,7 @@ from tetractl.replay.identification.sent_directions import (
     GRID_S,
     SentDirections,
     TurnedCourse,
+    check_clock_rate,
     check_directions,
     image,
     other_readings,
@@ -33,9 +34,9 @@ EVEN_AT_FIRST = sent_every_1_5_s(np.tile([0.0, 1.57, 3.0, -1.57, -0.6, 2.2, 0.9,
 """A step late, four of eight are those that were sent, rotated by a quarter of a turn."""
 
 
-def course_by(sent: SentDirections, late_s: float = 0.0) -> TurnedCourse:
+def course_by(sent: SentDirections, late_s: float = 0.0, drive_s=DRIVE_S) -> TurnedCourse:
     """The heading of a robot that turns by directions, each of which acts late."""
-    times = np.arange(0, DRIVE_S, GRID_S)
+    times = np.arange(0, drive_s, GRID_S)
     heading = 0.3
     headings = []
     for acts in sent.at(times - late_s):
@@ -143,3 +144,46 @@ def test_robots_that_hardly_turn_show_nothing():
     times = np.arange(0, DRIVE_S, GRID_S)
     noise = np.random.default_rng(1).normal(0, 0.003, len(times))
     check([TurnedCourse(times, 1.0 + noise)], sent_every_1_5_s(np.full(16, 1.0)), least=1.0)
+
+
+# ---- Is one clock fast? ----
+
+LONG_S = 60
+SENT_LONG = SentDirections(
+    np.arange(0, LONG_S, 1.5), np.random.default_rng(4).uniform(-3, 3, round(LONG_S / 1.5))
+)
+
+
+def long_course(sent=SENT_LONG, late_s=0.1):
+    """The heading of a robot that turns by directions for a minute."""
+    return course_by(sent, late_s, drive_s=LONG_S)
+
+
+@pytest.mark.parametrize(
+    ("rate", "says"),
+    [(1.01, "about (0.9|1.0|1.1)% fast"), (0.99, "about (0.9|1.0|1.1)% slow")],
+)
+def test_a_clock_that_is_fast_is_refused(rate, says):
+    """Regression: of one 1 % fast, a misfit, and a lag of wheels was asked for."""
+    stated = replace(SENT_LONG, times=SENT_LONG.times * rate)
+    with pytest.raises(UsageError, match=f"c.csv: the clock of the commands is {says}"):
+        check_clock_rate("c.csv", [long_course()], stated)
+
+
+ALTERNATING_LONG = replace(SENT_LONG, angles=np.tile([1.2, -1.2], 20))
+SELDOM = SentDirections(SENT_LONG.times[::10], SENT_LONG.angles[::10])
+ONE_CLOCK = {
+    "as it is": (long_course(), SENT_LONG),
+    "1.4 s late": (long_course(late_s=1.4), SENT_LONG),
+    "a clock 0.1 % fast": (long_course(), replace(SENT_LONG, times=SENT_LONG.times * 1.001)),
+    "alternating": (long_course(ALTERNATING_LONG), ALTERNATING_LONG),
+    "four directions": (long_course(SELDOM), SELDOM),
+    "a quarter lost": (long_course(a_quarter_lost(SENT_LONG)), SENT_LONG),
+    "of another robot": (long_course(ALTERNATING_LONG), SENT_LONG),
+}
+
+
+@pytest.mark.parametrize("name", ONE_CLOCK)
+def test_directions_by_one_clock_are_accepted(name):
+    course, sent = ONE_CLOCK[name]
+    check_clock_rate("c.csv", [course], sent)

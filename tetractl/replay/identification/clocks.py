@@ -1,4 +1,5 @@
-"""Whether times of two files are those of one clock: what is seen and what is sent must overlap."""
+"""Whether times of two files are those of one clock: what is seen and what is sent must overlap,
+and robots must follow as late at the end as at the begin."""
 
 from dataclasses import dataclass
 
@@ -6,6 +7,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
+from tetractl.replay.identification.explained import EXPLAINED
 
 COVERED = 0.9
 """Share of the robots' way while commands act, below which it is said."""
@@ -16,6 +18,14 @@ APART_MAX_S = 0.5
 """Most time between two poses of robots on wheels that are of use [s]."""
 SMALLER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units in which times may be counted [s]."""
+COUNTED_MOST = 10
+"""Most pictures between two poses of a table that counts pictures."""
+PICTURE_MS = 2
+"""Least milliseconds between two poses."""
+DRIFT_LEAST_S = 0.1
+DRIFT_COSTS = 0.1
+"""By how much robots follow later in the last third of a recording than in the first if a clock is
+fast or slow [s]; and by how much less of the motion commands explain in each with the other's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +64,40 @@ def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> st
     return None
 
 
-def refuse_sparse(source: str, apart_s: float) -> None:
-    """Raise UsageError if poses are too far apart, as of times that are in a smaller unit."""
+def refuse_sparse(source: str, times: Floats) -> None:
+    """Raise UsageError if the times (M,) of a robot's poses are too far apart [s], as of times that
+    are in a smaller unit, or count pictures."""
+    gaps = np.diff(times)
+    apart_s = float(np.median(gaps)) if len(gaps) else 0.0
     if apart_s <= APART_MAX_S:
         return
-    units = [unit for unit, seconds in SMALLER.items() if apart_s * seconds <= APART_MAX_S]
     hint = f"poses must be {APART_MAX_S:g} s apart at most"
-    if units:
+    is_whole = bool((gaps == np.round(gaps)).all())
+    if is_whole and apart_s <= COUNTED_MOST:
+        hint += "; if its times count pictures, divide them by the pictures per second"
+    units = [unit for unit, seconds in SMALLER.items() if apart_s * seconds <= APART_MAX_S]
+    if units and apart_s >= PICTURE_MS:
         hint += f"; if its times are in {units[0]}, name the column time_{units[0]}"
     raise UsageError(f"{source}: the poses of a robot are {apart_s:.3g} s apart", hint)
+
+
+def refuse_drift(source: str, shares: Floats, delays_s: Floats, apart_s: float) -> None:
+    """Raise UsageError if the clock of commands is fast or slow.
+
+    `shares` (3, D) are those of the motion in each third of a recording that commands explain after
+    each of some delays (D,) [s]; from the first to the last it is `apart_s` [s].
+    """
+    first, middle, last = shares.argmax(axis=1).tolist()
+    least = min(shares[0, first] - shares[0, last], shares[2, last] - shares[2, first])
+    is_explained = shares.max(axis=1).min() >= EXPLAINED
+    later_s = float(delays_s[last] - delays_s[first])
+    is_between = min(first, last) <= middle <= max(first, last)
+    if abs(later_s) < DRIFT_LEAST_S or least < DRIFT_COSTS or not (is_explained and is_between):
+        return
+    rate = 1 - later_s / apart_s
+    said, sooner = ("fast", "sooner") if rate > 1 else ("slow", "later")
+    raise UsageError(
+        f"{source}: the clock of the commands is about {abs(rate - 1):.1%} {said}: after "
+        f"{apart_s:.3g} s robots follow {abs(later_s):.2g} s {sooner}",
+        f"take both times from one clock, or divide those of the commands by {rate:.4g}",
+    )

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.core.errors import UsageError, printable
-from tetractl.core.poses import Bools, Floats, turn_problem
+from tetractl.core.poses import Bools, Floats, turn_problem, wrap
 from tetractl.replay.identification.clocks import Span, clock_remark, refuse_sparse
 from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
     SentDirections,
     TurnedCourse,
+    check_clock_rate,
     check_directions,
     courses_of_headings,
     image,
@@ -73,6 +74,12 @@ POSES_MIN = 20
 """Least number of poses by which the angle between motion and heading is evaluated."""
 JUMP = 100.0
 """Median ways between two poses, above which a way is no motion but a wrong place; chosen."""
+COPIES = 0.9
+COPIES_MIN = 5
+TURNED = 0.01
+ALIKE = 1e-3
+"""Share of the headings, and their least number, that have TURNED [rad] since the pose before and
+are now the direction that acts within ALIKE [rad], as none is that is measured: copies of it."""
 COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
 BOTH_FILES = "name both files, such as poses.csv steps.csv of `tetractl export`"
@@ -399,16 +406,6 @@ def _track(
         raise UsageError(f"{poses_path}: has no robot that is seen for {shortest_s:g} s")
     names = tuple(robot or ONE_ROBOT for robot in robots)
     time, poses, valid = _frames(poses_path, rows, len(names))
-    _check_degrees(poses_path, poses, valid)
-    remarks: list[str] = []
-    if on_wheels:
-        refuse_sparse(str(poses_path), min(_usual_gap(of_robot) for of_robot in _seen_at(rows)))
-        valid, remarks = _measured(poses_path, names, time, poses, valid)
-    if not numbers.twists:
-        _check_angles(poses_path, names, time, poses, valid)
-    unsent = sorted(idle & set(numbers.robots))
-    if unsent:
-        remarks.append(f"{commands_path}: no command is for {', '.join(map(printable, unsent))}")
     sent = (
         _twists(numbers, list(robots), unit, begin)
         if numbers.twists
@@ -416,6 +413,17 @@ def _track(
     )
     if not len(sent.when):
         raise UsageError(f"{commands_path}: states no direction")
+    _check_degrees(poses_path, poses, valid)
+    _refuse_copies(poses_path, names, time, poses, sent)
+    remarks: list[str] = []
+    if on_wheels:
+        refuse_sparse(str(poses_path), min(_seen_at(rows), key=_usual_gap))
+        valid, remarks = _measured(poses_path, names, time, poses, valid)
+    if not numbers.twists:
+        _check_angles(poses_path, names, time, poses, valid)
+    unsent = sorted(idle & set(numbers.robots))
+    if unsent:
+        remarks.append(f"{commands_path}: no command is for {', '.join(map(printable, unsent))}")
     until = float(sent.when[-1]) + _usual_gap(sent.when)
     poses_span = Span(str(poses_path), begin, begin + float(time[-1]))
     commands_span = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
@@ -542,6 +550,25 @@ def _check_degrees(path: Path, poses: Floats, valid: Bools) -> None:
         )
 
 
+def _refuse_copies(
+    path: Path, names: tuple[str, ...], time: Floats, poses: Floats, sent: "_Sent"
+) -> None:
+    """Raise UsageError if the headings in poses (M, N, 3) are the directions that were sent, at
+    their times or a command before or after."""
+    newest = np.searchsorted(sent.when, time, side="right") - 1
+    near = np.clip(newest[:, None] + np.array([-1, 0, 1]), 0, len(sent.when) - 1)
+    for robot, name in enumerate(names):
+        headings = poses[:, robot, 2]
+        off = np.abs(wrap(headings[:, None] - sent.u[near])).min(axis=1)
+        turned = np.abs(wrap(np.diff(headings))) > TURNED
+        is_copy = off[1:][turned] < ALIKE
+        if len(is_copy) >= COPIES_MIN and is_copy.mean() > COPIES:
+            raise UsageError(
+                f"{path}: the headings of {printable(name)} are the directions that were sent",
+                "give the headings that were measured",
+            )
+
+
 def _measured(
     path: Path, names: tuple[str, ...], time: Floats, poses: Floats, valid: Bools
 ) -> tuple[Bools, list[str]]:
@@ -582,12 +609,14 @@ def _check_turning(
     least: float,
 ) -> None:
     """Raise UsageError if robots turn by other directions than those that they were sent, or these
-    explain less than a share `least` of their turning."""
+    explain less than a share `least` of their turning, above 0 of robots on wheels."""
     turned: list[TurnedCourse] = []
     for headings in poses[..., 2].T:
         measured = np.isfinite(headings)
         turned += courses_of_headings(time[measured], headings[measured])
     source = str(commands_path)
+    if least:
+        check_clock_rate(source, turned, directions)
     readings = [
         image(str(poses_path), source, directions),
         *other_readings(source, directions, _usual_gap(time)),

@@ -29,8 +29,8 @@ class IdentifiedRobots:
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
-    `lag_unstated` says that robots are on wheels whose lag nothing states, `turns_uniformly` that
-    all directions turn at one rate.
+    `lag_unstated` says that robots are on wheels whose lag nothing states, `turns_smoothly` that
+    no direction jumps, `turns_uniformly` that all turn at one rate.
     """
 
     origin: str
@@ -43,6 +43,7 @@ class IdentifiedRobots:
     strength: float | None = None
     strength_unit: str = "mT"
     lag_unstated: bool = False
+    turns_smoothly: bool = False
     turns_uniformly: bool = False
 
 
@@ -83,6 +84,7 @@ def identify(
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
         lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
+        turns_smoothly=turn_smoothly(tracks),
         turns_uniformly=turn_uniformly(tracks),
     )
 
@@ -97,20 +99,29 @@ def _judged(robots: tuple[FittedRobot, ...], all_commands: bool) -> tuple[Fitted
     )
 
 
+def turn_smoothly(tracks: list[Track]) -> bool:
+    """Return whether the directions of all tracks turn without a jump: robots follow them at an
+    angle that a lag of their wheels makes as well as a does."""
+    for track in tracks:
+        u = np.unwrap(track.u)
+        if len(u) < 3 or np.abs(np.diff(u)).max() > UNIFORM_RAD or np.ptp(u) < TURN_LEAST:
+            return False
+    return True
+
+
 def turn_uniformly(tracks: list[Track]) -> bool:
     """Return whether the directions of all tracks turn at one rate, to either side: robots follow
     them at an angle that the dead time makes as well as a and the heading bias do."""
+    if not turn_smoothly(tracks):
+        return False
     rates: list[float] = []
     for track in tracks:
         u = np.unwrap(track.u)
-        if len(u) < 3 or np.ptp(track.sent) == 0:
-            return False
         times = track.sent - track.sent[0]
+        if not times.any():
+            return False
         rate, first = np.polyfit(times, u, 1)
-        off = np.abs(u - first - rate * times)
-        steps = np.abs(np.diff(u))
-        is_uneven = max(off.max(), steps.max()) > UNIFORM_RAD
-        if is_uneven or np.ptp(u) < TURN_LEAST:
+        if np.abs(u - first - rate * times).max() > UNIFORM_RAD:
             return False
         rates.append(abs(rate))
     return max(rates) < UNIFORM_RATES * min(rates)
@@ -133,6 +144,7 @@ NO_INTERVAL = (
     "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
     "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
 )
+NO_JUMP = "or send directions that jump, which show it"
 UNIFORM = (
     "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
     "tell one from another: send directions that jump"
@@ -176,8 +188,10 @@ def _bare(interval: SampleInterval) -> SampleInterval:
 
 
 def _may_lag(result: IdentifiedRobots) -> bool:
-    """Return whether wheels may have a lag that nothing states: a heading does not fit without."""
-    return result.lag_unstated and any(HEADING in robot.misfits for robot in result.robots)
+    """Return whether wheels may have a lag that nothing states: a heading does not fit without, or
+    directions turn so smoothly that it would."""
+    is_misfit = any(HEADING in robot.misfits for robot in result.robots)
+    return result.lag_unstated and (is_misfit or result.turns_smoothly)
 
 
 def identified(result: IdentifiedRobots, when: str) -> Identified:
@@ -223,6 +237,8 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     note += f"\n{_fits(result)}"
     if result.turns_uniformly:
         note += f"\n{UNIFORM}"
+    elif _may_lag(result):
+        note += f"\n{NO_INTERVAL}" + (f"; {NO_JUMP}" if result.turns_smoothly else "")
     note += clock_doubt(result.dead_time)
     labels = _labels(result)
     abreast: list[Table] = []
@@ -276,10 +292,7 @@ def _fits(result: IdentifiedRobots) -> str:
     ]
     if not misfits:
         return "the model fits"
-    text = f"the model does not fit {'; '.join(misfits)}: speed or turning wanders over seconds"
-    if _may_lag(result):
-        text += f"\n{NO_INTERVAL}"
-    return text
+    return f"the model does not fit {'; '.join(misfits)}: speed or turning wanders over seconds"
 
 
 def cell(interval: SampleInterval) -> str:

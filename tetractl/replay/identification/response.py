@@ -39,6 +39,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
+from tetractl.replay.identification.clocks import refuse_drift
 from tetractl.replay.identification.explained import (
     EXPLAINED,
     SURELY_MORE,
@@ -75,15 +76,16 @@ GRID_DEAD_TIMES_S = np.arange(-0.25, 0.26, 0.05)
 """Dead times from which the search may start, less that of the start [s]."""
 GRID_TURNING_LAGS_S = (0.03, 0.1, 0.3)
 """Lags of turning from which it may start [s]; that of speed starts at its unit."""
-CLOCKS_APART_S = 0.05
-CLOCKS = 200
+CLOCKS_S = np.arange(-200, 201) / 20
 PEAK = 5
-"""Spacing of the delays that are tried [s], their number to either side of the expected one, and
-that to either side which a delay has to exceed."""
+"""Delays that are tried, less the expected one [s]; and their number to either side of one that it
+has to exceed."""
 AS_GOOD = 0.1
 REVERSED = 0.8
 """Share of the motion by which a delay nearer to the expected one may explain less; and that for
 which a delay counts if robots turn right where they are sent left."""
+THIRD_LEAST = 80
+"""Least number of steps of a third of a recording in which it is seen how late commands act."""
 USUAL = 0.02
 """Share of rates to either side that are clipped."""
 DEAD_TIME_UNIT_S = 0.05
@@ -334,7 +336,9 @@ def _usable_steps(source: str, name: str, tracks: list[_DrivenTrack], expected_s
     steps = PoseSteps.together([track.steps for track in tracks])
     drives = steps.duration_s < LONGEST_S
     _require_enough(name, drives)
-    dead_time = _delay(tracks, steps, expected_s + LAG_UNIT_S) - LAG_UNIT_S
+    delay_s = _delay(tracks, steps, expected_s + LAG_UNIT_S)
+    _check_clock_rate(source, max(tracks, key=lambda track: len(track.pose_s)), delay_s)
+    dead_time = delay_s - LAG_UNIT_S
     driven = _integrals(tracks, dead_time, LAG_UNIT_S)
     acts = np.concatenate([track.acts(dead_time) for track in tracks])
     drives &= acts & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
@@ -372,24 +376,67 @@ def _delay(tracks: Sequence[_DrivenTrack], steps: PoseSteps, expected_s: float) 
     """Return the delay [s] after which speeds and turns that were sent explain most of the motion;
     of several that explain AS_GOOD as much, that nearest to the expected one.
     """
-    seen = steps.at(steps.duration_s < LONGEST_S)
-    turn_rate = _clipped(seen.turned / seen.duration_s)
-    ahead = _clipped(seen.moved.real / seen.duration_s)
-    aside = _clipped(seen.moved.imag / seen.duration_s)
-    delays = expected_s + CLOCKS_APART_S * np.arange(-CLOCKS, CLOCKS + 1)
-    explained = np.zeros(len(delays))
-    for i, delay in enumerate(delays.tolist()):
-        sent = np.concatenate([track.sent(delay) for track in tracks])
-        speed, rate = (sent / steps.duration_s[:, None])[steps.duration_s < LONGEST_S].T
-        of_turns = _correlation(rate, turn_rate)
-        of_ways = math.hypot(_correlation(speed, ahead), _correlation(speed, aside))
-        unexplained = (1 - of_turns**2) * (1 - min(of_ways, 1.0) ** 2)
-        explained[i] = (1 - unexplained) * (1.0 if of_turns > 0 else REVERSED)
+    delays = expected_s + CLOCKS_S
+    (explained,) = _explained_after(delays, tracks, steps, [steps.duration_s < LONGEST_S])
     is_peak = (explained == maximum_filter1d(explained, 2 * PEAK + 1)) & (
         explained >= explained.max() - AS_GOOD
     )
     peaks = delays[is_peak]
     return float(peaks[np.abs(peaks - expected_s).argmin()])
+
+
+def _explained_after(
+    delays: Floats, tracks: Sequence[_DrivenTrack], steps: PoseSteps, parts: Sequence[Bools]
+) -> Floats:
+    """Return the share of the motion in some parts of the steps (S,) that what was sent explains
+    after each of some delays [s] (P, D)."""
+    explained = np.zeros((len(parts), len(delays)))
+    motions = [_Motion.of(steps.at(part)) for part in parts]
+    for i, delay in enumerate(delays.tolist()):
+        sent = np.concatenate([track.sent(delay) for track in tracks]) / steps.duration_s[:, None]
+        for part, motion, of_part in zip(parts, motions, explained, strict=True):
+            of_part[i] = motion.explained(sent[part])
+    return explained
+
+
+def _check_clock_rate(source: str, track: _DrivenTrack, delay_s: float) -> None:
+    """Raise UsageError if commands act later and later, whose delay is some [s] in all."""
+    steps = track.steps
+    seen = steps.duration_s < LONGEST_S
+    third_s = float(np.ptp(track.pose_s)) / 3
+    third = (track.pose_s[:-1] - track.pose_s[0]) // max(third_s, STEP_S)
+    thirds = [seen & (third == number) for number in range(3)]
+    if min(part.sum() for part in thirds) < THIRD_LEAST:
+        return
+    delays = delay_s + CLOCKS_S
+    shares = _explained_after(delays, [track], steps, thirds)
+    refuse_drift(source, shares, delays, 2 * third_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """The turning rates and speeds ahead and aside (S,) of a robot, clipped to usual ones."""
+
+    turn_rate: Floats
+    ahead: Floats
+    aside: Floats
+
+    @classmethod
+    def of(cls, steps: PoseSteps) -> "_Motion":
+        """Return the motion in some steps (S,)."""
+        return cls(
+            turn_rate=_clipped(steps.turned / steps.duration_s),
+            ahead=_clipped(steps.moved.real / steps.duration_s),
+            aside=_clipped(steps.moved.imag / steps.duration_s),
+        )
+
+    def explained(self, sent: Floats) -> float:
+        """Return the share of the motion that speeds and turning rates sent (S, 2) explain."""
+        speed, rate = sent.T
+        of_turns = _correlation(rate, self.turn_rate)
+        of_ways = math.hypot(_correlation(speed, self.ahead), _correlation(speed, self.aside))
+        unexplained = (1 - of_turns**2) * (1 - min(of_ways, 1.0) ** 2)
+        return (1 - unexplained) * (1.0 if of_turns > 0 else REVERSED)
 
 
 def _clipped(rates: Floats) -> Floats:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats
+from tetractl.replay.identification.clocks import refuse_drift
 from tetractl.replay.identification.explained import EXPLAINED, Reading, check_explained
 
 GRID_S = 0.05  # time step of the analysis
@@ -33,6 +34,8 @@ AT_ONCE_S = np.arange(3) / 10
 """Those of a field to which no dead time is fitted [s]."""
 SHIFTS_S = np.arange(-100, 101) / 10
 """Differences of two clocks that are tried [s]."""
+DRIFTS_S = np.arange(-60, 61) / 20
+"""Delays by which it is seen whether a clock is fast [s]."""
 ENOUGH_S = 8.0
 """Time for which robots are seen, all together, below which chance explains much of their turning
 [s]."""
@@ -155,6 +158,33 @@ def check_directions(
     turns = rates.std() > TURNS
     share = _best_delay(longest, sent, delays_s, rotated).share
     check_explained(source, "turns", share, least if turns else 0.0, others)
+
+
+def check_clock_rate(source: str, turned: Sequence[TurnedCourse], sent: SentDirections) -> None:
+    """Raise UsageError if directions act later and later: the clock of their file is slow, or fast.
+
+    Of recordings in whose thirds robots are seen for less than ENOUGH_S nothing is known.
+    """
+    if not turned:
+        return
+    begin_s = min(float(course.times[0]) for course in turned)
+    third_s = (max(float(course.times[-1]) for course in turned) - begin_s) / 3
+    if third_s < ENOUGH_S:
+        return
+    shares = np.zeros((3, len(DRIFTS_S)))
+    for third, of_third in enumerate(shares):
+        part = [_from(course, begin_s + third * third_s, third_s) for course in turned]
+        seen = [course for course in part if len(course.times) > 2 * SMOOTH][:COURSES_MAX]
+        for i, delay_s in enumerate(DRIFTS_S.tolist()):
+            field = replace(sent, times=sent.times + delay_s).at
+            of_third[i] = _fit(seen, field, rotated).explained if seen else 0.0
+    refuse_drift(source, shares, DRIFTS_S, 2 * third_s)
+
+
+def _from(course: TurnedCourse, begin_s: float, length_s: float) -> TurnedCourse:
+    """Return what is of a course within a time of some length [s]."""
+    within = (course.times >= begin_s) & (course.times < begin_s + length_s)
+    return TurnedCourse(course.times[within], course.angle[within])
 
 
 def _when(delay_s: float) -> str:

@@ -59,6 +59,22 @@ def test_tracks_of_others_are_identified(dish, header):
     assert "does not fit" not in done.stdout
 
 
+def test_particles_that_drift_in_a_flow_get_no_a(dish):
+    """Regression: an a of each, and the warning that all move together."""
+    folder, _ = dish
+    random = np.random.default_rng(4)
+    rows = []
+    for particle in range(8):
+        steps = random.normal((0.0, 0.5), 0.2, (200, 2))
+        for k, (y, x) in enumerate(300 + np.cumsum(steps, axis=0)):
+            rows.append((particle, k, y, x))
+    name = written(folder, "drifting.csv", "particle,frame,y,x", np.array(rows))
+    words = ("track", name, "--field", "field.csv", "--scale", UM_PX, "--rate", RATE_HZ)
+    done = tetractl(folder, *words).ok()
+    assert "all cells move together" in done.stderr
+    assert "a [rad/s]" not in done.stdout
+
+
 TRACKMATE = """\
 LABEL,TRACK_ID,QUALITY,POSITION_X,POSITION_Y,POSITION_Z,POSITION_T,FRAME
 Label,Track ID,Quality,X,Y,Z,T,Frame

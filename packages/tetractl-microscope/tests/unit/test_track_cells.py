@@ -103,7 +103,9 @@ def test_particles_that_drift_past_a_turning_field_are_said_to():
     to_one_side = FieldRecord(np.arange(10.0), np.full(10, 0.5))
     drifting = [bead(number, 2.0, drift_um_s=20.0) for number in range(10)]
     paths = swimming_tracks(SOURCE, drifting, True).paths
-    assert "does the stage move, or the medium flow?" in stage_remarks(paths, turning_about)[0]
+    (said,) = stage_remarks(paths, turning_about)
+    assert "does the stage move, or the medium flow?" in said
+    assert "no a is fitted" in said
     assert not stage_remarks(paths, to_one_side)
     for field in (turning_about, to_one_side):
         followed = [steered(number, field) for number in range(10)]

@@ -493,7 +493,7 @@ def test_a_is_found_where_nothing_is_expected():
 @pytest.mark.long
 def test_pooled_tracks_tell_more_than_one(monkeypatch):
     tracks = [drive(seed, *NOISY, "plant.dead_time=0.1").track for seed in (1, 2)]
-    monkeypatch.setattr(fit, "wider_of_blocks", np.zeros_like)  # blocks differ at random
+    monkeypatch.setattr(fit, "wider_of_blocks", lambda _: 0.0)  # blocks differ at random
     of_one = identify(tracks[:1], A_RAD_S)
     of_both = identify(tracks, A_RAD_S)
     assert of_both.commands == 2 * 50

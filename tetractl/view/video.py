@@ -190,61 +190,31 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
             raise OSError((encoder.said() or ["ffmpeg failed"])[-1])
 
 
-@dataclass(frozen=True, slots=True)
-class _Box:
-    """A rectangle of a picture [in], from the picture's lower left corner."""
+def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Axes]:
+    """Return a picture for an arena, with axes for the scene on the left and, to its right, for the
+    curve of the error above the words; its width and height are even numbers [px], as MP4 demands.
+    """
+    scale = min(SCENE_WIDTH_IN / arena.width, SCENE_HEIGHT_IN / arena.height)
+    scene_width = scale * arena.width
+    scene_height = scale * arena.height
+    width = scene_width + SIDE_IN + 1.36
+    dpi = 2 * round(width_px / 2) / width
+    least_height = max(scene_height, SIDE_HEIGHT_IN) + 0.75
+    height = 2 * round(least_height * dpi / 2) / dpi
+    figure = Figure((width, height), dpi)
 
-    left: float
-    low: float
-    width: float
-    height: float
+    def axes_at(left: float, low: float, axes_width: float, axes_height: float) -> Axes:
+        """Add axes in a rectangle [in]."""
+        place = (left / width, low / height, axes_width / width, axes_height / height)
+        return figure.add_axes(place)
 
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Where things are in a picture of `width` x `height` [in]: the scene with the robots on the
-    left, to its right the curve of the error above the words."""
-
-    width: float
-    height: float
-    dpi: float
-    scene: _Box
-    curve: _Box
-    words: _Box
-
-    @classmethod
-    def fit(cls, arena: Bounds, width_px: int) -> "_Layout":
-        """Return the layout for an arena; width and height of the picture are even numbers [px],
-        as MP4 demands."""
-        scale = min(SCENE_WIDTH_IN / arena.width, SCENE_HEIGHT_IN / arena.height)
-        scene_width = scale * arena.width
-        scene_height = scale * arena.height
-        width = scene_width + SIDE_IN + 1.36
-        dpi = 2 * round(width_px / 2) / width
-        least_height = max(scene_height, SIDE_HEIGHT_IN) + 0.75
-        height = 2 * round(least_height * dpi / 2) / dpi
-        top = height - TOP_IN
-        middle = 0.56 * height
-        side = scene_width + 2 * LABELS_IN
-        return cls(
-            width,
-            height,
-            dpi,
-            scene=_Box(LABELS_IN, top - scene_height, scene_width, scene_height),
-            curve=_Box(side, middle, SIDE_IN, top - middle),
-            words=_Box(side, 0.1, SIDE_IN, middle - 0.7),
-        )
-
-    def axes(self, figure: Figure, box: _Box) -> Axes:
-        """Add axes in a rectangle."""
-        return figure.add_axes(
-            (
-                box.left / self.width,
-                box.low / self.height,
-                box.width / self.width,
-                box.height / self.height,
-            )
-        )
+    top = height - TOP_IN
+    middle = 0.56 * height
+    side = scene_width + 2 * LABELS_IN
+    scene = axes_at(LABELS_IN, top - scene_height, scene_width, scene_height)
+    curve = axes_at(side, middle, SIDE_IN, top - middle)
+    words = axes_at(side, 0.1, SIDE_IN, middle - 0.7)
+    return figure, scene, curve, words
 
 
 class _Scene:
@@ -375,15 +345,13 @@ class VideoFrames:
         self.recording = Recording(log)
         setup = log.start.setup
         colors = robot_colors(setup.names, setup.colors)
-        layout = _Layout.fit(setup.arena, width)
-        figure = Figure((layout.width, layout.height), layout.dpi)
+        figure, scene_axes, curve_axes, words_axes = _empty_picture(setup.arena, width)
         self._canvas = FigureCanvasAgg(figure)
         figure.text(0.01, 0.985, _heading(log), va="top", color=style.GREY, fontsize=7.5)
-        scene_axes = layout.axes(figure, layout.scene)
         self._ground = DishGround(scene_axes, log)
         scene = _Scene(scene_axes, log, colors)
-        curve = _ErrorCurve(layout.axes(figure, layout.curve), self.recording)
-        words = _Words(layout.axes(figure, layout.words), setup.names, colors)
+        curve = _ErrorCurve(curve_axes, self.recording)
+        words = _Words(words_axes, setup.names, colors)
         self._parts = (scene, curve, words)
         self._moving = [*scene.artists, curve.line, words.arrow, *words.lines]
         for artist in self._moving:

@@ -9,8 +9,8 @@ Shapes: T trials of N robots; a trail is (M, N, 2), NaN where a robot was not se
 the trials' unit of length, sizes on paper in points [1/72 inch] or inches.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -119,13 +119,9 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     ends = np.array([final_poses(log)[:, :2] for log in logs])  # (T, N, 2)
     alone = len(logs) == 1
 
-    heading = _heading(logs, ends)
-    shape = min(max(setup.arena.height / setup.arena.width, SHAPE_LEAST), SHAPE_MOST)
-    axes_in = (WIDTH_IN - BESIDE_AXES_IN) * shape
-    lines_in = LEGEND_LINE_IN * heading.lines
-    figure = style.figure(WIDTH_IN, axes_in + ABOVE_AND_BELOW_AXES_IN + lines_in)
+    title, entries = _heading(logs, ends)
+    figure = _titled_figure(setup.arena, title, entries, colors)
     axes = figure.subplots()
-    _name_robots(figure, heading, colors)
     draw_scene(axes, setups, colors, trails)
     leaves = _set_limits(axes, setup.arena, [ends, *trails])
     truth = _visible_truth(logs[0]) if alone else None
@@ -385,29 +381,28 @@ def _marked_times(log: TrialLog) -> list[float]:
 # ---- Legends ----
 
 
-@dataclass(frozen=True, slots=True)
-class _Heading:
-    """What stands above the axes: a title, and an entry per robot in `columns`."""
-
-    title: str
-    entries: list[str]
-
-    @property
-    def columns(self) -> int:
-        """The number of columns in which the entries fit."""
-        longest = max((len(entry) for entry in self.entries), default=0)
-        fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
-        return max(min(len(self.entries), fit, LEGEND_COLUMNS_MOST), 1)
-
-    @property
-    def lines(self) -> int:
-        """The number of lines of title and entries."""
-        full, rest = divmod(len(self.entries), self.columns)
-        return self.title.count("\n") + 1 + full + (1 if rest else 0)
+def _titled_figure(arena: Bounds, title: str, entries: list[str], colors: list[str]) -> Figure:
+    """Return an empty figure for axes of the shape of the arena, with a title above them and, in as
+    many columns as fit, an entry for each robot; there may be no entries."""
+    longest = max((len(entry) for entry in entries), default=0)
+    fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
+    columns = max(min(len(entries), fit, LEGEND_COLUMNS_MOST), 1)
+    lines = title.count("\n") + 1 + math.ceil(len(entries) / columns)
+    shape = min(max(arena.height / arena.width, SHAPE_LEAST), SHAPE_MOST)
+    axes_in = (WIDTH_IN - BESIDE_AXES_IN) * shape
+    figure = style.figure(WIDTH_IN, axes_in + ABOVE_AND_BELOW_AXES_IN + LEGEND_LINE_IN * lines)
+    named = zip(entries, colors, strict=False)
+    figure.legend(
+        handles=[style.sign(entry, color=color, ls="-") for entry, color in named],
+        title=title, title_fontsize=7, loc="outside upper center",
+        ncols=columns, columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
+    )  # fmt: skip
+    return figure
 
 
-def _heading(logs: Sequence[TrialLog], ends: Floats) -> _Heading:
-    """Return the heading of trials that end at `ends` (T, N, 2): the robots' names and errors.
+def _heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
+    """Return the title of trials that end at `ends` (T, N, 2), and an entry for each robot: its
+    name, with its error.
 
     Means over several trials leave out incomplete ones; trials of several folders have no means,
     and more than NAMED_MOST robots no entries.
@@ -431,7 +426,7 @@ def _heading(logs: Sequence[TrialLog], ends: Floats) -> _Heading:
         total = _mean_and_std(counted.sum(axis=1))
         title = f"{len(logs)} trials, error at the end [{unit}], total {total}"
         entries = _with_errors(names, [_mean_and_std(of_robot) for of_robot in counted.T])
-    return _Heading(title, entries if len(entries) <= NAMED_MOST else [])
+    return title, entries if len(entries) <= NAMED_MOST else []
 
 
 def _with_errors(names: list[str], errors: list[str]) -> list[str]:
@@ -450,16 +445,6 @@ def _mean_and_std(errors: Floats) -> str:
         return f"{mean:.{digits}f}"
     std = float(errors.std(ddof=1))
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
-
-
-def _name_robots(figure: Figure, heading: _Heading, colors: list[str]) -> None:
-    """Draw the legend of the robots above the axes; there may be no entries."""
-    named = zip(heading.entries, colors, strict=False)
-    figure.legend(
-        handles=[style.sign(entry, color=color, ls="-") for entry, color in named],
-        title=heading.title, title_fontsize=7, loc="outside upper center",
-        ncols=heading.columns, columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
-    )  # fmt: skip
 
 
 def _name_signs(

@@ -1,17 +1,17 @@
 """The errors of a spec whose parts are valid, but contradict each other: `errors_of`.
 
-A lab that a command chooses again is checked by the rules of sections alone, SECTION_RULES. A spec
-in a log, which tetractl has written, may have places that a person's spec may not have: there,
+A lab that a command chooses again is checked by the rules of sections alone, `section_errors`. A
+spec in a log, which tetractl has written, may have places that a person's spec may not have: there,
 starts may have been measured. Warnings, for which a spec is not refused, are findings of the same
 kind: `tetractl.run.plausibility` has their rules.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
 from tetractl.experiment.experiment import Arena, Experiment, Robot
@@ -57,12 +57,6 @@ def errors_of(experiment: Experiment, written: bool) -> Findings:
         yield from unreachable(experiment)
 
 
-def section_errors(experiment: Experiment) -> Findings:
-    """Yield the contradictions between the sections of controller, plant and lab."""
-    for rule in SECTION_RULES:
-        yield from rule(experiment)
-
-
 # rules of robots and obstacles
 
 
@@ -83,7 +77,9 @@ def misplaced(experiment: Experiment) -> Findings:
     arena = experiment.arena
     places = [] if experiment.chosen else _places(experiment.robots)  # others are stand-ins
     points = np.array([point for _, point in places], dtype=float).reshape(-1, 2)
-    inside = [_inside(obstacle, points) for obstacle in experiment.obstacles]
+    with np.errstate(over="ignore", invalid="ignore"):
+        shapes = [obstacle.shape() for obstacle in experiment.obstacles]
+        inside = [shape.contain(points[:, 0], points[:, 1]) for shape in shapes]
     for row, (where, point) in enumerate(places):
         if not arena.bounds.contains(*point):
             yield SpecFinding(where, f"is outside the arena; must be within {_extent(arena)}")
@@ -114,12 +110,6 @@ def _extent(arena: Arena) -> str:
     return f"x {bounds.left:g} to {bounds.right:g}, y {bounds.bottom:g} to {bounds.top:g}"
 
 
-def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
-    """Return whether each point (n, 2) lies in an obstacle or on its edge, (n,)."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return obstacle.shape().contain(points[:, 0], points[:, 1])
-
-
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
     """Return whether an obstacle meets the arena's edge or has a corner inside the arena."""
     bounds = arena.bounds
@@ -138,31 +128,23 @@ def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
 # rules of sections
 
 
-def field_that_stays_on(experiment: Experiment) -> Findings:
-    """A controller that switches the field off has a plant that can do so."""
+def section_errors(experiment: Experiment) -> Findings:
+    """Yield the contradictions between the sections of controller, plant and lab, in the order in
+    which a command that takes the first error applies them.
+
+    A controller that switches the field off has a plant that can do so, and a spec with way-points
+    or a hold a controller for them. Devices that have to find the robots of a trial can. Then the
+    rules of the sections themselves.
+    """
     control = experiment.controller
     if control.switches_field and not experiment.plant.switches_field:
         message = f"cannot switch the field off, as controller {control.type} does"
         yield SpecFinding(("plant",), f"{message}; simulations can")
-
-
-def tour_without_tourist(experiment: Experiment) -> Findings:
-    """A spec with way-points or a hold has a controller for them."""
-    control = experiment.controller
     if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
         message = f"{control.type} supports neither way-points nor a hold; mpc does"
         yield SpecFinding(("controller",), message)
-
-
-def controller_contradicted(experiment: Experiment) -> Findings:
-    """The controller's own rules."""
-    control = experiment.controller
     for loc, message in control.contradictions(experiment.setup):
         yield SpecFinding(("controller", *loc), message)
-
-
-def plant_contradicted(experiment: Experiment) -> Findings:
-    """Devices that have to find the robots of a trial can; and the plant's and lab's own rules."""
     for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):
         if isinstance(plant, LabSection) and experiment.chosen is not None:
             for device, section in (("camera", plant.camera), ("actuator", plant.actuator)):
@@ -172,15 +154,6 @@ def plant_contradicted(experiment: Experiment) -> Findings:
         if plant is not None:
             for loc, message in plant.contradictions(experiment.setup):
                 yield SpecFinding((name, *loc), message)
-
-
-SECTION_RULES: tuple[Callable[[Experiment], Findings], ...] = (
-    field_that_stays_on,
-    tour_without_tourist,
-    controller_contradicted,
-    plant_contradicted,
-)
-"""In the order in which a command that takes the first error applies them."""
 
 
 # rules of places and memory

@@ -102,14 +102,11 @@ class Disturbance:
 
 def overriding(disturbances: Sequence[Disturbance], method: str) -> list[Disturbance]:
     """Return the disturbances whose class overrides a method, in order."""
-
-    def defining_class(disturbance: Disturbance) -> type:
-        return next(kind for kind in type(disturbance).__mro__ if method in vars(kind))
-
+    unchanged = getattr(Disturbance, method)
     return [
         disturbance
         for disturbance in disturbances
-        if defining_class(disturbance) is not Disturbance
+        if getattr(type(disturbance), method) is not unchanged
     ]
 
 

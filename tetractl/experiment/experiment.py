@@ -264,25 +264,18 @@ class Experiment(Model):
         return self
 
     @model_validator(mode="after")
-    def _all_have_as_many_way_points(self) -> Self:
+    def _agrees_with_itself(self) -> Self:
+        """Refuse fields that contradict each other."""
         counts = {len(robot.via) for robot in self.robots}
         if len(counts) > 1:
             listed = " and ".join(map(str, sorted(counts)))
             message = f"have {listed} way-points in via; all robots need the same number"
             raise inconsistent("robots", message)
-        return self
-
-    @model_validator(mode="after")
-    def _can_replace(self) -> Self:
         if self.on_lost == "replace" and (self.chosen is None or self.obstacles):
             raise inconsistent(
                 "on_lost",
                 "replace is allowed only with 'robots: {choose: N}' and without obstacles",
             )
-        return self
-
-    @model_validator(mode="after")
-    def _states_the_strength(self) -> Self:
         rates = tuple(robot.a for robot in self.robots)
         unit = unit_of(rates)
         if self.strength is None and any(isinstance(a, PerStrength) for a in rates):

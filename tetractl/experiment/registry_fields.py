@@ -1,4 +1,6 @@
-"""Fields of a spec whose values are names in a registry."""
+"""Fields of a spec that name a kind of something, such as `type: mpc`: each kind is a class in a
+registry, and plug-ins add more.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any, LiteralString

@@ -1,4 +1,4 @@
-"""Describes batches of trials, such as two folders or the arms of a study, and compares them.
+"""Says how large the errors of a batch of trials are, and whether one batch is better than another.
 
 `describe` returns the numbers of one batch: errors with intervals, the difference from the
 published result, statistics. `contrast` compares the total errors of every two batches. `tables`

@@ -1,4 +1,4 @@
-"""Converts the records of a trial to tetractl's protobuf messages and back.
+"""Converts what happens in a trial, such as a camera frame, to a message of its log, and back.
 
     Observation <-> MocapSample      Step    <-> ControllerStep and StepTiming
     Command     <-> WheelCommand     Search, Estimate <-> messages of the same names

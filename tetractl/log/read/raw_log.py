@@ -1,4 +1,6 @@
-"""The records found in a log file, and those of the run decoded once."""
+"""What is in a log file, record by record, and what it says of the run: which trial, how it ended,
+whether its content is as it was written.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping

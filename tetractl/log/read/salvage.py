@@ -101,6 +101,7 @@ class _Scan:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._data = read_file(path)
+        self._view = memoryview(self._data)
         self._until_s = time.thread_time() + seconds_limit()
         self._kept_bytes = 0
         self._problems: list[str] = []
@@ -169,7 +170,7 @@ class _Scan:
                     return
                 (stated,) = _CHECKSUM.unpack_from(self._data, begin)
                 self._is_sealed = stated != UNSTATED
-                if self._is_sealed and stated != self._crc(0, begin - _RECORD.size):
+                if self._is_sealed and stated != zlib.crc32(self._view[: begin - _RECORD.size]):
                     self._problems.append("the checksum of the data section does not match")
                 return
             yield opcode, begin, end
@@ -326,11 +327,8 @@ class _Scan:
     def _matches(self, begin: int, end: int) -> bool:
         """Return whether the checksum at `end` is that of the bytes before it."""
         (stated,) = _CHECKSUM.unpack_from(self._data, end)
-        return stated == self._crc(begin, end) or (self._is_foreign and stated == UNSTATED)
-
-    def _crc(self, begin: int, end: int) -> int:
-        with memoryview(self._data) as view:
-            return zlib.crc32(view[begin:end])
+        is_left_out = self._is_foreign and stated == UNSTATED
+        return is_left_out or stated == zlib.crc32(self._view[begin:end])
 
     def _require_time(self) -> None:
         if time.thread_time() > self._until_s:

@@ -1,4 +1,4 @@
-"""Validates the shapes of decoded values, and that they are finite, before they are used.
+"""Refuses numbers of a log that no trial can have: arrays of a wrong shape, NaN and infinities.
 
 A checksum shows that a log was not changed, not that tetractl wrote it. Each function raises
 ValueError with the first value that no trial can have. Plans and actions are also checked before

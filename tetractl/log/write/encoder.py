@@ -1,4 +1,4 @@
-"""An observer that encodes the records of one trial as messages with topics and times.
+"""Turns what happens in a trial, while it happens, into the messages of its log.
 
 What each call adds, in this order; `channels` says what the topics hold:
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from solverbench.problems import OURS, PAPER
+from solverbench.problems import OURS, PAPER, Build, as_specified, played
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
@@ -32,21 +32,15 @@ from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.prior import nothing
 from tetractl.control.reception import Reception
 from tetractl.control.work_clock import WorkClock
-from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Command, PlantInfo, Verdict
+from tetractl.core.commands import Command, Verdict
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Observation, Poses
-from tetractl.core.protocols import Controller, LabSupervision, Plant
+from tetractl.core.protocols import Controller, Plant
 from tetractl.core.setup import Setup
-from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.trial import Result
 from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.results.estimate import distributions, percent
-from tetractl.run.checked_controller import CheckedController, build_controller
-from tetractl.run.control_loop import Trial
-from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import trial_seeds
 
 WORLD = (
     "plant.dead_time=0.14",
@@ -197,32 +191,9 @@ def counted(kind: type[M], section: RecommendedMpc, setup: Setup, key: int) -> M
     return kind(section, setup, key, Host(work.wrap, work))
 
 
-def as_specified(spec: Experiment, key: int, plant: Plant) -> CheckedController:
-    return build_controller(spec, key)
-
-
-Build = Callable[[Experiment, int, Plant], Controller]
-
-
 def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Result]:
     """Run trials in virtual time without any log."""
-    results = []
-    for trial in range(trials):
-        key, seed = trial_seeds(spec.trials.seed, trial)
-        clock = VirtualClock()
-        nowhere = PlantInfo("", True, 0.0, {})
-        plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
-        results.append(
-            Trial(
-                start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
-                plant=plant,
-                controller=build(spec, key, plant),
-                clock=clock,
-                observers=(),
-                interrupt=Interrupt(),
-            ).run()
-        )
-    return results
+    return [played(spec, trial, build)[0] for trial in range(trials)]
 
 
 HEAD = (

@@ -16,26 +16,24 @@ import argparse
 import csv
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bodies import Kept
 from scipy import stats
+from solverbench.problems import played
 from solverbench.report import load, progress
 from worlds import WORLDS, Truth, Unmodelled
 
-from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Command, Note, PlantInfo
+from tetractl.core.commands import Command, Note
 from tetractl.core.plan import End, Estimate, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.protocols import Controller, LabSupervision
-from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.protocols import Controller, Plant
+from tetractl.core.trial import Step
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.plant.simulation import SimPlant
 from tetractl.plant.wheel_drive import WheelDrive
@@ -43,9 +41,6 @@ from tetractl.plant.wheel_kernel import GAIN, TRUE_GAIN
 from tetractl.results.estimate import distributions
 from tetractl.results.mean_difference import paired_t
 from tetractl.run.checked_controller import build_controller
-from tetractl.run.control_loop import Trial
-from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import trial_seeds
 
 QUANTITIES = {"a": "a", "side": "side", "speed": "speed", "dead_time": "dead time"}
 """Fields of an estimate, as far as it has them, and their names in the table."""
@@ -56,12 +51,12 @@ Row = dict[str, Any]
 
 
 class Timed:
-    """A controller with the processor time of each plan for moving robots [ms]."""
+    """A controller that notes the processor time of each plan for moving robots in `ms`."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, ms: list[float]) -> None:
         self.controller = controller
         self.moving = False
-        self.ms = list[float]()
+        self.ms = ms
 
     def plan(
         self,
@@ -77,45 +72,26 @@ class Timed:
         return plan
 
 
-class Noted(Kept):
-    """An observer that also keeps what is said."""
+class Noted:
+    """An observer that keeps control steps, and what is said."""
 
     def __init__(self) -> None:
-        super().__init__()
+        self.steps: list[Step] = []
         self.texts: list[str] = []
+
+    def on_step(self, step: Step) -> None:
+        self.steps.append(step)
 
     def on_note(self, note: Note) -> None:
         self.texts.append(note.text)
 
-
-@dataclass(frozen=True)
-class Played:
-    """A trial that has ended, with what took part in it."""
-
-    result: Result
-    plant: SimPlant
-    controller: Timed
-    noted: Noted
+    def __getattr__(self, name: str):  # on_start, on_command, on_samples, on_stop
+        return lambda *_: None
 
 
-def play(spec: Experiment, trial: int) -> Played:
-    """Run a trial in virtual time."""
-    key, seeds = trial_seeds(spec.trials.seed, trial)
-    clock = VirtualClock()
-    nowhere = PlantInfo("", True, 0.0, {})
-    noted = Noted()
-    plant = spec.plant.build(spec.setup, clock, seeds, LabSupervision())
-    assert isinstance(plant, SimPlant)
-    controller = Timed(build_controller(spec, key))
-    result = Trial(
-        start=start_of(LoadedSpec(spec, "", ""), trial, nowhere, EPOCH_NS),
-        plant=plant,
-        controller=controller,
-        clock=clock,
-        observers=[noted],
-        interrupt=Interrupt(),
-    ).run()
-    return Played(result, plant, controller, noted)
+def timed(ms: list[float], spec: Experiment, key: int, plant: Plant) -> Controller:
+    """The spec's controller, whose times are noted."""
+    return Timed(build_controller(spec, key), ms)
 
 
 def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -> Row:
@@ -123,14 +99,15 @@ def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -
     world, trial = controller_asked
     name, slow, _ = world.partition("-5hz")
     spec = WORLDS[name].spec(5 if slow else 20, seed, trial, settings)
-    played = play(spec, trial)
-    result = played.result
-    truth = true(played.plant)
+    noted = Noted()
+    ms = list[float]()
+    result, plant = played(spec, trial, partial(timed, ms), [noted])
+    assert isinstance(plant, SimPlant)
+    truth = true(plant)
     verdict = result.verdict
     radius = spec.controller.body_radius
     errors = np.array(result.robot_errors)[truth["lives"]]
-    ms = played.controller.ms
-    steps = played.noted.steps
+    steps = noted.steps
     return {
         "seed": seed,
         "trial": trial,
@@ -143,7 +120,7 @@ def run(seed: int, settings: Sequence[str], controller_asked: tuple[str, int]) -
         "obstacle_mm": min(verdict.clearance) - radius,
         "apart_mm": min(verdict.apart) - radius - radius,
         "pauses": sum(step.plan.pauses for step in steps),
-        "misfit": int(any(MISFIT in text for text in played.noted.texts)),
+        "misfit": int(any(MISFIT in text for text in noted.texts)),
         "late_steps": sum(step_ms > 1e3 * spec.setup.period_s for step_ms in ms),
         "step_max_ms": max(ms, default=0.0),
         **held(steps[-1].plan.estimate if steps else None, truth),

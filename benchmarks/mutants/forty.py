@@ -45,10 +45,10 @@ tetractl/plant/disturbances/robots.py | min(1.0, time_s / self._section.over) | 
 tetractl/replay/identification/response.py | np.maximum(SETTLED * std, LEAST_CHANGE)).all() | np.maximum(SETTLED * std, LEAST_CHANGE)).any() | tests/unit/replay/test_response.py
 tetractl/replay/lab_result.py | (log.received_ns > first_step_ns) | (log.received_ns < first_step_ns) | packages/tetractl-emulator/tests/unit/test_lab_tampering.py packages/tetractl-emulator/tests/unit/test_lab_forged.py
 tetractl/report/page.py | max(CARRIED_MIN, CARRIED // groups) | min(CARRIED_MIN, CARRIED // groups) | tests/unit/report tests/cli/test_report_cli.py
-tetractl/reproduce/claim.py | values = values - subtracted | values = values + subtracted | tests/unit/reproduce
+packages/tetractl-papers/tetractl_papers/claim.py | values = values - subtracted | values = values + subtracted | packages/tetractl-papers/tests
 tetractl/results/mean_difference.py | values.mean - values.ci95.low, values.ci95.high - values.mean | values.mean - values.ci95.low, values.mean - values.ci95.low | tests/unit/results tests/unit/study
 tetractl/run/plausibility.py | return least > max(robots * self.tolerance | return least > min(robots * self.tolerance | tests/unit/run/test_plausibility.py
-tetractl/run/rest_news.py | way > SURE_STDS * np.sqrt(variance.sum(axis=1)) | way > np.sqrt(variance.sum(axis=1)) | tests/unit/run
+tetractl/run/news.py | way > REST_SURE_STDS * np.sqrt(variance.sum(axis=1)) | way > np.sqrt(variance.sum(axis=1)) | tests/unit/run
 tetractl/serve/live.py | if entry.log_ns > self._time_ns: | if entry.log_ns < self._time_ns: | tests/unit/serve
 tetractl/study/sweep.py | self._between(self.low, self.high + 1, share) | self._between(self.low, self.high, share) | tests/unit/study
 tetractl/testing/device_checks.py | 0 <= age_ns <= SECOND | 0 <= age_ns | tests/unit/test_testing.py

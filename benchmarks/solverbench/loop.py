@@ -7,18 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Command, PlantInfo
+from tetractl.core.commands import Command
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
 from tetractl.core.poses import Observation
-from tetractl.core.protocols import Controller, LabSupervision
-from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.protocols import Controller, Plant
+from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.checked_controller import build_controller
-from tetractl.run.control_loop import Trial
-from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import trial_seeds
 
 from . import shooting
 from .peers import available
@@ -31,6 +26,7 @@ from .problems import (
     PARTICLES,
     SWARM,
     experiment,
+    played,
     printed,
     recommended,
 )
@@ -72,25 +68,18 @@ class _Timed:
         return decision
 
 
+def _clocked(times: list[float], spec: Experiment, key: int, plant: Plant) -> Controller:
+    return _Timed(build_controller(spec, key), times)
+
+
 def run(experiment: Experiment, trials: int) -> Batch:
     """Run trials in virtual time without any log."""
     batch = Batch()
     for trial in range(trials):
-        key, seed = trial_seeds(experiment.trials.seed, trial)
-        clock = VirtualClock()
         times: list[float] = []
         batch.processor.append(times)
-        nowhere = PlantInfo("", True, 0.0, {})
-        batch.results.append(
-            Trial(
-                start=start_of(LoadedSpec(experiment, "", ""), trial, nowhere, EPOCH_NS),
-                plant=experiment.plant.build(experiment.setup, clock, seed, LabSupervision()),
-                controller=_Timed(build_controller(experiment, key), times),
-                clock=clock,
-                observers=(),
-                interrupt=Interrupt(),
-            ).run()
-        )
+        clocked = partial(_clocked, times)
+        batch.results.append(played(experiment, trial, clocked)[0])
     return batch
 
 

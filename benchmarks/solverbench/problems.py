@@ -1,6 +1,6 @@
 """The problems everybody has to solve, and the cost as a NumPy user would write it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,10 +8,19 @@ import numpy as np
 
 from tetractl.control.optimizers.pso import Pso
 from tetractl.control.stop import BudgetStop
+from tetractl.core.clock import VirtualClock
+from tetractl.core.commands import PlantInfo
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses
+from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
+from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
+from tetractl.experiment.loaded_spec import LoadedSpec, start_of
+from tetractl.run.checked_controller import build_controller
+from tetractl.run.control_loop import Trial
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.spec_trial import trial_seeds
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 PAPER = "three_m3pi_paper.yaml"
@@ -26,6 +35,27 @@ SWARM = Pso(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="bu
 
 def experiment(name: str, *settings: str) -> Experiment:
     return load_spec(EXPERIMENTS / name, settings).experiment
+
+
+Build = Callable[[Experiment, int, Plant], Controller]
+"""Returns the controller of a spec, with its key, for a plant."""
+
+
+def as_specified(spec: Experiment, key: int, plant: Plant) -> Controller:
+    return build_controller(spec, key)
+
+
+def played(
+    spec: Experiment, trial: int, build: Build = as_specified, observers: Sequence[Observer] = ()
+) -> tuple[Result, Plant]:
+    """Run a trial in virtual time without any log; return its result, and its plant."""
+    key, seed = trial_seeds(spec.trials.seed, trial)
+    clock = VirtualClock()
+    plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
+    not_open = PlantInfo("", True, 0.0, {})
+    start = start_of(LoadedSpec(spec, "", ""), trial, not_open, EPOCH_NS)
+    controller = build(spec, key, plant)
+    return Trial(start, plant, controller, clock, observers, Interrupt()).run(), plant
 
 
 def _problem(name: str) -> Problem:

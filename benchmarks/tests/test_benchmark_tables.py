@@ -12,7 +12,6 @@ ROOT = Path(__file__).parents[2]
 SMALLEST = [  # a row of disturbed.py is run by test_printed_rows.py
     pytest.param(("floors.py", "--trials", "1", "--rows", "0"), marks=pytest.mark.release),
     ("anywhere.py", "--trials", "1"),
-    ("bodies.py", "--rate", "5", "--trials", "1"),
     ("unmodelled.py", "--trials", "1", "--world", "base"),
     ("analyze.py", "--trials", "1", "--plans", "1"),
     ("solver.py", "--quick", "--only", "b,c"),

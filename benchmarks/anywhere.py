@@ -1,9 +1,6 @@
 """Measure robots that are to go from anywhere to anywhere, each to a target of its own.
 
     python benchmarks/anywhere.py                   50 random instances of 2 to 6 robots in the loop
-    python benchmarks/anywhere.py --undisturbed     the same, with nothing disturbed
-    python benchmarks/anywhere.py --free            targets dealt out to the robots (assign: free)
-    python benchmarks/anywhere.py --predict         with what `tetractl analyze` predicts of each
     python benchmarks/anywhere.py --part many       first plans for many robots, undisturbed
 
 Instance i has 2 + i mod 5 robots in 2.4 x 2.4 m: starts, headings and targets anywhere at least
@@ -23,13 +20,10 @@ from typing import Any
 
 import numpy as np
 from disturbed import HURT, counted, run
-from scipy.stats import spearmanr
 from solverbench.problems import OURS
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
-from tetractl.analysis.closed_loop import Noise
-from tetractl.analysis.steering import planner, steering
 from tetractl.control.lengths import Searcher, least_length
 from tetractl.control.mpc import Mpc
 from tetractl.control.optimizers.multistart import Multistart
@@ -52,19 +46,18 @@ CONTROLLER = ("controller.horizon_max=200", "controller.time_limit=160.05")
 SIZES = (2, 3, 4, 5, 6)
 
 
-def instance(number: int, seed: int, disturbed: bool, free: bool) -> Experiment:
+def instance(number: int, seed: int) -> Experiment:
     """Return one random instance as an experiment."""
     rng = np.random.default_rng([seed, number])
     count = SIZES[number % len(SIZES)]
     starts = scattered(rng, count)
     targets = scattered(rng, count)
-    base = load_experiment(OURS, *CONTROLLER, *(HURT if disturbed else ()))
+    base = load_experiment(OURS, *CONTROLLER, *HURT)
     data = base.model_dump(mode="json", exclude={"lab", "scale", "reference"})
     data["arena"] = {"left": 0, "bottom": 0, "width": ARENA_MM, "height": ARENA_MM}
     data["robots"] = robots(rng, starts, targets)
     data["obstacles"] = _obstacles(rng, np.vstack([starts, targets]))
     data["controller"]["accept_error"] = ACCEPT_MM * count
-    data["assign"] = "free" if free else "given"
     data["trials"] = {"count": 1, "seed": seed + number}
     return Experiment.model_validate(data)
 
@@ -167,16 +160,12 @@ def drive_once(spec: Experiment) -> Driven:
     return Driven(len(spec.robots), result, plans_s)
 
 
-def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool) -> None:
+def drive(numbers: range, seed: int) -> None:
     """Drive every instance once, and print a row for each number of robots."""
     all_driven = []
-    predicted = []
-    measured = []
-    none = 0
     for number in numbers:
         progress(f"instance {number}")
-        spec = instance(number, seed, disturbed, free)
-        driven = drive_once(spec)
+        driven = drive_once(instance(number, seed))
         all_driven.append(driven)
         result = driven.result
         times_ms = 1e3 * np.array(driven.plans_s or [0.0])
@@ -187,18 +176,7 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
             f"p99 {np.quantile(times_ms, 0.99):.0f}, max {times_ms.max():.0f} -->",
             flush=True,
         )
-        if predict:
-            noise = Noise.of(spec.plant)
-            trials = steering(planner(spec), spec.setup, noise, spec.trials.seed, 3)
-            if trials is None:
-                none += 1
-            else:
-                predicted.append(trials.error)
-                measured.append(result.total_error)
     print_rows(all_driven)
-    if predict:
-        rank = float(spearmanr(predicted, measured).statistic)
-        print(f"Predicted: rank correlation {rank:.2f} over {len(measured)}; no plan for {none}.")
 
 
 def print_rows(all_driven: Sequence[Driven]) -> None:
@@ -282,17 +260,12 @@ def main() -> None:
     parser.add_argument("--part", choices=("drive", "many"), default="drive")
     parser.add_argument("--trials", type=int, default=50, help="instances")
     parser.add_argument("--seed", type=int, default=6200)
-    parser.add_argument("--undisturbed", action="store_true")
-    parser.add_argument("--free", action="store_true")
-    parser.add_argument("--predict", action="store_true")
     chosen = parser.parse_args()
     if chosen.part == "many":
         first_plans(chosen.trials)
         return
-    world = "undisturbed" if chosen.undisturbed else "the plant of disturbed.py --part hurting"
-    print(f"Simulated, seed {chosen.seed}, {chosen.trials} instances, {world}. {load()}.\n")
-    numbers = range(chosen.trials)
-    drive(numbers, chosen.seed, not chosen.undisturbed, chosen.free, chosen.predict)
+    print(f"Simulated, seed {chosen.seed}, {chosen.trials} instances. {load()}.\n")
+    drive(range(chosen.trials), chosen.seed)
 
 
 if __name__ == "__main__":

@@ -4,43 +4,31 @@
     corners     corners refined by us and by OpenCV: error and time
     tilt        what an unknown focal length costs as the camera looks straighter down
     blur        share of tags found as the lens blurs
-    speed       time to decode, search and render a picture, with two threads of OpenCV and with one
-    latency     rate and age of frames over HTTP from an emulated camera in another process
 
-All parts by default. Prints Markdown. The arena is 1.6 x 1.8 m with three robots, tags of 80 mm at
-90 mm above the floor, and four floor tags of 120 mm at its corners, seen from the side at 20
-degrees from the vertical by a lens of 63 degrees. `--scale 0.1` does a tenth of the work.
+All parts by default. Prints the figures of the microscope's docs/apriltag.md. The arena is 1.6 x
+1.8 m with three robots, tags of 80 mm at 90 mm above the floor, and four floor tags of 120 mm at
+its corners, seen from the side at 20 degrees from the vertical by a lens of 63 degrees. `--scale
+0.1` does a tenth of the work.
 """
 
 import argparse
 import math
-import multiprocessing
 import os
-import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from multiprocessing.connection import Connection
-from types import SimpleNamespace
-from typing import Any
 
 import cv2
 import numpy as np
 from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
-from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, PictureTiming
-from tetractl_microscope.apriltag.camera import AprilTagCamera, Tracker
+from tetractl_microscope.apriltag.camera import Tracker
 from tetractl_microscope.apriltag.detect import MODULES, refined
 from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag
-from tetractl_microscope.pictures.feed import Picture
-from tetractl_microscope.pictures.source import decoded
 
-from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.poses import Grey, Poses
 
 MM = 1e-3
 NAMES = ("green", "blue", "red")
-SETUP = SimpleNamespace(names=NAMES, metres=MM)
 ROBOTS = tuple(
     RobotTag(name=name, tag=tag, size_mm=80, height_mm=90) for tag, name in enumerate(NAMES)
 )
@@ -255,120 +243,11 @@ def blur(scale: float) -> None:
             row(told(size), sigma, f"{100 * share:.1f} %")
 
 
-def speed(scale: float) -> None:
-    """Times of one picture."""
-    table(
-        "picture",
-        "threads",
-        "decode JPEG, ms",
-        "search, ms: fastest tenth",
-        "median",
-        "95 %",
-        "CPU, ms",
-        "pictures/s",
-        "render, ms",
-    )
-    for size in SIZES:
-        drawn = renderer(size)
-        rng = np.random.default_rng(4)
-        for threads in (2, 1):
-            cv2.setNumThreads(threads)
-            tracker = Tracker(section(), NAMES, MM)
-            times: dict[str, list[float]] = {"render": [], "decode": [], "search": []}
-            cpu = 0.0
-            for _ in range(round(200 * scale)):
-                poses_at = partial(stand, scattered(rng))
-                picture = clocked(times["render"], partial(drawn.picture, poses_at, 0))
-                _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-                sent_picture = Picture(data.tobytes(), 0)
-                grey = clocked(times["decode"], partial(decoded, sent_picture))
-                began = time.process_time()
-                clocked(times["search"], partial(tracker.see, grey))
-                cpu += time.process_time() - began
-            render, decode, search = (1e3 * np.array(taken) for taken in times.values())
-            row(
-                told(size),
-                threads,
-                f"{np.median(decode):.1f}",
-                *quantiles(search, (0.1, 0.5, 0.95), ".1f"),
-                f"{1e3 * cpu / len(search):.1f}",
-                f"{1e3 / np.median(decode + search):.0f}",
-                f"{np.median(render):.1f}",
-            )
-    cv2.setNumThreads(-1)
-
-
 def stand(poses: Poses, t_ns: int) -> Poses:
     return poses
 
 
-def clocked(times: list[float], act: Callable[[], Any]) -> Any:
-    began = time.perf_counter()
-    result = act()
-    times.append(time.perf_counter() - began)
-    return result
-
-
-def serve(size: tuple[int, int], rate_hz: float, pipe: Connection) -> None:
-    """The emulated camera's process: send the address, serve until asked to end."""
-    cv2.setNumThreads(1)
-    where = scattered(np.random.default_rng(5))
-    draw = partial(renderer(size).picture, lambda t: where)
-    server = EmulatedNetworkCamera(draw, MonotonicClock(), PictureTiming(rate_hz, latency_s=0.05))
-    with server:
-        pipe.send(server.url)
-        pipe.recv()
-
-
-class Watch:
-    """Called after each frame: notes when that was and when its picture had arrived [ns]."""
-
-    def __init__(self, wanted: int) -> None:
-        self.clock = MonotonicClock()
-        self.wanted = wanted
-        self.camera: AprilTagCamera | None = None
-        self.seen: list[tuple[int, int]] = []
-        self.enough = threading.Event()
-
-    def __call__(self) -> None:
-        for frame in self.camera.frames() if self.camera is not None else ():
-            self.seen.append((self.clock.now(), frame.received_ns))
-        if len(self.seen) >= self.wanted:
-            self.enough.set()
-
-
-def latency(scale: float) -> None:
-    """Rate and age of frames over loopback."""
-    table("picture", "sent, Hz", "frames, Hz", "arrival to frame, ms: median", "95 %", "skipped")
-    context = multiprocessing.get_context("spawn")
-    for size in SIZES:
-        for rate_hz in (30.0, 60.0):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=serve, args=(size, rate_hz, theirs))
-            process.start()
-            watch = Watch(round(rate_hz * 20 * scale))
-            source = {"type": "mjpeg", "url": ours.recv()}
-            camera = AprilTagCamera(section(source), SETUP, watch.clock, watch)
-            watch.camera = camera
-            with camera:
-                watch.enough.wait(120)
-                facts = camera.check().facts
-            ours.send("end")
-            process.join()
-            delays = np.array(watch.seen)
-            frames = (len(delays) - 1) * SECOND / (delays[-1, 0] - delays[0, 0])
-            age = (delays[:, 0] - delays[:, 1]) / 1e6
-            row(
-                told(size),
-                f"{rate_hz:.0f}",
-                f"{frames:.1f}",
-                f"{np.median(age):.1f}",
-                f"{np.quantile(age, 0.95):.1f}",
-                facts["skipped"],
-            )
-
-
-PARTS = {part.__name__: part for part in (poses, corners, tilt, blur, speed, latency)}
+PARTS = {part.__name__: part for part in (poses, corners, tilt, blur)}
 
 
 def main() -> None:

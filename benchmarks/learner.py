@@ -2,22 +2,18 @@
 
     python benchmarks/learner.py experiments/benchmark/one-cell.yaml --within 50
     python benchmarks/learner.py experiments/three_m3pi_bench.yaml --within 100 --trials 20
-    python benchmarks/learner.py experiments/benchmark/one-cell.yaml --speed
 
 The learner is that of docs/how-to/step-by-step.md: PPO, by stable-baselines3. The policy kept
 is the one that does best without the noise by which PPO explores, since the exported one has none,
 on seeds of neither the learner nor the spec. It runs as the controller `policy`, and its logs are
 verified. A trial succeeds if each robot ends within `--within` of its target [length unit], and
-none entered an obstacle or left the arena. `--speed` instead counts the steps a second of a core,
-under random actions, best of five times 1,000.
+none entered an obstacle or left the arena.
 """
 
 import argparse
 import json
 import time
 from pathlib import Path
-
-import numpy as np
 
 import tetractl
 from tetractl.gym import TrialEnv
@@ -29,9 +25,6 @@ SEED = 1000
 """Of the learner; the trials of the comparison have the spec's seed."""
 OTHER_SEED = 5000
 """Of the trials by which the best policy is chosen."""
-PARTS = 5
-STEPS = 1000
-"""How often, and for how many steps, the speed is measured."""
 
 
 def learn(spec, steps, gamma, folder):
@@ -105,23 +98,6 @@ def row(name, batch, within):
     )
 
 
-def speed(spec):
-    """Return the steps a second of a core under random actions, resets and checks included."""
-    environment = TrialEnv(spec)
-    random = np.random.default_rng(0)
-    best = 0.0
-    for part in range(PARTS + 1):  # the first one compiles
-        environment.reset(seed=part)
-        began_s = time.process_time()
-        for _ in range(STEPS):
-            *_, terminated, truncated, _ = environment.step(random.uniform(-1, 1, 2))
-            if terminated or truncated:
-                environment.reset()
-        if part > 0:
-            best = max(best, STEPS / (time.process_time() - began_s))
-    return best
-
-
 def main():
     """Learn, compare, and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -132,11 +108,7 @@ def main():
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--set", action="append", default=[], dest="sets")
     parser.add_argument("--out", type=Path, default=Path("logs/learner"))
-    parser.add_argument("--speed", action="store_true")
     args = parser.parse_args()
-    if args.speed:
-        print(f"{args.spec.stem}: {speed(args.spec):.0f} steps a second of a core")
-        return
     tolerance = f"controller.arrival_tolerance={SHARE * args.within}"
     spec = tetractl.load_spec(args.spec, *args.sets, tolerance)
     args.out.mkdir(parents=True)

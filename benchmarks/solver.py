@@ -2,7 +2,7 @@
 
     python benchmarks/solver.py                     everything, some 20 minutes
     python benchmarks/solver.py --quick             every row once, in seconds; figures mean little
-    python benchmarks/solver.py --only a,e          some parts
+    python benchmarks/solver.py --only a,d          some parts
     python benchmarks/solver.py --plot growth.svg   draw part (d), too
 
 Peers come with `pip install '.[bench]' ./benchmarks/tetractl-ipopt`; those that are missing are
@@ -19,7 +19,7 @@ from pathlib import Path
 import numba
 from llvmlite import binding
 from solverbench import growth, loop, speed, success
-from solverbench.report import Report, Settings, bars_table, load, progress
+from solverbench.report import Report, Settings, load, progress
 
 PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
 
@@ -27,7 +27,7 @@ PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="every row, hardly measured")
-    parser.add_argument("--only", default="a,b,c,d,e", help="parts, such as a,b")
+    parser.add_argument("--only", default="a,b,c,d", help="parts, such as a,b")
     parser.add_argument("--peers", help="rows of (b), without its sweep, such as PSO,Fatrop")
     parser.add_argument("--plot", type=Path, help="where to draw growth (.svg or .png)")
     chosen = parser.parse_args()
@@ -38,7 +38,6 @@ def main() -> None:
         "b": lambda: success.step_0(settings, chosen.peers.split(",") if chosen.peers else ()),
         "c": lambda: loop.closed(settings),
         "d": lambda: growth.growth(settings, chosen.plot),
-        "e": lambda: speed.floor(settings),
     }
     wanted = [part.strip() for part in chosen.only.split(",")]
     unknown = [part for part in wanted if part not in parts]
@@ -50,8 +49,6 @@ def main() -> None:
         progress(f"({part}) ...")
         reports.append(parts[part]())
     print("\n".join(_head(began, chosen.quick)))
-    bars = [bar for report in reports for bar in report.bars]
-    print("\n".join(["### Bars and figures", "", *bars_table(bars)]))
     for report in reports:
         print("\n".join([f"### {report.title}", "", *report.lines]))
 

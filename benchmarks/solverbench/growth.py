@@ -12,7 +12,6 @@ from tetractl.view.style import GREY, figure, panel, save, styled
 from .problems import PARTICLES, SIGNALS, SWARM, printed, random_robots
 from .report import Report, Settings, least, load, progress
 
-STEEPEST = 1.05
 Case = Callable[[int], tuple[Problem, int, int]]
 """From a size to (problem, particles, signals)."""
 
@@ -51,12 +50,6 @@ def growth(settings: Settings, plot: Path | None) -> Report:
         tail = float(np.log(times[-1] / times[-2]) / np.log(sizes[-1] / sizes[-2]))
         listed = ", ".join(f"{n}: {t:.1f}" for n, t in zip(sizes, times, strict=True))
         rows.append([name, listed, f"{exponent:.3f}", f"{tail:.2f}"])
-        report.bar(
-            f"growth with {name}: exponent",
-            f"<= {STEEPEST}",
-            f"{exponent:.3f}",
-            exponent <= STEEPEST,
-        )
         drawn.append((name, np.array(sizes), times, exponent, color))
     report.say(
         f"Compiled swarm, Euler, one obstacle, one thread; of {PARTICLES} particles, {SIGNALS} "

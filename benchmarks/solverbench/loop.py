@@ -1,14 +1,14 @@
-"""(c) closed loop and the time of whole control steps."""
+"""(c) closed loop, and the time of its steps."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
+from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Plant
 from tetractl.core.trial import Result
@@ -18,21 +18,15 @@ from tetractl.run.checked_controller import build_controller
 from . import shooting
 from .peers import available
 from .problems import (
-    ITERATIONS,
     LENGTH,
-    LONGEST,
     OURS,
     PAPER,
-    PARTICLES,
-    SWARM,
     experiment,
     played,
-    printed,
     recommended,
 )
 from .report import Report, Settings, load, progress, spread
 
-FRAME_MS = 8.33
 Times = Sequence[float] | np.ndarray
 
 
@@ -101,7 +95,7 @@ def _times(batch: Batch) -> list[str]:
 
 
 def closed(settings: Settings) -> Report:
-    """Final error and step times on the undisturbed continuous plant; budgets of a step."""
+    """Final error and step times on the undisturbed continuous plant."""
     report = Report("(c) Closed loop and control step")
     ours = experiment(OURS)
     contestants = [("paper, as published", experiment(PAPER)), ("**ours**", ours)]
@@ -122,85 +116,14 @@ def closed(settings: Settings) -> Report:
         progress(f"(c) closed loop: {name}")
         run(replace_control(spec, time_limit=0.1), 1)  # warm up
         batch = run(spec, settings.trials)
-        results = batch.results
-        rows.append([*_errors(name, results), *_times(batch)])
-        if "ours" in name:
-            mean = np.mean([r.total_error for r in results])
-            entered = sum(r.entered_obstacle for r in results)
-            figure = "closed loop, continuous plant, undisturbed: mean total error"
-            text = f"{mean:.2g} mm, {entered} of {len(results)} entered"
-            report.bar(figure, "<= 1 mm, none entered", text, mean <= 1 and not entered)
-            figure = "closed loop: control step of the default controller, p99"
-            _frame(report, figure, *batch.later())
+        rows.append([*_errors(name, batch.results), *_times(batch)])
     report.say(
         f"{settings.trials} trials, continuous plant, nothing disturbed; times of steps are p50 / "
         f"p99 / max. {load()}."
     )
     report.table([*HEAD, *TIMES], rows)
-    _budgets(report, settings)
     return report
 
 
 def replace_control(spec: Experiment, **fields: object) -> Experiment:
     return spec.model_copy(update={"controller": spec.controller.model_copy(update=fields)})
-
-
-def _budgets(report: Report, settings: Settings) -> None:
-    """Whole control steps and whole sweeps of the compiled swarm, with the budget fully spent."""
-    rows = []
-    euler = printed()
-    count = settings.repeats * 5
-    models = [("Euler", euler), ("exact", replace(euler, motion="exact"))]
-    models.append(("exact, swept, walls", recommended()))
-    for name, problem in models:
-        step = _timed(partial(_control_step, problem), count)
-        sweep = _timed(partial(_sweep, problem), max(2, settings.repeats // 4))
-        rows.append([name, *map(spread, step), *map(spread, sweep)])  # wall, then processor time
-        if name == "Euler":
-            middle = np.median(sweep[0]) * 1e3
-            figure = "whole control step, 3 lengths x 100 iterations x 128 particles, p99"
-            _frame(report, figure, *step)
-            figure = f"step-0 sweep of lengths 1 to {LONGEST}, 100 iterations each, median"
-            report.bar(figure, "<= 100 ms", f"{middle:.1f} ms", middle <= 100)
-    report.say(
-        f"**Times of the compiled swarm with every evaluation of its budget**: a control "
-        f"step searches {LENGTH - 1}, {LENGTH} and {LENGTH + 1} signals with {ITERATIONS} "
-        f"iterations x {PARTICLES} particles each, a sweep all lengths from "
-        f"1 to {LONGEST}; one thread, p50 / p99 / max in ms, by the clock and by the "
-        f"processor time of the thread. {load()}."
-    )
-    clocks = ["step, clock", "step, processor", "sweep, clock", "sweep, processor"]
-    report.table(["model", *clocks], rows)
-
-
-def _frame(report: Report, figure: str, clock: Times, processor: Times) -> None:
-    """Note whether the p99 of some steps, by the clock, fits into a frame of the camera."""
-    p99 = np.quantile(clock, 0.99) * 1e3
-    used = np.quantile(processor, 0.99) * 1e3
-    text = f"{p99:.2f} ms by the clock, {used:.2f} ms of processor time"
-    report.bar(figure, f"<= {FRAME_MS} ms", text, p99 <= FRAME_MS)
-
-
-def _timed(work: Callable[[int], None], count: int) -> tuple[list[float], list[float]]:
-    """Times by the clock and by the thread's processor time [s]."""
-    work(0)
-    wall = []
-    used = []
-    for i in range(count):
-        begin = time.perf_counter()
-        used_before = time.thread_time()
-        work(i)
-        wall.append(time.perf_counter() - begin)
-        used.append(time.thread_time() - used_before)
-    return wall, used
-
-
-def _control_step(problem: Problem, key: int) -> None:
-    warm = np.zeros(LENGTH)
-    for start in (warm[1:], warm, np.append(warm, 0.0)):
-        SWARM.search(problem, len(start), start, key, Limits())
-
-
-def _sweep(problem: Problem, key: int) -> None:
-    for length in range(1, LONGEST + 1):
-        SWARM.search(problem, length, None, key, Limits())

@@ -1,4 +1,4 @@
-"""Timing by interleaved pairs, Markdown tables, and the bars a figure has to clear."""
+"""Timing by interleaved pairs, and Markdown tables."""
 
 import os
 import sys
@@ -27,23 +27,12 @@ class Settings:
         return cls(seeds=100, sweep_seeds=20, trials=20, repeats=60, cap_s=1.0, quick=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Bar:
-    """A figure of the table of promises: what it must be and what was measured."""
-
-    figure: str
-    bar: str
-    measured: str
-    met: bool
-
-
 @dataclass(slots=True)
 class Report:
-    """What one part prints, and the bars it measured."""
+    """What one part prints."""
 
     title: str
     lines: list[str] = field(default_factory=list)
-    bars: list[Bar] = field(default_factory=list)
 
     def say(self, text: str) -> None:
         self.lines += [text, ""]
@@ -52,18 +41,9 @@ class Report:
         rule = ["---"] * len(head)
         self.lines += [*map(_row, (head, rule, *rows)), ""]
 
-    def bar(self, figure: str, bar: str, measured: str, met: bool) -> None:
-        self.bars.append(Bar(figure, bar, measured, bool(met)))
-
 
 def _row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
-
-
-def bars_table(bars: Sequence[Bar]) -> list[str]:
-    head = ["figure", "bar", "measured", "met"]
-    rows = [[b.figure, b.bar, b.measured, "yes" if b.met else "**no**"] for b in bars]
-    return [_row(head), _row(["---"] * 4), *map(_row, rows), ""]
 
 
 def load() -> str:

@@ -89,21 +89,11 @@ def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
             ]
             times, best = zip(*runs, strict=True)
             rows.append(_row(who, times, best))
-            if "ours" in who:
-                _promise(report, name, times, best)
         report.say(f"**{LENGTH} signals, problem {name}**")
         report.table(HEAD, rows)
     if not only:
         _sweeps(report, settings)
     return report
-
-
-def _promise(report: Report, name: str, times: Sequence[float], best: Sequence[float]) -> None:
-    share = np.mean(np.array(best) <= GOOD)
-    median = np.median(times) * 1e3
-    figure = f"step 0 {name}, {LENGTH} signals: solved to 1 mm, median time"
-    text = f"{share:.0%}, {median:.2f} ms"
-    report.bar(figure, ">= 99 %, <= 5 ms", text, share >= 0.99 and median <= 5)
 
 
 def _sweeps(report: Report, settings: Settings) -> None:
@@ -128,12 +118,6 @@ def _sweeps(report: Report, settings: Settings) -> None:
         times_to_first = [t for t in firsts if np.isfinite(t)]
         first = f"{np.median(times_to_first) * 1e3:.1f}" if times_to_first else "never"
         rows.append([*_row(who, times, best), first])
-        if "ours" in who:
-            share = np.mean(np.array(best) <= GOOD)
-            median = np.median(times) * 1e3
-            figure = "step-0 sweep by the default optimiser, all lengths"
-            text = f"{share:.0%} solved, median {median:.1f} ms"
-            report.bar(figure, ">= 99 %, <= 100 ms", text, share >= 0.99 and median <= 100)
     report.say(
         f"**All lengths {lengths[0]} to {lengths[-1]}, problem as printed**: each length is "
         f"searched until it is solved, our optimiser gives up, or {SWEEP_CAP_S * 1e3:g} ms have "

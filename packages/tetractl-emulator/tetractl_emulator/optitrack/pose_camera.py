@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl_emulator.optitrack.scripted import SendingTrouble, Trouble
+from tetractl_emulator.optitrack.scripted import Trouble
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, has_a_pose
 from tetractl_emulator.sides import Stage
 
@@ -27,17 +27,6 @@ class BodyFrame(Protocol):
         ...
 
 
-@dataclass(slots=True)
-class Shutter:
-    """Exposes frames `rate` times a second from `start_ns` on; `count` is the number of exposures
-    that have been planned.
-    """
-
-    rate: float
-    start_ns: int = 0
-    count: int = 0
-
-
 @dataclass(frozen=True, slots=True)
 class Exposure:
     """A frame, and when it was exposed [ns]."""
@@ -53,7 +42,7 @@ class Outlet:
     `left_ns` is the exposure of the last frame sent [ns], and `last` what was last to be sent.
     """
 
-    trouble: SendingTrouble
+    trouble: Trouble
     stream: Callable[[Any], None]
     left_ns: int = 0
     last: Exposure | None = None
@@ -94,10 +83,10 @@ class PoseCamera(ABC):
         self.shown_ns = [0] * len(tracked)
         self.timeline = stage.timeline
         self._stage = stage
-        self._shutter = Shutter(rate)
-        self._outlet = Outlet(
-            self.trouble.sending, lambda frame: self._stream(frame, self.timeline.now_ns)
-        )
+        self._rate = rate
+        self._planned = 0  # exposures
+        self._start_ns = 0
+        self._outlet = Outlet(self.trouble, lambda frame: self._stream(frame, self.timeline.now_ns))
         self._latency_s = latency_s
         self._random = random.Random(stage.options.seed)
 
@@ -111,7 +100,7 @@ class PoseCamera(ABC):
 
     def begin(self) -> None:
         """Expose the first frame now."""
-        self._shutter.start_ns = self.timeline.now_ns
+        self._start_ns = self.timeline.now_ns
         self._plan()
 
     def hide(self, hidden: bool) -> None:
@@ -129,18 +118,16 @@ class PoseCamera(ABC):
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
     def _plan(self) -> None:
-        """Plan the next exposure."""
-        shutter = self._shutter
-        due_ns = shutter.start_ns + round(shutter.count * SECOND / shutter.rate)
-        shutter.count += 1
+        due_ns = self._start_ns + round(self._planned * SECOND / self._rate)
+        self._planned += 1
         self.timeline.at(due_ns, self._take)
 
     def _take(self) -> None:
         """Expose one frame, and schedule its sending after the latency."""
         now = self.timeline.now_ns
         exposed = now
-        exposure_number = self._shutter.count
-        trouble = self.trouble.frames
+        exposure_number = self._planned
+        trouble = self.trouble
         frame_number = exposure_number - trouble.counter
         self._stage.exposed(exposure_number, frame_number if self.numbered else 0)
         delay = self._delay_s()
@@ -150,7 +137,7 @@ class PoseCamera(ABC):
             exposed = max(0, now - round(trouble.outdated_s * SECOND))
         frame = self._shot(frame_number, exposed, self._expose())
         leaves = now + round(delay * SECOND)
-        times = 2 if self.trouble.sending.doubled else 1
+        times = 2 if trouble.doubled else 1
         for _ in range(times):
             self.timeline.at(leaves, partial(self._leave, exposure_number, Exposure(frame, now)))
         self._plan()
@@ -161,8 +148,8 @@ class PoseCamera(ABC):
         normal_s = jitter.gauss(0, JITTER_S)
         delay_s = self._latency_s + min(max(normal_s, -4 * JITTER_S), 4 * JITTER_S)
         if jitter.random() < DELAYED_SHARE:
-            delay_s += jitter.uniform(0, DELAYED_PERIODS / self._shutter.rate)
-        trouble = self.trouble.sending
+            delay_s += jitter.uniform(0, DELAYED_PERIODS / self._rate)
+        trouble = self.trouble
         delay_s += trouble.late_s
         if trouble.jitter_s:
             delay_s += jitter.uniform(0, trouble.jitter_s)
@@ -183,8 +170,8 @@ class PoseCamera(ABC):
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
         bodies = [body.expose(self.view) for body in self.tracked]
-        if self.trouble.frames.swapped is not None:
-            i, j = self.trouble.frames.swapped
+        if self.trouble.swapped is not None:
+            i, j = self.trouble.swapped
             first = bodies[i]
             second = bodies[j]
             bodies[i] = replace(second, id=first.id)

@@ -12,7 +12,7 @@ reported pose add up; of others that set the same attribute, the newest holds.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Annotated, Any, Literal
 
@@ -97,9 +97,9 @@ class OptitrackSettings(Model):
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
-class FrameTrouble:
-    """What is wrong in the server's frames now; faults set the fields, and restore them when they
-    end.
+class Trouble:
+    """What is wrong with the server now, with its frames or their sending; faults set the fields,
+    and restore them when they end.
     """
 
     counter: int = 0
@@ -116,14 +116,6 @@ class FrameTrouble:
     """By how much the exposure times of those frames are too early [s]."""
     swapped: tuple[int, int] | None = None
     """The indices of two bodies that exchange their ids."""
-
-
-@dataclass(eq=False, slots=True, weakref_slot=True)
-class SendingTrouble:
-    """What is wrong with the sending of frames now; faults set the fields, and restore them when
-    they end.
-    """
-
     silent: bool = False
     """Whether the server gives no answers and sends no frames."""
     no_frames: bool = False
@@ -138,14 +130,6 @@ class SendingTrouble:
     """Whether each frame is sent twice."""
     hz: float = math.inf
     """Most frames that are sent in a second."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trouble:
-    """What is wrong with the server now."""
-
-    frames: FrameTrouble = field(default_factory=FrameTrouble)
-    sending: SendingTrouble = field(default_factory=SendingTrouble)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -175,12 +159,11 @@ def _server_fault(
     name: str,
     about: str,
     visible: Visible,
-    part: Callable[[Trouble], object],
     sets: Mapping[str, object],
     fields: Mapping[str, Any] = NO_FIELDS,
 ) -> type[Fault]:
-    """Return a kind of fault of the server, which sets attributes of a part of its `Trouble`."""
-    begin = settings(lambda fault, device: part(device.trouble), **sets)
+    """Return a kind of fault of the server, which sets attributes of its `Trouble`."""
+    begin = settings(lambda fault, device: device.trouble, **sets)
     return fault_kind(name, about, begin, visible, fields)
 
 
@@ -227,7 +210,7 @@ def _repeat_poses(fault: Any, device: Any) -> Undo:
 
 def _swap_bodies(fault: Any, device: Any) -> Undo:
     places = (device.place_of(fault.robot), device.place_of(fault.other))
-    return setting(device.trouble.frames, swapped=places)
+    return setting(device.trouble, swapped=places)
 
 
 def _twin_ids(fault: Any, device: Any) -> Undo:
@@ -254,9 +237,6 @@ def _change_picture(fault: Any, device: Any) -> Undo:
     return lambda: view.take_back(change)
 
 
-# parts of a `Trouble`
-IN_FRAMES = attrgetter("frames")
-SENDING = attrgetter("sending")
 # parts of a `TrackedBody`
 TRACKING = attrgetter("tracking")
 DISPLACEMENT = attrgetter("displacement")
@@ -266,23 +246,21 @@ Axes = Literal["floor", "robot"]
 
 FAULTS = (
     # of the server
-    _server_fault("no_server", "The server sends nothing.", SENT, SENDING, {"silent": True}),
-    _server_fault("no_frames", "No frames are sent.", SENT, SENDING, {"no_frames": True}),
-    _server_fault("freeze", "The same frame is sent repeatedly.", SENT, SENDING, {"frozen": True}),
+    _server_fault("no_server", "The server sends nothing.", SENT, {"silent": True}),
+    _server_fault("no_frames", "No frames are sent.", SENT, {"no_frames": True}),
+    _server_fault("freeze", "The same frame is sent repeatedly.", SENT, {"frozen": True}),
     _server_fault(
         "counter_back",
         "The frame number goes back by this number.",
         EXPOSED,
-        IN_FRAMES,
         sets={"counter": attrgetter("frames")},
         fields={"frames": Frames},
     ),
-    _server_fault("edit_mode", "Motive is in edit mode.", EXPOSED, IN_FRAMES, {"edit_mode": True}),
+    _server_fault("edit_mode", "Motive is in edit mode.", EXPOSED, {"edit_mode": True}),
     _server_fault(
         "bad_datagrams",
         "A fraction of the frames is damaged.",
         SENT,
-        IN_FRAMES,
         sets={"damaged": attrgetter("share")},
         fields={"share": Share},
     ),
@@ -290,7 +268,6 @@ FAULTS = (
         "other_version",
         "Frames have another protocol version than the server reports.",
         SENT,
-        IN_FRAMES,
         sets={"version": lambda fault: Version.of(fault.version)},
         fields={"version": VersionText},
     ),
@@ -298,7 +275,6 @@ FAULTS = (
         "outdated",
         "This number of frames has exposure times that are too early by this time [s].",
         EXPOSED,
-        IN_FRAMES,
         sets={"outdated": attrgetter("frames"), "outdated_s": attrgetter("by")},
         fields={"by": Positive, "frames": (Frames, 1)},
     ),
@@ -306,7 +282,6 @@ FAULTS = (
         "late_frames",
         "Frames are late [s].",
         SENT,
-        SENDING,
         sets={"late_s": attrgetter("by")},
         fields={"by": Positive},
     ),
@@ -314,16 +289,14 @@ FAULTS = (
         "reordered",
         "Frames are late by a random time up to this one [s], so that some overtake others.",
         SENT,
-        SENDING,
         sets={"jitter_s": attrgetter("by")},
         fields={"by": Positive},
     ),
-    _server_fault("doubled_frames", "Each frame is sent twice.", SENT, SENDING, {"doubled": True}),
+    _server_fault("doubled_frames", "Each frame is sent twice.", SENT, {"doubled": True}),
     _server_fault(
         "slow_frames",
         "At most this number of frames is sent each second.",
         SENT,
-        SENDING,
         sets={"hz": attrgetter("rate")},
         fields={"rate": Positive},
     ),

@@ -5,6 +5,7 @@ NatNet over UDP, unicast or multicast.
 import random
 import socket
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -37,6 +38,8 @@ from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
 from tetractl_emulator.sides import Body, Facts, Options, Stage
 
 Address = tuple[str, int]
+RECORDED = ("frames", "refused", "timed_out")
+"""Numbers of frames sent, of requests that could not be read, and of silent clients dropped."""
 
 
 @dataclass(slots=True)
@@ -59,18 +62,6 @@ class ServerClock:
         """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
         gained_ns = sum(error.gained_ns(when_ns) for error in self.errors)
         return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
-
-
-@dataclass(slots=True)
-class ServerCounts:
-    """Numbers of frames sent, of requests that could not be read, of requests for MODELDEF, and of
-    clients dropped because they were silent.
-    """
-
-    frames: int = 0
-    refused: int = 0
-    models_asked: int = 0
-    timed_out: int = 0
 
 
 class ServerPorts:
@@ -112,6 +103,7 @@ class ServerPorts:
 class EmulatedOptitrack(PoseCamera):
     """An emulated Motive server, and the rigid bodies on the robots; `names` are the names and
     numbers of bodies that it reports. It serves `clients` by unicast, and has `greeted` addresses.
+    It `counts` what is RECORDED, and how often it was asked for its models.
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -140,7 +132,7 @@ class EmulatedOptitrack(PoseCamera):
         self.clock = ServerClock()
         self.clients: dict[Address, Client] = {}
         self.greeted: set[Address] = set()
-        self.counts = ServerCounts()
+        self.counts = Counter[str]()
 
     @property
     def join(self) -> Any:
@@ -166,8 +158,7 @@ class EmulatedOptitrack(PoseCamera):
     def close(self) -> Facts:
         """Close the UDP ports; return counts to be recorded."""
         self.ports.close()
-        counts = self.counts
-        return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
+        return {name: self.counts[name] for name in RECORDED}
 
     def _readable(self, catch_up: Callable[[], None]) -> None:
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
@@ -178,13 +169,13 @@ class EmulatedOptitrack(PoseCamera):
                 return
             except OSError:  # a client has gone: its host answered port unreachable
                 continue
-            if self.trouble.sending.silent:
+            if self.trouble.silent:
                 continue
             catch_up()  # otherwise an echo could report a time before its request
             try:
                 message = parse_request(datagram)
             except WireError:
-                self.counts.refused += 1
+                self.counts["refused"] += 1
                 continue
             answer = self._answer(message, sender, self.timeline.now_ns)
             if answer is not None:
@@ -212,7 +203,7 @@ class EmulatedOptitrack(PoseCamera):
             case natnet.NatNetRequest():
                 return natnet.Bare(natnet.MessageKind.UNRECOGNIZED)
             case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
-                self.counts.models_asked += 1
+                self.counts["models asked"] += 1
                 return natnet.ModelDef(self.names) if self.settings.answers_models else None
             case natnet.Bare(natnet.MessageKind.DISCONNECT):
                 self.clients.pop(sender, None)
@@ -240,7 +231,7 @@ class EmulatedOptitrack(PoseCamera):
         for address, client in list(self.clients.items()):
             if now_ns - client.heard_ns > 5 * SECOND:
                 del self.clients[address]
-                self.counts.timed_out += 1
+                self.counts["timed_out"] += 1
             else:
                 yield address, client.version
 
@@ -248,11 +239,11 @@ class EmulatedOptitrack(PoseCamera):
         self, number: int, exposed_ns: int, bodies: tuple[natnet.RigidBody, ...]
     ) -> natnet.NatNetFrame:
         # as natnet reads them
-        params = 2 * self.settings.models_changed | 4 * self.trouble.frames.edit_mode
+        params = 2 * self.settings.models_changed | 4 * self.trouble.edit_mode
         return natnet.NatNetFrame(number, bodies, params, self.clock.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
-        trouble = self.trouble.frames
+        trouble = self.trouble
         packed: dict[natnet.Version, bytes] = {}
         for address, version in self._receivers(now_ns):
             if version not in packed:
@@ -261,7 +252,7 @@ class EmulatedOptitrack(PoseCamera):
             if trouble.damaged and self._random.random() < trouble.damaged:
                 message = mangle(message, self._random)
             self._send(self.ports.data, message, address)
-        self.counts.frames += 1
+        self.counts["frames"] += 1
 
     def _send(self, sender: Any, data: bytes, to: Address) -> None:
         with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone

@@ -44,19 +44,14 @@ from tetractl_emulator.sides import Stage
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
-class DriverReadings:
-    """What a driver measures apart from its currents; faults set the fields."""
+class DriverTrouble:
+    """What is wrong with a driver now, and what it measures apart from its currents; faults set the
+    fields, and restore them when they end."""
 
     supply_mv: int = 12_000
     """The supply's voltage [mV]."""
     temperature_dc: int = 250
     """The coils' temperature [tenths of a degree Celsius]."""
-
-
-@dataclass(eq=False, slots=True, weakref_slot=True)
-class DriverTrouble:
-    """What is wrong with a driver now; faults set the fields, and restore them when they end."""
-
     mute: bool = False
     """Whether it receives but does not reply."""
     late_ns: int = 0
@@ -69,7 +64,7 @@ class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
     `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set fields of
-    its `readings`, `trouble` and `line`, or call `switch`.
+    its `trouble` and `line`, or call `switch`.
     """
 
     def __init__(
@@ -83,7 +78,6 @@ class CurrentDriver(SerialDevice):
     ) -> None:
         super().__init__(timeline, port, baud, note)
         self.currents: Pair = (0.0, 0.0)
-        self.readings = DriverReadings()
         self.trouble = DriverTrouble()
         self.powered = True
         self._due_ns = 0
@@ -146,12 +140,12 @@ class CurrentDriver(SerialDevice):
     def _step(self) -> None:
         wished = self._core.currents_ua(self._now_ms) if self.powered else (0, 0)
         x, y = (
-            now / 1e6 + self._keep * (before - now / 1e6)
-            for now, before in zip(wished, self.currents, strict=True)
+            wish / 1e6 + self._keep * (before - wish / 1e6)
+            for wish, before in zip(wished, self.currents, strict=True)
         )
         self.currents = x, y
-        read = self.readings
-        self._core.measured(round(1000 * x), round(1000 * y), read.supply_mv, read.temperature_dc)
+        now = self.trouble
+        self._core.measured(round(1000 * x), round(1000 * y), now.supply_mv, now.temperature_dc)
 
     @property
     def _now_ms(self) -> int:
@@ -175,7 +169,6 @@ class FieldSettings(Model):
 
 
 # parts of a `CurrentDriver`
-READINGS = attrgetter("readings")
 TROUBLE = attrgetter("trouble")
 LINE = attrgetter("line")
 
@@ -236,13 +229,13 @@ FAULTS = (
     fault_kind(
         "low_supply",
         "The driver's supply has this voltage [mV].",
-        _driver(READINGS, supply_mv=attrgetter("millivolts")),
+        _driver(TROUBLE, supply_mv=attrgetter("millivolts")),
         fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
     ),
     fault_kind(
         "hot",
         "The coils have this temperature [degrees Celsius].",
-        _driver(READINGS, temperature_dc=lambda f: round(10 * f.celsius)),
+        _driver(TROUBLE, temperature_dc=lambda f: round(10 * f.celsius)),
         fields={"celsius": Annotated[float, Field(ge=0, le=200)]},
     ),
     fault_kind("divides", "A cell divides into two.", _divides, fields={"cell": Name}),
@@ -302,7 +295,7 @@ class EmulatedField(PluggedDevice):
         self.driver = self.wired = CurrentDriver(
             stage.timeline, self.port, _limits(section), section.baud, note=stage.note
         )
-        self.driver.readings.supply_mv = settings.supply_mv
+        self.driver.trouble.supply_mv = settings.supply_mv
         seed = stage.options.seed
         walk = settings.heading_noise
         names = setup.names

@@ -65,7 +65,9 @@ class DayPlan:
 
     def script(self) -> dict[str, Any]:
         """Return the script of the day."""
-        faults = [_scripted(fault) for fault in self.sorted]
+        faults = [
+            {key: value for key, value in fault.items() if key not in OWN} for fault in self.sorted
+        ]
         about = ", ".join(dict.fromkeys(fault["kind"] for fault in self.sorted)) or "no fault"
         return {"about": about, "emulation": dict(self.emulation), "faults": faults}
 
@@ -91,19 +93,14 @@ class Day:
         return hashlib.sha256(events).hexdigest()[:16]
 
 
-def _scripted(fault: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a drawn fault as a script has it."""
-    return {key: value for key, value in fault.items() if key not in OWN}
-
-
 def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal, bad: bool = True) -> DayPlan:
     """Draw the plan of a day; it depends on the seed and on the day's number alone. On one that is
     not `bad` there is no fault, and robots and wheels are as the spec allows.
     """
     random = Random(f"{seed}-{day}")
     faults = faults_of_day(random, lab.names, lab.kinds, lab.span_s, lab.scale) if bad else []
-    world = world_of_day(random, setup, lab, bad)
-    return DayPlan(random.randrange(2**31), world.emulation, faults, world.right, lab.kinds)
+    emulation, right = world_of_day(random, setup, lab, bad)
+    return DayPlan(random.randrange(2**31), emulation, faults, right, lab.kinds)
 
 
 def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:

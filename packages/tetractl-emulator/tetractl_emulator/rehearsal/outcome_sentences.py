@@ -100,13 +100,9 @@ def _expected_code(truth: Truth) -> int:
     No kill comes after the result: it acts in a tick of the emulation, and the log gets its result
     once the emulation has made its last tick.
     """
-    if truth.trial is not None and truth.trial.result is not None:
-        return _code_of(truth.trial.result.outcome)
-    return KILLED if truth.killed and truth.day.exit < 0 else 1
-
-
-def _code_of(outcome: Outcome) -> int:
-    """Return the exit code of a run of one trial that ended so, as the documentation says."""
+    if truth.trial is None or truth.trial.result is None:
+        return KILLED if truth.killed and truth.day.exit < 0 else 1
+    outcome = truth.trial.result.outcome
     if outcome.complete:
         return 0
     return INTERRUPTED if outcome is Outcome.INTERRUPTED else 1

@@ -392,11 +392,6 @@ def _pushed_mm(truth: Truth) -> float:
     return sum(math.hypot(*fault.fields["by"]) for fault in truth.faults_of("pushed"))
 
 
-def _pushed_rad(truth: Truth) -> float:
-    """Return by how much people turned robots on the day, summed as in `_pushed_mm`."""
-    return sum(abs(fault.fields.get("turn", 0.0)) for fault in truth.faults_of("pushed"))
-
-
 def _rolls_on_s(truth: Truth) -> Floats:
     """Return how long a robot may roll on beyond `reaction`, for which the guard predicts (T, N).
 
@@ -444,10 +439,12 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
     is_driven = truth.wheel_speed_mm_s > DRIVEN_MM_S
     is_before_end = (truth.times_s < truth.ended_s)[:, None]
     checked = truth.fresh & is_driven & is_before_end
-    off = _least_pose_errors(truth)
-    off_mm = off.mm - _pushed_mm(truth)
-    off_rad = off.rad - _pushed_rad(truth)
-    for errors, most, unit in ((off_mm, POSE_MM, "mm"), (off_rad, POSE_RAD, "rad")):
+    off_mm, off_rad = _least_pose_errors(truth)
+    turned_rad = sum(abs(fault.fields.get("turn", 0.0)) for fault in truth.faults_of("pushed"))
+    for errors, most, unit in (
+        (off_mm - _pushed_mm(truth), POSE_MM, "mm"),
+        (off_rad - turned_rad, POSE_RAD, "rad"),
+    ):
         wrong = checked & (errors > most)
         if wrong.any():
             row, i = np.argwhere(wrong)[0]
@@ -457,18 +454,10 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
             return
 
 
-@dataclass(frozen=True, slots=True)
-class LeastPoseErrors:
-    """How far poses accepted are from true ones, in place [mm] and in heading [rad] (T, N)."""
-
-    mm: Floats
-    rad: Floats
-
-
-def _least_pose_errors(truth: Truth) -> LeastPoseErrors:
+def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
     """Return how far each pose accepted is from the true ones of its robot in the time in which it
-    may have been exposed: from the nearest in place, and from the nearest in heading, which may be
-    of another exposure. Infinite where no pose was accepted.
+    may have been exposed: from the nearest in place [mm] (T, N), and from the nearest in heading
+    [rad] (T, N), which may be of another exposure. Infinite where no pose was accepted.
 
     This time ends at the row's exposure and lasts for `late_s`. A pose that repeats the one before
     to the last bit may be longer ago, since a frozen pose looks like that of a robot that stands:
@@ -489,7 +478,7 @@ def _least_pose_errors(truth: Truth) -> LeastPoseErrors:
         off_rad = np.abs(np.remainder(off[..., 2] + np.pi, 2 * np.pi) - np.pi)
         least_mm = np.fmin(least_mm, off_mm)  # leaves out NaN, where there is no pose
         least_rad = np.fmin(least_rad, off_rad)
-    return LeastPoseErrors(least_mm, least_rad)
+    return least_mm, least_rad
 
 
 def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:

@@ -7,7 +7,7 @@ or a wheel is off by more than `wheel_error`, and then a reason may name that.
 
 import math
 from random import Random
-from typing import Any, NamedTuple
+from typing import Any
 
 from tetractl.core.setup import Setup
 from tetractl_emulator.rehearsal.participants import LabRehearsal
@@ -25,17 +25,12 @@ OFF_SHARE = 0.02
 """Share of the days with a wheel too far off."""
 
 
-class World(NamedTuple):
-    """The section `emulation` of a day's script, and a regular expression of the reasons that are
-    right without a fault.
+def world_of_day(
+    random: Random, setup: Setup, lab: LabRehearsal, bad: bool = True
+) -> tuple[dict[str, Any], str]:
+    """Draw a world for a lab, as its spec allows if it is not `bad`; return the section `emulation`
+    of a day's script, and a regular expression of the reasons that are right without a fault.
     """
-
-    emulation: dict[str, Any]
-    right: str
-
-
-def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = True) -> World:
-    """Draw a world for a lab, as its spec allows if it is not `bad`."""
     camera = lab.camera(random, 0.0)
     far = random.random() < FAR_SHARE and bad
     off = random.random() < OFF_SHARE and bad
@@ -50,7 +45,7 @@ def world_of_day(random: Random, setup: Setup, lab: LabRehearsal, bad: bool = Tr
         emulation["robots"] = _placed(random, setup, far_mm, 0.16 * lab.start_mm)
     slower = random.uniform(0.17, 0.3) if off else 0.0
     emulation["actuator"] = lab.actuator(random, slower)
-    return World(emulation, "|".join(right))
+    return emulation, "|".join(right)
 
 
 def _placed(random: Random, setup: Setup, far_mm: float, near_mm: float) -> list[dict[str, Any]]:

@@ -110,7 +110,7 @@ def state(lab):
         parts += [robot_state(robot) for robot in actuator.robots]
     else:
         driver = actuator.driver
-        parts += [driver.powered, driver.trouble, driver.readings, *line_state(driver)]
+        parts += [driver.powered, driver.trouble, *line_state(driver)]
         parts += [actuator.dish.field]
     return repr(parts)
 

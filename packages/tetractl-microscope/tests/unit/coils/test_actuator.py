@@ -256,7 +256,7 @@ def test_an_emergency_stop_latches_until_the_driver_is_switched_off():
 def test_heat_ends_a_run():
     stage = Bench()
     with stage.opened(SETUP) as actuator:
-        stage.driver.readings.temperature_dc = 850
+        stage.driver.trouble.temperature_dc = 850
 
         assert stage.clock.wait(lambda: fails(actuator))
         assert actuator.failure == "the current driver stopped: it is 85 °C hot"
@@ -267,7 +267,7 @@ def test_heat_ends_a_run():
 @pytest.mark.parametrize(("celsius", "problems"), [(59.9, 0), (60, 1)])
 def test_a_run_does_not_start_with_hot_coils(celsius, problems):
     stage = Bench()
-    stage.driver.readings.temperature_dc = round(10 * celsius)
+    stage.driver.trouble.temperature_dc = round(10 * celsius)
     with stage.opened(SETUP) as actuator:
         stage.clock.sleep_until(stage.clock.now() + SECOND // 100)  # it has measured
         health = actuator.check().problems

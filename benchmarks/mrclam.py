@@ -12,6 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from recordings import create
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
@@ -26,25 +27,21 @@ from tetractl.tools.table.terminal_table import print_tables
 
 def track(folder: Path, robot: int) -> Track:
     """Return one robot's run; lengths in metres."""
-    measured, sent = (
-        np.loadtxt(folder / f"Robot{robot}_{kind}.dat", ndmin=2)
-        for kind in ("Groundtruth", "Odometry")
-    )
-    start = sent[0, 0]
-    is_new = np.diff(sent[:, 0], prepend=-np.inf) > 0  # some rows are twice in the files
-    sent = sent[is_new]
+    take = create(folder / f"Robot{robot}_Groundtruth.dat")
+    measured = take.poses
+    sent = take.commands
     name = f"{folder.name[-1]}.{robot}"
     return Track(
         source=str(folder),
         origin="MRCLAM",
         unit="m",
         names=(name,),
-        time=measured[:, 0] - start,
+        time=measured[:, 0],
         poses=measured[:, None, 1:],
         valid=np.ones((len(measured), 1), dtype=np.bool_),
-        sent=sent[:, 0] - start,
+        sent=sent[:, 0],
         u=np.full(len(sent), np.nan),
-        until=float(sent[-1, 0] - start),
+        until=float(sent[-1, 0]),
         twists=sent[:, None, 1:],
     )
 

@@ -97,17 +97,17 @@ def mecanum(folder: Path) -> Iterator[Take]:
         yield Take(np.column_stack([time_s, xy, heading])[used], commands)
 
 
-def create(file: Path) -> Iterator[Take]:
-    """Yield a run of an MRCLAM set, of 900 s or more."""
-    poses = np.loadtxt(file)
-    sent = np.loadtxt(str(file).replace("Groundtruth", "Odometry"))
+def create(file: Path) -> Take:
+    """Return a run of an MRCLAM set, of 900 s or more, by its file of poses."""
+    poses = np.loadtxt(file, ndmin=2)
+    sent = np.loadtxt(str(file).replace("Groundtruth", "Odometry"), ndmin=2)
     sent = sent[np.diff(sent[:, 0], prepend=-np.inf) > 0]  # some rows are twice in the files
     poses[:, 0] -= sent[0, 0]
     sent[:, 0] -= sent[0, 0]
-    yield Take(poses, sent)
+    return Take(poses, sent)
 
 
-READERS = {"car": car, "rover": rover, "mecanum": mecanum, "create": create}
+READERS = {"car": car, "rover": rover, "mecanum": mecanum, "create": lambda file: [create(file)]}
 
 
 def main(name: str, paths: list[Path], out: Path) -> None:

@@ -5,7 +5,7 @@
 
 prints the table of benchmarks/mutants/README.md. A row of TABLE is a file, a text that it has once,
 what stands there instead, and the tests that mirror the file. The defects were drawn from lines of
-each room before its tests were looked at. Sources are copied first; the tests are run there, tier
+each room before its tests were read. Sources are copied first; the tests are run there, tier
 by tier, until one fails.
 """
 

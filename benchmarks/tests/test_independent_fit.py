@@ -45,6 +45,6 @@ def test_a_robot_that_is_made_up_is_found():
 def test_a_run_of_mrclam_is_read_from_its_first_command_on(tmp_path):
     (tmp_path / "Robot1_Groundtruth.dat").write_text("9.5 0 0 0\n10.5 1 0 0\n")
     (tmp_path / "Robot1_Odometry.dat").write_text("10 0.1 0\n10 0.1 0\n11 0.2 0.3\n")
-    (take,) = create(tmp_path / "Robot1_Groundtruth.dat")
+    take = create(tmp_path / "Robot1_Groundtruth.dat")
     assert take.poses[:, 0].tolist() == [-0.5, 0.5]
     assert take.commands.tolist() == [[0, 0.1, 0], [1, 0.2, 0.3]]

@@ -237,7 +237,7 @@ ENDING = {  # every command that ends by itself and needs no lab, and its exit c
     "identify logs": 0,
     "lab stop --port nowhere": 1,
 }
-OF_THREADS = (  # what is done beside the writing; the others write as `stats` does
+OF_THREADS = (  # what is done in threads or processes; the others write as `stats` does
     "run spec.yaml --out new --jobs 2",
     f"replay {LOG} --rate 100",
     "study study.yaml --out arms --jobs 2",

@@ -1,7 +1,5 @@
 """`tetractl plot`, `report`, `open` and `export`: write figures, a page or tables of logs."""
 
-from collections.abc import Container
-from enum import Enum
 from os.path import commonpath
 from pathlib import Path
 from tempfile import mkdtemp
@@ -13,7 +11,7 @@ from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.log.read.find import find_logs
 from tetractl.tools.files import save_whole
 from tetractl.tools.retired import refuse_retired
-from tetractl.tools.table.table_files import AddRows, table_files
+from tetractl.tools.table.table_files import table_files
 
 TRAJECTORY = "trajectory"
 """The figure that `plot` draws by default."""
@@ -155,43 +153,31 @@ def export(
 
     Example: tetractl export logs/three-m3pi -o tables
     """
+    from tetractl.results.trial_tables import of_log
+
     table_paths = _table_paths(out, table)
     log_paths = find_logs(logs)
+    unread: list[Path] = []
+    damaged: list[Path] = []
     with table_files(table_paths) as add_rows, ui.progress("Reading logs") as on_log:
-        conditions: list[_LogCondition] = []
         for number, path in enumerate(log_paths):
             on_log(number, len(log_paths))
-            conditions.append(_add_log(path, table_paths, add_rows))
-        if all(condition is _LogCondition.UNREADABLE for condition in conditions):
+            try:
+                rows_of, damage = of_log(path, table_paths)
+            except LogError as error:
+                ui.tell(f"warning: {error.message}")
+                unread.append(path)
+                continue
+            ui.warn_of_damage(str(path), damage)
+            if damage is not None:
+                damaged.append(path)
+            for name, rows in rows_of.items():
+                add_rows(name, rows, str(path))
+        if len(unread) == len(log_paths):
             raise LogError("none of the logs can be read")
     for path in table_paths.values():
         print(printable(str(path)))
-    if all(condition is _LogCondition.WHOLE for condition in conditions):
-        return Exit.DONE
-    return Exit.FAILED
-
-
-class _LogCondition(Enum):
-    """How much of a log is in the tables."""
-
-    WHOLE = "all of it"
-    DAMAGED = "what could be read of it"
-    UNREADABLE = "nothing"
-
-
-def _add_log(path: Path, wanted: Container[str], add_rows: AddRows) -> _LogCondition:
-    """Add the rows of a log to the `wanted` tables; print on stderr what is wrong with it."""
-    from tetractl.results.trial_tables import of_log
-
-    try:
-        rows_of, damage = of_log(path, wanted)
-    except LogError as error:
-        ui.tell(f"warning: {error.message}")
-        return _LogCondition.UNREADABLE
-    ui.warn_of_damage(str(path), damage)
-    for name, rows in rows_of.items():
-        add_rows(name, rows, str(path))
-    return _LogCondition.WHOLE if damage is None else _LogCondition.DAMAGED
+    return Exit.FAILED if unread or damaged else Exit.DONE
 
 
 def _table_paths(out: Path, table: str | None) -> dict[str, Path]:

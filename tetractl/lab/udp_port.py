@@ -18,7 +18,7 @@ from typing import Any
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import Heard, PortHeldError, SerialPort
-from tetractl.tools.file_lock import lock_file as take_lock
+from tetractl.tools.files import lock_file as take_lock
 
 SCHEME = "udp://"  # beginning of an address of such a port
 PACKET_MAX = 1500  # most bytes of a datagram that are read: an Ethernet frame

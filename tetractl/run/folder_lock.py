@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.tools.file_lock import lock_file
+from tetractl.tools.files import lock_file
 
 LOCK_FILE = ".tetractl-lock"
 """Name of the file in a folder that one run at a time may write to."""

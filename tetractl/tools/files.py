@@ -1,9 +1,14 @@
-"""Writes files completely or not at all."""
+"""Writes files completely or not at all, and locks files that two programs must not write."""
 
 from contextlib import suppress
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 
 def save_whole(path: Path, data: bytes) -> None:
@@ -21,3 +26,10 @@ def save_whole(path: Path, data: bytes) -> None:
         with suppress(OSError):
             part.unlink()
         raise LogError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def lock_file(descriptor: int) -> None:
+    """Lock an open file until its process ends; BlockingIOError if another process has. Does
+    nothing on Windows, where two runs must not be given one folder."""
+    if fcntl is not None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -76,29 +76,16 @@ class Frames(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
         """Join parts in order; `truth` is None unless every part has true poses."""
-        truths = [part.truth for part in parts if part.truth is not None]
-        all_known = len(truths) == len(parts)
-        return cls(
-            numbers=np.concatenate([part.numbers for part in parts]),
-            sampled_ns=np.concatenate([part.sampled_ns for part in parts]),
-            received_ns=np.concatenate([part.received_ns for part in parts]),
-            poses=np.concatenate([part.poses for part in parts]),
-            valid=np.concatenate([part.valid for part in parts]),
-            truth=np.concatenate(truths) if all_known else None,
-            exposed_ns=np.concatenate([part.exposed_ns for part in parts]),
-        )
+        columns: list[Any] = []
+        for of_parts in zip(*parts, strict=True):
+            all_known = all(column is not None for column in of_parts)
+            columns.append(np.concatenate(of_parts) if all_known else None)
+        return cls(*columns)
 
     def part(self, rows: slice | Integers) -> "Frames":
         """Return the frames in the given rows."""
-        return Frames(
-            numbers=self.numbers[rows],
-            sampled_ns=self.sampled_ns[rows],
-            received_ns=self.received_ns[rows],
-            poses=self.poses[rows],
-            valid=self.valid[rows],
-            truth=None if self.truth is None else self.truth[rows],
-            exposed_ns=self.exposed_ns[rows],
-        )
+        columns: list[Any] = [None if column is None else column[rows] for column in self]
+        return Frames(*columns)
 
 
 def _stacked(poses: Sequence[Poses], robots: int) -> Floats:

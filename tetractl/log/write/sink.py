@@ -17,7 +17,7 @@ from tetractl.core.errors import LogError
 from tetractl.log.format.channels import DIGESTS, Entry
 from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.file_writer import FileWriter
-from tetractl.tools.file_lock import lock_file
+from tetractl.tools.files import lock_file
 
 CHUNK_S = 0.7
 """Longest time for which a message stays in memory [s of wall time]. With camera frames collected

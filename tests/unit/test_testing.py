@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ from support.trials import experiment
 from tetractl.cli.specs import template
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.control.sequence import SequenceSection
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Transmission
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Poses
@@ -366,6 +368,19 @@ def test_an_actuator_sends_to_a_port_behind_which_nothing_is():
     assert len(findings_of(partial(check_actuator, PortSection(), SETUP))) == 15
     with pytest.raises(ZeroDivisionError):
         check_actuator(PortSection(divisor=0.0), SETUP)
+
+
+@pytest.mark.parametrize("later_s", [-1.5, 0.5])
+def test_a_command_that_was_not_sent_when_it_says_is_found(later_s):
+    """A defect planted in `device_checks.py`, of commands that are old, was found by no test."""
+
+    class LateSection(PortSection):
+        def build(self, setup, clock):
+            later = round(later_s * SECOND)
+            shifted = SimpleNamespace(now=lambda: clock.now() + later)
+            return PortActuator(self, setup, shifted)
+
+    assert "steer: sent now" in wrong(check_actuator, LateSection(), SETUP)
 
 
 def test_nothing_is_sent_to_the_port_of_a_network():

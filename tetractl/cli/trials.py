@@ -348,7 +348,8 @@ def _conclude(
         ui.tell(f"interrupted; continue with the same command and {resume}")
         return Exit.INTERRUPTED
     first = min((trial for _, trial in report.results), default=0)
-    ui.tell(f"look at one with: tetractl replay {quote(str(log_path(folder, first)))}")
+    first_log = log_path(folder, first)
+    ui.tell(f"look at one with: tetractl replay {quote(str(first_log))}")
     if unwritten is not None:
         raise unwritten
     return Exit.DONE

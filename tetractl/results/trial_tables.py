@@ -16,10 +16,15 @@ from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import printable
 from tetractl.core.plan import INNOVATIONS
 from tetractl.core.poses import Floats, Integers
-from tetractl.core.setup import Setup
 from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import ESTIMATE_FIELDS, STOP_REASON_MAX
-from tetractl.log.format.tetractl_pb2 import ControllerStep, Estimate, StepTiming
+from tetractl.log.format.tetractl_pb2 import (
+    ControllerStep,
+    Estimate,
+    Search,
+    StepTiming,
+    WheelCommand,
+)
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import decode_errors, refuse_brief, result_of, trial_of
 from tetractl.log.read.salvage import scan
@@ -65,42 +70,13 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
     reads it.
     """
     timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
-    columns: dict[str, list[Any]] = {name: [] for name in _step_columns(log.start.setup)}
-    for step in contents.messages(STEP):
-        timing = timings.get(step.k, StepTiming())
-        row = _step_row(log, step, timing)
-        for name, values in columns.items():
-            values.append(row[name])
-    return _table("steps", columns)
-
-
-def _step_columns(setup: Setup) -> list[str]:
-    """Return the names of the columns of `steps`."""
-    names = [
-        "k",
-        "time_s",
-        "observed_s",
-        "direction_rad",
-        "lag_s",
-        f"cost_{setup.unit}",
-        f"target_cost_{setup.unit}",
-        "obstacle_cost",
-        "signals",
-        "searches",
-        "iterations",
-        "evaluations",
-        "stopped",
-        "solve_ms",
-        "deadline_missed",
+    rows = [
+        _step_row(log, step, timings.get(step.k, StepTiming())) for step in contents.messages(STEP)
     ]
-    names += [f"delivered_{robot}" for robot in setup.names]
-    if setup.wheel_radius is not None:
-        names += [_wheel(side, robot, setup) for robot in setup.names for side in ("left", "right")]
-    return names
-
-
-def _wheel(side: str, robot: str, setup: Setup) -> str:
-    return f"{side}_{robot}_{setup.unit}_s"
+    no_command = WheelCommand(delivered=[False] * len(log.start.setup.names))
+    no_step = ControllerStep(command=no_command, searches=[Search()])
+    names = _step_row(log, no_step, StepTiming()).keys()  # a trial without steps has columns, too
+    return _table("steps", {name: [row[name] for row in rows] for name in names})
 
 
 def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[str, Any]:
@@ -127,11 +103,13 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
     }
     for robot, delivered in zip(setup.names, sent.delivered, strict=True):
         row[f"delivered_{robot}"] = delivered
+    if setup.wheel_radius is None:
+        return row
     unknown = [None] * len(setup.names)
     wheels = zip(setup.names, sent.left or unknown, sent.right or unknown, strict=True)
     for robot, left_speed, right_speed in wheels:
-        row[_wheel("left", robot, setup)] = left_speed
-        row[_wheel("right", robot, setup)] = right_speed
+        row[f"left_{robot}_{setup.unit}_s"] = left_speed
+        row[f"right_{robot}_{setup.unit}_s"] = right_speed
     return row
 
 

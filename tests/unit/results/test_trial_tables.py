@@ -11,7 +11,7 @@ from tetractl.log.format.channels import STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.results.trial_tables import TABLES, of_log
+from tetractl.results.trial_tables import TABLES, of_log, steps
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,14 @@ def columns(path):
     tables, damage = of_log(path, TABLES)
     assert damage is None
     return {name: table.as_dict() for name, table in tables.items()}
+
+
+def test_without_steps_their_table_has_the_same_columns(path, log, columns):
+    contents = scan(path)
+    del contents.by_topic[STEP]
+    table = steps(log, contents)
+    assert len(table) == 0
+    assert list(table.with_first(log="", trial=0).as_dict()) == list(columns["steps"])
 
 
 def test_the_table_of_steps_has_the_time_and_the_command_of_each(log, columns):

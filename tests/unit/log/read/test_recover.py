@@ -53,11 +53,11 @@ def out_path(done):
     return Path(done.path)
 
 
-def test_what_was_lost_is_told_after_all_that_came_back(log, tmp_path):
-    """A defect planted in `recover.py`, which told it at the begin, was found by no test."""
+def test_what_was_lost_is_reported_after_all_that_came_back(log, tmp_path):
+    """A defect planted in `recover.py`, which reported it at the beginning, was found by no test."""
     entries = scan(out_path(recover(torn(log, tmp_path)))).entries
-    *others, told = sorted(entries, key=lambda entry: entry.topic == RECOVERED)
-    assert told.topic == RECOVERED
+    *others, lost = sorted(entries, key=lambda entry: entry.topic == RECOVERED)
+    assert lost.topic == RECOVERED
     assert told.log_ns == max(entry.log_ns for entry in others) > 0
 
 

@@ -54,11 +54,11 @@ def out_path(done):
 
 
 def test_what_was_lost_is_reported_after_all_that_came_back(log, tmp_path):
-    """A defect planted in `recover.py`, which reported it at the beginning, was found by no test."""
+    """A defect planted in `recover.py`, which reported it first, was found by no test."""
     entries = scan(out_path(recover(torn(log, tmp_path)))).entries
     *others, lost = sorted(entries, key=lambda entry: entry.topic == RECOVERED)
     assert lost.topic == RECOVERED
-    assert told.log_ns == max(entry.log_ns for entry in others) > 0
+    assert lost.log_ns == max(entry.log_ns for entry in others) > 0
 
 
 def test_a_complete_log_needs_no_recovery(log, tmp_path):

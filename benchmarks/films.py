@@ -3,6 +3,8 @@
     python benchmarks/films.py render    write films with their truth
     python benchmarks/films.py score     F1, positions, names, intervals of `tetractl track`
     python benchmarks/films.py peers     the same of trackpy and laptrack on plain detections
+    python benchmarks/films.py rules     what each rule of the tracker is worth: on drawn films, or
+                                         on a given one
     python benchmarks/films.py kept      the rows of earlier runs with --keep NAME
     python benchmarks/films.py time      processor time a picture, of each part
     python benchmarks/films.py real      what is said of a given film, at several scales
@@ -33,10 +35,10 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from filmworld.rows import table
+from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.settings import SETTINGS
-from filmworld.taken_out import RULES, take_out
+from filmworld.taken_out import RULES, take_out, without
 from filmworld.truth import FilmTruth, write_film
 
 RENDERERS = ("first", "second")
@@ -174,6 +176,55 @@ def peers(chosen: argparse.Namespace) -> None:
     score(chosen, tuple(PEERS))
 
 
+def rules(chosen: argparse.Namespace) -> None:
+    """Print a row for each rule, or for those of --without: the measures of films without it. What
+    an earlier call kept in the cache is not measured again.
+    """
+    measured = _rule_of_film if chosen.film else _rule_of_drawn
+    for rule in ("", *(chosen.without or RULES)):
+        with without(rule):
+            print(
+                f"| {rule or 'none'} | {measured(chosen, rule.replace(' ', '-') or 'none')} |",
+                flush=True,
+            )
+
+
+def _rule_of_film(chosen: argparse.Namespace, kept: str) -> str:
+    """Return the measures of a film without a truth."""
+    from filmworld.without_truth import ours
+
+    path = chosen.cache / f"{chosen.film.name}-{chosen.every}-{kept}.json"
+    if not path.exists():
+        scale = chosen.scale[0] or None
+        counts = ours(chosen.film, chosen.organism, chosen.rate, scale, chosen.darker, chosen.every)
+        path.write_text(json.dumps(asdict(counts)))
+    counts = json.loads(path.read_text())
+    return " | ".join(f"{hits} of {count}" for hits, count in counts.values())
+
+
+def _rule_of_drawn(chosen: argparse.Namespace, kept: str) -> str:
+    """Return F1, IDF1, wrong names and those of them called sure, the share of right rows that are
+    called sure, and new names, of drawn films in each setting.
+    """
+    cells = []
+    for setting in chosen.setting:
+        films = []
+        for renderer in chosen.renderer:
+            for level in chosen.level:
+                for seed in range(chosen.first_seed, chosen.first_seed + chosen.count):
+                    options = chosen.cache, renderer, level, "tetractl", setting, kept
+                    path = (
+                        chosen.cache / f"{renderer}-{level}-{seed}/{kept}/tetractl-{setting}.json"
+                    )
+                    if not path.exists():
+                        scored(*options, seed)
+                    films.append(FilmScore(**json.loads(path.read_text())["score"]))
+        wrong = [sure for film in films for sure in film.wrong]
+        cells += [f"{f1(films):.4f}", f"{idf1(films):.3f}", f"{len(wrong)}, {sum(wrong)}"]
+        cells += [f"{called_sure(films):.3f}", f"{sum(film.renamed for film in films)}"]
+    return " | ".join(cells)
+
+
 def render(chosen: argparse.Namespace) -> None:
     for renderer in chosen.renderer:
         for level in chosen.level:
@@ -212,13 +263,22 @@ def of_film(chosen: argparse.Namespace) -> None:
     report(chosen.film, chosen.organism, chosen.rate, scale, chosen.darker)
 
 
-PARTS = {"render": render, "score": score, "peers": peers, "kept": kept, "time": times}
+PARTS = {
+    "render": render,
+    "score": score,
+    "peers": peers,
+    "kept": kept,
+    "time": times,
+    "rules": rules,
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("part", choices=(*PARTS, "real", "reversed"))
-    parser.add_argument("film", type=Path, nargs="?", help="the film of `real` and `reversed`")
+    parser.add_argument(
+        "film", type=Path, nargs="?", help="the film of `real` and `reversed`, or `rules`"
+    )
     parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
     parser.add_argument("--setting", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
@@ -236,9 +296,13 @@ def main() -> None:
         default=8.0,
         help="of `reversed`: grey levels of a body; < 0: lighter",
     )
-    parser.add_argument("--without", choices=list(RULES), default="", help="rule to take out")
+    parser.add_argument("--every", type=int, default=1, help="of `rules`: pictures of the film")
+    parser.add_argument(
+        "--without", nargs="*", choices=list(RULES), default=[], help="rules to take out"
+    )
     chosen = parser.parse_args()
-    take_out(chosen.without)
+    if chosen.part != "rules":
+        take_out(chosen.without)
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
     if chosen.part not in PARTS:
         if chosen.film is None:

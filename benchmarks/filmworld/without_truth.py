@@ -57,10 +57,10 @@ class FilmInMemory:
 
     damaged = 0
 
-    def __init__(self, film: FilmPictures, backwards: bool) -> None:
+    def __init__(self, film: FilmPictures, backwards: bool, every: int = 1) -> None:
         self.path: Path = film.path
-        self.timing = PictureTimes(film.rate_hz)
-        pictures = [picture for _, picture in film]
+        self.timing = PictureTimes(film.rate_hz / every)
+        pictures = [picture for _, picture in film][::every]
         self._pictures = pictures[::-1] if backwards else pictures
 
     @property
@@ -104,6 +104,19 @@ def report(
     for field in fields(Counts):
         shares = [share(*getattr(column, field.name)) for column in columns]
         print(f"| {field.name.replace('_', ' ')} | {' | '.join(shares)} |", flush=True)
+
+
+def ours(
+    path: Path, name: str, rate_hz: float | None, um_px: float | None, threshold: float, every: int
+) -> Counts:
+    """Return the measures of tetractl alone, on every so many pictures of a film."""
+    film = open_film(path, rate_hz, um_px)
+    bodies = body_masks([picture for _, picture in film], threshold)[::every]
+    ways = []
+    for is_backwards in (False, True):
+        way = FilmInMemory(film, is_backwards, every)
+        ways.append(_tetractl(way, um_px, named(name))[0])
+    return measured(*ways, bodies)
 
 
 def measured(forwards: np.ndarray, backwards: np.ndarray, bodies: Sequence[np.ndarray]) -> Counts:

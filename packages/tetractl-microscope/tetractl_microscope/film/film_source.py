@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from tetractl.core.poses import Grey
-from tetractl_microscope.film.czi_file import PLANE_AXES, czi_planes, czi_times
+from tetractl_microscope.film.czi_file import czi_times
 from tetractl_microscope.film.picture_times import increasing, mean_rate_hz
 
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
@@ -245,18 +245,28 @@ def czi_film(path: Path) -> FilmSource:
 
     file: Any = CziReader(str(path))
     box = file.total_bounding_box
-    stated = czi_planes(path)  # the library counts axes from 0, but reads by their own indices
-    begins = {axis: stated.begin(axis) for axis in PLANE_AXES if axis in box}
-    lengths = [box[axis][1] - box[axis][0] for axis in begins]
+    types: dict[tuple[int, ...], str] = {}  # of the pixels of each plane that the file has
+    axes = [axis for axis in "TZC" if axis in box]
+
+    def note(_: int, part: Any) -> bool:
+        indices = part.coordinate.to_dict()
+        types.setdefault(tuple(indices.get(axis, 0) for axis in axes), part.pixelType.name)
+        return True
+
+    file.enumerate_subblocks(note)
+    # the library counts axes from 0, but reads by their own indices
+    begins = [min(indices) for indices in zip(*types, strict=True)] or [0] * len(axes)
+    lengths = [box[axis][1] - box[axis][0] for axis in axes]
     scenes = sorted(file.scenes_bounding_rectangle)
     scene = scenes[0] if len(scenes) > 1 else None  # else they are one picture, side by side
 
     def read(index: int) -> Raw:
-        indices = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
-        plane = {axis: begin + int(indices[axis]) for axis, begin in begins.items()}
-        if stated.planes and tuple(plane.get(a, 0) for a in PLANE_AXES) not in stated.planes:
+        offsets = np.unravel_index(chosen[index], lengths)
+        plane = tuple(begin + int(k) for begin, k in zip(begins, offsets, strict=True))
+        if plane not in types:
             return None  # of one that is missing, the library makes a black picture
-        pixels = file.read(plane=plane, scene=scene, pixel_type=stated.pixels)
+        places = dict(zip(axes, plane, strict=True))
+        pixels = file.read(plane=places, scene=scene, pixel_type=types[plane])
         return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
 
     xml = ElementTree.fromstring(file.raw_metadata)
@@ -264,7 +274,7 @@ def czi_film(path: Path) -> FilmSource:
     source = FilmSource(read, um_px=micrometres(metres, "m"))
     step_s = source.seconds(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s")
     source.rate_hz = 1 / (step_s or math.inf)
-    chosen = source.over_time("".join(begins), lengths)
+    chosen = source.over_time("".join(axes), lengths)
     if scene is not None:
         source.remarks.append(f"the first of {len(scenes)} scenes is read")
     times = czi_times(path)

@@ -3,8 +3,8 @@
     python benchmarks/films.py render    write films with their truth
     python benchmarks/films.py score     F1, positions, names, intervals of `tetractl track`
     python benchmarks/films.py peers     the same of trackpy and laptrack on plain detections
-    python benchmarks/films.py rules     what each rule of the tracker is worth: on drawn films, or
-                                         on a given one
+    python benchmarks/films.py rules     what each rule of the tracker is worth, on three drawn
+                                         films and a given one
     python benchmarks/films.py kept      the rows of earlier runs with --keep NAME
     python benchmarks/films.py time      processor time a picture, of each part
     python benchmarks/films.py real      what is said of a given film, at several scales
@@ -35,14 +35,20 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+from filmworld.ours import shown
 from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.settings import SETTINGS
 from filmworld.taken_out import RULES, take_out, without
 from filmworld.truth import FilmTruth, write_film
+from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.pictures import open_film
+from tetractl_microscope.organisms import named
 
 RENDERERS = ("first", "second")
 LEVELS = ("easy", "normal", "hard")
+RULE_FILMS = (("second", "normal"), ("first", "hard"), ("second", "hard"))
+RULES_EVERY = 3  # pictures of these films: 10 Hz
 
 
 def rendered(cache: Path, renderer: str, level: str, seed: int) -> Path:
@@ -177,52 +183,37 @@ def peers(chosen: argparse.Namespace) -> None:
 
 
 def rules(chosen: argparse.Namespace) -> None:
-    """Print a row for each rule, or for those of --without: the measures of films without it. What
-    an earlier call kept in the cache is not measured again.
+    """Print a row for each rule, or for those of --without: the measures of RULE_FILMS, at 10 Hz
+    and without a field, and of the given film without it. Places are not smoothed.
     """
-    measured = _rule_of_film if chosen.film else _rule_of_drawn
+    from filmworld.without_truth import FilmInMemory, body_masks, followed, no_body, unfitted
+
+    cv2.setNumThreads(1)
+    drawn = []
+    for renderer, level in RULE_FILMS:
+        folder = rendered(chosen.cache, renderer, level, chosen.first_seed)
+        truth = FilmTruth.load(folder / "truth.npz").thinned(RULES_EVERY)
+        film = open_film(folder / "film.avi", None, truth.um_px)
+        drawn.append((FilmInMemory(film, every=RULES_EVERY), truth))
+    film = FilmInMemory(open_film(chosen.film, chosen.rate, chosen.scale[0] or None))
+    film.pictures = film.pictures[: chosen.pictures]
+    bodies = body_masks(film.pictures, chosen.darker)
+    print("| taken out | no body | followed | F1 | IDF1 | wrong names, called sure | sure | new |")
     for rule in ("", *(chosen.without or RULES)):
         with without(rule):
-            print(
-                f"| {rule or 'none'} | {measured(chosen, rule.replace(' ', '-') or 'none')} |",
-                flush=True,
-            )
-
-
-def _rule_of_film(chosen: argparse.Namespace, kept: str) -> str:
-    """Return the measures of a film without a truth."""
-    from filmworld.without_truth import ours
-
-    path = chosen.cache / f"{chosen.film.name}-{chosen.every}-{kept}.json"
-    if not path.exists():
-        scale = chosen.scale[0] or None
-        counts = ours(chosen.film, chosen.organism, chosen.rate, scale, chosen.darker, chosen.every)
-        path.write_text(json.dumps(asdict(counts)))
-    counts = json.loads(path.read_text())
-    return " | ".join(f"{hits} of {count}" for hits, count in counts.values())
-
-
-def _rule_of_drawn(chosen: argparse.Namespace, kept: str) -> str:
-    """Return F1, IDF1, wrong names and those of them called sure, the share of right rows that are
-    called sure, and new names, of drawn films in each setting.
-    """
-    cells = []
-    for setting in chosen.setting:
-        films = []
-        for renderer in chosen.renderer:
-            for level in chosen.level:
-                for seed in range(chosen.first_seed, chosen.first_seed + chosen.count):
-                    options = chosen.cache, renderer, level, "tetractl", setting, kept
-                    path = (
-                        chosen.cache / f"{renderer}-{level}-{seed}/{kept}/tetractl-{setting}.json"
-                    )
-                    if not path.exists():
-                        scored(*options, seed)
-                    films.append(FilmScore(**json.loads(path.read_text())["score"]))
-        wrong = [sure for film in films for sure in film.wrong]
-        cells += [f"{f1(films):.4f}", f"{idf1(films):.3f}", f"{len(wrong)}, {sum(wrong)}"]
-        cells += [f"{called_sure(films):.3f}", f"{sum(film.renamed for film in films)}"]
-    return " | ".join(cells)
+            rows, _ = unfitted(film, chosen.scale[0] or None, named(chosen.organism))
+            scores = [
+                score_film(str(film.path), truth, shown(follow(film, truth.um_px, None)))
+                for film, truth in drawn
+            ]
+        wrong = [sure for score in scores for sure in score.wrong]
+        cells = [
+            rule or "none",
+            *("{} of {}".format(*m(rows, bodies)) for m in (no_body, followed)),
+        ]
+        cells += [f"{f1(scores):.4f}", f"{idf1(scores):.3f}", f"{len(wrong)}, {sum(wrong)}"]
+        cells += [f"{called_sure(scores):.3f}", f"{sum(score.renamed for score in scores)}"]
+        print(f"| {' | '.join(cells)} |", flush=True)
 
 
 def render(chosen: argparse.Namespace) -> None:
@@ -296,7 +287,7 @@ def main() -> None:
         default=8.0,
         help="of `reversed`: grey levels of a body; < 0: lighter",
     )
-    parser.add_argument("--every", type=int, default=1, help="of `rules`: pictures of the film")
+    parser.add_argument("--pictures", type=int, help="of `rules`: first pictures of its film")
     parser.add_argument(
         "--without", nargs="*", choices=list(RULES), default=[], help="rules to take out"
     )
@@ -304,9 +295,9 @@ def main() -> None:
     if chosen.part != "rules":
         take_out(chosen.without)
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
+    if (chosen.part not in PARTS or chosen.part == "rules") and chosen.film is None:
+        parser.error(f"{chosen.part} needs a film")
     if chosen.part not in PARTS:
-        if chosen.film is None:
-            parser.error(f"{chosen.part} needs a film")
         of_film(chosen)
         return
     with tempfile.TemporaryDirectory() as folder:

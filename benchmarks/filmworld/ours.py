@@ -8,7 +8,7 @@ import numpy as np
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.field_file import read_field
 from tetractl_microscope.film.fit_cell import fit_cells
-from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.follow import Followed, follow
 from tetractl_microscope.film.pictures import open_film
 
 from .scores import Shown
@@ -24,25 +24,29 @@ def track(folder: Path, um_px: float, setting: Setting) -> Shown:
         film = ThinnedFilm(film, setting.every)
     followed = follow(film, um_px, field)
     followed, cells = fit_cells(followed, field)
-    spent = cpu_s() - began
+    result = shown(followed)
+    result.cpu_s = cpu_s() - began
+    for cell in cells:
+        said = {"speed": cell.speed, "a": cell.a}
+        result.numbers[int(cell.cell)] = {
+            name: (float(interval.low), float(interval.high))
+            for name, interval in said.items()
+            if interval is not None
+        }
+    return result
+
+
+def shown(followed: Followed) -> Shown:
+    """Return what is said of a film as rows."""
     rows = [
         (frame, path.identity, c.x, c.y, c.axis, c.heading, c.sure)
         for path in followed.paths
         for frame, c in zip(path.frames.tolist(), path.sightings, strict=True)
     ]
     table = np.array(sorted(rows)).reshape(-1, 7)
-    numbers = {}
-    for cell in cells:
-        said = {"speed": cell.speed, "a": cell.a}
-        numbers[int(cell.cell)] = {
-            name: (float(interval.low), float(interval.high))
-            for name, interval in said.items()
-            if interval is not None
-        }
     frame = table[:, 0].astype(int)
     name = table[:, 1].astype(int)
-    sure = table[:, 6] > 0
-    return Shown(frame, name, *table[:, 2:6].T, sure, numbers=numbers, cpu_s=spent)
+    return Shown(frame, name, *table[:, 2:6].T, table[:, 6] > 0)
 
 
 def parts(folder: Path, um_px: float) -> dict[str, list[float]]:

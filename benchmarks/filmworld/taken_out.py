@@ -95,9 +95,6 @@ RULES = {
     "a state far from its blob is moved to it": (
         (filter_update, "_is_astray", lambda *arguments: False),
     ),
-    "what does not swim in time is no cell": (
-        (CellTracker, "_stays", lambda tracker, cell, now: False),
-    ),
     "a new cell is lost sooner": ((tracking, "LOST_SOON_S", tracking.LOST_S),),
     "a hidden speck may come back": ((newcomers, "HIDDEN_S", 0.0),),
     "a speck without a blob is expected where it was": ((specks, "STOPPED_S", math.inf),),

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from tetractl_microscope.cells.picture_now import pixels_of
 from tetractl_microscope.film.fit_cell import fit_cells
-from tetractl_microscope.film.follow import follow
+from tetractl_microscope.film.follow import Followed, follow
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures, open_film
 from tetractl_microscope.organisms import Organism, named
@@ -57,18 +57,18 @@ class FilmInMemory:
 
     damaged = 0
 
-    def __init__(self, film: FilmPictures, backwards: bool, every: int = 1) -> None:
+    def __init__(self, film: FilmPictures, backwards: bool = False, every: int = 1) -> None:
         self.path: Path = film.path
         self.timing = PictureTimes(film.rate_hz / every)
         pictures = [picture for _, picture in film][::every]
-        self._pictures = pictures[::-1] if backwards else pictures
+        self.pictures = pictures[::-1] if backwards else pictures
 
     @property
     def rate_hz(self) -> float:
         return self.timing.rate_hz
 
     def __iter__(self) -> Iterator[tuple[int, np.ndarray]]:
-        yield from enumerate(self._pictures)
+        yield from enumerate(self.pictures)
 
     def seconds(self, number: int) -> float:
         return self.timing.seconds(number)
@@ -104,19 +104,6 @@ def report(
     for field in fields(Counts):
         shares = [share(*getattr(column, field.name)) for column in columns]
         print(f"| {field.name.replace('_', ' ')} | {' | '.join(shares)} |", flush=True)
-
-
-def ours(
-    path: Path, name: str, rate_hz: float | None, um_px: float | None, threshold: float, every: int
-) -> Counts:
-    """Return the measures of tetractl alone, on every so many pictures of a film."""
-    film = open_film(path, rate_hz, um_px)
-    bodies = body_masks([picture for _, picture in film], threshold)[::every]
-    ways = []
-    for is_backwards in (False, True):
-        way = FilmInMemory(film, is_backwards, every)
-        ways.append(_tetractl(way, um_px, named(name))[0])
-    return measured(*ways, bodies)
 
 
 def measured(forwards: np.ndarray, backwards: np.ndarray, bodies: Sequence[np.ndarray]) -> Counts:
@@ -201,8 +188,10 @@ def followed(rows: np.ndarray, bodies: Sequence[np.ndarray]) -> tuple[int, int]:
         _, labels, stats, _ = labelled[number]
         near = _labels_near(labels, rows[rows[:, 0] == number, 2:4])
         for label in np.flatnonzero(stats[:, cv2.CC_STAT_AREA] >= least_px2).tolist():
-            body = labels == label
-            stays = min(bodies[number + way][body].mean() for way in (-STEP, STEP))
+            left, top, wide, tall = stats[label, : cv2.CC_STAT_AREA].tolist()
+            part = slice(top, top + tall), slice(left, left + wide)
+            body = labels[part] == label
+            stays = min(bodies[number + way][part][body].mean() for way in (-STEP, STEP))
             if label == 0 or stays > RESTS:
                 continue
             moving += 1
@@ -242,13 +231,23 @@ def _tetractl(
     film: FilmInMemory, um_px: float | None, organism: Organism
 ) -> tuple[np.ndarray, float]:
     """Return the rows of `tetractl track`, and the scale [um/px]."""
-    fitted, _ = fit_cells(follow(film, um_px, None, organism), None)
+    return _rows(fit_cells(follow(film, um_px, None, organism), None)[0])
+
+
+def unfitted(
+    film: FilmInMemory, um_px: float | None, organism: Organism
+) -> tuple[np.ndarray, float]:
+    """Return the same without smoothing."""
+    return _rows(follow(film, um_px, None, organism))
+
+
+def _rows(tracked: Followed) -> tuple[np.ndarray, float]:
     rows = []
-    for path in fitted.paths:
-        columns = pixels_of(path.places, fitted.um_px, fitted.size[1]).tolist()
+    for path in tracked.paths:
+        columns = pixels_of(path.places, tracked.um_px, tracked.size[1]).tolist()
         for (_, frame, cell), (x, y) in zip(path.pictures(), columns, strict=True):
             rows.append((frame, path.identity, x, y, cell.sure, cell.has_blob))
-    return np.array(sorted(rows), float).reshape(-1, 6), fitted.um_px
+    return np.array(sorted(rows), float).reshape(-1, 6), tracked.um_px
 
 
 def _trackpy(

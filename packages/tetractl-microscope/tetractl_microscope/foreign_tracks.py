@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -145,24 +146,25 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
         has = ", ".join(printable(header) for header in headers[:COLUMNS_SAID])
         said = f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {has}"
         raise UsageError(said, "tracks have the columns particle, frame, x, y, in the first line")
-    across = [_size_of_place(place) for place in places]
+    um_across, um_up = (factor(_place_and_unit(place)[1], MICROMETRES) for place in places)
     tracks, x, y = read_numbers(path, (number, *places)).T
-    tall = across[1].size / across[0].size if across[0].size and across[1].size else 1.0
+    across = AxisStep(um_across, um_across is None)
+    tall = um_up / um_across if um_across and um_up else 1.0
     if not timed:
         frames = read_numbers(path, (frame,))[:, 0]
         _require_whole(path, frame, frames)
         frames = _from_first_picture(path, frames, remarks)
         _note_sparse(path, frame, frames, remarks)
-        return SpotTable(np.column_stack([tracks, frames, x, y]), across[0], tall=tall)
+        return SpotTable(np.column_stack([tracks, frames, x, y]), across, tall=tall)
     column = NumberColumn(timed, SECONDS[name_and_unit(timed)[1]], TIME_MAX)
     times = np.array([column.number(path, row) for row in read_csv(path)])
     if not frame:
         rows = np.column_stack([tracks, times, x, y])
-        return SpotTable(rows, across[0], AxisStep(1.0, False), tall)
+        return SpotTable(rows, across, AxisStep(1.0, False), tall)
     frames = read_numbers(path, (frame,))[:, 0]
     if rate_hz is not None:
         frames = _from_first_picture(path, frames, remarks)
-    counted = SpotTable(np.column_stack([tracks, frames, x, y]), across[0], tall=tall)
+    counted = SpotTable(np.column_stack([tracks, frames, x, y]), across, tall=tall)
     return _timed(path, counted, times, rate_hz, remarks)
 
 
@@ -182,12 +184,6 @@ def _place_and_unit(header: str) -> tuple[str, str]:
         if not unit and name.endswith(f"_{pixels}"):
             return name.removesuffix(f"_{pixels}"), pixels
     return name, unit
-
-
-def _size_of_place(header: str) -> AxisStep:
-    """Return what 1 stands for in a column of places."""
-    size = factor(_place_and_unit(header)[1], MICROMETRES)
-    return AxisStep(size, size is None)
 
 
 def _is_time(header: str) -> bool:
@@ -395,16 +391,6 @@ def _geff_version(path: Path) -> str:
     return str(stated.get("geff_version", "")) if isinstance(stated, Mapping) else ""
 
 
-@dataclass(frozen=True, slots=True)
-class _NamedAxis:
-    """An axis of which a graph states a name alone."""
-
-    name: str
-    unit: str = ""
-    scale: float | None = None
-    scaled_unit: str = ""
-
-
 def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
     """Return the axes of time, x and y, by the types that the metadata state, or else by the names
     of axes or, without any, of properties: t or time, x and y.
@@ -417,7 +403,9 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
         ends = {axis.name.lower()[-1:]: axis for axis in places}
         *_, y, x = places
         return [times[0], ends["x"], ends["y"]] if {"x", "y"} <= set(ends) else [times[0], x, y]
-    named_axes = [*stated] or [_NamedAxis(name) for name in names]
+    named_axes = [*stated] or [
+        SimpleNamespace(name=name, unit="", scale=None, scaled_unit="") for name in names
+    ]
     by_name = {axis.name.lower(): axis for axis in named_axes}
     by_place = [_first_of(by_name, names_of_place) for names_of_place in AXES]
     if None in by_place:

@@ -90,7 +90,9 @@ def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -
     Cells without a field swim each its own way: the mean of their velocities is small. Those that
     follow a field that turns about move together, but to no side for long.
     """
-    velocities = np.array([_velocity_um_s(path) for path in paths])
+    velocities = np.array(
+        [(p.places[-1] - p.places[0]) / (p.times[-1] - p.times[0]) for p in paths]
+    )
     if len(velocities) < TOGETHER_MIN:
         return ()
     common = np.median(velocities, axis=0)
@@ -112,11 +114,6 @@ def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -
     )
 
 
-def _velocity_um_s(path: CellPath) -> Floats:
-    """Return the mean velocity (2,) of a cell [um/s]."""
-    return (path.places[-1] - path.places[0]) / (path.times[-1] - path.times[0])
-
-
 def _cells(names: Sequence[str]) -> str:
     return ", ".join(f"cell {name}" for name in names)
 
@@ -124,41 +121,38 @@ def _cells(names: Sequence[str]) -> str:
 def _path(track: SpotTrack, times: Floats) -> CellPath:
     """Return the path of a track, of which pictures at some times show the place alone."""
     number = round(track.number)
-    sightings = tuple(_seen(number, x, y) for _, x, y in track.rows.tolist())
+    sightings = tuple(
+        SeenCell(
+            identity=number,
+            x=x,
+            y=y,
+            axis=math.nan,
+            heading=math.nan,
+            mean=UNKNOWN,
+            sd=UNKNOWN,
+            probability=1.0,
+            has_blob=True,
+            merged=False,
+            long_um=math.nan,
+            wide_um=math.nan,
+            track=number,
+            measured=None,
+            blob_um=None,
+        )
+        for _, x, y in track.rows.tolist()
+    )
     frames = np.searchsorted(times, track.rows[:, 0])
     return CellPath(number, track.rows[:, 0], frames, sightings)
 
 
-def _seen(number: int, x: float, y: float) -> SeenCell:
-    """Return what is known of a cell in a picture by its place [um]."""
-    return SeenCell(
-        identity=number,
-        x=x,
-        y=y,
-        axis=math.nan,
-        heading=math.nan,
-        mean=UNKNOWN,
-        sd=UNKNOWN,
-        probability=1.0,
-        has_blob=True,
-        merged=False,
-        long_um=math.nan,
-        wide_um=math.nan,
-        track=number,
-        measured=None,
-        blob_um=None,
-    )
-
-
 def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
     """Return the organism whose speeds are most like the median one of cells."""
-    speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
-    kinds = list(ORGANISMS.usable().values())
-    return min(kinds, key=lambda kind: abs(math.log(speed_um_s / _usual_um_s(kind))))
+    log_speed = math.log(float(np.median([_speed_um_s(path) for path in paths])))
 
+    def unlike(kind: Organism) -> float:
+        return abs(log_speed - math.log(math.prod(kind.speed_um_s)) / 2)
 
-def _usual_um_s(kind: Organism) -> float:
-    return math.sqrt(math.prod(kind.speed_um_s))
+    return min(ORGANISMS.usable().values(), key=unlike)
 
 
 def _speed_um_s(path: CellPath) -> float:

@@ -15,7 +15,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl_microscope.apriltag.detect import Detector, Sighting
 from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor
-from tetractl_microscope.apriltag.print_scale import odd_floor, odd_robot, print_scale
+from tetractl_microscope.apriltag.print_scale import odd_robot, print_scale
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.searches import PictureSearch
@@ -150,13 +150,17 @@ def _findings(
         )
     yield from _printed(section, tracker)
     above_mm = plane.above_mm if plane is not None else math.inf
+    sides_px = [search.result.side_px for search in searches if search.result.side_px is not None]
     for i, robot in enumerate(tracker.robots):
         sizes = [size for search in searches if (size := search.result.sizes[i]) is not None]
         if robot.tag in twice:
             yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
         elif robot.tag not in shown_tags:
             yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
-        elif sizes and _odd(ratio := statistics.median(sizes), robot, searches, above_mm):
+        elif sizes:
+            ratio = statistics.median(sizes)
+            if not odd_robot(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
+                continue
             yield (
                 abs(ratio - 1) >= ODD_SIZE,
                 f"{robot.name}: its tag looks {_larger(ratio)} than it should: are size_mm and "
@@ -170,22 +174,15 @@ def _printed(section: AprilTagSection, tracker: Tracker) -> Iterator[Finding]:
     corners = tracker.floor.mean
     if plane is None or corners is None:
         return
-    scale = print_scale(corners, tracker.floor.places, section.lens, plane)
-    if odd_floor(scale, [tag.size_mm for tag in section.floor]):
+    least_mm = min(tag.size_mm for tag in section.floor)
+    ratio = print_scale(corners, tracker.floor.places, section.lens, plane, least_mm)
+    if ratio is not None:
         yield (
             False,
-            f"the floor tags are {_larger(scale.ratio)} than size_mm, by the distances "
-            f"between them: if they were printed at {100 * scale.ratio:.1f} %, print them again "
+            f"the floor tags are {_larger(ratio)} than size_mm, by the distances "
+            f"between them: if they were printed at {100 * ratio:.1f} %, print them again "
             "or measure size_mm, of the robots' tags too",
         )
-
-
-def _odd(
-    ratio: float, robot: RobotTag, searches: Sequence[PictureSearch[Seen]], above_mm: float
-) -> bool:
-    """Return whether a robot's tag has a `ratio` to its size that nothing harmless explains."""
-    sides = [search.result.side_px for search in searches if search.result.side_px is not None]
-    return odd_robot(ratio, min(sides), robot.size_mm, above_mm - robot.height_mm)
 
 
 def _larger(ratio: float) -> str:

@@ -132,7 +132,9 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
         total = weight.sum(axis=-1)
         shift = (weight * between).sum(axis=-1) / total
         lines = _lines(places + shift[..., None] * outward[..., None, :], total)
-        corners = _crossings(np.roll(lines, 1, axis=1), lines)
+        meet = np.cross(np.roll(lines, 1, axis=1), lines)  # neighbours, not finite if parallel
+        with np.errstate(divide="ignore", invalid="ignore"):
+            corners = meet[..., :2] / meet[..., 2:]
         profile = rise.mean(axis=(1, 2)) / step  # grey levels per pixel
         contrast = (profile * step).sum(axis=-1)
         blur = contrast / (profile.max(axis=-1) + NOTHING) / np.sqrt(2 * np.pi)
@@ -160,10 +162,3 @@ def _lines(points: Floats, weight: Floats) -> Floats:
     _, axes = np.linalg.eigh(np.swapaxes(share * spread, -1, -2) @ spread)
     normal = axes[..., 0]  # eigenvector of the smaller eigenvalue
     return np.concatenate([normal, -(normal * middle).sum(axis=-1, keepdims=True)], axis=-1)
-
-
-def _crossings(lines: Floats, other_lines: Floats) -> Floats:
-    """Return the intersections (..., 2) of lines (..., 3), not finite for parallel lines."""
-    meet = np.cross(lines, other_lines)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return meet[..., :2] / meet[..., 2:]

@@ -6,8 +6,6 @@ An estimated lens would otherwise take half of a wrong size for distortion.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -22,22 +20,12 @@ RULER_MM = 0.5  # error with which a black square's side is measured by a ruler 
 HEIGHT_MM = 5.0  # error with which the height of a robot's tag is known [mm]
 
 
-@dataclass(frozen=True, slots=True)
-class PrintScale:
-    """The measured size of the floor tags divided by `size_mm`, and its standard deviation."""
-
-    ratio: float
-    std: float
-
-
 def print_scale(
-    pixels: Floats,
-    places: Floats,
-    lens: Lens | None,
-    plane: Plane,
-) -> PrintScale:
-    """Return the size of F floor tags whose corners are at `places` (F, 4, 2) [m] by the spec and
-    in `pixels` (F, 4, 2); the fit starts from the camera `plane`.
+    pixels: Floats, places: Floats, lens: Lens | None, plane: Plane, least_mm: float
+) -> float | None:
+    """Return the ratio of the size of F floor tags, of which the smallest has a side of `least_mm`,
+    to that of the spec; None if noise or a ruler explains it. Their corners are at `places`
+    (F, 4, 2) [m] by the spec and in `pixels` (F, 4, 2); the fit starts from the camera `plane`.
     """
     centres = places.mean(axis=1, keepdims=True)
     corners = places - centres
@@ -63,12 +51,9 @@ def print_scale(
     variance = np.linalg.inv(fit.jac.T @ fit.jac)[6, 6]
     # corners that fit worse than they are found, as in a blurred picture, are found less well
     worse = max(1.0, 2 * fit.cost / (points.size - len(first)))
-    return PrintScale(math.exp(fit.x[6]), math.sqrt(variance * worse))
-
-
-def odd_floor(scale: PrintScale, sizes_mm: Sequence[float]) -> bool:
-    """Return whether neither noise nor a ruler explain the size of floor tags."""
-    return abs(scale.ratio - 1) > SURE * scale.std + RULER_MM / min(sizes_mm)
+    ratio = math.exp(fit.x[6])
+    is_odd = abs(ratio - 1) > SURE * math.sqrt(variance * worse) + RULER_MM / least_mm
+    return ratio if is_odd else None
 
 
 def odd_robot(ratio: float, side_px: float, size_mm: float, distance_mm: float) -> bool:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import permutations
 
 import numpy as np
@@ -27,15 +27,6 @@ WIDER = 1.4
 SIZE_SD = 0.1  # scale of the log of a size
 SIZED = 6  # number of pictures in which sizes count
 TURNS = 0.2  # probability that a cell has turned by itself while it was with others
-
-
-@dataclass(frozen=True, slots=True)
-class CellStart:
-    """Where [um] and when [s] a speck became a cell."""
-
-    x: float
-    y: float
-    seconds: float
 
 
 @dataclass(slots=True)
@@ -63,21 +54,16 @@ class TrackBlob:
         return np.array((*self.place[:3], math.nan, math.nan))
 
 
-@dataclass(slots=True)
-class SizeTimes:
-    """Times [s] by which the size of a cell's blobs tells how many cells they show."""
-
-    seen_s: float = 0.0  # when a blob of its own last had the cell's size
-    small_since_s: float = math.inf  # since when a shared blob has been as small as one cell
-
-
 @dataclass(slots=True, eq=False)
 class CellTrack:
     """A cell that the tracker follows by its `row` of the filter.
 
     `path` holds its newest own blobs, `last` is the position of its last blob (2,) [um], `missed_s`
-    the time since then [s]. A cell that has not swum far yet has a `start`, and may be none.
-    `odd_in_turn` counts successive blobs far from where the filter expected them.
+    the time since then [s]. A cell that has not swum far yet has a `start`, its first place (2,)
+    [um]. `odd_in_turn` counts successive blobs far from where the filter expected them.
+
+    The size of its blobs tells how many cells they show: a blob of its own last had the cell's size
+    at `size_seen_s`, and a shared one has been as small as one cell since `small_since_s` [s].
 
     `Names` finds out its `identity`, which has the probability `certainty` as long as the cell is
     in no `meeting` and there is no open `question`; `together_s` is when it was last too near to
@@ -91,8 +77,9 @@ class CellTrack:
     path: list[PathBlob] = field(default_factory=list)
     missed_s: float = 0.0
     newest: TrackBlob | None = None  # in the newest picture
-    size_times: SizeTimes = field(default_factory=SizeTimes)
-    start: CellStart | None = None
+    size_seen_s: float = 0.0
+    small_since_s: float = math.inf
+    start: Floats | None = None
     odd_in_turn: int = 0
     identity: int = 0
     certainty: float = 1.0
@@ -119,22 +106,13 @@ class CellTrack:
             return [self.row]
         return self.question.rows[self.question.tracks.index(self)].tolist()
 
-    def take_blob(self, newest: TrackBlob) -> None:
-        """Note its blob in the newest picture."""
-        self.newest = newest
-        self.missed_s = 0.0
-
-    def lose_blob(self, passed_s: float) -> None:
-        """Note that the newest picture, some time after the one before [s], does not show it."""
-        self.newest = None
-        self.missed_s += passed_s
-
     def shift(self, x: float, y: float) -> None:
         """Move all that is known of its places by x, y [um], with the picture's content."""
         self.path = [blob.moved(x, y) for blob in self.path]
-        self.last = self.last + np.array((x, y))
+        by_um = np.array((x, y))
+        self.last = self.last + by_um
         if self.start is not None:
-            self.start = replace(self.start, x=self.start.x + x, y=self.start.y + y)
+            self.start = self.start + by_um
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -135,10 +135,6 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
 
 def cell_count(searches: Sequence[PictureSearch[SeenDish]]) -> int:
     """Return the median, over one or more pictures, of the number of cells in view."""
-    return round(statistics.median(_cells_in(search.result) for search in searches))
-
-
-def _cells_in(dish: SeenDish) -> int:
-    """Return the number of cells, robots or not, in one picture."""
-    robots = sum(pose is not None for pose in dish.poses)
-    return robots + len(dish.strangers)
+    dishes = [search.result for search in searches]
+    counts = [len(dish.strangers) + len(dish.poses) - dish.poses.count(None) for dish in dishes]
+    return round(statistics.median(counts))

@@ -323,11 +323,8 @@ class BlobFinder:
 
     def _blobs(self, newest: SearchArrays) -> list[Blob]:
         """Return the blobs of the newest picture, largest first."""
-        contours = self.regions()
-        boxes = [Box(*cv2.boundingRect(contour)) for contour in contours]
-        regions = [_Region(box, contour) for box, contour in zip(boxes, contours, strict=True)]
-        large = [region for region in regions if region.box.area >= self.least_px2]
-        large.sort(key=lambda region: -region.box.area)
+        large = [region for region in self.regions() if _box_px2(region) >= self.least_px2]
+        large.sort(key=_box_px2, reverse=True)
         blobs: list[Blob] = []
         for region in large[:BLOBS]:
             blobs += _bodies(region, newest.difference, newest.mean, newest.limits)
@@ -409,42 +406,32 @@ class Box(NamedTuple):
     tall: int
 
     @property
-    def area(self) -> int:
-        """The number of its pixels."""
-        return self.wide * self.tall
-
-    @property
     def part(self) -> tuple[slice, slice]:
         """Its rows and columns in a picture."""
         return slice(self.top, self.top + self.tall), slice(self.left, self.left + self.wide)
 
-    def is_at_edge(self, height: int, width: int) -> bool:
-        """Return whether it touches the edge of a picture of this size."""
-        right = self.left + self.wide
-        bottom = self.top + self.tall
-        return self.left == 0 or self.top == 0 or right == width or bottom == height
 
-
-class _Region(NamedTuple):
-    """A contour of what differs from the background, and the box around it."""
-
-    box: Box
-    contour: np.ndarray
+def _box_px2(contour: np.ndarray) -> int:
+    """Return the area of the box around a contour [px^2]."""
+    _, _, wide, tall = cv2.boundingRect(contour)
+    return wide * tall
 
 
 def _bodies(
-    region: _Region, difference: Grey, mean: NDArray[np.float32], limits: SearchLimits
+    region: np.ndarray, difference: Grey, mean: NDArray[np.float32], limits: SearchLimits
 ) -> Iterator[Blob]:
-    """Yield the bodies in a region, by the difference of the picture from its background and its
-    `mean` over squares; the body with the greatest mean comes first.
+    """Yield the bodies in a region, a contour, by the difference of the picture from its background
+    and its `mean` over squares; the body with the greatest mean comes first.
     """
-    box = region.box
+    box = Box(*cv2.boundingRect(region))
     inside = np.zeros((box.tall, box.wide), np.uint8)
-    cv2.drawContours(inside, [region.contour], -1, 1, -1, offset=(-box.left, -box.top))
+    cv2.drawContours(inside, [region], -1, 1, -1, offset=(-box.left, -box.top))
     if cv2.countNonZero(inside) < limits.least_px2:
         return
     rest = mean[box.part] * inside
-    at_edge = box.is_at_edge(*mean.shape)
+    height_px, width_px = mean.shape
+    is_at_side = box.left == 0 or box.left + box.wide == width_px
+    at_edge = is_at_side or box.top == 0 or box.top + box.tall == height_px
     least_peak = limits.high
     for _ in range(BODIES):
         _, peak, _, peak_at = cv2.minMaxLoc(rest)

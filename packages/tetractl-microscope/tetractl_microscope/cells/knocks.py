@@ -21,10 +21,7 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
     scale = min(1.0, SIDE / max(now.shape))
     if round(scale * min(now.shape)) < PLAIN:
         return 0.0, 0.0
-    even_before, even_now = (
-        _even(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
-        for picture in (before, now)
-    )
+    even_before, even_now = (_even(picture, scale) for picture in (before, now))
     window = cv2.createHanningWindow(even_before.shape[::-1], cv2.CV_32F)
     (x, y), _ = cv2.phaseCorrelate(_features(even_before), _features(even_now), window)
     far = max(abs(x), abs(y))
@@ -56,11 +53,11 @@ def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
     return cv2.warpAffine(picture, by, size, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _even(picture: np.ndarray) -> NDArray[np.float32]:
-    """Return a picture without what changes slowly across it, as light does."""
-    even = picture.astype(np.float32)
-    even -= cv2.blur(even, (PLAIN, PLAIN))
-    return even
+def _even(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
+    """Return a picture at a scale without what changes slowly across it, as light does."""
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    even = np.asarray(small, np.float32)
+    return even - cv2.blur(even, (PLAIN, PLAIN))
 
 
 def _features(even: NDArray[np.float32]) -> NDArray[np.float32]:

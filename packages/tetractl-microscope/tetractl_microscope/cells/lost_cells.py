@@ -38,14 +38,6 @@ class LostCell:
     since_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Return:
-    """A lost cell that may be back, and the `probability` that it is."""
-
-    lost: LostCell
-    probability: float
-
-
 class LostCells:
     """The cells that may come back, in the order in which they were lost; their filter rows are
     freed when they are removed. `bank` is the filter; a cell is `body_um` long.
@@ -75,20 +67,20 @@ class LostCells:
 
     def likeliest(
         self, track: CellTrack, place: Floats, since_s: float, appear: float
-    ) -> Return | None:
-        """Return the lost cell that a new `track`, first seen at a time [s], most probably shows;
-        None without lost cells. The track is at x, y [um] and axis [rad] `place` (3,); cells that
-        were never seen `appear` there with a density [1/um^2].
+    ) -> tuple[LostCell | None, float]:
+        """Return the lost cell that a new `track`, first seen at a time [s], most probably shows,
+        and the probability that it does; None without lost cells. The track is at x, y [um] and
+        axis [rad] `place` (3,); cells that were never seen `appear` there with a density [1/um^2].
         """
         if not self._cells:
-            return None
+            return None, 0.0
         size = np.array(track.size)
         densities = [
             _return_density(self._bank, lost, place[:2], size, since_s, self._body_um)
             for lost in self._cells
         ]
         best = int(np.argmax(densities))
-        return Return(self._cells[best], densities[best] / (sum(densities) + appear))
+        return self._cells[best], densities[best] / (sum(densities) + appear)
 
     def shift(self, x: float, y: float) -> None:
         """Move the cells' last places by x, y [um], with the picture's content."""

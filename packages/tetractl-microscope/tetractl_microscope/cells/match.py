@@ -87,15 +87,6 @@ class Assignment:
     of_specks: list[int | None]
 
 
-def _squared_distances(expected: Floats, spread: Floats, places: Floats) -> Floats:
-    """Return the squared Mahalanobis distances (C, B) of blobs `places` (B, 5) from the expected
-    positions `expected` (C, 3) of cells, whose covariances are `spread` (C, 2, 2) [um^2].
-    """
-    off = places[None, :, :2] - expected[:, None, :2]
-    inverse = np.linalg.inv(spread + PLACE_UM**2 * np.eye(2))
-    return np.einsum("cbi,cij,cbj->cb", off, inverse, off)
-
-
 def cell_costs(
     cells: Sequence[CellTrack],
     expected: Floats,
@@ -109,8 +100,10 @@ def cell_costs(
     and axis [rad] (C, 3), where `spread` (C, 2, 2) [um^2] is the covariance of x and y.
     """
     body_um = organism.body_um[0]
-    squared = _squared_distances(expected, spread, places)
-    away = np.linalg.norm(places[None, :, :2] - expected[:, None, :2], axis=-1) / body_um
+    off = places[None, :, :2] - expected[:, None, :2]
+    inverse = np.linalg.inv(spread + PLACE_UM**2 * np.eye(2))
+    squared = np.einsum("cbi,cij,cbj->cb", off, inverse, off)  # Mahalanobis distances
+    away = np.linalg.norm(off, axis=-1) / body_um
     sizes = np.array([cell.size for cell in cells]).reshape(-1, 1, 2)
     size_off = np.abs(np.log(places[None, :, 3:5] / sizes))
 

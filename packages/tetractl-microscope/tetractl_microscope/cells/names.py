@@ -193,18 +193,18 @@ class Names:
 
     def _come_back(self, track: CellTrack, place: Floats, since_s: float, expected: float) -> None:
         """Give a new track the name and the filter row of a lost cell, if it probably is one."""
-        back = self._lost.likeliest(track, place, since_s, expected)
+        lost, probability = self._lost.likeliest(track, place, since_s, expected)
         least = ASSERTED if self._splits else LIKELIER
-        if back is None or back.probability <= least:
+        if lost is None or probability <= least:
             return
         x, y, axis = place.tolist()
-        cell = back.lost.cell
+        cell = lost.cell
         self._bank.drop(track.row)
-        track.row = self._bank.moved(back.lost.row, x, y, axis)
+        track.row = self._bank.moved(lost.row, x, y, axis)
         track.identity = cell.name
-        track.certainty = cell.certainty * back.probability
+        track.certainty = cell.certainty * probability
         track.size = cell.size
-        self._lost.remove(back.lost)
+        self._lost.remove(lost)
 
     def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
         """Forget a track at a time [s]; its cell is lost if it `may_return`. If only one track is

@@ -13,7 +13,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, PathBlob
-from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack, TrackBlob
+from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.meetings import FROM_BLOB
 from tetractl_microscope.cells.names import Names
@@ -34,8 +34,6 @@ HIDDEN_S = 3.0  # time without a blob for which a speck with a whole path is kep
 FROM_EDGE = 2.3  # a new cell nearer than this to the picture's edge has swum into it [lengths]
 APPEAR_AT_EDGE = 10.0  # cells that are expected to appear at the edge, in a picture's area
 APPEAR_ELSEWHERE = 0.3  # cells that are expected to appear anywhere else
-# a cell must swim so far [lengths], in the time that the slowest need for that
-MUST_SWIM = 1.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,21 +85,21 @@ class Newcomers:
             if speck is None:
                 is_near = nearest_um < FROM_BLOB * self._body_um
                 near = cells[int(gaps_um.argmin())] if is_near else None
-                self._add_speck(free_blob.entry(now.seconds), near)
+                self._last_number += 1
+                path = [free_blob.entry(now.seconds)]
+                self.specks.append(Speck(self._last_number, path, near))
                 continue
-            _lengthen(speck, free_blob.entry(now.seconds), now)
+            was_hidden = now.seconds - speck.path[-1].seconds > now.brief_s
+            before = [] if was_hidden else speck.path[1 - PATH :]
+            speck.path = [*before, free_blob.entry(now.seconds)]
             needed = NEAR_BORN if nearest_um < NEAR * self._body_um else BORN
             if swims(speck.path, needed, self._organism):
                 cell = self._begin(speck, free_blob.track_blob, cells, now)
                 new_cells.append(cell)
+        self._drop_hidden(now)
         return new_cells
 
-    def _add_speck(self, entry: PathBlob, near: CellTrack | None) -> None:
-        """Begin to follow an object that was not seen before."""
-        self._last_number += 1
-        self.specks.append(Speck(self._last_number, [entry], near))
-
-    def drop_hidden(self, now: PictureNow) -> None:
+    def _drop_hidden(self, now: PictureNow) -> None:
         """Drop specks that have not been seen for long; one that was seen often may come back."""
         remaining = list[Speck]()
         for speck in self.specks:
@@ -142,10 +140,10 @@ class Newcomers:
             last=path[-1, 1:3],
             path=speck.path,
             newest=newest,
-            start=CellStart(x, y, now.seconds),
+            size_seen_s=now.seconds,
+            start=np.array((x, y)),
             identity=self._names.take_number(),
         )
-        cell.size_times.seen_s = now.seconds
         near = speck.near if speck.near in cells else None
         divided = self._name(cell, near, np.array((x, y, heading)), path, now)
         (certainty,) = self._names.probabilities([cell])
@@ -171,14 +169,3 @@ class Newcomers:
         has_entered = now.to_edge(first_x, first_y) < FROM_EDGE * self._body_um
         expected = APPEAR_AT_EDGE if has_entered else APPEAR_ELSEWHERE
         return self._names.appear(cell, near, place, since_s, expected / now.area_um2, has_entered)
-
-
-def _lengthen(speck: Speck, entry: PathBlob, now: PictureNow) -> None:
-    """Add the newest blob to a speck's path, which starts again if the speck was hidden."""
-    was_hidden = entry.seconds - speck.path[-1].seconds > now.brief_s
-    speck.path = [entry] if was_hidden else [*speck.path[1 - PATH :], entry]
-
-
-def must_swim_s(organism: Organism) -> float:
-    """Return the time [s] within which what was taken for a cell must swim like one."""
-    return MUST_SWIM * organism.body_um[0] / organism.slowest_um_s

@@ -52,11 +52,11 @@ def note_own_blob(cell: CellTrack, newest: TrackBlob, seconds: float) -> None:
     size = BodySize(blob.long, blob.wide)
     cell.path = [*cell.path[1 - PATH :], blob]
     if 1 / LARGE <= size.area_um2 / cell.size.area_um2 <= LARGE:
-        cell.size_times.seen_s = seconds
-    elif seconds - cell.size_times.seen_s > GROWN_S:
+        cell.size_seen_s = seconds
+    elif seconds - cell.size_seen_s > GROWN_S:
         # nothing else has left the blob: this is its size
         cell.size = usual_size(np.array(cell.path))
-    cell.size_times.small_since_s = math.inf
+    cell.small_since_s = math.inf
     has_two_areas = size.area_um2 > LARGE * cell.size.area_um2
     newest.is_large = has_two_areas or size.long > LONGER * cell.size.long
 
@@ -65,8 +65,7 @@ def note_shared_blob(cells: Sequence[CellTrack], place: Floats, seconds: float) 
     """Note since when a blob in `place` (5,) that cells share has been as small as one of them."""
     is_small = _is_small(cells, place)
     for cell in cells:
-        times = cell.size_times
-        times.small_since_s = min(times.small_since_s, seconds) if is_small else math.inf
+        cell.small_since_s = min(cell.small_since_s, seconds) if is_small else math.inf
 
 
 def note_own_reading(reading: BlobReading) -> None:

@@ -9,7 +9,7 @@ signal. `CellTracker.see` does these steps for each picture:
 3. `readings` are what the blobs say of the cells; they update the filter (`filter_update`);
 4. `names` decides which cell is which where cells shared a blob;
 5. `newcomers` follows specks by the blobs that no cell has; those that swim become cells;
-6. cells without a blob for too long end, and so do those that do not swim after all.
+6. cells without a blob for too long end.
 
 B is the number of blobs, K that of the cells in one blob. The place of a blob is x, y [um],
 axis [rad], length and width [um] (5,), that of a cell x, y [um] and axis [rad] (3,).
@@ -31,13 +31,7 @@ from tetractl_microscope.cells.filter_update import update_filter
 from tetractl_microscope.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl_microscope.cells.meetings import FROM_BLOB
 from tetractl_microscope.cells.names import Names
-from tetractl_microscope.cells.newcomers import (
-    FROM_EDGE,
-    MUST_SWIM,
-    FreeBlob,
-    Newcomers,
-    must_swim_s,
-)
+from tetractl_microscope.cells.newcomers import FROM_EDGE, FreeBlob, Newcomers
 from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.readings import (
     BlobReading,
@@ -57,6 +51,7 @@ LOST_S = 0.5  # time without a blob after which a cell is lost
 LOST_SOON_S = 0.1
 NEAR_EDGE = 0.4  # distance to the picture's edge that counts as near, in lengths of the cell
 SHARED_SMALL_S = 1.5  # time for which cells may share a blob as small as one cell
+NEW = 1.15  # way that a cell has swum before it is new no more [lengths]
 REACH = 0.8  # reach about a cell in which the background is not updated, in lengths of the cell
 REACH_PX = 4  # what is added to that reach [px]
 
@@ -123,7 +118,8 @@ class CellTracker:
         groups, free = self._assign_blobs(now)
         self._update_cells(groups, now)
         self._update_names(groups, now)
-        self._follow_specks(free, now)
+        for cell in self._newcomers.follow(free, self._cells, now):
+            bisect.insort(self._cells, cell, key=lambda cell: cell.number)
         self._end_cells(now)
         self.finder.follow(self._surroundings(now))
         self._seconds = seconds
@@ -194,7 +190,8 @@ class CellTracker:
         cells_of: dict[int, list[int]] = {}
         for i, blob in enumerate(blob_of):
             if blob is None:
-                self._cells[i].lose_blob(now.passed_s)
+                self._cells[i].newest = None
+                self._cells[i].missed_s += now.passed_s
             else:
                 cells_of.setdefault(blob, []).append(i)
         groups = list[CellsInBlob]()
@@ -203,7 +200,8 @@ class CellTracker:
             newest = TrackBlob(blob, self.blobs[blob], places[blob], is_shared)
             cells = [self._cells[i] for i in indices]
             for cell in cells:
-                cell.take_blob(newest)
+                cell.newest = newest
+                cell.missed_s = 0.0
             groups.append(CellsInBlob(newest, cells, expected[indices]))
         return groups
 
@@ -290,40 +288,31 @@ class CellTracker:
         self._names.part(places, self._newcomers.awaited(), now.seconds)
         self._names.answer(now.seconds)
 
-    # ---- step 5: specks, and cells that begin ----
-
-    def _follow_specks(self, free: Sequence[FreeBlob], now: PictureNow) -> None:
-        """Follow specks by the blobs that no cell has; those that swim are cells from now on."""
-        for cell in self._newcomers.follow(free, self._cells, now):
-            bisect.insort(self._cells, cell, key=lambda cell: cell.number)
-        self._newcomers.drop_hidden(now)
-
     # ---- step 6: cells that end ----
 
     def _end_cells(self, now: PictureNow) -> None:
-        """Drop cells that have not been seen for long, have left the picture, or never swam."""
+        """Drop cells that have not been seen for long or have left the picture; note which others
+        have swum so far that they are new no more.
+        """
         left_unseen = self._left_unseen(now.seconds)
         remaining = list[CellTrack]()
         for cell in self._cells:
             x, y = self.bank.mean[cell.row, :2].tolist()
             at_edge = now.to_edge(x, y) < NEAR_EDGE * cell.size.long
-            is_lost = cell in left_unseen or cell.missed_s > self._lost_s(cell, at_edge, now)
-            is_wrong = not math.isfinite(x + y) or self._stays(cell, now)
-            if is_lost or is_wrong:
+            lost_s = max(LOST_S, now.brief_s)
+            if at_edge or cell.is_new:
+                lost_s = LOST_SOON_S / self.bank.organism.quickness
+            is_lost = cell in left_unseen or cell.missed_s > lost_s
+            if is_lost or not math.isfinite(x + y):
                 may_return = is_lost and not at_edge and not cell.is_new
                 self._names.give_up(cell, now.seconds, may_return)
-            else:
-                remaining.append(cell)
+                continue
+            remaining.append(cell)
+            if cell.start is not None:
+                way_um = math.dist(cell.last.tolist(), cell.start.tolist())
+                if way_um > NEW * self.bank.organism.body_um[0]:
+                    cell.start = None
         self._cells = remaining
-        for cell in remaining:
-            if self._has_swum(cell):
-                cell.start = None
-
-    def _lost_s(self, cell: CellTrack, at_edge: bool, now: PictureNow) -> float:
-        """Return the time without a blob after which a cell is lost [s]."""
-        if at_edge or cell.is_new:
-            return LOST_SOON_S / self.bank.organism.quickness
-        return max(LOST_S, now.brief_s)
 
     def _left_unseen(self, seconds: float) -> Collection[CellTrack]:
         """Return the cells that have left a shared blob unseen: of each blob that has been as small
@@ -332,7 +321,7 @@ class CellTracker:
         hidden = [
             cell
             for cell in self._cells
-            if cell.is_shared and seconds - cell.size_times.small_since_s > SHARED_SMALL_S
+            if cell.is_shared and seconds - cell.small_since_s > SHARED_SMALL_S
         ]
         probabilities = self._names.probabilities(hidden)
         by_likelihood = sorted(
@@ -344,19 +333,6 @@ class CellTracker:
             assert cell.newest is not None
             least_likely.setdefault(cell.newest.index, cell)
         return least_likely.values()
-
-    def _stays(self, cell: CellTrack, now: PictureNow) -> bool:
-        """Return whether what was taken for a cell has not swum in time, so that it is none."""
-        if cell.start is None or self._has_swum(cell):
-            return False
-        return now.seconds - cell.start.seconds > must_swim_s(self.bank.organism)
-
-    def _has_swum(self, cell: CellTrack) -> bool:
-        """Return whether a cell has swum as far as a cell must."""
-        if cell.start is None:
-            return True
-        way_um = math.dist(cell.last.tolist(), (cell.start.x, cell.start.y))
-        return way_um > MUST_SWIM * self.bank.organism.body_um[0]
 
     # ---- what is said of the cells ----
 

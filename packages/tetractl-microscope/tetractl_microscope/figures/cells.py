@@ -108,7 +108,8 @@ def _paths(axes: Axes, log: TrackLog) -> None:
             axes.annotate(
                 str(number), position, (3, 3), textcoords="offset points", fontsize=7, **look
             )
-    bar = _round_length(BAR_SHARE * width)
+    power = 10.0 ** math.floor(math.log10(BAR_SHARE * width))
+    bar = max(step * power for step in (1, 2, 5) if step * power <= BAR_SHARE * width)
     x = 0.97 * width - bar
     y = 0.04 * height
     look: dict[str, Any] = {
@@ -120,12 +121,6 @@ def _paths(axes: Axes, log: TrackLog) -> None:
     label = f"{bar / 1000:g} mm" if bar >= 1000 else f"{bar:g} µm"
     axes.text(x + bar / 2, y + 0.012 * height, label, ha="center", va="bottom", **look)
     axes.set(xlim=(0, width), ylim=(0, height), xticks=[], yticks=[])
-
-
-def _round_length(most: float) -> float:
-    """Return the longest of 1, 2 and 5 times a power of ten up to `most`."""
-    power = 10.0 ** math.floor(math.log10(most))
-    return max(step * power for step in (1, 2, 5) if step * power <= most)
 
 
 def _speeds(axes: Axes, log: TrackLog) -> None:

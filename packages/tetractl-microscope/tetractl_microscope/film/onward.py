@@ -50,13 +50,6 @@ def onward(places: Floats, apart: int) -> Onward:
     return Onward(float(np.vdot(before, after)), float(lengths))
 
 
-def go_to_and_fro(objects: Sequence[Onward]) -> bool:
-    """Return whether what moves goes to and fro, all objects together."""
-    alike = sum(single.alike for single in objects)
-    most = sum(single.most for single in objects)
-    return alike < ONWARD * most
-
-
 def hardly_any_goes_on(objects: Sequence[Onward]) -> bool:
     """Return whether so few objects go on that these may do so by chance."""
     return sum(single.goes_on for single in objects) < FEW * len(objects)

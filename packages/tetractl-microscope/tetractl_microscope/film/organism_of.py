@@ -17,7 +17,6 @@ from tetractl_microscope.film.onward import (
     TO_AND_FRO,
     WAYS_MIN,
     Onward,
-    go_to_and_fro,
     hardly_any_goes_on,
     onward,
 )
@@ -79,7 +78,8 @@ def recognised(
     why = ()
     still = ()
     objects = _objects(ways)
-    if len(objects) >= WAYS_MIN and go_to_and_fro(objects):
+    together = Onward(sum(single.alike for single in objects), sum(o.most for o in objects))
+    if len(objects) >= WAYS_MIN and not together.goes_on:
         still = (f"warning: {SOME_TO_AND_FRO}",)
         if organism is None and hardly_any_goes_on(objects):
             raise TetractlError(

@@ -9,7 +9,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,25 +24,13 @@ DIGITS = re.compile(r"\d+")
 SAME = {"jpeg": "jpg", "tiff": "tif"}  # endings that name one format
 
 
-@dataclass(frozen=True, slots=True)
-class PictureNames:
-    """The names of a film's pictures in order, their `places` in the series of their numbers, from
-    0 on, None if no number is missing or they are no series; and lines to print.
+def picture_names(names: Sequence[str], remarks: list[str]) -> list[str]:
+    """Return the pictures among the files of these names, which are in the order of numbers; add
+    lines to print.
     """
-
-    names: list[str]
-    places: list[int] | None
-    remarks: list[str]
-
-
-def picture_names(names: Sequence[str]) -> PictureNames:
-    """Return the pictures among the files of these names, which are in the order of numbers."""
-    remarks: list[str] = []
     chosen = [name for name in names if not name.startswith(".")]
     chosen = _alike(chosen, _format, "of another format than the others", remarks)
-    chosen = _alike(chosen, _pattern, "not named like the others", remarks)
-    places = _places(chosen, remarks)
-    return PictureNames(chosen, places, remarks)
+    return _alike(chosen, _pattern, "not named like the others", remarks)
 
 
 def require_one_film(folder: Path, names: Sequence[str]) -> None:
@@ -51,7 +38,9 @@ def require_one_film(folder: Path, names: Sequence[str]) -> None:
     and the channel, or start again: these pictures are not one after the other.
     """
     odd = next((name for name in names if _kind(name) != _kind(names[0])), None)
-    if odd is None and _counts_two(names):
+    # each value of a number in the names occurs with each of another one
+    counts = [len(set(column)) for column in _changing(names)]
+    if odd is None and len(counts) > 1 and math.prod(counts) == len(names):
         odd = names[1]
     if odd is not None:
         raise UsageError(
@@ -68,13 +57,6 @@ def require_one_film(folder: Path, names: Sequence[str]) -> None:
 
 def _kind(name: str) -> tuple[str, str]:
     return _format(name), _pattern(name)
-
-
-def _counts_two(names: Sequence[str]) -> bool:
-    """Return whether each value of a number in the names occurs with each of another one."""
-    differ = _changing(names)
-    counts = [len(set(column)) for column in differ]
-    return len(counts) > 1 and math.prod(counts) == len(names)
 
 
 def _format(name: str) -> str:
@@ -106,9 +88,10 @@ def _alike(
     return [name for name in names if kind_of(name) == usual]
 
 
-def _places(names: Sequence[str], remarks: list[str]) -> list[int] | None:
-    """Return the places of files in the series of their numbers, None if they have no such series,
-    or none is missing. All steps of a series are multiples of its own.
+def places_of(names: Sequence[str], remarks: list[str]) -> list[int] | None:
+    """Return the places of files in the series of their numbers, from 0 on; None if they have no
+    such series, or none is missing. All steps of a series are multiples of its own. Add lines to
+    print.
     """
     numbers = _series(names, remarks)
     if numbers is None:

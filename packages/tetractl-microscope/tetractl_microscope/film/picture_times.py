@@ -91,12 +91,6 @@ class PictureTimes:
         return line
 
 
-def stated_times(stated: list[float], rate_hz: float, source: str) -> PictureTimes:
-    """Return the times that a source states; number / rate if they are even but for rounding."""
-    times = PictureTimes(rate_hz, stated, source)
-    return PictureTimes(rate_hz) if times.even else times
-
-
 def mean_rate_hz(times: Sequence[float]) -> float:
     """Return the mean rate of pictures at two or more times [Hz]."""
     return (len(times) - 1) / (times[-1] - times[0])

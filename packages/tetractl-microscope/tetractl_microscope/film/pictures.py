@@ -20,7 +20,7 @@ from tetractl.core.poses import Grey
 from tetractl.tools.children import Child, python
 from tetractl_microscope.film.film_source import DIFFERENT
 from tetractl_microscope.film.picture_names import TIMES_FILE
-from tetractl_microscope.film.picture_times import PictureTimes, mean_rate_hz, stated_times
+from tetractl_microscope.film.picture_times import PictureTimes, mean_rate_hz
 from tetractl_microscope.number_columns import read_times
 
 RATES_HZ = (0.1, 2000.0)
@@ -163,7 +163,9 @@ def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = No
         raise UsageError("; ".join([f"{path}: states no rate", *remarks]), hint)
     own_timing = None
     if stated is not None:
-        own_timing = stated_times(stated, rate if rate_hz is None else own_hz, source)
+        own_timing = PictureTimes(rate if rate_hz is None else own_hz, stated, source)
+        if own_timing.even:  # but for rounding
+            own_timing = PictureTimes(own_timing.nominal_hz)
     elif stated_by_film["has_clock"] and own_hz is not None and _possible(own_hz, RATES_HZ):
         own_timing = PictureTimes(own_hz if rate_hz else rate, [], source)
     timing = PictureTimes(rate) if rate_hz or own_timing is None else own_timing

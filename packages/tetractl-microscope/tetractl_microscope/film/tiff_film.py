@@ -15,7 +15,12 @@ from tifffile import COMPRESSION, PHOTOMETRIC, TiffFile, memmap, natural_sorted
 
 from tetractl.core.errors import UsageError
 from tetractl_microscope.film.film_source import FilmSource, Raw, micrometres
-from tetractl_microscope.film.picture_names import TIMES_FILE, picture_names, require_one_film
+from tetractl_microscope.film.picture_names import (
+    TIMES_FILE,
+    picture_names,
+    places_of,
+    require_one_film,
+)
 
 TIFFS = frozenset({".tif", ".tiff"})
 PICTURES = TIFFS | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
@@ -69,34 +74,41 @@ def folder_film(folder: Path) -> FilmSource:
     its pages, the first one also scale and rate, or all files that its tags name.
     """
     files = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    chosen = picture_names(natural_sorted(path.name for path in files if path.is_file()))
-    if not chosen.names:
+    remarks = list[str]()
+    names = picture_names(natural_sorted(p.name for p in files if p.is_file()), remarks)
+    places = places_of(names, remarks)
+    if not names:
         hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
         raise UsageError(f"{folder}: contains no pictures", hint)
     pages: list[tuple[Path, int, bool]] = []
     times: list[float | None] = []
-    source = FilmSource(lambda index: _picture(*pages[index]), remarks=chosen.remarks)
-    for name in chosen.names:
+    source = FilmSource(lambda index: _picture(*pages[index]), remarks=remarks)
+    for name in names:
         path = folder / name
         count = 1
         by_opencv = True
         if path.suffix.lower() in TIFFS:
             with suppress(Exception), TiffFile(path) as tif:  # what it raises is not documented
-                if name == chosen.names[0]:
+                if name == names[0]:
                     if tif.series[0].is_multifile:
                         return tiff_film(path)
                     _add_tags(tif, 0, source)
                 count = len(tif.pages)
-                page: Any = tif.pages[0]
-                by_opencv = _opencv_reads(page)
-                times += [_elapsed_s(page, source) for page in tif.pages]
+                first: Any = tif.pages[0]
+                # of a palette, OpenCV gives colours
+                is_palette = first.keyframe.photometric == PHOTOMETRIC.PALETTE
+                by_opencv = first.keyframe.compression in OF_OPENCV and not is_palette
+                times += [
+                    source.seconds(stated.get("ElapsedTime-ms"), "ms")
+                    for stated in map(_micro_manager, tif.pages)
+                ]
         pages += [(path, page, by_opencv) for page in range(count)]
     if not (folder / TIMES_FILE).exists():
-        require_one_film(folder, chosen.names)
+        require_one_film(folder, names)
     source.count = len(pages)
     _require_codec(source)
-    if len(pages) == len(chosen.names):
-        source.places = chosen.places
+    if len(pages) == len(names):
+        source.places = places
     if any(time is not None for time in times) and len(times) == len(pages):
         source.add_times(times)
     return source
@@ -143,12 +155,6 @@ def _pixels(page: Any) -> Raw:
     if _white_first(page) and pixels.dtype.kind == "u":
         pixels = np.iinfo(pixels.dtype).max - pixels  # as OpenCV does
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
-
-
-def _opencv_reads(page: Any) -> bool:
-    """Return whether OpenCV reads a page as it is: of a palette, it gives colours."""
-    is_supported = page.keyframe.compression in OF_OPENCV
-    return is_supported and page.keyframe.photometric != PHOTOMETRIC.PALETTE
 
 
 def _white_first(page: Any) -> bool:
@@ -226,18 +232,13 @@ def _add_tags(tif: TiffFile, which: int, source: FilmSource) -> None:
         source.add_times([times.get(i) for i in range(source.count or 0)])
 
 
-def _elapsed_s(page: Any, source: FilmSource) -> float | None:
-    """Return the time that Micro-Manager states of a page [s], None if it does not."""
-    if MICRO_MANAGER not in page.tags:
-        return None
-    return source.seconds(page.tags[MICRO_MANAGER].value.get("ElapsedTime-ms"), "ms")
+def _micro_manager(page: Any) -> dict[str, Any]:
+    """Return what Micro-Manager states of a page, nothing if it did not write it."""
+    return page.tags[MICRO_MANAGER].value if MICRO_MANAGER in page.tags else {}
 
 
 def _page_metadata(series: Any) -> Iterator[dict[str, Any]]:
     """Yield Micro-Manager's metadata of each page, in all files of a film."""
     for path in dict.fromkeys(page.parent.filehandle.path for page in series if page is not None):
         with TiffFile(path) as tif:
-            page: Any
-            for page in tif.pages:
-                if MICRO_MANAGER in page.tags:
-                    yield page.tags[MICRO_MANAGER].value
+            yield from filter(None, map(_micro_manager, tif.pages))

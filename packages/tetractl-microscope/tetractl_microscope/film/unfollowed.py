@@ -6,10 +6,10 @@ is followed if a cell that has a blob is shown on it. Blobs that the picture's e
 count.
 """
 
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -129,22 +129,20 @@ class Unfollowed:
         for number, picture in film:
             self._height = picture.shape[0]
             for when, blobs in wanted.get(number, ()):
-                places = zip(blobs.middles, blobs.radii, blobs.lengths, strict=True)
-                blobs.levels[when] = [_level(picture, *place) for place in places]
+                middles = np.rint(blobs.middles).astype(int).tolist()
+                cores = map(partial(_square, picture), middles, blobs.radii)
+                around = map(partial(_square, picture), middles, np.ceil(blobs.lengths))
+                blobs.levels[when] = [
+                    core.mean() - np.median(whole)
+                    for core, whole in zip(cores, around, strict=True)
+                ]
 
 
-def _level(picture: Grey, middle: Floats, radius: float, length: float) -> float:
-    """Return the mean grey level of a square about a place, less that of its surroundings."""
-    column, row = np.rint(middle).astype(int).tolist()
-    return float(
-        _square(picture, column, row, math.floor(radius)).mean()
-        - np.median(_square(picture, column, row, math.ceil(length)))
-    )
-
-
-def _square(picture: Grey, column: int, row: int, reach: int) -> Grey:
-    rows = slice(max(row - reach, 0), row + reach + 1)
-    return picture[rows, max(column - reach, 0) : column + reach + 1]
+def _square(picture: Grey, middle: Sequence[int], reach: float) -> Grey:
+    """Return the square about a column and row of a picture that reaches so many whole pixels."""
+    column, row = middle
+    side = int(reach)
+    return picture[max(row - side, 0) : row + side + 1, max(column - side, 0) : column + side + 1]
 
 
 def _speed(path: CellPath) -> float:

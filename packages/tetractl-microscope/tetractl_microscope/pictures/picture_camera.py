@@ -112,14 +112,6 @@ class PictureQueue:
         return self._closed
 
 
-@dataclass(frozen=True, slots=True)
-class SearchedFrame(Generic[R]):
-    """A frame that was not returned yet, and what was found in its picture."""
-
-    frame: CameraFrame
-    result: R
-
-
 class PictureSearches(Generic[R]):
     """What the searches have found, and why no more will come: written by the threads of the
     camera, read by the program's own, under one lock (`changed`).
@@ -132,13 +124,13 @@ class PictureSearches(Generic[R]):
         self.changed = threading.Condition()
         self.ended = ""
         self.failure: Exception | None = None
-        self._frames: deque[SearchedFrame[R]] = deque(maxlen=WAITING_MAX)
+        self._frames: deque[tuple[CameraFrame, R]] = deque(maxlen=WAITING_MAX)
         self._last: deque[PictureSearch[R]] = deque(maxlen=KEPT_SEARCHES)
 
     def add(self, frame: CameraFrame, search: PictureSearch[R]) -> None:
         """Add what was found in a picture."""
         with self.changed:
-            self._frames.append(SearchedFrame(frame, search.result))
+            self._frames.append((frame, search.result))
             self._last.append(search)
             self.changed.notify_all()
 
@@ -156,8 +148,9 @@ class PictureSearches(Generic[R]):
             self.failure = error
             self.changed.notify_all()
 
-    def take_frames(self) -> list[SearchedFrame[R]]:
-        """Return and forget the frames since the last call, oldest first."""
+    def take_frames(self) -> list[tuple[CameraFrame, R]]:
+        """Return and forget the frames since the last call, oldest first, each with what was found
+        in its picture."""
         with self.changed:
             return drained(self._frames)
 
@@ -227,8 +220,8 @@ class PictureCamera(ABC, Generic[R]):
         ended the reading or the search."""
         if self._searches.failure is not None:
             raise self._searches.failure
-        searched = self._searches.take_frames()
-        return [frame.frame for frame in searched if self._is_current(frame.result)]
+        frames = self._searches.take_frames()
+        return [frame for frame, result in frames if self._is_current(result)]
 
     def _is_current(self, result: R) -> bool:
         """Return whether what was found in a picture is of the present robots, as it is unless a

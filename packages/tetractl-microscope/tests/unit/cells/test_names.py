@@ -117,7 +117,7 @@ def test_a_name_stays_uncertain_if_the_other_cell_is_given_up(merged):
     tracks = [dish.track(500.0, 500.0), dish.track(500.0, 503.0)]
     dish.names.meet(tracks, 1.0, False)
     blob = TrackBlob(0, whole_blob(), np.zeros(5), is_shared=merged)
-    tracks[0].take_blob(blob)
+    tracks[0].newest = blob
     uncertain = dish.names.probabilities(tracks)[0]
     name = tracks[0].identity
     assert uncertain < ASSERTED

@@ -11,7 +11,7 @@ from support.dish_films import Reel, Score, film, followed
 from support.film_rows import whole_blob
 from tetractl_microscope.cells import match
 from tetractl_microscope.cells.cell import BodySize, PathBlob
-from tetractl_microscope.cells.cell_tracks import CellStart, CellTrack, TrackBlob
+from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
 from tetractl_microscope.cells.filter_update import check_state
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
@@ -82,11 +82,11 @@ def test_specks_are_looked_for_as_far_as_the_organism_swims():
 def test_a_knock_moves_all_places_of_a_track():
     path = [PathBlob(1.0, 10.0, 20.0, 0.5, 50.0, 25.0)]
     moved_path = [PathBlob(1.0, 13.0, 16.0, 0.5, 50.0, 25.0)]
-    start = CellStart(8.0, 20.0, 0.5)
+    start = np.array((8.0, 20.0))
     cell = CellTrack(1, 0, SIZE, last=np.array([10.0, 20.0]), path=path, start=start)
     cell.shift(3.0, -4.0)
     assert cell.path == moved_path
-    assert cell.start == CellStart(11.0, 16.0, 0.5)
+    assert cell.start.tolist() == [11.0, 16.0]
     assert cell.last.tolist() == [13.0, 16.0]
     speck = Speck(2, path)
     speck.shift(3.0, -4.0)

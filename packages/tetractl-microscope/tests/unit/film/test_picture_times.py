@@ -12,7 +12,12 @@ from support.needs_opencv import cv2
 from tetractl_microscope.film.fit_cell import fit_cells
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.kinematics import velocities
-from tetractl_microscope.film.picture_names import TIMES_FILE, picture_names, require_one_film
+from tetractl_microscope.film.picture_names import (
+    TIMES_FILE,
+    picture_names,
+    places_of,
+    require_one_film,
+)
 from tetractl_microscope.film.picture_times import PictureTimes, increasing
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import TETRAHYMENA
@@ -160,12 +165,12 @@ def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
     ],
 )
 def test_only_what_is_like_most_files_is_a_picture(names, chosen_names, places):
-    chosen = picture_names(names)
+    chosen = picture_names(names, [])
     if chosen_names == "all":
-        assert chosen.names == names
+        assert chosen == names
     else:
-        assert chosen.names[: len(chosen_names.split())] == chosen_names.split()
-    assert chosen.places == places
+        assert chosen[: len(chosen_names.split())] == chosen_names.split()
+    assert places_of(chosen, []) == places
 
 
 @pytest.mark.parametrize(
@@ -206,11 +211,9 @@ def test_numbers_that_have_started_again_are_refused(tmp_path):
 )
 def test_times_in_names_are_not_guessed_in_silence(names, tmp_path):
     require_one_film(tmp_path, names)
-    chosen = picture_names(names)
-    assert chosen.places is None
-    assert chosen.remarks == [
-        "the names have several numbers that change: times do not follow them"
-    ]
+    remarks = []
+    assert places_of(picture_names(names, remarks), remarks) is None
+    assert remarks == ["the names have several numbers that change: times do not follow them"]
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
         if find_spec("geff") is not None:
             rate_hz = followed.rate_hz if followed.timing.even else None
             path = folder / "tracks.geff"
-            write_geff(path, poses, tracks, followed.divisions, rate_hz, followed.um_px)
+            write_geff(path, poses, tracks, rate_hz, followed.um_px)
 
 
 def _write_pictures(

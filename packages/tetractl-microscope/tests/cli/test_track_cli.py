@@ -11,7 +11,6 @@ from support.cli import tetractl
 from support.dish_films import film
 from support.film_containers import UM_PX, folder, stack
 from support.needs_opencv import cv2, video
-from tetractl_microscope.results.geff_file import _edges
 
 pytestmark = pytest.mark.slow
 
@@ -135,13 +134,6 @@ def test_tracks_are_read_by_geff_as_they_are_in_the_table(tracks):
     ahead = (nodes["x"][second] - nodes["x"][first]) * np.cos(nodes["heading"][first])
     ahead += (nodes["y"][second] - nodes["y"][first]) * np.sin(nodes["heading"][first])
     assert np.mean(ahead > 0) > 0.9
-
-
-def test_a_division_is_an_edge_from_mother_to_daughter():
-    cell = np.array([1, 1, 2, 1, 2])
-    frame = np.array([0, 1, 2, 2, 3])
-    edges = _edges(cell, frame, [(1, 2), (1, 7)]).tolist()
-    assert sorted(edges) == [[0, 1], [1, 2], [1, 3], [2, 4]]
 
 
 def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):

@@ -48,14 +48,6 @@ class FirstSight:
 
 
 @dataclass(frozen=True, slots=True)
-class CellSpeed:
-    """A cell's speed and its standard deviation [um/s]."""
-
-    um_s: float
-    sd_um_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class CellsInView:
     """The cells of the picture exposed at `now_s` [s], and since when each track has been in view
     without a gap (`first`). Knocks have moved what the picture shows by `moved_um` [um], along its
@@ -81,9 +73,9 @@ class CellsInView:
         moved_um = (self.moved_um[0] + shift_um[0], self.moved_um[1] + shift_um[1])
         return CellsInView(cells, now_s, first, moved_um)
 
-    def speed(self, cell: SeenCell) -> CellSpeed:
-        """Return the mean speed of a cell since it came into view; in its first MEAN_S there the
-        filter's present one."""
+    def speed(self, cell: SeenCell) -> tuple[float, float]:
+        """Return the mean speed of a cell since it came into view, and its standard deviation
+        [um/s]; in its first MEAN_S there the filter's present one."""
         first = self.first[cell.track]
         seconds = self.now_s - first.seconds
         if seconds > MEAN_S:
@@ -92,7 +84,7 @@ class CellsInView:
         else:
             um_s = float(cell.mean[SPEED])
             sd_um_s = WIDER * float(cell.sd[SPEED])
-        return CellSpeed(um_s, math.hypot(sd_um_s, SPEED_ERROR * um_s))
+        return um_s, math.hypot(sd_um_s, SPEED_ERROR * um_s)
 
 
 class LearningPictures:
@@ -119,25 +111,21 @@ class LearningPictures:
 
 
 class PictureNews:
-    """What there is to say of each picture besides its frame: messages for the log, and how sure
-    the robots' cells are `identified`, for a watch."""
+    """What there is to say of each picture besides its frame: messages `added` to the log, and how
+    sure the robots' cells are `identified`, for a watch."""
 
     def __init__(self) -> None:
         self.identified = deque[Identities](maxlen=QUEUED_MOST)
         self._whole = PictureLog()
-        self._added = deque[FrameAddition](maxlen=QUEUED_MOST)
+        self.added = deque[FrameAddition](maxlen=QUEUED_MOST)
 
     def add(
         self, picture: Grey, exposed_ns: int, background: Grey | None, probability: Floats
     ) -> None:
         """Add a picture, in which the robots' cells are those with a probability (N,)."""
         messages = self._whole.messages(picture, exposed_ns, background)
-        self._added.append(FrameAddition(exposed_ns, messages))
+        self.added.append(FrameAddition(exposed_ns, messages))
         self.identified.append(Identities(exposed_ns, probability))
-
-    def take_additions(self) -> list[FrameAddition]:
-        """Return the messages since the last call, oldest first."""
-        return drained(self._added)
 
 
 class CellCamera(PictureCamera[SeenDish]):
@@ -195,7 +183,7 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _candidate(self, cell: SeenCell, view: CellsInView) -> RobotCandidate:
         """Return a cell in view as a candidate."""
-        speed = view.speed(cell)
+        um_s, sd_um_s = view.speed(cell)
         per_um = 1e-6 / self._metres
         a = float(cell.mean[A])
         a_sd = math.hypot(WIDER * float(cell.sd[A]), A_ERROR * a)
@@ -205,8 +193,8 @@ class CellCamera(PictureCamera[SeenDish]):
             pose=self._pose_of(cell, view),
             a=a,
             a_sd=a_sd,
-            speed=speed.um_s * per_um,
-            speed_sd=speed.sd_um_s * per_um,
+            speed=um_s * per_um,
+            speed_sd=sd_um_s * per_um,
             free=not is_near_wall,
         )
 
@@ -238,7 +226,7 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def additions(self) -> list[FrameAddition]:
         """Return the messages of each frame since the last call, oldest first."""
-        return self._news.take_additions()
+        return drained(self._news.added)
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
         """Return the watch of a trial with this setup's robots."""
@@ -272,11 +260,15 @@ class CellCamera(PictureCamera[SeenDish]):
             picture = np.asarray(cv2.flip(picture, 1), np.uint8)
         finder = self._tracker.finder
         if finder.background is None:
-            self._learn(picture, exposed_ns)
+            pictures = self._learning.take(picture, exposed_ns)
+            if pictures:
+                finder.learn(pictures)
             return None
         now_s = exposed_ns / SECOND
         cells = self._tracker.see(picture, now_s, self._field)
-        view = self._view.followed_by(cells, now_s, self._shift_um(finder.light.shift_px))
+        columns, rows = finder.light.shift_px
+        shift_um = (columns * self.section.um_px, -rows * self.section.um_px)  # rows run down
+        view = self._view.followed_by(cells, now_s, shift_um)
         self._view = view
         robots = self._take_robots(view)
         numbers = robots.numbers or (NO_CELL,) * len(robots.setup.names)
@@ -294,12 +286,6 @@ class CellCamera(PictureCamera[SeenDish]):
             sure=min((cell.probability for cell in tracked if cell is not None), default=0.0),
         )
 
-    def _learn(self, picture: Grey, exposed_ns: int) -> None:
-        """Learn the background, once there are enough pictures."""
-        pictures = self._learning.take(picture, exposed_ns)
-        if pictures:
-            self._tracker.finder.learn(pictures)
-
     def _take_robots(self, view: CellsInView) -> RobotCells:
         """Return the present robots, after noting which cells they are at first, and which of them
         have divided in this picture.
@@ -311,12 +297,6 @@ class CellCamera(PictureCamera[SeenDish]):
             robots.bind(self._nearest_to_starts(view, robots.setup))
         robots.note_divisions({born.divided for born in self._tracker.born})
         return robots
-
-    def _shift_um(self, shift_px: tuple[float, float]) -> tuple[float, float]:
-        """Convert a shift by columns and rows, which run down [px], to one along rows and up
-        [um]."""
-        columns, rows = shift_px
-        return columns * self.section.um_px, -rows * self.section.um_px
 
     def _nearest_to_starts(self, view: CellsInView, setup: Setup) -> Sequence[int]:
         """Return the numbers of the cells nearest to the robots' starts, none if there are fewer

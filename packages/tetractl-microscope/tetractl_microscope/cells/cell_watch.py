@@ -11,7 +11,6 @@ from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl_microscope.cells.identity_watch import IdentityWatch
-from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import most_alike
 from tetractl_microscope.choice.dish_abilities import TracksCells
 
@@ -55,16 +54,15 @@ class CellWatch:
     def replace(self, robot: int) -> str:
         """Steer the most similar free cell in place of a lost robot; return a text about it, "" if
         no free cell is similar."""
-        candidate = most_alike(self._setup, robot, free_cells(self._camera))
+        free = [
+            cell
+            for cell in self._camera.candidates()
+            if cell.magnetised and cell.free and cell.number not in self._camera.robots
+        ]
+        candidate = most_alike(self._setup, robot, free)
         if candidate is None:
             return ""
         self._camera.replace(robot, candidate.number)
         self._identities.forget(robot)
         what = f"a {candidate.a:.2f} rad/s, speed {candidate.speed:.0f} {self._setup.unit}/s"
         return f"is another cell now: {what}"
-
-
-def free_cells(camera: TracksCells) -> list[RobotCandidate]:
-    """Return the cells that follow the field, are away from the walls, and are not robots."""
-    cells = [cell for cell in camera.candidates() if cell.magnetised and cell.free]
-    return [cell for cell in cells if cell.number not in camera.robots]

@@ -36,10 +36,9 @@ class Followed:
     """The cells of a film; `damaged` of its `pictures` could not be read, or are not as large as
     most.
 
-    `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
-    that could not be distinguished after they met. `divisions` lists mother and daughter of each
-    division that was seen. `not_followed` is the share of moving blobs that no path follows, None
-    if few move.
+    `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` are numbers
+    that ended as another cell may have been met. `not_followed` is the share of moving blobs that no
+    path follows, None if few move.
     """
 
     paths: tuple[CellPath, ...]
@@ -55,8 +54,7 @@ class Followed:
     contrast: float
     noise: float
     background: Grey
-    doubtful: tuple[tuple[int, ...], ...]
-    divisions: tuple[tuple[int, int], ...] = ()
+    doubtful: tuple[int, ...]
     not_followed: float | None = None
 
     @property
@@ -140,7 +138,6 @@ def follow(
         noise=noise,
         background=background,
         doubtful=tuple(where.doubtful),
-        divisions=tuple(where.divided()),
         not_followed=unfollowed.share(film, paths, seen_as.um_px, seen_as.organism.body_um[0]),
     )
 

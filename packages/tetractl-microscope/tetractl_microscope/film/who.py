@@ -66,33 +66,18 @@ class TrackRow:
     likely: float
 
 
-@dataclass(frozen=True, slots=True)
-class Division:
-    """A cell has divided in a picture: the tracks of `mother` and `daughter`."""
-
-    picture: int
-    mother: int
-    daughter: int
-
-
-def row_from(rows: list[TrackRow], picture: int) -> int:
-    """Return the index of a track's first row in or after a picture."""
-    return bisect_left(rows, picture, key=lambda row: row.picture)
-
-
 @dataclass(slots=True)
 class Whereabouts:
     """The rows of each track, in order of time, in pictures at the `times` [s] with the numbers
     `frames`.
 
-    `doubtful` lists cells that could not be distinguished after they met.
+    `doubtful` are the names of cells that could not be distinguished from what they met.
     """
 
     times: list[float] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
     tracks: dict[int, list[TrackRow]] = field(default_factory=dict)
-    divisions: list[Division] = field(default_factory=list)
-    doubtful: list[tuple[int, ...]] = field(default_factory=list)
+    doubtful: list[int] = field(default_factory=list)
 
     def enter(
         self, frame: int, seconds: float, tracker: CellTracker, cells: list[SeenCell]
@@ -112,33 +97,17 @@ class Whereabouts:
     def answer(self, answer: CellAnswer) -> None:
         """Enter the names that were found out later, since when they may have changed."""
         for named in answer.named:
-            rows = self.tracks.get(named.track, [])
-            since = row_from(rows, self.index(named.since_s))
-            for row in rows[since:]:
-                row.name = named.identity
-                row.likely = named.certainty
+            since = self.index(named.since_s)
+            for row in self.tracks.get(named.track, []):
+                if row.picture >= since:
+                    row.name = named.identity
+                    row.likely = named.certainty
         if answer.probability < ASSERTED:
-            self.doubtful.append(tuple(sorted(answer.met)))
+            self.doubtful += answer.met
 
     def index(self, seconds: float) -> int:
         """Return the index of the first picture at or after a time [s]."""
         return bisect_left(self.times, seconds - ROUNDING_S)
-
-    def shown_in(self, picture: int) -> dict[int, TrackRow]:
-        """Return the row of each track that a picture shows."""
-        row_of: dict[int, TrackRow] = {}
-        for track, rows in self.tracks.items():
-            index = row_from(rows, picture)
-            if index < len(rows) and rows[index].picture == picture:
-                row_of[track] = rows[index]
-        return row_of
-
-    def divided(self) -> Iterator[tuple[int, int]]:
-        """Yield the names of mother and daughter of each division."""
-        for division in self.divisions:
-            rows = self.shown_in(division.picture)
-            if division.daughter in rows:
-                yield rows[division.mother].name, rows[division.daughter].name
 
     def end_at_gaps(self) -> None:
         """Give the rows of a name after pictures that do not show it another name: they may show
@@ -160,10 +129,9 @@ class Whereabouts:
         seen: debris that a cell has touched.
         """
         rows = [row for track_rows in self.tracks.values() for row in track_rows]
-        rows.sort(key=lambda row: (row.name, row.picture, row.likely, -row.cell.track))
+        rows.sort(key=lambda row: (row.name, row.picture))
         for name, named in groupby(rows, key=lambda row: row.name):
-            # a lost cell that was found again may have its name twice: the likelier one counts
-            path = self._path(name, list({row.picture: row for row in named}.values()))
+            path = self._path(name, list(named))
             if _swims(path, organism):
                 yield path
 
@@ -194,7 +162,7 @@ class Whereabouts:
                 heading=float(np.arctan2(way[1], way[0])),
                 mean=UNKNOWN,
                 sd=UNKNOWN,
-                probability=born.certainty,
+                probability=1.0,
                 has_blob=True,
                 merged=False,
                 long_um=np.nan,
@@ -203,29 +171,23 @@ class Whereabouts:
                 measured=None if math.isnan(long) else (x, y, axis, *OF_BLOB),
                 blob_um=np.array((x, y, axis, long, wide)),
             )
-            before.append(TrackRow(self.index(seconds), cell, born.identity, born.certainty))
+            before.append(TrackRow(self.index(seconds), cell, born.identity, 1.0))
         self.tracks.setdefault(born.track, [])[:0] = before
-        first = self.index(path[0, 0])
-        if born.divided is not None:
-            for track, row in self.shown_in(first).items():
-                if row.name == born.divided:
-                    self.divisions.append(Division(first, track, born.track))
 
 
 def _sure(rows: list[TrackRow]) -> list[bool]:
     """Return whether each row of a cell surely shows the cell of its first one.
 
     They do not once the name is uncertain, or the cell's blob too large for it, unless the name is
-    certain later; nor after the name has gone on from one track to another.
+    certain later.
     """
     cells = [row.cell for row in rows]
-    is_large = np.array([cell.merged and cell.measured is not None for cell in cells])
+    is_large = np.array([cell.merged for cell in cells])
     is_doubtful = is_large | np.array([row.likely <= ASSERTED for row in rows])
     is_certain = ~is_doubtful & np.array([cell.has_blob for cell in cells])
     last_certain = int(np.flatnonzero(is_certain).max(initial=-1))
     is_doubtful[: last_certain + 1] = False
-    is_elsewhere = np.array([cell.track != cells[0].track for cell in cells])
-    return (~np.logical_or.accumulate(is_doubtful | is_elsewhere)).tolist()
+    return (~np.logical_or.accumulate(is_doubtful)).tolist()
 
 
 def _swims(path: CellPath, organism: Organism) -> bool:

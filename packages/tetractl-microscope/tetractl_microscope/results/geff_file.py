@@ -2,7 +2,6 @@
 (live-image-tracking-tools.github.io/geff), which TrackMate, napari, ultrack and traccuracy read.
 """
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +21,12 @@ def write_geff(
     path: Path,
     poses: Table,
     tracks: Table,
-    divisions: Iterable[tuple[int, int]],
     rate_hz: float | None,
     um_px: float,
 ) -> None:
     """Write a node for each row of the tables that `pose_tables` of `film` returns: t [pictures],
     or [s] without a rate, since pictures are at uneven times, y and x [pixels], and what ABOUT
-    lists; an edge between successive nodes of a cell, and one from the mother to the daughter of
-    each of `divisions`.
+    lists; an edge between successive nodes of a cell.
     """
     from geff import GeffMetadata
     from geff.core_io import write_arrays
@@ -52,6 +49,8 @@ def write_geff(
     time: dict[str, Any] = {"type": "time", "unit": "second"}
     if rate_hz is not None:
         time = {"type": "time", "unit": "frame", "scale": 1 / rate_hz, "scaled_unit": "second"}
+    order = np.lexsort((frame, cell))
+    goes_on = np.diff(cell[order]) == 0
     about = {
         name: PropMetadata(identifier=name, dtype=str(values[name].dtype), description=text)
         for name, text in ABOUT.items()
@@ -60,7 +59,7 @@ def write_geff(
         path,
         np.arange(len(cell), dtype=np.uint64),
         {name: {"values": array, "missing": None} for name, array in values.items()},
-        _edges(cell, frame, divisions),
+        np.column_stack([order[:-1], order[1:]])[goes_on].astype(np.uint64),
         {},
         GeffMetadata(
             directed=True,
@@ -69,16 +68,3 @@ def write_geff(
             edge_props_metadata={},
         ),
     )
-
-
-def _edges(cell: np.ndarray, frame: np.ndarray, divisions: Iterable[tuple[int, int]]) -> np.ndarray:
-    """Return the edges (E, 2) between nodes that are given by their cells and pictures."""
-    order = np.lexsort((frame, cell))
-    same = np.diff(cell[order]) == 0
-    edges = [np.column_stack([order[:-1], order[1:]])[same]]
-    for mother, daughter in divisions:
-        (born,) = np.nonzero(cell == daughter)
-        (before,) = np.nonzero((cell == mother) & (frame < frame[born[:1]].sum()))
-        if len(before):  # else one of them is not among the tracks
-            edges.append(np.array([[before[-1], born[0]]]))
-    return np.concatenate(edges).astype(np.uint64)

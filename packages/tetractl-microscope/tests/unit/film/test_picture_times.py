@@ -354,7 +354,7 @@ def test_a_graph_of_uneven_pictures_has_their_times(tmp_path):
     pixels = {"id": [1] * 3, "t": [0, 1, 4], "y": [5.0] * 3, "x": [6.0, 7.0, 10.0]}
     track_columns = [Column(name, values) for name, values in pixels.items()]
     tracks = Table("Tracks", tuple(track_columns))
-    write_geff(tmp_path / "uneven.geff", poses, tracks, (), None, 2.3)
+    write_geff(tmp_path / "uneven.geff", poses, tracks, None, 2.3)
     graph = core_io.read_to_memory(tmp_path / "uneven.geff")
     assert graph["node_props"]["t"]["values"].tolist() == [0.0, 0.1, 0.4]
     assert [axis.unit for axis in graph["metadata"].axes] == ["second", "pixel", "pixel"]

@@ -37,8 +37,8 @@ class Followed:
     most.
 
     `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` are numbers
-    that ended as another cell may have been met. `not_followed` is the share of moving blobs that no
-    path follows, None if few move.
+    that ended as another cell may have been met. `not_followed` is the share of moving blobs that
+    no path follows, None if few move.
     """
 
     paths: tuple[CellPath, ...]

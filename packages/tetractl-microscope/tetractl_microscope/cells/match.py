@@ -5,7 +5,7 @@ Costs are squared deviations: the negative log-likelihood, doubled. A cell may h
 - a blob of its own where the filter expects it, of cost q + s: q is the squared Mahalanobis
   distance of the place, s that of the logarithms of length and width;
 - a blob of its size nearby, if it has stopped or turned by itself, which costs more than the first;
-- a place in a blob that covers it together with other cells, but not in a film;
+- a place in a blob that covers it together with other cells;
 
 a speck has the blob where its last motion leads; and each may have none. The assignment of least
 total cost is found at once for all.
@@ -95,11 +95,9 @@ def cell_costs(
     places: Floats,
     now: PictureNow,
     organism: Organism,
-    shares: bool,
 ) -> CellCosts:
     """Return the costs of blobs in `places` (B, 5) for C cells, which are `expected` at x, y [um]
-    and axis [rad] (C, 3), where `spread` (C, 2, 2) [um^2] is the covariance of x and y; whether a
-    cell `shares` a blob with others.
+    and axis [rad] (C, 3), where `spread` (C, 2, 2) [um^2] is the covariance of x and y.
     """
     body_um = organism.body_um[0]
     off = places[None, :, :2] - expected[:, None, :2]
@@ -122,12 +120,9 @@ def cell_costs(
     of_distance = STOPPED_LEAST + (STOPPED_MOST - STOPPED_LEAST) * np.square(away / reach)
     cost_away = np.where(is_in_reach, of_distance, NONE)
 
-    shared = np.full(cost_away.shape, NONE)
-    if shares:
-        shared = _shared_costs(cells, now.pixels_of(expected), blobs, now.um_px)
     return CellCosts(
         own=np.minimum(cost_near, cost_away),
-        shared=shared,
+        shared=_shared_costs(cells, now.pixels_of(expected), blobs, now.um_px),
         is_away=cost_away < cost_near,
     )
 

@@ -52,7 +52,7 @@ class Names:
     """Knows which tracks are together, which questions are open, and which cells are lost.
 
     `bank` is the filter, a cell is `body_um` long. If a film's table `splits` names, a track whose
-    cell is too uncertain gets a new name; nothing is asked there, as tracks share no blob.
+    cell is too uncertain when a question ends gets a new name instead of an asserted one.
 
     In each picture, `meet` is called for each group of tracks that are not distinguished, then
     `part` and `answer` once; cells `appear` and are given up after that.
@@ -194,7 +194,8 @@ class Names:
     def _come_back(self, track: CellTrack, place: Floats, since_s: float, expected: float) -> None:
         """Give a new track the name and the filter row of a lost cell, if it probably is one."""
         lost, probability = self._lost.likeliest(track, place, since_s, expected)
-        if lost is None or probability <= LIKELIER:
+        least = ASSERTED if self._splits else LIKELIER
+        if lost is None or probability <= least:
             return
         x, y, axis = place.tolist()
         cell = lost.cell
@@ -206,15 +207,14 @@ class Names:
         self._lost.remove(lost)
 
     def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
-        """Forget a track at a time [s]; its cell is lost if it `may_return`, but in a film has a
-        new number if it does. If only one track is left in the blob that both have shared, it is
-        uncertain which of the cells that is.
+        """Forget a track at a time [s]; its cell is lost if it `may_return`. If only one track is
+        left in the blob that both have shared, it is uncertain which of the cells that is.
         """
         if track.question is not None:
             self._end(track.question)
         if track.meeting is not None:
             self._give_up_in(track.meeting, track)
-        if not may_return or self._splits:
+        if not may_return:
             self._bank.drop(track.row)
             return
         cell = Known(track.identity, track.certainty, track.size)
@@ -331,7 +331,11 @@ class Names:
             cell = question.cells[order[t]]
             track.question = None
             track.size = cell.size
-            track.certainty = float(shares[t]) * cell.certainty
+            certainty = float(shares[t]) * cell.certainty
+            if self._splits and certainty < ASSERTED:
+                # the new number's cell is any of those asked about
+                self._bank.mix(track.row, question.rows[t], question.on_track(t))
+            self._set_certainty(track, certainty)
         kept_rows = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
             if row not in kept_rows:
@@ -343,11 +347,15 @@ class Names:
     def _doubt(self, track: CellTrack, share: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""
         name_before = track.identity
-        track.certainty *= share
-        if self._splits and track.certainty < ASSERTED:
+        self._set_certainty(track, track.certainty * share)
+        self._tell([track], share, [name_before])
+
+    def _set_certainty(self, track: CellTrack, certainty: float) -> None:
+        """Set the certainty of a track's name; if a film's is too low, give it a new name."""
+        track.certainty = certainty
+        if self._splits and certainty < ASSERTED:
             track.identity = self.take_number()
             track.certainty = 1.0
-        self._tell([track], share, [name_before])
 
     def _tell(self, tracks: Sequence[CellTrack], probability: float, met: Sequence[int]) -> None:
         """Add an answer: the names of tracks after the cells `met` could not be distinguished."""

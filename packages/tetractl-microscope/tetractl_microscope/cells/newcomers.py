@@ -146,12 +146,14 @@ class Newcomers:
         )
         near = speck.near if speck.near in cells else None
         divided = self._name(cell, near, np.array((x, y, heading)), path, now)
+        (certainty,) = self._names.probabilities([cell])
         self.specks.remove(speck)
         self.born.append(
             Born(
                 identity=cell.identity,
                 track=cell.number,
                 path=own_path(path, cell.size, self._body_um),
+                certainty=certainty,
                 divided=divided,
             )
         )

@@ -71,8 +71,7 @@ class CellsInBlob:
 class CellTracker:
     """Follows the cells in pictures with the scale `um_px` [um/px]; `field_known`: whether the
     field is known, `near_wall`: where a wall may turn cells, `organism`: which objects are cells,
-    `splits`: as in a film, where a cell whose name is too uncertain gets a new name, and none
-    shares a blob with another: one of them has no blob until they part.
+    `splits`: whether a cell whose name is too uncertain after a meeting gets a new name.
 
     Pictures must be given in order of time, after `finder` has learned the background. Positions
     are those of `picture_now`.
@@ -93,7 +92,6 @@ class CellTracker:
         self.blobs = list[Blob]()  # those of the newest picture
         self.answers: Sequence[CellAnswer] = ()  # to questions that the newest picture decided
         self.bank = HelixFilter(field_known, near_wall, organism)
-        self._splits = splits
         self._names = Names(self.bank, organism.body_um[0], splits)
         self._newcomers = Newcomers(self.bank, self._names, organism)
         self._cells = list[CellTrack]()  # in the order of their numbers
@@ -175,9 +173,7 @@ class CellTracker:
         places = now.places_of(self.blobs)
         organism = self.bank.organism
         expected, spread = self.bank.expected(np.array([cell.row for cell in cells], int))
-        costs = match.cell_costs(
-            cells, expected, spread, self.blobs, places, now, organism, not self._splits
-        )
+        costs = match.cell_costs(cells, expected, spread, self.blobs, places, now, organism)
         speck_costs = match.speck_costs(specks, places, now.seconds, now.passed_s, organism)
         assignment = match.assigned(costs, speck_costs)
         # a cell that has stopped or turned by itself is where the filter does not expect it

@@ -44,10 +44,11 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         lines.append(
             f"warning: {followed.damaged} pictures could not be read, or are not as large as most"
         )
-    lines += [
-        f"warning: cell {name} met others and cannot be distinguished afterwards"
-        for name in followed.doubtful[:LISTED]
-    ]
+    for names in followed.doubtful[:LISTED]:
+        who = f"cells {', '.join(map(str, names))} met"
+        if len(names) == 1:
+            who = f"cell {names[0]} met others"
+        lines.append(f"warning: {who} and cannot be distinguished afterwards")
     if more := len(followed.doubtful[LISTED:]):
         lines.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
     if any(cell.speed is None for cell in cells):

@@ -36,8 +36,8 @@ class Followed:
     """The cells of a film; `damaged` of its `pictures` could not be read, or are not as large as
     most.
 
-    `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` are numbers
-    that ended as another cell may have been met. `not_followed` is the share of moving blobs that
+    `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
+    that could not be distinguished after they met. `not_followed` is the share of moving blobs that
     no path follows, None if few move.
     """
 
@@ -54,7 +54,7 @@ class Followed:
     contrast: float
     noise: float
     background: Grey
-    doubtful: tuple[int, ...]
+    doubtful: tuple[tuple[int, ...], ...]
     not_followed: float | None = None
 
     @property

@@ -71,13 +71,13 @@ class Whereabouts:
     """The rows of each track, in order of time, in pictures at the `times` [s] with the numbers
     `frames`.
 
-    `doubtful` are the names of cells that could not be distinguished from what they met.
+    `doubtful` lists cells that could not be distinguished after they met.
     """
 
     times: list[float] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
     tracks: dict[int, list[TrackRow]] = field(default_factory=dict)
-    doubtful: list[int] = field(default_factory=list)
+    doubtful: list[tuple[int, ...]] = field(default_factory=list)
 
     def enter(
         self, frame: int, seconds: float, tracker: CellTracker, cells: list[SeenCell]
@@ -103,7 +103,7 @@ class Whereabouts:
                     row.name = named.identity
                     row.likely = named.certainty
         if answer.probability < ASSERTED:
-            self.doubtful += answer.met
+            self.doubtful.append(tuple(sorted(answer.met)))
 
     def index(self, seconds: float) -> int:
         """Return the index of the first picture at or after a time [s]."""
@@ -129,9 +129,10 @@ class Whereabouts:
         seen: debris that a cell has touched.
         """
         rows = [row for track_rows in self.tracks.values() for row in track_rows]
-        rows.sort(key=lambda row: (row.name, row.picture))
+        rows.sort(key=lambda row: (row.name, row.picture, row.likely, -row.cell.track))
         for name, named in groupby(rows, key=lambda row: row.name):
-            path = self._path(name, list(named))
+            # a lost cell that was found again may have its name twice: the likelier one counts
+            path = self._path(name, list({row.picture: row for row in named}.values()))
             if _swims(path, organism):
                 yield path
 
@@ -162,7 +163,7 @@ class Whereabouts:
                 heading=float(np.arctan2(way[1], way[0])),
                 mean=UNKNOWN,
                 sd=UNKNOWN,
-                probability=1.0,
+                probability=born.certainty,
                 has_blob=True,
                 merged=False,
                 long_um=np.nan,
@@ -171,7 +172,7 @@ class Whereabouts:
                 measured=None if math.isnan(long) else (x, y, axis, *OF_BLOB),
                 blob_um=np.array((x, y, axis, long, wide)),
             )
-            before.append(TrackRow(self.index(seconds), cell, born.identity, 1.0))
+            before.append(TrackRow(self.index(seconds), cell, born.identity, born.certainty))
         self.tracks.setdefault(born.track, [])[:0] = before
 
 
@@ -179,15 +180,16 @@ def _sure(rows: list[TrackRow]) -> list[bool]:
     """Return whether each row of a cell surely shows the cell of its first one.
 
     They do not once the name is uncertain, or the cell's blob too large for it, unless the name is
-    certain later.
+    certain later; nor after the name has gone on from one track to another.
     """
     cells = [row.cell for row in rows]
-    is_large = np.array([cell.merged for cell in cells])
+    is_large = np.array([cell.merged and cell.measured is not None for cell in cells])
     is_doubtful = is_large | np.array([row.likely <= ASSERTED for row in rows])
     is_certain = ~is_doubtful & np.array([cell.has_blob for cell in cells])
     last_certain = int(np.flatnonzero(is_certain).max(initial=-1))
     is_doubtful[: last_certain + 1] = False
-    return (~np.logical_or.accumulate(is_doubtful)).tolist()
+    is_elsewhere = np.array([cell.track != cells[0].track for cell in cells])
+    return (~np.logical_or.accumulate(is_doubtful | is_elsewhere)).tolist()
 
 
 def _swims(path: CellPath, organism: Organism) -> bool:

@@ -219,7 +219,7 @@ def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
             cells.append((middle, 60 + max(40 - 2 * k, 9), 12, 6))
         return drawn(cells, (140, 600))
 
-    tracker = CellTracker(2.3, field_known=False)
+    tracker = CellTracker(2.3, field_known=False, splits=True)
     tracker.finder.learn([picture(12 * k) for k in range(9)])
     counts = []
     for k in range(100):

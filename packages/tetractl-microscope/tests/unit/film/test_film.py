@@ -192,8 +192,8 @@ def test_pictures_that_are_lost_or_doubled_are_said(numbers, said):
 def test_of_many_uncertain_meetings_a_few_are_listed():
     tracked = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
     for count, more in ((LISTED, []), (LISTED + 3, ["warning: 3 more"])):
-        lines = notes(replace(tracked, doubtful=(1,) * count), ())
-        assert sum("cell 1 met" in line for line in lines) == LISTED
+        lines = notes(replace(tracked, doubtful=((1, 2),) * count), ())
+        assert sum("cells 1, 2 met" in line for line in lines) == LISTED
         assert [line[:15] for line in lines if "more meetings" in line] == more
 
 
@@ -377,22 +377,32 @@ def test_velocities_are_those_of_casa():
 
 
 @pytest.mark.parametrize(
-    ("likely", "large", "sure"),
+    ("likely", "large", "tracks", "sure"),
     [
-        ([1.0, 1.0, 0.4, 0.4, 1.0, 1.0], [], [True] * 6),  # certain before and after
-        ([1.0, 1.0, 1.0, 0.97, 0.97, 0.97], [], [True] * 3 + [False] * 3),
-        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], [], [True] * 6),
-        ([0.9] * 6, [], [False] * 6),
-        ([1.0] * 6, [2, 3], [True] * 6),  # in its blob may be something unknown
-        ([1.0] * 6, [4, 5], [True] * 4 + [False] * 2),  # the same at the end
+        ([1.0, 1.0, 0.4, 0.4, 1.0, 1.0], [], "777777", [True] * 6),  # certain before and after
+        ([1.0, 1.0, 1.0, 0.97, 0.97, 0.97], [], "777777", [True] * 3 + [False] * 3),
+        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], [], "777777", [True] * 6),
+        ([0.9] * 6, [], "777777", [False] * 6),
+        ([1.0] * 6, [2, 3], "777777", [True] * 6),  # in its blob may be something unknown
+        ([1.0] * 6, [4, 5], "777777", [True] * 4 + [False] * 2),  # the same at the end
+        ([1.0] * 6, [], "777788", [True] * 4 + [False] * 2),  # lost and found again
     ],
 )
-def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, sure):
+def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, tracks, sure):
     cells = [
-        seen_cell(3, 9.0, 9.0, 7, p, merged=k in large, measured=(0.0,) * 6)
-        for k, p in enumerate(likely)
+        seen_cell(3, 9.0, 9.0, track, p, merged=k in large, measured=(0.0,) * 6)
+        for k, (p, track) in enumerate(zip(likely, tracks, strict=True))
     ]
     assert _sure([TrackRow(k, cell, 3, cell.probability) for k, cell in enumerate(cells)]) == sure
+
+
+def test_a_cell_is_in_a_picture_once():
+    """A lost cell that is found again has its name in pictures before, where it may be in use."""
+    pictures = [{1: seen_cell(7, 9.0 * k, 0.0, 1)} for k in range(30)]
+    pictures[20][2] = seen_cell(7, -500.0, 0, 2)
+    pictures[21][2] = seen_cell(7, -500.0, 0, 2, 0.3)
+    (path,) = recorded(pictures, np.arange(30) / 30.0).paths(TETRAHYMENA)
+    assert [int(x) for x in path.places[:, 0]] == [9 * k for k in range(30)]
 
 
 def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():

@@ -1,7 +1,8 @@
 """What a film says of a tracker without a truth: three measures of rows in pictures.
 
-- **No body**: the share of rows called found with no body within NEAR_PX. Bodies are where a
-  picture, blurred, differs from the film's median by more than a threshold.
+- **No body**: the share of rows called found, and not merged with others, with no body within
+  NEAR_PX. Bodies are where a picture, blurred, differs from the film's median by more than a
+  threshold.
 - **Contradicted**: a row and that of the same number so many pictures later are a link. In the film
   run backwards the number that is at the second place must be at the first one, too; the share of
   links for which it is elsewhere, by more than ELSEWHERE_PX, among those whose ends it shows. A
@@ -246,7 +247,8 @@ def _rows(tracked: Followed) -> tuple[np.ndarray, float]:
     for path in tracked.paths:
         columns = pixels_of(path.places, tracked.um_px, tracked.size[1]).tolist()
         for (_, frame, cell), (x, y) in zip(path.pictures(), columns, strict=True):
-            rows.append((frame, path.identity, x, y, cell.sure, cell.has_blob))
+            is_found = cell.has_blob and not cell.merged
+            rows.append((frame, path.identity, x, y, cell.sure, is_found))
     return np.array(sorted(rows), float).reshape(-1, 6), tracked.um_px
 
 

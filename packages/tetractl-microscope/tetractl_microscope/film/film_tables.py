@@ -39,7 +39,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         )
     share = followed.not_followed
     if share is not None and share >= NOT_FOLLOWED_SAID:
-        lines.append(f"warning: of what moves, {100 * share:.0f} % is not followed")
+        lines.append(f"warning: of what moves, at least {100 * share:.0f} % is not followed")
     if followed.damaged:
         lines.append(
             f"warning: {followed.damaged} pictures could not be read, or are not as large as most"

@@ -27,8 +27,6 @@ class CameraStream:
     """By how much the last of these was behind."""
     dropped: int = 0
     """How many came too late since the last start of a run."""
-    refused: int = 0
-    """How many poses the guard has refused."""
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     """The totals of damaged frames of the last second, each with its time, oldest first."""
 

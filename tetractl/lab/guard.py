@@ -130,6 +130,7 @@ class Guard:
 
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
         self.rules = rules
+        self.refusals = 0  # number of poses that were refused so far
         self.state = GuardState.PREFLIGHT
         self.reason = ""
         self.emergency = False
@@ -172,19 +173,9 @@ class Guard:
         return {i: robot.strayed for i, robot in enumerate(self._robots) if robot.strayed}
 
     @property
-    def refusals(self) -> int:
-        """The number of poses that were refused so far."""
-        return self._stream.refused
-
-    @property
     def dropped(self) -> int:
         """The number of frames since the last start that were dropped, as they were not newer."""
         return self._stream.dropped
-
-    @property
-    def newest_frame_ns(self) -> int | None:
-        """When the newest frame was exposed, None before the first."""
-        return self._stream.exposed_ns
 
     @property
     def _in_run(self) -> bool:
@@ -442,7 +433,7 @@ class Guard:
                 continue
             robot.decision = decision
             if decision.refused:
-                self._stream.refused += 1
+                self.refusals += 1
             if decision.accepted is not None:
                 robot.poses.accept(decision.accepted, robot.read_ns)
         for decision in decisions:

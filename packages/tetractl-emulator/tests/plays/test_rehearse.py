@@ -120,7 +120,7 @@ def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
     decide = Guard.decide
 
     def blind(guard, now_ns, damaged=0, failure=None):
-        seen_ns = now_ns if guard.newest_frame_ns is None else guard.newest_frame_ns
+        seen_ns = guard._stream.exposed_ns or now_ns
         return decide(guard, min(now_ns, seen_ns + SECOND // 20), damaged, failure)
 
     monkeypatch.setattr(Guard, "decide", blind)

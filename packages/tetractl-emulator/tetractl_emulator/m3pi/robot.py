@@ -55,10 +55,6 @@ class EmulatedBattery:
         """Draw charge for a time [s] at a load from 0 to 1."""
         self.open_mv = max(0.0, self.open_mv - self.drain_mv_s * (0.1 + 0.9 * load) * seconds)
 
-    def voltage_mv(self, load: float) -> int:
-        """Return the voltage [mV] at a load from 0 to 1."""
-        return max(0, round(self.open_mv - self.sag_mv * load))
-
 
 class Program(Protocol):
     """What a robot's microcontroller runs, such as a `WheelsCore`. Times are milliseconds."""
@@ -154,7 +150,8 @@ class EmulatedRobot:
         """Take bytes from the robot's radio module."""
         if self.powered:
             load = min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
-            self.core.set_battery(self.battery.voltage_mv(load))
+            battery = self.battery
+            self.core.set_battery(max(0, round(battery.open_mv - battery.sag_mv * load)))
             self.core.push(data, self.robots.now_ms)
 
     def answer(self) -> bytes:

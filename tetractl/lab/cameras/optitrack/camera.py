@@ -118,7 +118,11 @@ class OptitrackCamera:
         if not self._wait(lambda: stream.info is not None, timeout_s):
             raise diagnosis.no_server(self.section, self.senders, timeout_s)
         if stream.version is not None and stream.version < natnet.OLDEST:
-            raise diagnosis.no_tracking_flag(stream.version)
+            raise AbortError(
+                f"the camera server uses protocol {stream.version}, whose frames do not state "
+                "which bodies are tracked: a lost robot would look like one that stands",
+                f"update Motive to a version with NatNet {natnet.OLDEST} or later (Motive 1.7)",
+            )
         if not self._wait(lambda: stream.newest is not None, timeout_s):
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
         self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)

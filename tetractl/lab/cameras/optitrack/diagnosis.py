@@ -96,15 +96,6 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     return "no known protocol"
 
 
-def no_tracking_flag(version: natnet.Version) -> AbortError:
-    """Return the error for a version whose frames do not state which bodies are tracked."""
-    return AbortError(
-        f"the camera server uses protocol {version}, whose frames do not state which bodies are "
-        "tracked: a lost robot would look like one that stands",
-        f"update Motive to a version with NatNet {natnet.OLDEST} or later (Motive 1.7)",
-    )
-
-
 def no_up_axis(stream: Stream) -> AbortError:
     """Return the error for a server whose up axis is unknown or cannot be used."""
     if stream.up_answer is None:

@@ -41,14 +41,10 @@ class ClockSync:
         self.clock_hz = clock_hz
         self.drift = 0.0  # gain of the server's clock on the host's [s/s]
         self.fault = ""  # description of the clock's first fault
+        self.synced = False  # whether there was an echo, so that `to_host` can convert times
         self._resolution_ns = 2 * SECOND // clock_hz + 1
         self._echoes: deque[Echo] = deque(maxlen=120)
         self._at = Echo(0, 0, 0)
-
-    @property
-    def synced(self) -> bool:
-        """Whether there has been an echo, so that `to_host` can convert times."""
-        return bool(self._echoes)
 
     @property
     def round_trip_ns(self) -> int:
@@ -65,6 +61,7 @@ class ClockSync:
         echo = Echo(halfway, self._ns(ticks), returned_ns - sent_ns)
         self.fault = self.fault or self._contradiction(echo)
         self._echoes.append(echo)
+        self.synced = True
         best = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
         # the quarter with the shortest round trips
         best = best[: max(1, round(0.25 * len(best)))]

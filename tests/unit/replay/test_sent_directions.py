@@ -1,5 +1,6 @@
 """Which directions robots turn by, where several explain their turning."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -166,8 +167,9 @@ def long_course(sent=SENT_LONG, late_s=0.1):
 def test_a_clock_that_is_fast_is_refused(rate, says):
     """Regression: of one 1 % fast, a misfit, and a lag of wheels was asked for."""
     stated = replace(SENT_LONG, times=SENT_LONG.times * rate)
-    with pytest.raises(UsageError, match=f"c.csv: the clock of the commands is {says}"):
+    with pytest.raises(UsageError, match=r"c\.csv: after .* s robots follow") as error:
         check_clock_rate("c.csv", [long_course()], stated)
+    assert re.search(f"is the clock of the commands {says}", str(error.value))
 
 
 ALTERNATING_LONG = replace(SENT_LONG, angles=np.tile([1.2, -1.2], 20))

@@ -188,7 +188,7 @@ REFUSED = {
         "Coordinate Space Local: .* of other bodies",
     ),
     "another rotation": (PLAIN.replace("Quaternion", "Matrix"), "Rotation Type Matrix"),
-    "markers alone": (PLAIN.replace("Rigid Body", "Marker"), "has no rigid body"),
+    "markers alone": (PLAIN.replace("Rigid Body", "Marker"), "names no rigid body"),
     "no rotations": (PLAIN.replace("Rotation,", "Position,"), "lacks rotations or positions"),
     "cut off in the header": ("\n".join(PLAIN.splitlines()[:4]), "no row begins with Frame"),
     "no numbers": ("\n".join(PLAIN.splitlines()[:7]), "has no rows"),

@@ -95,9 +95,11 @@ def refuse_drift(source: str, shares: Floats, delays_s: Floats, apart_s: float) 
     if abs(later_s) < DRIFT_LEAST_S or least < DRIFT_COSTS or not (is_explained and is_between):
         return
     rate = 1 - later_s / apart_s
-    said, sooner = ("fast", "sooner") if rate > 1 else ("slow", "later")
+    sooner = "sooner" if rate > 1 else "later"
+    fast = f"{abs(rate - 1):.1%} {'fast' if rate > 1 else 'slow'}"
     raise UsageError(
-        f"{source}: the clock of the commands is about {abs(rate - 1):.1%} {said}: after "
-        f"{apart_s:.3g} s robots follow {abs(later_s):.2g} s {sooner}",
-        f"take both times from one clock, or divide those of the commands by {rate:.4g}",
+        f"{source}: after {apart_s:.3g} s robots follow the commands {abs(later_s):.2g} s {sooner} "
+        "than at first",
+        f"is the clock of the commands about {fast}? divide its times by {rate:.4g}; or does a "
+        "clock jump?",
     )

@@ -55,6 +55,8 @@ SURE = 3.0
 """Standard deviations of the angle by which it is more."""
 ALONG = 0.5
 """Share of the way, at the begin and at the end, that an angle explains if headings drift."""
+NO_ANGLE = 0.2
+"""Share of the way below which what was sent does not explain it, at any angle: others tell why."""
 LEAST_WAY = 1e-9
 DEVIATIONS_ROUNDS = 20
 LEAST_DEVIATION = 1e-4
@@ -287,6 +289,8 @@ def check_angle(source: str, name: str, steps: PoseSteps, sent: Floats) -> None:
             f"{source}: {name} moves across its heading in {straight.across:.0%} of its way",
             "robots on two wheels cannot: identify one that moves along its heading",
         )
+    if straight.explained < NO_ANGLE:
+        return
     if off > math.pi - OFF_RAD:
         raise UsageError(
             f"{source}: {name} moves against its heading",

@@ -132,9 +132,14 @@ TURN_UNITS = {
     3600.0: "is w per hour? divide it by 3600",
     1 / 3600.0: "is w in turns of another unit of time? multiply it by 3600",
 }
+LENGTHS = "are lengths of v and of positions of one unit?"
 SPEED_UNITS = {
-    1e3: "are lengths of v and of positions of one unit? divide v by 1000",
-    1e-3: "are lengths of v and of positions of one unit? multiply v by 1000",
+    1e3: f"{LENGTHS} divide v by 1000",
+    1e-3: f"{LENGTHS} multiply v by 1000",
+    100: f"{LENGTHS} divide v by 100",
+    0.01: f"{LENGTHS} multiply v by 100",
+    10: f"{LENGTHS} divide v by 10",
+    0.1: f"{LENGTHS} multiply v by 10",
     3600.0: "is v per hour? divide it by 3600",
     1 / 3600.0: "is v per second, as its column does not say? multiply it by 3600",
 }
@@ -616,8 +621,15 @@ def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
         f"{source}: {name} turns right where it is sent left",
         "reverse w; or y and the headings, if the picture is mirrored",
     )
+    by_v_and_w = np.abs(np.stack([turn_gains, way_gains])) * np.linalg.norm(driven, axis=0)
+    is_exchanged = by_v_and_w[0, 0] > by_v_and_w[0, 1] and by_v_and_w[1, 1] > by_v_and_w[1, 0]
+    exchanged = Reading(
+        turning.explained if is_exchanged else 0.0,
+        f"{source}: {name} turns as v, and drives as w",
+        "are v and w exchanged?",
+    )
     in_units = turning.readings(f"{source}: the turning gain of {name}", TURN_UNITS)
-    turning.check(source, f"turns of {name}", [mirrored, *in_units])
+    turning.check(source, f"turns of {name}", [exchanged, mirrored, *in_units])
     in_units = driving.readings(f"{source}: the speed gain of {name}", SPEED_UNITS)
     driving.check(source, f"way of {name}", in_units)
     std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
@@ -772,4 +784,4 @@ def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
     mean = float(np.average(lags, weights=1 / np.clip(widths, LAG_LEAST_S, LAG_MOST_S)))
     if not (abs(lags - mean) <= SAME_LAG_S).all():
         return f"no single lag fits all robots within {SAME_LAG_S:g} s"
-    return f"the lag of turning for a spec: lab.lag={mean:.3f}, in a simulation wheels.lag"
+    return f"the lag of turning for a spec: lab.lag={mean:.3f} (simulated: wheels.lag)"

@@ -118,7 +118,9 @@ def _bodies(path: Path, header: Sequence[Sequence[str]], angles: int) -> dict[st
         )
     types = next((row for row in header if BODY in row), None)
     if types is None:
-        raise UsageError(f"{path}: has no rigid body", "export it with Rigid Bodies")
+        raise UsageError(
+            f"{path}: names no rigid body", "export it with Rigid Bodies and Header Information"
+        )
     names = header[header.index(types) + 1]
     columns: dict[str, dict[tuple[str, str], int]] = {}
     above = zip_longest(types, names, header[-2], header[-1], fillvalue="")

@@ -107,7 +107,8 @@ def write_weights(path: Path, modules: Iterable[Any]) -> None:
             bias = getattr(module, "bias", None)
             name = type(module).__name__
         if weight is None:
-            if _holds_layers(module):
+            parameters = getattr(module, "parameters", None)  # of torch
+            if parameters is not None and any(True for _ in parameters()):
                 raise UsageError(f"a {name} holds layers of its own", "give these in order")
             continue
         try:
@@ -123,12 +124,6 @@ def write_weights(path: Path, modules: Iterable[Any]) -> None:
         hint = "give the network's modules in order, or pairs (W, b) of arrays"
         raise UsageError("no layer is given", hint)
     path.write_text(json.dumps({"layers": layers}), encoding="utf-8")
-
-
-def _holds_layers(module: Any) -> bool:
-    """Return whether a module of torch has parameters, as one of other modules has."""
-    parameters = getattr(module, "parameters", None)
-    return parameters is not None and any(True for _ in parameters())
 
 
 def _listed(numbers: Any) -> Any:

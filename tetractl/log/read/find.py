@@ -68,13 +68,6 @@ def _hint_without_logs(path: Path) -> str | None:
     return f"name the folder: {path.parent}" if path.parent.name else None
 
 
-def _hint_of_tables(folder: Path) -> str | None:
-    """Return how the CSV files in a folder without logs are used, None if it has none."""
-    if not any(folder.glob("*.csv")):
-        return None
-    return "of tables, name the files of poses and of commands to `tetractl identify`"
-
-
 def find_log(path: Path | str) -> Path:
     """Return the only log that `find_logs` finds in a path; UsageError if there are several."""
     logs = find_logs([path])
@@ -95,7 +88,11 @@ def _expand(path: Path, attempts: bool) -> list[Path]:
     if path.is_dir():
         logs = _in_folder(path, attempts)
         if not logs:
-            raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder", _hint_of_tables(path))
+            hint = "of tables, name the files of poses and of commands to `tetractl identify`"
+            has_tables = any(path.glob("*.csv"))
+            raise UsageError(
+                f"{path}: no logs (*{SUFFIX}) in this folder", hint if has_tables else None
+            )
         return logs
     if path.is_file():
         return [path]

@@ -217,7 +217,11 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         raise LogError(f"{contents.path}: its resolved spec is longer than {MAX_BYTES} characters")
     try:
         experiment, spec_hash = _parse_spec(resolved)
-        validate.check_run(run, len(experiment.robots))
+        robots = len(experiment.robots)
+        if len(run.robots) != robots:
+            raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
+        if not np.isfinite(run.camera_rate_hz):
+            raise ValueError(f"camera_rate_hz is {run.camera_rate_hz!r}")
     except (SpecError, RecursionError, ValueError) as error:
         plugins = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"

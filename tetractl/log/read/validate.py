@@ -21,13 +21,6 @@ from tetractl.log.format.codec import ESTIMATE_FIELDS, Frames, drawn
 from tetractl.log.format.run_records import decode_result
 
 
-def check_run(run: pb.Run, robots: int) -> None:
-    """Check the record of a run whose resolved spec has `robots` robots."""
-    if len(run.robots) != robots:
-        raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
-    _finite("camera_rate_hz", [run.camera_rate_hz])
-
-
 def check_frames(frames: Frames) -> None:
     """Check camera frames: poses that are `valid`, and true poses that are not NaN."""
     _finite("a pose", frames.poses[frames.valid])

@@ -10,7 +10,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from functools import lru_cache
@@ -81,7 +81,9 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
     folders that were made for them are deleted. A file without rows is empty.
     """
     files = {name: _GrowingFile(name, path) for name, path in paths.items()}
-    missing = _missing_folders(paths.values())
+    folders = {folder for path in paths.values() for folder in path.parents}
+    missing = [folder for folder in folders if not folder.exists()]
+    missing.sort(key=lambda folder: len(folder.parts), reverse=True)  # the innermost first
 
     def add(name: str, table: Table, source: str) -> None:
         files[name].add(table, source)
@@ -100,12 +102,6 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
             for folder in missing:
                 with suppress(OSError):  # it holds the complete files, or was not made
                     folder.rmdir()
-
-
-def _missing_folders(paths: Iterable[Path]) -> list[Path]:
-    """Return the folders of some files that do not exist, the innermost first."""
-    folders = {folder for path in paths for folder in path.parents if not folder.exists()}
-    return sorted(folders, key=lambda folder: len(folder.parts), reverse=True)
 
 
 @contextmanager
@@ -152,7 +148,12 @@ class _GrowingFile:
                 self._keys = keys
                 _write_header(table, self._stream)
             if keys != self._keys:
-                raise self._other_columns(keys, source)
+                odd = sorted(set(keys) ^ set(self._keys))
+                raise UsageError(
+                    f"{source}: the columns of {self._name} differ from earlier ones: "
+                    f"{', '.join(odd[:COLUMNS_NAMED])}",
+                    "export the logs of each experiment separately",
+                )
             _write_rows(table, self._stream)
 
     def complete(self) -> None:
@@ -162,14 +163,6 @@ class _GrowingFile:
     def discard(self) -> None:
         """Delete what is not complete."""
         self._part.unlink(missing_ok=True)
-
-    def _other_columns(self, keys: list[str], source: str) -> UsageError:
-        odd = sorted(set(keys) ^ set(self._keys or ()))
-        return UsageError(
-            f"{source}: the columns of {self._name} differ from earlier ones: "
-            f"{', '.join(odd[:COLUMNS_NAMED])}",
-            "export the logs of each experiment separately",
-        )
 
     @contextmanager
     def _naming(self) -> Iterator[None]:

@@ -53,16 +53,6 @@ class PlantSection(Model):
         """Whether camera frames may be lost in transit, so that gaps in a log are not damage."""
         return not self.simulated
 
-    @property
-    def planning_max_s(self) -> float:
-        """Longest simulated time from a control step's frame to its command [s]."""
-        return 0.0
-
-    @property
-    def sampling_hz(self) -> float:
-        """Rate at which a simulation computes poses [Hz]; 0 if it has no rate of its own."""
-        return 0.0
-
     @abstractmethod
     def clock(self) -> Clock:
         """Return a new clock, virtual for a simulation and monotonic for the lab."""

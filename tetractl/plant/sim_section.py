@@ -169,16 +169,6 @@ class SimSection(PlantSection):
         return any(disturbance.loses_frames for disturbance in self.disturbances)
 
     @property
-    def planning_max_s(self) -> float:
-        """Longest time from a control step's frame to its command [s]."""
-        return sum(disturbance.planning_max_s for disturbance in self.disturbances)
-
-    @property
-    def sampling_hz(self) -> float:
-        """The rate of the true poses [Hz]."""
-        return self.truth_rate
-
-    @property
     def disturbed(self) -> bool:
         """Whether the plant differs in any way from the paper's equations, measured exactly."""
         sizes = (

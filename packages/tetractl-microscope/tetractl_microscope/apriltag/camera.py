@@ -14,7 +14,7 @@ from tetractl.core.poses import Floats, Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl_microscope.apriltag.detect import Detector, Sighting
-from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor
+from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor, Plane
 from tetractl_microscope.apriltag.print_scale import odd_robot, print_scale
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
@@ -136,18 +136,8 @@ def _findings(
     if double := [tag for tag in floor if tag in twice]:
         yield True, f"floor {_tags(double)} seen twice: each number may be used only once"
     plane = tracker.floor.plane or tracker.floor.misfit
-    if plane is not None and not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
-        yield (
-            not plane.worst_mm <= MISFIT_MM,
-            f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
-            "lab.camera.floor: measure the fields at, size_mm and heading again",
-        )
-    if plane is not None and section.lens is None and plane.doubt_mm > MISPLACED_MM:
-        yield (
-            plane.doubt_mm > MISFIT_MM,
-            f"the floor tags do not determine the lens well: robots may be {plane.doubt_mm:.0f} mm "
-            "off; tilt the camera more or set lab.camera.lens",
-        )
+    if plane is not None:
+        yield from _calibrated(section, plane)
     yield from _printed(section, tracker)
     above_mm = plane.above_mm if plane is not None else math.inf
     sides_px = [search.result.side_px for search in searches if search.result.side_px is not None]
@@ -159,13 +149,28 @@ def _findings(
             yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
         elif sizes:
             ratio = statistics.median(sizes)
-            if not odd_robot(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
-                continue
-            yield (
-                abs(ratio - 1) >= ODD_SIZE,
-                f"{robot.name}: its tag looks {_larger(ratio)} than it should: are size_mm and "
-                "height_mm right?",
-            )
+            if odd_robot(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
+                yield (
+                    abs(ratio - 1) >= ODD_SIZE,
+                    f"{robot.name}: its tag looks {_larger(ratio)} than it should: are size_mm and "
+                    "height_mm right?",
+                )
+
+
+def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
+    """Say how well the floor tags fit their places, and determine the lens."""
+    if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
+        yield (
+            not plane.worst_mm <= MISFIT_MM,
+            f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
+            "lab.camera.floor: measure the fields at, size_mm and heading again",
+        )
+    if section.lens is None and plane.doubt_mm > MISPLACED_MM:
+        yield (
+            plane.doubt_mm > MISFIT_MM,
+            f"the floor tags do not determine the lens well: robots may be {plane.doubt_mm:.0f} mm "
+            "off; tilt the camera more or set lab.camera.lens",
+        )
 
 
 def _printed(section: AprilTagSection, tracker: Tracker) -> Iterator[Finding]:

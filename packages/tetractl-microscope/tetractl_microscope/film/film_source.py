@@ -239,14 +239,9 @@ def nd2_film(path: Path) -> FilmSource:
     return source
 
 
-def czi_film(path: Path) -> FilmSource:
-    """Open a CZI file; `pylibCZIrw` knows the planned interval, the file the times themselves."""
-    from pylibCZIrw.czi import CziReader
-
-    file: Any = CziReader(str(path))
-    box = file.total_bounding_box
-    types: dict[tuple[int, ...], str] = {}  # of the pixels of each plane that the file has
-    axes = [axis for axis in "TZC" if axis in box]
+def _pixel_types(file: Any, axes: Sequence[str]) -> dict[tuple[int, ...], str]:
+    """Return the type of pixels of each plane that a CZI file has, by its indices along axes."""
+    types: dict[tuple[int, ...], str] = {}
 
     def note(_: int, part: Any) -> bool:
         indices = part.coordinate.to_dict()
@@ -254,6 +249,17 @@ def czi_film(path: Path) -> FilmSource:
         return True
 
     file.enumerate_subblocks(note)
+    return types
+
+
+def czi_film(path: Path) -> FilmSource:
+    """Open a CZI file; `pylibCZIrw` knows the planned interval, the file the times themselves."""
+    from pylibCZIrw.czi import CziReader
+
+    file: Any = CziReader(str(path))
+    box = file.total_bounding_box
+    axes = [axis for axis in "TZC" if axis in box]
+    types = _pixel_types(file, axes)
     # the library counts axes from 0, but reads by their own indices
     begins = [min(indices) for indices in zip(*types, strict=True)] or [0] * len(axes)
     lengths = [box[axis][1] - box[axis][0] for axis in axes]

@@ -95,9 +95,7 @@ def folder_film(folder: Path) -> FilmSource:
                     _add_tags(tif, 0, source)
                 count = len(tif.pages)
                 first: Any = tif.pages[0]
-                # of a palette, OpenCV gives colours
-                is_palette = first.keyframe.photometric == PHOTOMETRIC.PALETTE
-                by_opencv = first.keyframe.compression in OF_OPENCV and not is_palette
+                by_opencv = _opencv_reads(first)
                 times += [
                     source.seconds(stated.get("ElapsedTime-ms"), "ms")
                     for stated in map(_micro_manager, tif.pages)
@@ -155,6 +153,12 @@ def _pixels(page: Any) -> Raw:
     if _white_first(page) and pixels.dtype.kind == "u":
         pixels = np.iinfo(pixels.dtype).max - pixels  # as OpenCV does
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
+
+
+def _opencv_reads(page: Any) -> bool:
+    """Return whether OpenCV reads a page as it is: of a palette, it gives colours."""
+    is_palette = page.keyframe.photometric == PHOTOMETRIC.PALETTE
+    return page.keyframe.compression in OF_OPENCV and not is_palette
 
 
 def _white_first(page: Any) -> bool:

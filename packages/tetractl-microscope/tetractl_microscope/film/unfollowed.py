@@ -133,8 +133,8 @@ class Unfollowed:
                 cores = map(partial(_square, picture), middles, blobs.radii)
                 around = map(partial(_square, picture), middles, np.ceil(blobs.lengths))
                 blobs.levels[when] = [
-                    core.mean() - np.median(whole)
-                    for core, whole in zip(cores, around, strict=True)
+                    core.mean() - np.median(surroundings)
+                    for core, surroundings in zip(cores, around, strict=True)
                 ]
 
 

@@ -191,8 +191,7 @@ class MjpegFeed(Feed):
                 "is the camera on, and is lab.camera.source.url its address?",
             ) from error
         kind = self._answer.headers.get_content_type()
-        stated = self._answer.headers.get_param("boundary", "")
-        boundary = stated if isinstance(stated, str) else stated[2]
+        boundary = self._boundary()
         if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
             self.close()
             raise AbortError(
@@ -230,3 +229,7 @@ class MjpegFeed(Feed):
         """Close the connection."""
         self._answer.close()
         self._connection.close()
+
+    def _boundary(self) -> str:
+        boundary = self._answer.headers.get_param("boundary", "")
+        return boundary if isinstance(boundary, str) else boundary[2]

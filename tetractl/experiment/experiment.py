@@ -311,20 +311,9 @@ class Experiment(Model):
         """The experiment's numbers as arrays."""
         starts = [(*robot.start, robot.heading) for robot in self.robots]
         control = self.controller
-        lab = self.plant if isinstance(self.plant, LabSection) else None
         lag_s = self.wheels.lag if self.wheels else 0.0
-        if lab is not None and lab.lag is not None:
-            lag_s = lab.lag
-        on_wheels = self.wheels is not None
-        loss = None  # the plant alone decides what happens if a robot is lost
-        if on_wheels or self.on_lost != "stop":
-            limits = lab.limits if lab is not None else LabLimits()
-            loss = LossRule(
-                limits.untracked_abort,
-                replaced=self.on_lost == "replace",
-                dead=on_wheels,
-                ends=self.on_lost == "stop",
-            )
+        if isinstance(self.plant, LabSection) and self.plant.lag is not None:
+            lag_s = self.plant.lag
         return Setup(
             name=self.name,
             unit=self.units.length,
@@ -351,7 +340,21 @@ class Experiment(Model):
             .reshape(len(self.robots), -1, 2)
             .swapaxes(0, 1),
             hold=HoldTask(self.hold.radius, self.hold.time) if self.hold else None,
-            loss=loss,
+            loss=self._loss,
+        )
+
+    @property
+    def _loss(self) -> LossRule | None:
+        """What happens if a robot is lost, None if the plant alone decides it."""
+        on_wheels = self.wheels is not None
+        if self.on_lost == "stop" and not on_wheels:
+            return None
+        limits = self.plant.limits if isinstance(self.plant, LabSection) else LabLimits()
+        return LossRule(
+            limits.untracked_abort,
+            replaced=self.on_lost == "replace",
+            dead=on_wheels,
+            ends=self.on_lost == "stop",
         )
 
 

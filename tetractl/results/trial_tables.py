@@ -70,13 +70,15 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
     reads it.
     """
     timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
-    rows = [
-        _step_row(log, step, timings.get(step.k, StepTiming())) for step in contents.messages(STEP)
-    ]
+    untimed = StepTiming()
+    steps = contents.messages(STEP)
+    rows = [_step_row(log, step, timings.get(step.k, untimed)) for step in steps]
     no_command = WheelCommand(delivered=[False] * len(log.start.setup.names))
     no_step = ControllerStep(command=no_command, searches=[Search()])
-    names = _step_row(log, no_step, StepTiming()).keys()  # a trial without steps has columns, too
-    return _table("steps", {name: [row[name] for row in rows] for name in names})
+    columns: dict[str, list[Any]] = {}
+    for name in _step_row(log, no_step, untimed):  # a trial without steps has columns, too
+        columns[name] = [row[name] for row in rows]
+    return _table("steps", columns)
 
 
 def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[str, Any]:

@@ -137,12 +137,10 @@ class Encoder:
         count = self._frames_per_message
         begins = range(0, len(waiting.numbers), count)
         messages = [waiting.part(slice(begin, begin + count)) for begin in begins]
-        # the last frame of a message is shown
-        every = self._frames_per_shown
-        to_show = [
-            message.part(slice((len(message.numbers) - 1) % every, None, every))
-            for message in messages
-        ]
+        to_show: list[Frames] = []
+        for message in messages:
+            first = (len(message.numbers) - 1) % self._frames_per_shown  # so the last one is shown
+            to_show.append(message.part(slice(first, None, self._frames_per_shown)))
         # of all messages at once, which takes little longer than of one frame
         transforms = self._scene.transforms(to_show, self._start.start_unix_ns)
         for message, thinned, transform in zip(messages, to_show, transforms, strict=True):

@@ -195,7 +195,11 @@ WRONG_COMMANDS = {
     "v in cm": (lambda track: track.twists / (10, 1), "speed gain .* multiply v by 10"),
     "v and w exchanged": (
         lambda track: track.twists[..., ::-1],
-        "one turns as v, and drives as w .* are v and w exchanged",
+        "one drives as w, not as v .* are v and w exchanged",
+    ),
+    "v and w exchanged, in m": (
+        lambda track: track.twists[..., ::-1] / (1, 100),
+        "one drives as w, not as v",
     ),
     "v in m": (lambda track: track.twists / (1e3, 1), "speed gain .* multiply v by 1000"),
     "turns of wheels": (

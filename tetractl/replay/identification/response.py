@@ -616,22 +616,24 @@ def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
     sent = steps.integrals(replace(likeliest, turning_lag=LAG_LEAST_S, speed_lag=LAG_LEAST_S))
     turning = _Obeyed.of(steps.turned, driven @ turn_gains, turn_gains[1], sent[:, 1])
     driving = _Obeyed.of(steps.way, driven @ way_gains, way_gains[0], sent[:, 0])
+    turns_v, turns_w = np.abs(turn_gains) * np.linalg.norm(driven, axis=0)
+    drives_v, drives_w = np.abs(way_gains) * np.linalg.norm(driven, axis=0)
+    exchanged = Reading(
+        driving.explained if drives_w > drives_v else 0.0,
+        f"{source}: {name} drives as w, not as v",
+        "are v and w exchanged?",
+    )
+    if turns_v > turns_w and min(turning.explained, exchanged.share) >= EXPLAINED:
+        raise UsageError(exchanged.said, exchanged.hint)
     mirrored = Reading(
         turning.share(-math.inf, 0.0),
         f"{source}: {name} turns right where it is sent left",
         "reverse w; or y and the headings, if the picture is mirrored",
     )
-    by_v_and_w = np.abs(np.stack([turn_gains, way_gains])) * np.linalg.norm(driven, axis=0)
-    is_exchanged = by_v_and_w[0, 0] > by_v_and_w[0, 1] and by_v_and_w[1, 1] > by_v_and_w[1, 0]
-    exchanged = Reading(
-        turning.explained if is_exchanged else 0.0,
-        f"{source}: {name} turns as v, and drives as w",
-        "are v and w exchanged?",
-    )
     in_units = turning.readings(f"{source}: the turning gain of {name}", TURN_UNITS)
-    turning.check(source, f"turns of {name}", [exchanged, mirrored, *in_units])
+    turning.check(source, f"turns of {name}", [mirrored, *in_units])
     in_units = driving.readings(f"{source}: the speed gain of {name}", SPEED_UNITS)
-    driving.check(source, f"way of {name}", in_units)
+    driving.check(source, f"way of {name}", [exchanged, *in_units])
     std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
     of_search = ResponseParameters(*std[:SEARCHED].tolist())  # in the units of the search
     veer_std, turning_std, speed_std = std[SEARCHED : SEARCHED + 3].tolist()

@@ -33,6 +33,7 @@ def found(path, *sets):
     return {w.field: w for w in find_warnings(load_spec(path, (*slow, *sets)), sets)}
 
 
+PARALLEL = ["robots.blue.a=6", "robots.blue.target=[1700, 900.5]", "robots.blue.speed=180"]
 FOUND = r"""
 robots.2.heading <- robots.red.heading=90
   6.283 rad | write 1.571
@@ -102,6 +103,7 @@ def test_each_is_found_at_its_field_with_its_number(case):
     [
         ["robots.red.heading=6.28"],
         ["robots.blue.a=6", "robots.blue.target=[1700, 900]", "robots.blue.speed=180"],
+        [*PARALLEL, "controller.arrival_tolerance=1"],  # less than a robot may be off
         ["robots.blue.a=6", "robots.blue.heading=0.5"],
         ["robots.blue.a=5.6"],
         ["controller.horizon_max=101"],

@@ -31,7 +31,7 @@ tetractl/control/kernels/filter.py | (model, i, z, u) - _turning_rate(model, i, 
 tetractl/control/kernels/filter_motion.py | += cos_less_1 * p + s * q + sine_w * ln_w | += cos_less_1 * p - s * q + sine_w * ln_w | packages/tetractl-microscope/tests/unit/cells/test_helix.py
 tetractl/core/poses.py | return corner + 4 * self.noise_mm | return corner + self.noise_mm | tests/unit/core
 tetractl/core/shape.py | apart |= np.maximum(ay, by) < np.minimum(y0, y1) | apart |= np.minimum(ay, by) < np.minimum(y0, y1) | tests/unit/model/test_shapes.py
-tetractl/experiment/experiment.py | if on_wheels or self.on_lost != "stop": | if on_wheels and self.on_lost != "stop": | tests/unit/experiment
+tetractl/experiment/experiment.py | self.on_lost == "stop" and not on_wheels | self.on_lost == "stop" and on_wheels | tests/unit/experiment
 tetractl/experiment/yaml/core_yaml.py | column = len(before) - before.rfind("\n") - 1 | column = len(before) - before.rfind("\n") | tests/unit/experiment/yaml
 tetractl/gym.py | set(options or {}) - {"trial"} | set(options or {}) - {"trial", "seed"} | tests/unit/test_gym.py
 tetractl/lab/actuators/m3pi/broadcast.py | (self._sequence + 1) % 256 | (self._sequence + 1) % 255 | tests/unit/lab/actuators

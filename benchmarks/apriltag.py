@@ -5,10 +5,10 @@
     tilt        what an unknown focal length costs as the camera looks straighter down
     blur        share of tags found as the lens blurs
 
-All parts by default. Prints the figures of the microscope's docs/apriltag.md. The arena is 1.6 x
-1.8 m with three robots, tags of 80 mm at 90 mm above the floor, and four floor tags of 120 mm at
-its corners, seen from the side at 20 degrees from the vertical by a lens of 63 degrees. `--scale
-0.1` does a tenth of the work.
+All parts by default. Prints the figures of packages/tetractl-microscope/docs/apriltag.md. The
+arena is 1.6 x 1.8 m with three robots, tags of 80 mm at 90 mm above the floor, and four floor tags
+of 120 mm at its corners, seen from the side at 20 degrees from the vertical by a lens of 63
+degrees. `--scale 0.1` does a tenth of the work.
 """
 
 import argparse

@@ -22,8 +22,8 @@ from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.wheel_commands import Reply, Status
-from tetractl.lab.actuators.xbee import frames as xbee
-from tetractl.lab.actuators.xbee.frames import CONTENT_MAX, Decoder, answered, encode, received
+from tetractl.lab.actuators.xbee import api_frames as xbee
+from tetractl.lab.actuators.xbee.api_frames import CONTENT_MAX, Decoder, answered, encode, received
 from tetractl.lab.cobs import Flag
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial

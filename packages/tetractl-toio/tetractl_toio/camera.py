@@ -19,7 +19,7 @@ from tetractl_toio.cubes import HINT, UDP_HINT, CubesLink
 from tetractl_toio.messages import (
     DURATION_MS,
     Characteristic,
-    Reading,
+    CubeReading,
     decode_reading,
     encode_missed,
     encode_notify,
@@ -190,7 +190,7 @@ class ToioCamera:
         self._reports.note_pose(i, None if reading is None else self._pose(reading), at_ns)
         self._wake()
 
-    def _pose(self, reading: Reading) -> Pose:
+    def _pose(self, reading: CubeReading) -> Pose:
         """Return a reading in the spec's coordinates, whose y axis points up."""
         unit = self.section.unit_mm / (self.setup.metres * 1000)
         x = reading.x - self.section.origin[0]
@@ -198,8 +198,8 @@ class ToioCamera:
         return Pose(x * unit, y * unit, -math.remainder(math.radians(reading.angle), math.tau))
 
 
-def placed(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> Reading:
+def placed(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> CubeReading:
     """Return what a cube reads at a pose x, y [mm], heading [rad] in the spec's coordinates."""
     x, y, heading = pose
     angle = round(math.degrees(-heading)) % 360
-    return Reading(origin[0] + round(x / unit_mm), origin[1] - round(y / unit_mm), angle)
+    return CubeReading(origin[0] + round(x / unit_mm), origin[1] - round(y / unit_mm), angle)

@@ -51,7 +51,7 @@ class Characteristic(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class CubeReading:
     """What a cube reads from the mat: coordinates of its centre, and its angle [degrees], 0 along x
     and clockwise, where y points down."""
 
@@ -69,7 +69,7 @@ class MotorCommand(NamedTuple):
     duration_ms: int
 
 
-def decode_reading(data: bytes) -> Reading | None:
+def decode_reading(data: bytes) -> CubeReading | None:
     """Return the reading in a notification of `ID`, None if the cube sees no mat.
 
     WireError for other data; a card that is not the mat counts as none.
@@ -77,13 +77,13 @@ def decode_reading(data: bytes) -> Reading | None:
     if len(data) == 13 and data[0] == POSITION:
         x, y, angle = struct.unpack_from("<HHH", data, 1)
         if angle <= 360:
-            return Reading(x, y, angle)
+            return CubeReading(x, y, angle)
     elif (len(data), data[:1]) in ((1, b"\x03"), (1, b"\x04"), (7, b"\x02")):
         return None
     raise WireError(f"no reading of a mat: {data.hex()}")
 
 
-def encode_reading(reading: Reading | None) -> bytes:
+def encode_reading(reading: CubeReading | None) -> bytes:
     """Return the notification of a reading; the sensor's own place is given as the centre."""
     if reading is None:
         return bytes([MISSED])

@@ -14,7 +14,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     decode_command,
     encode_command,
 )
-from tetractl.lab.actuators.xbee.frames import (
+from tetractl.lab.actuators.xbee.api_frames import (
     AT_COMMAND,
     AT_RESPONSE,
     BROADCAST,

@@ -12,7 +12,7 @@ from tetractl_toio.cubes import EmulatedCubePort
 from tetractl_toio.emulated.cube import CubeProgram
 from tetractl_toio.messages import (
     Characteristic,
-    Reading,
+    CubeReading,
     encode_motor,
     encode_notify,
     encode_reading,
@@ -133,7 +133,7 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
     so that an observer took wrong ones after our side had slept. A cube that lost its settings, but
     answered, was left without."""
     experiment = load_spec(folder / "cubes.yaml").experiment
-    readings = (encode_reading(Reading(x, 355, 0)) for x in (145, 146))
+    readings = (encode_reading(CubeReading(x, 355, 0)) for x in (145, 146))
     event = b"".join(pack(Characteristic.ID, reading) for reading in readings)
     answer = pack(Characteristic.CONFIGURATION, b"\x98\x00\x00")
 

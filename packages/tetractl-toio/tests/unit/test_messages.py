@@ -2,7 +2,7 @@
 
 import pytest
 from tetractl_toio import messages
-from tetractl_toio.messages import Characteristic, Reading
+from tetractl_toio.messages import Characteristic, CubeReading
 
 from tetractl.core.errors import WireError
 
@@ -11,7 +11,7 @@ DRIVE = bytes.fromhex("02 01 01 64 02 02 14 0a")  # left forward 100, right back
 
 
 def test_the_examples_of_the_specification_are_read_and_written():
-    assert messages.decode_reading(POSITION) == Reading(709, 383, 306)
+    assert messages.decode_reading(POSITION) == CubeReading(709, 383, 306)
     assert messages.decode_reading(b"\x03") is None
     assert messages.decode_reading(bytes.fromhex("02 00003800 1500")) is None  # a card
     assert messages.encode_motor(100, -20, 100) == DRIVE
@@ -61,7 +61,12 @@ def test_the_makers_library_reads_and_writes_the_same():
     ids = pytest.importorskip("toio.cube.api.id_information", reason="toio-py is not installed")
     motor = pytest.importorskip("toio.cube.api.motor")
     setting = pytest.importorskip("toio.cube.api.configuration")
-    for reading in (Reading(45, 455, 0), Reading(709, 383, 306), Reading(65_535, 0, 359)):
+    readings = CubeReading(45, 455, 0), CubeReading(709, 383, 306), CubeReading(65_535, 0, 359)
+    for reading in readings:
+        CubeReading(45, 455, 0),
+        CubeReading(709, 383, 306),
+        CubeReading(65_535, 0, 359),
+    ):
         theirs = ids.IdInformation.is_my_data(bytearray(messages.encode_reading(reading)))
         assert (theirs.center.point.x, theirs.center.point.y) == (reading.x, reading.y)
         assert theirs.center.angle == reading.angle

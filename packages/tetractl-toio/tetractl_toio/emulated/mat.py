@@ -18,7 +18,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl_toio.camera import placed
 from tetractl_toio.emulated.cube import ns
 from tetractl_toio.emulated.side import ConnectedCube
-from tetractl_toio.messages import Characteristic, Reading, encode_reading, pack
+from tetractl_toio.messages import Characteristic, CubeReading, encode_reading, pack
 from tetractl_toio.section import ToioCameraSection
 
 # the print of toio Collection's mat, both sides [units of the mat]
@@ -43,7 +43,7 @@ class Eye:
     frozen = False
     carried = False
     shift: tuple[float, float] = (0.0, 0.0)
-    last: Reading | None = None
+    last: CubeReading | None = None
 
 
 def _eye(fault: Any, device: Any) -> Eye:
@@ -144,7 +144,7 @@ class EmulatedMat:
         shows_place = eye.last is not None and eye.last == present
         cube.connection.notify(message, lambda: self._passed(i, shows_place, at_ns))
 
-    def _reading(self, cube: ConnectedCube, eye: Eye) -> Reading | None:
+    def _reading(self, cube: ConnectedCube, eye: Eye) -> CubeReading | None:
         x = cube.x + eye.shift[0]
         y = cube.y + eye.shift[1]
         origin = self._section.origin

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.xbee import frames
+from tetractl.lab.actuators.xbee import api_frames as frames
 from tetractl.lab.actuators.xbee.hardware import (
     BAUDS,
     ESCAPED_FRAMES,

@@ -11,7 +11,7 @@ from tetractl_emulator.port import PseudoPort
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
-from tetractl.lab.actuators.xbee.frames import AT_COMMAND, BROADCAST, Decoder, encode
+from tetractl.lab.actuators.xbee.api_frames import AT_COMMAND, BROADCAST, Decoder, encode
 from tetractl.lab.cobs import Flag
 
 

@@ -9,7 +9,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command, stop_all
 from tetractl.lab.actuators.wheel_commands import Reply, Status
-from tetractl.lab.actuators.xbee.frames import (
+from tetractl.lab.actuators.xbee.api_frames import (
     AT_COMMAND,
     BROADCAST,
     Decoder,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support.targets import at_response
 
 from tetractl.core.errors import WireError
-from tetractl.lab.actuators.xbee.frames import (
+from tetractl.lab.actuators.xbee.api_frames import (
     AT_COMMAND,
     BROADCAST,
     CONTENT_MAX,

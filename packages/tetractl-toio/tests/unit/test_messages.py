@@ -63,10 +63,6 @@ def test_the_makers_library_reads_and_writes_the_same():
     setting = pytest.importorskip("toio.cube.api.configuration")
     readings = CubeReading(45, 455, 0), CubeReading(709, 383, 306), CubeReading(65_535, 0, 359)
     for reading in readings:
-        CubeReading(45, 455, 0),
-        CubeReading(709, 383, 306),
-        CubeReading(65_535, 0, 359),
-    ):
         theirs = ids.IdInformation.is_my_data(bytearray(messages.encode_reading(reading)))
         assert (theirs.center.point.x, theirs.center.point.y) == (reading.x, reading.y)
         assert theirs.center.angle == reading.angle

@@ -35,9 +35,10 @@ def vw(old="", new="", plant=None):
     return on_plant(parse_spec(SPEC.replace(old, new), "vw.yaml"), plant).experiment
 
 
-def emulation(experiment):
+def emulation(experiment, record=None):
     clock = LabClock()
-    return started(experiment.lab, experiment.setup, clock, Options(address=None)), clock
+    options = Options(address=None, record=record)
+    return started(experiment.lab, experiment.setup, clock, options), clock
 
 
 @pytest.mark.long
@@ -85,11 +86,11 @@ class Packets(VwRobots):
         return PACKET.pack(left, right)
 
 
-def test_a_datagram_is_a_message_whatever_its_bytes_and_garbage_ends_nothing(monkeypatch):
+def test_a_datagram_is_a_message_whatever_its_bytes_and_garbage_ends_nothing(tmp_path, monkeypatch):
     """Regression: datagrams were cut at each byte 10; what `read` raised ended the trial."""
     monkeypatch.setattr(EmulatedVw, "read", lambda side, message, row: PACKET.unpack(message))
     experiment = vw()
-    lab, clock = emulation(experiment)
+    lab, clock = emulation(experiment, tmp_path / "record.jsonl")
     noted = []
     lab._record.add = lambda t_ns, event, **facts: noted.append((event, facts))
     section, setup, ports = experiment.lab.actuator, experiment.setup, lab.wires.ports
@@ -102,6 +103,7 @@ def test_a_datagram_is_a_message_whatever_its_bytes_and_garbage_ends_nothing(mon
             b"no packet".hex()
         ]
         assert lab.actuator.robots[0].counts() == (10, 266)
+    lab.close()
 
 
 @pytest.fixture

@@ -141,7 +141,7 @@ def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkey
 def test_stop_of_a_field_needs_no_more_of_a_spec_than_its_driver(tmp_path, monkeypatch):
     """Regression: the field stayed on if any other part of the spec was wrong."""
     with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
-        monkeypatch.setattr("tetractl.core.clock.MonotonicClock", lambda: dish.clock)
+        monkeypatch.setattr("tetractl.cli.lab.MonotonicClock", lambda: dish.clock)
         sets = ("controller.typo=1", f"lab.actuator.port={tmp_path / 'radio'}")
         words = [word for setting in sets for word in ("--set", setting)]
         done = tetractl(tmp_path, "lab", "stop", DISH, *words).ok()

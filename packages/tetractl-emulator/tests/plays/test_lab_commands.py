@@ -111,7 +111,7 @@ def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
 def test_stop_latches_every_robot_by_port_alone(lab, tmp_path, monkeypatch):
     emulated = lab()
     settings = emulated.settings
-    monkeypatch.setattr("tetractl.core.clock.MonotonicClock", lambda: emulated.clock)
+    monkeypatch.setattr("tetractl.cli.lab.MonotonicClock", lambda: emulated.clock)
     done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio")).ok()
     assert done.stdout.startswith("sent 10 stops on ")
     done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags(settings))
@@ -132,7 +132,7 @@ WRONG_SPECS = {
 def stops_by_spec(emulated, folder, monkeypatch, replaced, *settings):
     """Run `lab stop` with a spec of the emulated lab in which texts are replaced; return what it
     printed, and the number of stops that the radio transmitted."""
-    monkeypatch.setattr("tetractl.core.clock.MonotonicClock", lambda: emulated.clock)
+    monkeypatch.setattr("tetractl.cli.lab.MonotonicClock", lambda: emulated.clock)
     text = SPEC.read_text().replace("/dev/ttyUSB0", str(folder / "radio"))
     for old, new in replaced:
         assert old in text

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from pydantic import PrivateAttr
+from pydantic import PrivateAttr, model_validator
 from support.cli import tetractl
 from support.paths import ROOT
 from support.trials import experiment
@@ -23,6 +23,7 @@ from tetractl.control.optimizers.mppi import Mppi
 from tetractl.control.sequence import SequenceSection
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Transmission
+from tetractl.core.errors import UsageError
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import Health
@@ -128,6 +129,39 @@ class Sketch(ShapeSection):
 
     def shape(self):
         return Shape(np.array(self.corners), self.radius)
+
+
+class Untyped(ShapeSection):
+    """A shape whose author forgot its name."""
+
+    radius: float = 0.0
+
+
+del Untyped.model_fields["type"]
+
+
+class Contradictory(Sketch):
+    """A shape whose fields contradict each other."""
+
+    @model_validator(mode="after")
+    def _never(self):
+        raise ValueError("its fields contradict each other")
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        (Untyped, "mine:KIND: the field `type` must be a Literal with one name"),
+        (Contradictory, "mine:KIND: its fields contradict each other"),
+    ],
+)
+def test_a_section_that_cannot_be_made_is_one_line(monkeypatch, kind, told):
+    """Regression: without `type` a KeyError, and a rule of all fields was reported of none."""
+    module = type("module", (), {"KIND": kind})
+    monkeypatch.setitem(__import__("sys").modules, "mine", module)
+    with pytest.raises(UsageError) as caught:
+        check_kind("mine:KIND", {"corners": ()}, SETUP)
+    assert caught.value.message == told
 
 
 @pytest.mark.parametrize(

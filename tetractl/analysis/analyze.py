@@ -1,8 +1,8 @@
 """Predicts how the total error of an experiment depends on the robots' turning rates a and on their
 number, and proposes changes.
 
-The error of a setup is the median that `tetractl.analysis.steering` predicts [length unit]. It is
-predicted for
+The error of a setup is the mean total error that `tetractl.analysis.steering` predicts [length
+unit], the median over its plans. It is predicted for
 
     the robots as they are
     the first n of them              for each lower n

@@ -84,7 +84,8 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> list[Findi
 
 def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
     """Return a section of a kind with the fields given; UsageError if they are wrong."""
-    names = get_args(kind.model_fields["type"].annotation)
+    stated = kind.model_fields.get("type")
+    names = get_args(stated.annotation) if stated else ()
     if len(names) != 1:
         raise UsageError(f"{code}: the field `type` must be a Literal with one name")
     try:
@@ -93,5 +94,7 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
         details = error.errors()[0]
         field = ".".join(map(str, details["loc"]))
         text = words(details, details["input"])
+        if not field:  # of a check of the whole section
+            raise UsageError(f"{code}: {text}") from None
         hint = f"give the value by --set {field}=VALUE"
         raise UsageError(f"{code}: {field}: {text}", hint) from None

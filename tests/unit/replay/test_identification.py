@@ -343,6 +343,24 @@ def test_directions_that_never_jump_leave_no_interval_of_what_a_lag_may_spoil():
 
 
 @pytest.mark.parametrize(
+    ("turns_smoothly", "rates_unstated", "is_stated"),
+    [(True, True, False), (True, False, True), (False, True, True), (False, False, True)],
+)
+def test_a_lag_beside_smooth_directions_leaves_no_interval_if_robots_may_steer_themselves(
+    turns_smoothly, rates_unstated, is_stated
+):
+    """Regression: 2.91 (2.76 to 3.07) for an a of 4, of a robot that steers itself."""
+    result = identification_of(
+        identified_robot(), turns_smoothly=turns_smoothly, rates_unstated=rates_unstated
+    )
+    (robot,) = stated(result).robots
+    assert (robot.a == INTERVAL) == is_stated
+    assert np.isnan(stated(result).dead_time.low) == (not is_stated)
+    assert ("steer themselves" not in tables(result)[0].note) == is_stated
+    assert robot.speed == INTERVAL
+
+
+@pytest.mark.parametrize(
     "tracks",
     [
         turning(np.random.default_rng(1).uniform(-2, 2, 300)),

@@ -30,7 +30,8 @@ class IdentifiedRobots:
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
     `lag_unstated` says that robots are on wheels whose lag nothing states, `turns_smoothly` that
-    no direction jumps, `turns_uniformly` that all turn at one rate.
+    no direction jumps, `turns_uniformly` that all turn at one rate, `rates_unstated` that wheels
+    lag and nothing states whether robots steer themselves or keep the rates of a host.
     """
 
     origin: str
@@ -45,6 +46,7 @@ class IdentifiedRobots:
     lag_unstated: bool = False
     turns_smoothly: bool = False
     turns_uniformly: bool = False
+    rates_unstated: bool = False
 
 
 def identify(
@@ -73,6 +75,7 @@ def identify(
         raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
     fitted = fit(frames, names, expected_a, speed, dead_time)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
+    all_commands = all(track.all_commands for track in tracks)
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
         sources=tuple(track.source for track in tracks),
@@ -80,12 +83,13 @@ def identify(
         commands=sum(len(track.u) for track in frames),
         dead_time=fitted.dead_time,
         frame_age=float(np.median(ages)) if ages else None,
-        robots=_judged(fitted.robots, all(track.all_commands for track in tracks)),
+        robots=_judged(fitted.robots, all_commands),
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
         lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
         turns_smoothly=turn_smoothly(tracks),
         turns_uniformly=turn_uniformly(tracks),
+        rates_unstated=not all_commands,
     )
 
 
@@ -144,6 +148,11 @@ NO_INTERVAL = (
     "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
     "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
 )
+RATES_UNSTATED = (
+    "a, heading bias and dead time have no intervals, as directions that turn smoothly do not show "
+    "whether robots with a lag steer themselves or keep the rates of a host: send directions that "
+    "jump"
+)
 NO_JUMP = "or send directions that jump, which show it"
 UNIFORM = (
     "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
@@ -169,9 +178,9 @@ def stated(result: IdentifiedRobots) -> IdentifiedRobots:
     """Return the values as they are printed and written: without the ends of intervals that hold in
     fewer than 92 % of the logs of trials (docs/how-to/identify.md). A lag of wheels that nothing
     states gives the dead time wrong, which all robots share, and with it a and the bias of each; so
-    may directions that turn uniformly.
+    may directions that turn uniformly, or smoothly if robots with a lag may steer themselves.
     """
-    if not (_may_lag(result) or result.turns_uniformly):
+    if not (_may_lag(result) or result.turns_uniformly or _may_steer(result)):
         return replace(result, robots=tuple(_without(robot, UNSTATED) for robot in result.robots))
     robots = tuple(_without(robot, (*UNSTATED, *OF_HEADING)) for robot in result.robots)
     return replace(result, dead_time=_bare(result.dead_time), robots=robots)
@@ -192,6 +201,11 @@ def _may_lag(result: IdentifiedRobots) -> bool:
     directions turn so smoothly that it would."""
     is_misfit = any(HEADING in robot.misfits for robot in result.robots)
     return result.lag_unstated and (is_misfit or result.turns_smoothly)
+
+
+def _may_steer(result: IdentifiedRobots) -> bool:
+    """Return whether robots with a lag may steer themselves, without it being seen."""
+    return result.rates_unstated and result.turns_smoothly
 
 
 def identified(result: IdentifiedRobots, when: str) -> Identified:
@@ -237,6 +251,8 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     note += f"\n{_fits(result)}"
     if result.turns_uniformly:
         note += f"\n{UNIFORM}"
+    elif _may_steer(result):
+        note += f"\n{RATES_UNSTATED}"
     elif _may_lag(result):
         note += f"\n{NO_INTERVAL}" + (f"; {NO_JUMP}" if result.turns_smoothly else "")
     note += clock_doubt(result.dead_time)

@@ -12,6 +12,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.tools.worker import WAITING_MAX
 
+SLOW_HZ = 20.0
+"""Rate of frames below which one that is lost looks like a lost stream [Hz]."""
+
 
 @dataclass(slots=True)
 class CameraStream:
@@ -27,6 +30,8 @@ class CameraStream:
     """By how much the last of these was behind."""
     dropped: int = 0
     """How many came too late since the last start of a run."""
+    _recent_ns: deque[int] = field(default_factory=deque)
+    """When the frames of the last second were exposed, oldest first."""
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     """The totals of damaged frames of the last second, each with its time, oldest first."""
 
@@ -47,7 +52,20 @@ class CameraStream:
         self.exposed_ns = exposed_ns
         self.own_times = own_times
         self.outdated = 0
+        self._recent_ns.append(exposed_ns)
+        while self._recent_ns[0] < exposed_ns - SECOND:
+            self._recent_ns.popleft()
         return True
+
+    @property
+    def slow_text(self) -> str:
+        """What is added to a reason that blames a robot if frames come slowly, "" if not."""
+        span_ns = self._recent_ns[-1] - self._recent_ns[0] if self._recent_ns else 0
+        rate = (len(self._recent_ns) - 1) * SECOND / max(span_ns, 1)
+        if span_ns < SECOND // 2 or rate >= SLOW_HZ:
+            return ""
+        few = f"only {rate:.0f} pictures per second came, {SLOW_HZ:.0f} or more are needed"
+        return f"; {few}: is this computer busy?"
 
     @property
     def outdated_text(self) -> str:

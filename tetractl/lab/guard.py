@@ -252,7 +252,7 @@ class Guard:
         reason = culprit.why(suspect, self.reason) or self.reason
         late_ns = self._pace.late_ns
         is_busy = late_ns is not None and recent[-1].received_ns - late_ns <= COMPARED_NS
-        self.reason = reason + BUSY if is_busy else reason
+        self.reason = reason + (BUSY if is_busy else self._stream.slow_text)
 
     def lose_robot(self, i: int, reason: str) -> None:
         """Continue without a robot; abort if the rules forbid that or no other robot is left."""
@@ -261,7 +261,7 @@ class Guard:
             return
         others = [track for track in self._robots if track is not robot and not track.lost]
         if not self.rules.goes_on or not others:
-            self.abort(reason)
+            self.abort(reason + self._stream.slow_text)
             return
         robot.lost_ns = robot.poses.last_ns
         self._warnings.append(f"{reason}: the run goes on without this robot")

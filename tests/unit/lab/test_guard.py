@@ -615,6 +615,24 @@ def test_the_computer_is_named_where_its_own_steps_were_late(frames_since, named
     assert course.guard.reason == "green moves as no command does" + BUSY * named
 
 
+@pytest.mark.parametrize(("hz", "named"), [(14, True), (19, True), (21, False), (120, False)])
+@pytest.mark.parametrize("suspect", [None, 0])
+def test_slow_pictures_are_named_where_a_robot_is_blamed(hz, named, suspect):
+    """Regression: on a slow computer a cell was not tracked, or moved as no command does."""
+    course = begun_with_checks(Finds(), rules=RULES)
+    shown = FrameBuffer()
+    for _ in range(2 * hz):
+        course.frame(step=SECOND // hz)
+        shown.append(course.accepted)
+    if suspect is None:
+        course.guard.lose_robot(0, "green moves")
+    else:
+        course.guard.abort("green moves", suspect=suspect)
+    course.guard.name_culprit(shown)
+    slow = f"; only {hz} pictures per second came, 20 or more are needed: is this computer busy?"
+    assert course.guard.reason == "green moves" + slow * named
+
+
 def test_a_body_in_place_of_a_ghost_is_no_ghost():
     """Regression: the poses of the new body were refused for what the old one had done."""
     course = begun_with_checks(Finds(Abort("green drifts", (0,))))

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.frames import rate_hz
+from tetractl.lab.frames import SLOW_HZ, rate_hz
 
 KEPT_SEARCHES = 20  # number of last pictures whose results are kept
-SLOW_HZ = 20.0  # below this rate, one lost picture looks like a lost stream
 
 S = TypeVar("S")
 

@@ -4,7 +4,7 @@ What its words mean. Of each pose in a frame one is true:
 
     accepted    it is its robot's
     refused     it cannot be: it is too far from the last one, or moves as no command does (then the
-                robot *disobeys*)
+                robot *disobeys*), or its body is lifted or set down (`robot_track`)
     unchanged   the camera shows the measurement of a frame before
     missing     there is none
 

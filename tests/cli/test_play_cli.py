@@ -2,14 +2,17 @@
 
 import re
 import sys
+from dataclasses import replace
 
 import pytest
 import yaml
 from support.cli import tetractl
 from support.running import TETRACTL
 from support.terminal import Terminal
+from support.trials import three_robots
 
 import tetractl as package
+from tetractl.cli.play import _error
 from tetractl.experiment.section_abilities import GivenDirections
 
 pytestmark = pytest.mark.slow
@@ -109,7 +112,6 @@ def restored(terminal):
 @pytest.mark.long
 def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
     with on_terminal(folder) as terminal:
-        terminal.expect("none yet")
         terminal.expect("arrows steer")
         terminal.press("\x1b[A")
         terminal.expect(r"↑ \+90°")
@@ -117,8 +119,10 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
         terminal.expect(r"↗ \+45°")
         terminal.press(" ")
         terminal.expect("Each turn parts")
+        terminal.expect(r"Any key: the controller  You: [\d.]+ mm in \d+ s")
         terminal.press("x")
-        terminal.expect("The controller too")
+        terminal.expect(r"You: [\d.]+ mm in \d+ s. Now the")
+        terminal.expect("Any key ends")
         terminal.press("x")
         terminal.expect(r"you [\d.]+ mm in \d+ s.*, the controller [\d.]+ mm in \d+ s")
         terminal.expect("logs in out")
@@ -144,7 +148,7 @@ main()
 @pytest.mark.long
 def test_the_terminal_is_restored_after_a_defect(folder):
     with Terminal([sys.executable, "-c", BROKEN, "play", "spec.yaml"], folder) as terminal:
-        terminal.expect("none yet")
+        terminal.expect("arrows steer")
         terminal.press("\x1b[A")
         terminal.expect(r"Traceback[\s\S]*RuntimeError: a defect")
         assert terminal.settings() == terminal.before
@@ -156,7 +160,7 @@ def test_the_terminal_is_restored_after_a_defect(folder):
 @pytest.mark.long
 def test_ctrl_c_stops_the_robots_first_and_the_log_is_whole(folder):
     with on_terminal(folder) as terminal:
-        terminal.expect("none yet")
+        terminal.expect("arrows steer")
         terminal.press("\x1b[C")
         terminal.expect(r"→ \+0°")
         terminal.press("\x03")
@@ -174,9 +178,24 @@ def test_ctrl_c_stops_the_robots_first_and_the_log_is_whole(folder):
 @pytest.mark.parametrize(("key", "code"), [(" ", 0), ("\x03", 130), ("\x1a", 130)])
 def test_a_trial_that_is_left_before_its_first_key_leaves_no_log(key, code, folder):
     with on_terminal(folder) as terminal:
-        terminal.expect("none yet")
+        terminal.expect("arrows steer")
         terminal.press(key)
         terminal.expect("nothing is logged" if code == 0 else "interrupted")
         restored(terminal)
         assert terminal.finish() == code
     assert not (folder / "out").exists()
+
+
+def test_an_undisturbed_spec_is_said_to_be_one(folder):
+    words = ("--set", "plant={type: sim}", "--script", "keys.txt", "-o", "out")
+    done = tetractl(folder, "play", "spec.yaml", *words).ok()
+    assert done.stderr.startswith("nothing is disturbed in this spec")
+
+
+def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():
+    """Regression: an undisturbed controller was 0.000519 mm off."""
+    log = three_robots()
+    assert log.result
+    result = replace(log.result, total_error=0.000519)
+    assert _error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
+    assert _error(replace(result, total_error=6.9), log.experiment).startswith("6.90 mm in")

@@ -1,5 +1,6 @@
 """`tetractl play`: steer the robots of a spec by hand, and see what its controller does."""
 
+import math
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -26,16 +27,18 @@ if TYPE_CHECKING:
     from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.hand import Ask
     from tetractl.run.interrupt import Interrupt
-    from tetractl.view.terminal.hand_keys import HandKeys
-    from tetractl.view.terminal.live_screen import LiveView
 
 TRIAL = 0
 """The trial that is steered, and that the controller runs."""
 THEIRS = (
     "The controller too sends one direction to all: it simulates many sequences, and sends the "
-    "first step of the best. Any key ends."
+    "first step of the best. It stops when no sequence brings them nearer."
 )
 """What is said when the controller's trial has ended, and its last picture stays."""
+UNDISTURBED = (
+    "nothing is disturbed in this spec, so the controller knows exactly what robots do; try one "
+    "with disturbances, such as experiments/three_m3pi_bench.yaml"
+)
 
 
 def play(
@@ -62,11 +65,12 @@ def play(
     """Steer all robots yourself, by one direction; then the spec's controller does.
 
     The first arrow key starts the robots. An arrow, or a drag of the mouse, sets the direction to
-    which all robots turn; dots show where they go if you hold it. Space stops them, which ends the
-    trial. Its error is the sum of the robots' distances to their targets.
+    which all robots turn; dots show where they go if you hold it. Steer round obstacles (yellow).
+    Space stops the robots, which ends the trial. Its error is the sum of the robots' distances to
+    their targets.
 
     After another key the controller steers the same robots, from the same start and with the same
-    disturbances, and its last picture stays until a key is pressed.
+    disturbances, if the spec has any, and its last picture stays until a key is pressed.
     Both trials are logged, in DIR/you and DIR/controller; `verify`, `replay` and `stats` read yours
     as given directions.
 
@@ -110,12 +114,14 @@ def play(
             aborted = yours is None or yours.outcome is Outcome.ABORTED
             goes_on = not (aborted or lab or interrupt.requested)
             if goes_on:
-                hand.hold()
+                hand.hold()  # until a key is pressed
         theirs = None
         if goes_on and not interrupt.requested:
             shown = console if timed_keys is None else None
-            theirs = _by_controller(loaded, folder / "controller", shown, speed, interrupt)
-        return _conclude(folder, experiment.units.length, yours, theirs, interrupt)
+            assert yours is not None, "an aborted trial is the last"
+            you = f"You: {_how_well(yours, experiment)}."
+            theirs = _by_controller(loaded, folder / "controller", shown, speed, you, interrupt)
+        return _conclude(folder, experiment, yours, theirs, interrupt)
 
 
 # ---- your trial ----
@@ -139,7 +145,7 @@ def _by_keys(
     """Show a trial on the terminal, and steer it by the terminal's keys, which are restored at the
     end."""
     from tetractl.core.protocols import LabSupervision
-    from tetractl.run.hand import WallPace
+    from tetractl.run.hand import AtEnd, WallPace
     from tetractl.view.terminal.hand_keys import HINTS, WHY, HandKeys, task
     from tetractl.view.terminal.keys import StopKey
     from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
@@ -167,16 +173,14 @@ def _by_keys(
             ) as watch:
                 yield Hand(keys.ask, [watch], supervision)
         else:
-            with LiveView(console, hints=hints, aside=aside) as view:
-                observers = [view, WallPace(MonotonicClock(), speed)]
-                yield Hand(keys.ask, observers, supervision, partial(_hold, view, keys, WHY))
+            with LiveView(console, hints=hints, aside=aside, plain=True) as view:
 
+                def tell(result: "Result") -> None:
+                    keys.forget()  # before the words are on the screen: a key that answers counts
+                    view.say(WHY, "Any key: the controller", f"You: {_error(result, experiment)}")
 
-def _hold(view: "LiveView", keys: "HandKeys", words: str) -> None:
-    """Leave the last picture of a trial on the screen until a key is pressed."""
-    keys.forget()  # before the words are on the screen: a key that answers them counts
-    view.say(words)
-    keys.await_key()
+                observers = [view, WallPace(MonotonicClock(), speed), AtEnd(tell)]
+                yield Hand(keys.ask, observers, supervision, keys.await_key)
 
 
 def _steered(
@@ -198,12 +202,13 @@ def _by_controller(
     folder: Path,
     console: "Console | None",
     speed: float,
+    you: str,
     interrupt: "Interrupt",
 ) -> "Result":
     """Run the same trial by the spec's controller; show it on the console, if any, as fast as
-    yours."""
+    yours, with how well `you` did."""
     from tetractl.run.folder_lock import make_folder
-    from tetractl.run.hand import WallPace
+    from tetractl.run.hand import AtEnd, WallPace
     from tetractl.run.spec_trial import run_logged
     from tetractl.view.terminal.hand_keys import HandKeys
     from tetractl.view.terminal.keys import StopKey
@@ -215,27 +220,40 @@ def _by_controller(
     keys = HandKeys(ended=lambda: interrupt.requested)
     with (
         StopKey(keys.stop, partial(keys.press, "enter"), steer=keys.press),
-        LiveView(console, aside="The controller steers them from the same start.") as view,
+        LiveView(console, aside=f"{you} Now the controller, from the same start.") as view,
     ):
-        pace = WallPace(MonotonicClock(), speed)
-        result = run_logged(loaded, folder, TRIAL, [view, pace], interrupt)
-        _hold(view, keys, THEIRS)
+
+        def tell(result: "Result") -> None:
+            keys.forget()  # before the words are on the screen: a key that answers counts
+            controller = f"The controller: {_how_well(result, loaded.experiment)}."
+            view.say(f"{you} {controller} {THEIRS}", "Any key ends")
+
+        observers = [view, WallPace(MonotonicClock(), speed), AtEnd(tell)]
+        result = run_logged(loaded, folder, TRIAL, observers, interrupt)
+        keys.await_key()
     return result
 
 
 def _conclude(
-    folder: Path, unit: str, yours: "Result | None", theirs: "Result | None", interrupt: "Interrupt"
+    folder: Path,
+    experiment: "Experiment",
+    yours: "Result | None",
+    theirs: "Result | None",
+    interrupt: "Interrupt",
 ) -> int:
     """Print how the trials ended; return the exit code."""
     from tetractl.core.plan import Outcome
 
     if yours is None:
+        folder.rmdir()
         ui.tell(
             "interrupted" if interrupt.requested else "no direction was given; nothing is logged"
         )
         return Exit.INTERRUPTED if interrupt.requested else Exit.DONE
-    compared = "" if theirs is None else f", the controller {_how_well(theirs, unit)}"
-    print(f"you {_how_well(yours, unit)}{compared}", flush=True)
+    compared = "" if theirs is None else f", the controller {_how_well(theirs, experiment)}"
+    print(f"you {_how_well(yours, experiment)}{compared}", flush=True)
+    if theirs is not None and not experiment.plant.disturbed:
+        ui.tell(UNDISTURBED)
     you = quote(str(folder / "you"))
     both = you if theirs is None else f"{you} {quote(str(folder / 'controller'))}"
     ui.tell(f"logs in {folder}; look at them with: tetractl replay {both}")
@@ -249,10 +267,17 @@ def _conclude(
     return Exit.DONE
 
 
-def _how_well(result: "Result", unit: str) -> str:
+def _how_well(result: "Result", experiment: "Experiment") -> str:
     """Return the total error and the time of a trial, and where robots must not have been."""
-
-    error = lengths(result.total_error)(result.total_error)
     where = [" through an obstacle"] if result.entered_obstacle else []
     where += [" outside the arena"] if result.left_arena else []
-    return f"{error} {unit} in {result.duration_s:.0f} s{' and'.join(where)}"
+    return f"{_error(result, experiment)}{' and'.join(where)}"
+
+
+def _error(result: "Result", experiment: "Experiment") -> str:
+    """Return the total error and the time of a trial."""
+    total = result.total_error
+    # a hundredth of a millimetre in an arena of 1 m to 10 m: less is no distance of robots
+    least = 10.0 ** (math.floor(math.log10(experiment.setup.arena.width)) - 5)
+    error = f"< {least:g}" if total < least else lengths(total)(total)
+    return f"{error} {experiment.units.length} in {result.duration_s:.0f} s"

@@ -10,6 +10,7 @@ holds the directions that came later. So the trial is logged twice:
 
     HandController   asks for the direction of each step, and keeps it with the step's problem
     WallPace         lets a simulation take as long as people need to steer it
+    AtEnd            tells the person at once how the trial ended, before its log is written
 """
 
 from collections.abc import Callable, Sequence
@@ -23,6 +24,7 @@ from tetractl.control.plain import PlainController
 from tetractl.control.rng import mix
 from tetractl.control.sequence import SequenceSection
 from tetractl.core.clock import Clock
+from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import LabSupervision, Observer
@@ -171,3 +173,14 @@ class WallPace(Observer):
         self._sent_ns = sent_ns
         self._due_ns = max(self._due_ns, now_ns)
         self._wall.sleep_until(self._due_ns)
+
+
+class AtEnd(Observer):
+    """Calls `tell` with the result as soon as a trial has ended, before its log is whole."""
+
+    def __init__(self, tell: Callable[[Result], None]) -> None:
+        self._tell = tell
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Tell the result."""
+        self._tell(result)

@@ -141,7 +141,8 @@ class Dashboard:
     """Shows a trial at one instant, on all the space available.
 
     `heading` names the trial, `notes` are warnings such as a log's damage, and `aside` is text
-    below the notes.
+    below the notes. A `plain` one, for who steers by hand, leaves out the step's number, events
+    that are no warnings, and how the trial ended unless it was cut short: the aside says it.
     """
 
     def __init__(
@@ -151,6 +152,7 @@ class Dashboard:
         footer: Footer,
         notes: tuple[str, ...] = (),
         aside: str = "",
+        plain: bool = False,
     ) -> None:
         self._moment = moment
         self._colors = robot_colors(moment.setup.names, moment.setup.colors)
@@ -158,6 +160,7 @@ class Dashboard:
         self._footer = footer
         self._notes = notes
         self._aside = aside
+        self._plain = plain
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         glyphs = glyphs_for(console)
@@ -229,10 +232,11 @@ class Dashboard:
             Text(_first_fitting(width, *headings), "bold", no_wrap=True),
             _row(width, "time", "t", f"{moment.time_s:.1f}{until} s"),
         ]
+        if not self._plain:
+            number = "none yet" if step is None else f"{step.k}"
+            lines.append(_row(width, "step k", "k", number))
         if step is None:
-            lines.append(_row(width, "step k", "k", "none yet"))
             return lines
-        lines.append(_row(width, "step k", "k", f"{step.k}"))
         if not (step.plan.pauses or _is_given(step)):
             count = len(step.plan.signals)
             signals = "1 signal" if count == 1 else f"{count} signals"
@@ -352,20 +356,22 @@ class Dashboard:
         lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
         aside = textwrap.wrap(self._aside, width, break_on_hyphens=False)  # links stay whole
         lines += [Text(line, "dim", no_wrap=True) for line in aside]
-        if self._moment.result is not None:
-            lines += _end_lines(self._moment.result, width)
+        result = self._moment.result
+        if result is not None and not (self._plain and result.outcome.complete):
+            lines += _end_lines(result, width)
         return lines
 
     def _events(self, height: int) -> list[Text]:
         """Return the newest events that a terminal of `height` lines shows, above them empty lines
         for those to come; nothing before the first event.
         """
-        if not self._moment.events:
+        events = [e for e in self._moment.events if e.level != "info" or not self._plain]
+        if not events:
             return []
         most = next((count for least, count in EVENTS_SHOWN if height >= least), 0)
-        older = max(len(self._moment.events) - most, 0)
+        older = max(len(events) - most, 0)
         lines = []
-        for event in self._moment.events[older:]:
+        for event in events[older:]:
             text = event.text if event.level == "info" else f"{event.level}: {event.text}"
             time = (f"{event.time_s:7.1f} s  ", "dim")
             style = LEVEL_STYLES.get(event.level, "")

@@ -23,6 +23,7 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
 from tetractl.experiment.yaml.document import read_text
+from tetractl.tools.table.table import plural
 
 ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2}
 """Directions [rad] by key."""
@@ -31,7 +32,7 @@ HINTS = ("arrows steer", "SPACE stops", "drag steers too")
 """What the keys do, the most important first."""
 WHY = (
     "Each turn parts the robots: slow turners swing wide. So the order and length of directions "
-    "decide where each ends. Hard: no robot moves alone. Any key: the controller."
+    "decide where each ends. Hard: no robot moves alone."
 )
 """What a person has felt when the trial has ended, in eight lines of the smallest panel."""
 WAIT_S = 0.01
@@ -138,9 +139,11 @@ def task(setup: Setup) -> str:
     """Return what a person is to do, and what differs between the robots."""
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
+    round_what = f", round the yellow {plural('obstacle', len(setup.obstacles))}"
     return (
         "An arrow key is one direction for all robots. Each turns to it at its own rate"
-        f"{rates}, then drives that way. Bring each to the square of its colour; SPACE stops all."
+        f"{rates}, then drives that way. Bring each to the square of its colour"
+        f"{round_what if setup.obstacles else ''}; SPACE stops all."
     )
 
 

@@ -17,10 +17,11 @@ from rich.console import Console
 
 from tetractl.core.clock import seconds
 from tetractl.core.commands import Command, Note, Sample
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Poses
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result, Start, Step
 from tetractl.log.read.trial_log import Event
+from tetractl.model.path_check import PathCheck
 from tetractl.replay.player import Moment, tracked
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
@@ -42,6 +43,7 @@ class TrialSoFar:
     def __init__(self, start: Start) -> None:
         self.start = start
         self._poses = start.setup.starts.array()
+        self._path = PathCheck.of(start.setup)
         self._trail: list[Floats] = []
         self._totals: list[float] = []
         self._notes: list[Note] = []
@@ -55,7 +57,9 @@ class TrialSoFar:
         for sample in samples:
             observation = sample.observation
             poses = observation.poses.array()
-            self._trail.append(tracked(poses[None], observation.valid[None])[0])
+            positions = tracked(poses[None], observation.valid[None])
+            self._trail.append(positions[0])
+            self._path.add(positions[..., 0], positions[..., 1])
             self._poses = np.where(observation.valid[:, None], poses, self._poses)
             self._now_ns = observation.sampled_ns
 
@@ -79,6 +83,13 @@ class TrialSoFar:
     def on_stop(self, stop: Command, result: Result) -> None:
         """Store the result."""
         self._result = result
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return which robots were in an obstacle or outside the arena."""
+        verdict = self._path.verdict(Poses.of(self._poses))
+        names = np.array(self.start.setup.names)
+        entered = [f"{name} entered an obstacle" for name in names[verdict.in_obstacle()]]
+        return (*entered, *(f"{name} left the arena" for name in names[verdict.over_edge()]))
 
     def moment(self) -> Moment:
         """Return the newest instant."""
@@ -151,7 +162,8 @@ class LiveView(Observer):
 
     It draws at most 12 pictures per second; `wall` returns the wall time [s]. While its screen is
     closed, it draws nothing. `hints` say what keys do, if they do more than to stop the robots, and
-    `aside` what is shown, in place of the results so far.
+    `aside` what is shown, in place of the results so far. A `plain` one is for who steers by hand:
+    it also warns of obstacles and edges.
     """
 
     def __init__(
@@ -160,10 +172,12 @@ class LiveView(Observer):
         wall: Callable[[], float] = time.monotonic,
         hints: tuple[str, ...] = (),
         aside: str = "",
+        plain: bool = False,
     ) -> None:
         self._wall = wall
         self._hints = hints
         self._aside = aside
+        self._plain = plain
         self._screen = Screen(console)
         self._batch = BatchSoFar(wall)
         self._trial: TrialSoFar | None = None
@@ -213,9 +227,11 @@ class LiveView(Observer):
         self._of_trial.on_stop(stop, result)
         self._draw()
 
-    def say(self, aside: str) -> None:
-        """Show the newest picture with another text aside."""
+    def say(self, aside: str, *hints: str) -> None:
+        """Show the newest picture, plain, with another text aside and other hints."""
         self._aside = aside
+        self._hints = hints
+        self._plain = True
         self._draw()
 
     @property
@@ -238,7 +254,9 @@ class LiveView(Observer):
                 self._of_trial.moment(),
                 heading=f"{start.setup.name}, {start.plant.kind}",
                 footer=self._batch.footer(self._hints or (stops,)),
+                notes=self._of_trial.warnings() if self._plain else (),
                 aside=self._aside or self._batch.summary(start.setup.unit),
+                plain=self._plain,
             )
         )
 

@@ -4,6 +4,7 @@ import io
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rich.console import Console
 from support.terminal import console as terminal
@@ -12,6 +13,7 @@ from support.trials import run_three_robots, three_robots
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note, PlantInfo, Sample
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import Observer
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
@@ -224,3 +226,23 @@ def test_a_script_prints_a_line_every_ten_seconds(capsys):
 )
 def test_durations_read_as_people_say_them(seconds, words):
     assert duration(seconds) == words
+
+
+def test_a_plain_view_names_who_entered_an_obstacle_and_no_steps(tmp_path):
+    console = terminal(100, 40)
+    start = three_robots().start
+    left, bottom = start.setup.obstacles[0].box[:2]
+    with LiveView(console, plain=True) as view:
+        view.on_start(start)
+        poses = start.setup.starts.array().copy()
+        poses[1, :2] = left + 1, bottom + 1
+        poses[2, :2] = start.setup.arena.left - 1, bottom
+        observation = Observation(0, 0, 0, Poses.of(poses), np.ones(3, dtype=bool))
+        view.on_samples([Sample(observation, None)])
+        view.say("words", "Any key ends")
+    last = pictures(console)[-1]
+    assert "blue entered an obstacle" in last
+    assert "red left the arena" in last
+    assert "green left" not in last
+    assert "step k" not in last
+    assert "Any key ends" in last

@@ -43,7 +43,7 @@ def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path,
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     from anywhere import instance
 
-    text = instance(2, 6200, disturbed=True, free=False).model_dump_json(exclude={"lab"})
+    text = instance(2, 6200).model_dump_json(exclude={"lab"})
     spec = parse_spec(
         text, "four.yaml", ["controller.time_limit=120.2", "controller.deadline=0.0015"]
     )

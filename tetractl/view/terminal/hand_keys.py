@@ -141,9 +141,9 @@ def task(setup: Setup) -> str:
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
     round_what = f", round the yellow {plural('obstacle', len(setup.obstacles))}"
     return (
-        "An arrow key is one direction for all robots. Each turns to it at its own rate"
-        f"{rates}, then drives that way. Bring each to the square of its colour"
-        f"{round_what if setup.obstacles else ''}; SPACE stops all."
+        "Press an arrow: all robots turn to it as they drive, each at its own rate"
+        f"{rates}. Bring each to the square of its colour"
+        f"{round_what if setup.obstacles else ''}. SPACE ends it."
     )
 
 

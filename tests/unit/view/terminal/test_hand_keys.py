@@ -100,7 +100,7 @@ def test_the_task_names_who_turns_fastest_and_slowest():
     assert "obstacle" not in task(two)
     obstacle = {"type": "circle", "center": [0.3, 0.3], "radius": 0.01}
     with_one = parse_contents(contents | {"robots": robots, "obstacles": [obstacle]}, "x")
-    assert "colour, round the yellow obstacle; SPACE" in task(with_one.experiment.setup)
+    assert "colour, round the yellow obstacle. SPACE" in task(with_one.experiment.setup)
     one = parse_contents(contents | {"robots": robots[:1]}, "x").experiment.setup
     assert "fastest" not in task(one)
 

@@ -60,9 +60,11 @@ class CameraStream:
     @property
     def slow_text(self) -> str:
         """What is added to a reason that blames a robot if frames come slowly, "" if not."""
-        span_ns = self._recent_ns[-1] - self._recent_ns[0] if self._recent_ns else 0
-        rate = (len(self._recent_ns) - 1) * SECOND / max(span_ns, 1)
-        if span_ns < SECOND // 2 or rate >= SLOW_HZ:
+        recent_ns = self._recent_ns
+        if not recent_ns or recent_ns[-1] - recent_ns[0] < SECOND // 2:
+            return ""
+        rate = rate_hz(range(len(recent_ns)), recent_ns)
+        if rate is None or rate >= SLOW_HZ:
             return ""
         few = f"only {rate:.0f} pictures per second came, {SLOW_HZ:.0f} or more are needed"
         return f"; {few}: is this computer busy?"

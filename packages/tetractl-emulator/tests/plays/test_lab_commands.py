@@ -221,7 +221,7 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     assert (refused.returncode, refused.stdout) == (2, "")
     started = 2
     again = run(*log, "lab", "--plant", "lab", "--yes").ok()
-    assert "the log is of the lab, the new one of the lab" in again.stderr
+    assert "both logs are of the lab: they are not compared" in again.stderr
 
 
 def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):

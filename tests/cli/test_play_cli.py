@@ -86,6 +86,7 @@ def test_an_obstacle_is_named(folder):
         (("--script", "keys.txt", "-o", "."), ".: exists already"),
         (("--script", "keys.txt", "--set", "hold={radius: 90, time: 5}"), "nor a hold"),
         (("--script", "keys.txt", "--speed", "0"), "Invalid value for '--speed'"),
+        (("--script", "keys.txt", "--speed", "2"), "--speed is for a person"),
     ],
 )
 def test_what_cannot_be_played_is_one_line_and_exit_code_2(words, problem, folder):
@@ -118,18 +119,46 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
         terminal.press("\x1b[<0;20;10M\x1b[<32;24;8M")
         terminal.expect(r"↗ \+45°")
         terminal.press(" ")
-        terminal.expect("Each turn parts")
-        terminal.expect(r"Any key: the controller  You: [\d.]+ mm in \d+ s")
-        terminal.press("x")
+        terminal.expect(r"You: [\d.]+ mm in \d+ s. All got")
+        terminal.expect("ENTER: the controller  R: again")
+        terminal.press("\x1b[A")  # answers nothing
+        terminal.press("\r")
         terminal.expect(r"You: [\d.]+ mm in \d+ s. Now the")
-        terminal.expect("Any key ends")
-        terminal.press("x")
+        terminal.expect("ENTER: end")
+        terminal.press("\r")
         terminal.expect(r"you [\d.]+ mm in \d+ s.*, the controller [\d.]+ mm in \d+ s")
         terminal.expect("logs in out")
         restored(terminal)
         assert terminal.finish() == 0
     yours = package.read_log(folder / "out/you/trial-000.mcap")
     assert yours.result.outcome == "sequence completed"
+
+
+@pytest.mark.long
+def test_a_person_may_steer_again_and_the_controller_drives_once(folder):
+    with on_terminal(folder) as terminal:
+        for answer in ("r", "\r"):
+            terminal.expect("arrows steer")
+            terminal.press("\x1b[C")
+            terminal.expect(r"→ \+0°")
+            terminal.press(" ")
+            terminal.expect("ENTER: the controller")
+            terminal.press(answer)
+        terminal.expect("R: steer again")
+        terminal.press("R")
+        terminal.expect("arrows steer")
+        terminal.press("\x1b[C")
+        terminal.expect(r"→ \+0°")
+        terminal.press(" ")
+        terminal.expect("Before: you")
+        terminal.press("q")
+        number = r"[\d.]+ mm in \d+ s"
+        terminal.expect(rf"you {number}, again {number}, again {number}, the controller {number}")
+        restored(terminal)
+        assert terminal.finish() == 0
+    logs = sorted((folder / "out").glob("*/trial-000.mcap"))
+    assert [log.parent.name for log in logs] == ["controller", "you", "you-2", "you-3"]
+    assert [package.read_log(log).start.seed for log in logs] == [5, 5, 5, 5]
 
 
 BROKEN = """

@@ -1,11 +1,15 @@
-"""`tetractl play`: steer the robots of a spec by hand, and see what its controller does."""
+"""`tetractl play`: steer the robots of a spec by hand, and see what its controller does.
+
+_on_terminal    a simulation: you, as often as you want, and the controller once
+_in_lab         the robots of a lab: you, once
+_by_script      a file of keys: you, once, then the controller
+"""
 
 import math
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -27,6 +31,8 @@ if TYPE_CHECKING:
     from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.hand import Ask
     from tetractl.run.interrupt import Interrupt
+    from tetractl.view.terminal.hand_keys import HandKeys, KeyScript
+    from tetractl.view.terminal.live_screen import LiveView
 
 TRIAL = 0
 """The trial that is steered, and that the controller runs."""
@@ -53,8 +59,9 @@ def play(
         ),
     ] = None,
     speed: Annotated[
-        float, options.option("R", "Seconds of the trial per second.", min=0.1, max=100)
-    ] = 1.0,
+        float | None,
+        options.option("R", "Seconds of the trial per second. [1]", min=0.1, max=100),
+    ] = None,
     script: Annotated[
         Path | None,
         options.option("FILE", "Take the keys from lines such as `1.5 up`, in virtual time."),
@@ -69,10 +76,10 @@ def play(
     Space stops the robots, which ends the trial. Its error is the sum of the robots' distances to
     their targets.
 
-    After another key the controller steers the same robots, from the same start and with the same
-    disturbances, if the spec has any, and its last picture stays until a key is pressed.
-    Both trials are logged, in DIR/you and DIR/controller; `verify`, `replay` and `stats` read yours
-    as given directions.
+    Then Enter lets the controller steer the same robots, from the same start and with the same
+    disturbances, if the spec has any; R lets you try again. All trials are logged, in DIR/you,
+    DIR/you-2 and so on, and DIR/controller; `verify`, `replay` and `stats` read yours as given
+    directions.
 
     In the lab, and in an emulated one, Esc is the emergency stop. In the lab robots are placed and
     started as by `run`, and the controller's trial is left out.
@@ -80,7 +87,6 @@ def play(
     Example: tetractl play experiments/three_m3pi.yaml
     """
     from tetractl.control.build import warm_up
-    from tetractl.core.plan import Outcome
     from tetractl.experiment.plants import on_plant
     from tetractl.run.open_trial import directed_spec
     from tetractl.view.terminal.hand_keys import read_script
@@ -88,183 +94,263 @@ def play(
     loaded = on_plant(load_to_run(spec, sets or [], plant, seed=seed), plant)
     directed = directed_spec(loaded)
     experiment = loaded.experiment
-    lab = experiment.plant.real_time
+    in_lab = experiment.plant.real_time
     timed_keys = None if script is None else read_script(script)
     console = open_console(stderr=True)
     has_keys = sys.stdin is not None and sys.stdin.isatty()
     has_screen = console.is_terminal and not console.is_dumb_terminal
     if timed_keys is None and not (has_keys and has_screen):
         raise UsageError("play reads keys, and this is no terminal: give --script FILE")
-    if lab and (timed_keys is not None or speed != 1.0):
+    if in_lab and (timed_keys is not None or speed is not None):
         raise UsageError("--script and --speed are for virtual time: in the lab a person steers")
-    if lab:
+    if timed_keys is not None and speed is not None:
+        raise UsageError("--speed is for a person: a --script runs as fast as it can")
+    if in_lab:
         ui.require_confirmation(yes)
     folder = out or new_log_folder(experiment.name)
     ui.refuse_existing(folder, folder=True)
 
     with stoppable(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt:
-        if not lab:
+        game = Game(loaded, directed, folder, interrupt)
+        if in_lab:
+            _in_lab(game, console, ask_to_place=not yes)
+        else:
             warm_up(experiment, partial(ui.announce_compiling, False))
-        with (
-            _by_keys(experiment, console, speed, yes, interrupt)
-            if timed_keys is None
-            else nullcontext(Hand(timed_keys.ask))
-        ) as hand:
-            yours = _steered(directed, folder / "you", hand, interrupt)
-            aborted = yours is None or yours.outcome is Outcome.ABORTED
-            goes_on = not (aborted or lab or interrupt.requested)
-            if goes_on:
-                hand.hold()  # until a key is pressed
-        theirs = None
-        if goes_on and not interrupt.requested:
-            shown = console if timed_keys is None else None
-            assert yours is not None, "an aborted trial is the last"
-            you = f"You: {_how_well(yours, experiment)}."
-            theirs = _by_controller(loaded, folder / "controller", shown, speed, you, interrupt)
-        return _conclude(folder, experiment, yours, theirs, interrupt)
+            if timed_keys is None:
+                _on_terminal(game, console, speed or 1.0)
+            else:
+                _by_script(game, timed_keys)
+    return _conclude(game)
 
 
-# ---- your trial ----
+class Game:
+    """The trials of one `play`: the person's, of which each begins like the first, and one of the
+    controller.
+
+    `yours` are the results of the person's trials in which a direction was given, and `theirs` is
+    the controller's. The game is `over` once a trial was interrupted, was aborted, or had no
+    direction; then `error` says why it was aborted, if it was.
+    """
+
+    def __init__(
+        self, loaded: "LoadedSpec", directed: "LoadedSpec", folder: Path, interrupt: "Interrupt"
+    ) -> None:
+        self.experiment = loaded.experiment
+        self.folder = folder
+        self.interrupt = interrupt
+        self.yours: list[Result] = []
+        self.theirs: Result | None = None
+        self.over = False
+        self.error = ""
+        self._loaded = loaded
+        self._directed = directed
+
+    def steer(
+        self,
+        ask: "Ask",
+        observers: "Sequence[Observer]" = (),
+        supervision: "LabSupervision | None" = None,
+    ) -> None:
+        """Run a trial of the person, who is asked for each direction."""
+        from tetractl.run.hand import HandController, run_by_hand
+
+        folder = self._folder(len(self.yours) + 1)
+        hand = HandController(self._directed, TRIAL, ask)
+        result = run_by_hand(self._directed, folder, hand, observers, self.interrupt, supervision)
+        if hand.directions:
+            self.yours.append(result)
+        else:
+            self.over = True
+        self._note_end(result)
+
+    def control(self, observers: "Sequence[Observer]" = ()) -> None:
+        """Run the controller's trial."""
+        from tetractl.run.folder_lock import make_folder
+        from tetractl.run.spec_trial import run_logged
+
+        folder = self.folder / "controller"
+        make_folder(folder)
+        self.theirs = run_logged(self._loaded, folder, TRIAL, observers, self.interrupt)
+        self._note_end(self.theirs)
+
+    @property
+    def folders(self) -> "list[Path]":
+        """The folders of the logs."""
+        numbers = range(1, len(self.yours) + 1)
+        of_controller = [] if self.theirs is None else [self.folder / "controller"]
+        return [*map(self._folder, numbers), *of_controller]
+
+    def _folder(self, number: int) -> Path:
+        return self.folder / ("you" if number == 1 else f"you-{number}")
+
+    def _note_end(self, result: "Result") -> None:
+        from tetractl.core.plan import Outcome
+
+        if result.outcome is Outcome.ABORTED:
+            self.over = True
+            self.error = result.reason
+        if self.interrupt.requested:
+            self.over = True
 
 
-@dataclass(frozen=True, slots=True)
-class Hand:
-    """Who steers: what is asked for each direction, who watches, who supervises a lab, and what
-    waits between your trial and the controller's."""
-
-    ask: "Ask"
-    observers: "Sequence[Observer]" = ()
-    supervision: "LabSupervision | None" = None
-    hold: Callable[[], None] = lambda: None
+# ---- three ways to play ----
 
 
-@contextmanager
-def _by_keys(
-    experiment: "Experiment", console: "Console", speed: float, yes: bool, interrupt: "Interrupt"
-) -> "Iterator[Hand]":
-    """Show a trial on the terminal, and steer it by the terminal's keys, which are restored at the
-    end."""
+def _by_script(game: Game, keys: "KeyScript") -> None:
+    """Steer once by a file of keys; then the controller does."""
+    game.steer(keys.ask)
+    if not game.over:
+        game.control()
+
+
+def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
+    """Steer the robots of a lab once by the terminal's keys."""
     from tetractl.core.protocols import LabSupervision
-    from tetractl.run.hand import AtEnd, WallPace
-    from tetractl.view.terminal.hand_keys import HINTS, WHY, HandKeys, task
+    from tetractl.view.terminal.hand_keys import LAB_HINTS, HandKeys, task
     from tetractl.view.terminal.keys import StopKey
-    from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
+    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
-    plant = experiment.plant
+    experiment = game.experiment
+    interrupt = game.interrupt
     emergency = threading.Event()
     entered = threading.Event()
     keys = HandKeys(ended=lambda: interrupt.requested or emergency.is_set())
-    stop = keys.stop if plant.simulated else emergency.set
-    hints = HINTS if plant.simulated else ("ESC: EMERGENCY STOP", *HINTS)
-    prompt = TerminalPrompt(console, entered) if plant.real_time and not yes else None
     supervision = LabSupervision(
         emergency,
-        prompt,
+        TerminalPrompt(console, entered) if ask_to_place else None,
         cancelled=lambda: interrupt.requested,
         signalled=interrupt.request,
     )
-    enter = entered.set if plant.real_time else partial(keys.press, "enter")
-    aside = task(experiment.setup)
-    with StopKey(stop, enter, steer=keys.press), keys:
-        if plant.real_time:
-            console.print("; ".join(hints), style="bold", highlight=False)
-            with LabWatch(
-                console, console, experiment.units.length, live=True, hints=hints, aside=aside
-            ) as watch:
-                yield Hand(keys.ask, [watch], supervision)
+    watch = LabWatch(
+        console,
+        console,
+        experiment.units.length,
+        live=True,
+        hints=LAB_HINTS,
+        aside=task(experiment.setup),
+    )
+    with StopKey(emergency.set, entered.set, steer=keys.press), keys:
+        console.print("; ".join(LAB_HINTS), style="bold", highlight=False)
+        with watch:
+            game.steer(keys.ask, [watch], supervision)
+
+
+def _on_terminal(game: Game, console: "Console", speed: float) -> None:
+    """Steer by the terminal's keys, as often as is wanted; the controller does once."""
+    from tetractl.view.terminal.hand_keys import AGAIN, GO_ON
+
+    answer = _you_steer(game, console, speed)
+    while not game.over:
+        if answer == AGAIN:
+            answer = _you_steer(game, console, speed)
+        elif answer == GO_ON and game.theirs is None:
+            answer = _controller_steers(game, console, speed)
         else:
-            with LiveView(console, hints=hints, aside=aside, plain=True) as view:
-
-                def tell(result: "Result") -> None:
-                    keys.forget()  # before the words are on the screen: a key that answers counts
-                    view.say(WHY, "Any key: the controller", f"You: {_error(result, experiment)}")
-
-                observers = [view, WallPace(MonotonicClock(), speed), AtEnd(tell)]
-                yield Hand(keys.ask, observers, supervision, keys.await_key)
+            return
 
 
-def _steered(
-    directed: "LoadedSpec", folder: Path, hand: Hand, interrupt: "Interrupt"
-) -> "Result | None":
-    """Run the trial that a person steers; None if no direction was given."""
-    from tetractl.run.hand import HandController, run_by_hand
-
-    controller = HandController(directed, TRIAL, hand.ask)
-    result = run_by_hand(directed, folder, controller, hand.observers, interrupt, hand.supervision)
-    return result if controller.directions else None
-
-
-# ---- the controller's trial, and the end ----
-
-
-def _by_controller(
-    loaded: "LoadedSpec",
-    folder: Path,
-    console: "Console | None",
-    speed: float,
-    you: str,
-    interrupt: "Interrupt",
-) -> "Result":
-    """Run the same trial by the spec's controller; show it on the console, if any, as fast as
-    yours, with how well `you` did."""
-    from tetractl.run.folder_lock import make_folder
-    from tetractl.run.hand import AtEnd, WallPace
-    from tetractl.run.spec_trial import run_logged
-    from tetractl.view.terminal.hand_keys import HandKeys
-    from tetractl.view.terminal.keys import StopKey
+def _you_steer(game: Game, console: "Console", speed: float) -> str:
+    """Show a trial that the person steers; return the key that was pressed at its end."""
+    from tetractl.core.protocols import LabSupervision
+    from tetractl.view.terminal.hand_keys import HINTS, LAB_HINTS, WHY, HandKeys, task
     from tetractl.view.terminal.live_screen import LiveView
 
-    make_folder(folder)
-    if console is None:
-        return run_logged(loaded, folder, TRIAL, (), interrupt)
-    keys = HandKeys(ended=lambda: interrupt.requested)
-    with (
-        StopKey(keys.stop, partial(keys.press, "enter"), steer=keys.press),
-        LiveView(console, aside=f"{you} Now the controller, from the same start.") as view,
-    ):
+    interrupt = game.interrupt
+    simulated = game.experiment.plant.simulated
+    emergency = threading.Event()
+    keys = HandKeys(ended=lambda: interrupt.requested or emergency.is_set())
+    hints = HINTS if simulated else LAB_HINTS
+    view = LiveView(console, hints=hints, aside=task(game.experiment.setup), plain=True)
+    stop = keys.stop if simulated else emergency.set
 
-        def tell(result: "Result") -> None:
-            keys.forget()  # before the words are on the screen: a key that answers counts
-            controller = f"The controller: {_how_well(result, loaded.experiment)}."
-            view.say(f"{you} {controller} {THEIRS}", "Any key ends")
+    def say_at_end(result: "Result") -> None:
+        you = f"You: {_error(result, game.experiment)}"
+        if game.theirs is None:
+            view.say(f"{you}. {WHY}", "ENTER: the controller", "R: again")
+        else:
+            view.say(f"{you}. Before: {_line(game)}.", "R: again", "ENTER: end")
 
-        observers = [view, WallPace(MonotonicClock(), speed), AtEnd(tell)]
-        result = run_logged(loaded, folder, TRIAL, observers, interrupt)
-        keys.await_key()
-    return result
+    supervision = LabSupervision(
+        emergency, None, cancelled=lambda: interrupt.requested, signalled=interrupt.request
+    )
+    with _keyed_screen(keys, view, stop):
+        observers = _paced(view, keys, speed, say_at_end)
+        game.steer(keys.ask, observers, supervision)
+        return "" if game.over else keys.await_answer()
 
 
-def _conclude(
-    folder: Path,
-    experiment: "Experiment",
-    yours: "Result | None",
-    theirs: "Result | None",
-    interrupt: "Interrupt",
-) -> int:
+def _controller_steers(game: Game, console: "Console", speed: float) -> str:
+    """Show the controller's trial; return the key that was pressed at its end."""
+    from tetractl.view.terminal.hand_keys import HandKeys
+    from tetractl.view.terminal.live_screen import LiveView
+
+    you = f"You: {_how_well(game.yours[-1], game.experiment)}."
+    keys = HandKeys(ended=lambda: game.interrupt.requested)
+    view = LiveView(console, aside=f"{you} Now the controller, from the same start.")
+
+    def say_at_end(result: "Result") -> None:
+        did = f"The controller: {_how_well(result, game.experiment)}."
+        view.say(f"{you} {did} {THEIRS}", "R: steer again", "ENTER: end")
+
+    with _keyed_screen(keys, view, keys.stop):
+        game.control(_paced(view, keys, speed, say_at_end))
+        return "" if game.over else keys.await_answer()
+
+
+@contextmanager
+def _keyed_screen(keys: "HandKeys", view: "LiveView", stop: Callable[[], None]) -> "Iterator[None]":
+    """Show a view on the terminal, whose keys are read until the end of a `with` block; Esc and a
+    closed terminal call `stop`."""
+    from tetractl.view.terminal.keys import StopKey
+
+    with StopKey(stop, partial(keys.press, "enter"), steer=keys.press), keys, view:
+        yield
+
+
+def _paced(
+    view: "LiveView", keys: "HandKeys", speed: float, say_at_end: "Callable[[Result], None]"
+) -> "Sequence[Observer]":
+    """Return what shows a trial at `speed` times the wall clock, and says how it ended."""
+    from tetractl.run.hand import AtEnd, WallPace
+
+    def at_end(result: "Result") -> None:
+        keys.forget()  # before the words are on the screen: a key that answers counts
+        say_at_end(result)
+
+    return [view, WallPace(MonotonicClock(), speed), AtEnd(at_end)]
+
+
+# ---- what is said ----
+
+
+def _conclude(game: Game) -> int:
     """Print how the trials ended; return the exit code."""
-    from tetractl.core.plan import Outcome
-
-    if yours is None:
-        folder.rmdir()
-        ui.tell(
-            "interrupted" if interrupt.requested else "no direction was given; nothing is logged"
-        )
-        return Exit.INTERRUPTED if interrupt.requested else Exit.DONE
-    compared = "" if theirs is None else f", the controller {_how_well(theirs, experiment)}"
-    print(f"you {_how_well(yours, experiment)}{compared}", flush=True)
-    if theirs is not None and not experiment.plant.disturbed:
-        ui.tell(UNDISTURBED)
-    you = quote(str(folder / "you"))
-    both = you if theirs is None else f"{you} {quote(str(folder / 'controller'))}"
-    ui.tell(f"logs in {folder}; look at them with: tetractl replay {both}")
-    for result in (yours, theirs):
-        if result is not None and result.outcome is Outcome.ABORTED:
-            ui.tell(f"error: {result.reason}")
-            return Exit.FAILED
-    if interrupt.requested:
+    if game.yours:
+        print(_line(game), flush=True)
+        if game.theirs is not None and not game.experiment.plant.disturbed:
+            ui.tell(UNDISTURBED)
+        folders = " ".join(quote(str(path)) for path in game.folders)
+        ui.tell(f"logs in {game.folder}; look at them with: tetractl replay {folders}")
+    else:
+        game.folder.rmdir()
+    if game.error:
+        ui.tell(f"error: {game.error}")
+        return Exit.FAILED
+    if game.interrupt.requested:
         ui.tell("interrupted")
         return Exit.INTERRUPTED
+    if not game.yours:
+        ui.tell("no direction was given; nothing is logged")
     return Exit.DONE
+
+
+def _line(game: Game) -> str:
+    """Return how well all trials ended, on one line."""
+    first, *others = [_how_well(result, game.experiment) for result in game.yours]
+    parts = [f"you {first}", *(f"again {other}" for other in others)]
+    if game.theirs is not None:
+        parts.append(f"the controller {_how_well(game.theirs, game.experiment)}")
+    return ", ".join(parts)
 
 
 def _how_well(result: "Result", experiment: "Experiment") -> str:

@@ -11,7 +11,6 @@ and times count from it.
 import math
 import re
 import sys
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,9 +29,16 @@ ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2
 STOPS = {"space", "q"}
 HINTS = ("arrows steer", "SPACE stops", "drag steers too")
 """What the keys do, the most important first."""
+LAB_HINTS = ("ESC: EMERGENCY STOP", *HINTS)
+"""What they do in a lab."""
+GO_ON = "enter"
+AGAIN = "r"
+LEAVE = "q"
+"""Answers to the question at the end of a trial, what comes next. No arrow is one, so that a hand
+that still steers answers nothing."""
 WHY = (
-    "Each turn parts the robots: slow turners swing wide. So the order and length of directions "
-    "decide where each ends. Hard: no robot moves alone."
+    "All got the same directions, but each turned at its own rate: so each turn moves them against "
+    "each other. Hard: no robot moves alone; what brings one home takes others away."
 )
 """What a person has felt when the trial has ended, in eight lines of the smallest panel."""
 WAIT_S = 0.01
@@ -90,32 +96,35 @@ class HandKeys:
     mouse.
 
     Threads: that of the keys calls `press`, and replaces the wish as a whole; that of the trial
-    calls `ask`, which reads it.
+    calls `ask`, which reads it. So it is with the answer and `await_answer`.
     """
 
     def __init__(self, ended: Callable[[], bool]) -> None:
         self._wish = Wish()
+        self._answer = ""
         self._ended = ended
-        self._pressed = threading.Event()
 
     def press(self, key: str) -> None:
         """Take a key, by its name."""
         self._wish = self._wish.after(key)
-        self._pressed.set()
+        if key.lower() in (GO_ON, AGAIN, LEAVE):
+            self._answer = key.lower()
 
     def stop(self) -> None:
-        """Stop, as by the space bar."""
+        """Stop, as by the space bar, and leave."""
         self._wish = replace(self._wish, stops=True)
-        self._pressed.set()
+        self._answer = LEAVE
 
     def forget(self) -> None:
-        """Let `await_key` wait for a key that is pressed from now on."""
-        self._pressed.clear()
+        """Let `await_answer` wait for a key that is pressed from now on."""
+        self._answer = ""
 
-    def await_key(self) -> None:
-        """Wait for a key, but not longer than until the trial is `ended` for another reason."""
-        while not (self._pressed.wait(WAIT_S) or self._ended()):
-            pass
+    def await_answer(self) -> str:
+        """Wait for GO_ON, AGAIN or LEAVE, and return it; LEAVE if the trial is `ended` for another
+        reason."""
+        while not self._answer and not self._ended():
+            time.sleep(WAIT_S)
+        return self._answer or LEAVE
 
     def ask(self, time_s: float) -> float | None:
         """Return the direction that is wanted [rad], None to stop. Before the first key, wait for
@@ -143,7 +152,7 @@ def task(setup: Setup) -> str:
     return (
         "Press an arrow: all robots turn to it as they drive, each at its own rate"
         f"{rates}. Bring each to the square of its colour"
-        f"{round_what if setup.obstacles else ''}. SPACE ends it."
+        f"{round_what if setup.obstacles else ''}. SPACE ends it; then the controller can try."
     )
 
 

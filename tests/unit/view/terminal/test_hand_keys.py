@@ -74,13 +74,23 @@ def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():
     assert HandKeys(lambda: True).ask(0.0) is None
 
 
-def test_a_key_that_answers_the_words_before_they_are_waited_for_counts():
+@pytest.mark.parametrize(
+    ("key", "answer"), [("enter", "enter"), ("R", "r"), ("r", "r"), ("q", "q")]
+)
+def test_a_key_that_answers_the_words_before_they_are_waited_for_counts(key, answer):
     """Regression: it was forgotten, as when the machine is slow."""
     steering = HandKeys(lambda: False)
-    steering.press("space")
+    steering.press("q")
     steering.forget()
-    steering.press("x")
-    steering.await_key()
+    steering.press(key)
+    assert steering.await_answer() == answer
+
+
+def test_a_hand_that_still_steers_answers_nothing():
+    steering = HandKeys(lambda: True)
+    for key in ("up", "space", "x", "[<32;24;8M"):
+        steering.press(key)
+    assert steering.await_answer() == "q"  # of a trial that has ended for another reason
 
 
 def test_the_task_names_who_turns_fastest_and_slowest():

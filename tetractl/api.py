@@ -500,14 +500,18 @@ def verify(path: str | Path) -> "Verification":
 
 
 def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
-    """Check that a spec can be simulated, and compile its kernels, as `warm_up` announces."""
+    """Check that a spec can be simulated, log its warnings, and compile its kernels, as `warm_up`
+    announces."""
     from tetractl.control.build import warm_up
+    from tetractl.run.plausibility import find_warnings
 
     experiment = spec.experiment
     if experiment.plant.real_time:
         raise UsageError(
             "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
         )
+    for warning in find_warnings(spec):
+        logging.getLogger("tetractl").warning("warning: %s", warning)
     warm_up(experiment, announce)
 
 

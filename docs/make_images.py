@@ -1,7 +1,7 @@
-"""Make the pictures of README and docs/, docs/images: figures, a video, the live arena, the report.
+"""Make the pictures of README and docs/, docs/images: figures, a video, the live arena, the player.
 
 Run `python docs/make_images.py` after a change of what they show; it takes some minutes and needs
-Chromium for the screenshots. All trials are simulated, that of cells emulated in virtual time.
+Chromium for the player. All trials are simulated, that of cells emulated in virtual time.
 """
 
 import io
@@ -35,9 +35,10 @@ VIDEO_WIDTH = 640
 THIN, COLORS = 5, 48
 """Of the video, the pictures between those that are kept, and its colours: a sixth of the bytes.
 With half as many the green of a robot is another one."""
-SCREENS = ((1280, 800),)
+PLAYER = (1280, 830)
+"""Width and height of the picture of the player [px]."""
 MIDDLE = 0.55
-"""The share of the trial after which the report is photographed."""
+"""The share of the trial after which the player is photographed."""
 
 
 def tetractl(*args: object) -> None:
@@ -73,7 +74,7 @@ def main() -> None:
         thin(folder / "trial.gif", IMAGES / "trial.gif")
         live(read_trial(bench / first), IMAGES / "live.svg")
         tetractl("report", bench, paper, "-o", folder / "report.html")
-        screenshots(folder / "report.html", folder)
+        player(folder / "report.html", folder)
 
 
 def live(log: TrialLog, out: Path) -> None:
@@ -114,17 +115,17 @@ def thin(video: Path, out: Path) -> None:
     kept[0].save(out, save_all=True, append_images=kept[1:], duration=durations, loop=0, disposal=1)
 
 
-def screenshots(report: Path, folder: Path) -> None:
-    """Photograph the upper end of a report, its player in the middle of a trial."""
+def player(report: Path, folder: Path) -> None:
+    """Photograph a report's player in the middle of a trial."""
     with chromium(folder / "profile") as page:
-        for width, height in SCREENS:
-            page.open(report, width, height)
-            page.run(
-                "{ const scrub = document.getElementById('scrub');"
-                f" scrub.value = {MIDDLE} * player.trial.end;"
-                " scrub.dispatchEvent(new Event('input')); }"
-            )
-            page.picture(IMAGES / f"report-{width}x{height}.png")
+        page.open(report, *PLAYER)
+        page.run(
+            "{ const scrub = document.getElementById('scrub');"
+            f" scrub.value = {MIDDLE} * player.trial.end;"
+            " scrub.dispatchEvent(new Event('input'));"
+            " scrub.closest('section').scrollIntoView(); }"
+        )
+        page.picture(IMAGES / "player.png")
 
 
 if __name__ == "__main__":

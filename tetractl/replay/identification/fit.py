@@ -29,13 +29,11 @@ from scipy.special import chdtrc, stdtrit
 from tetractl.control.filter_start import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats, Integers
 from tetractl.replay.identification.passes import (
-    UNKNOWN_S,
     WANDER_S,
     Belief,
     Passed,
     TrackFrames,
     intervals_used,
-    marginal,
     run,
     speed_wander,
 )
@@ -64,6 +62,13 @@ MOST_STD = np.array([2.0, 0.5, 1.0])
 most."""
 WIDER = 10.0
 """Prior standard deviation of a pass, over the deviation after the pass before."""
+POINTS = np.arange(-2.0, 3.0)
+"""Dead times of a parabola, less the likeliest so far, in its standard deviations."""
+SHRINKS_TO = 0.2
+GROWS_TO = 5.0
+"""Least and greatest new standard deviation of the dead time over the one before."""
+UNKNOWN_S = 0.3
+"""Standard deviation from which a dead time counts as unknown."""
 LN_MOST = 50.0
 """Greatest ln of a noise over the usual one."""
 NOISE_PRIOR_STD = 5.0
@@ -140,23 +145,19 @@ class FittedRobot:
     misfits: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Fitted:
-    """The likeliest values of all robots; they share the dead time [s]."""
-
-    dead_time: SampleInterval
-    robots: tuple[FittedRobot, ...]
-
-
 def fit(
     frames: list[TrackFrames],
     names: Sequence[str],
     a: Floats,
     speed: Floats,
     dead_time: float | None,
-) -> Fitted:
+    all_commands: bool = True,
+) -> tuple[SampleInterval, tuple[FittedRobot, ...]]:
     """Fit the parameters to the frames of some tracks of N robots, from expected turning rates a
     (N,) [rad/s], speeds (N,) [length unit/s] and dead time [s], None if that is unknown.
+
+    Returns the dead time that all robots share, and the values of each. Without `all_commands` no
+    heading is a misfit: hosts of lagging wheels send new rates between two directions.
     """
     state = _Fit(frames, a, speed, dead_time)
     for count in range(ROUNDS_MOST):
@@ -165,7 +166,7 @@ def fit(
         state.fit_motion()
         if count + 1 >= ROUNDS and abs(state.tau - before_s) < max(SETTLED_S, state.tau_std / 2):
             break
-    return state.result(names)
+    return state.result(names, all_commands)
 
 
 def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
@@ -234,24 +235,42 @@ class _Fit:
 
     def fit_noise(self) -> None:
         """Do a Newton step in the noise's parameters."""
-        self.noise, self.noise_std = newton_step(self._likelihood, self.noise, NOISE_PRIOR_STD)
 
-    def _likelihood(self, noise: Floats) -> Floats:
-        """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
-        rows = np.repeat(np.arange(len(noise)), noise.shape[1])
-        belief = self._belief(rows, noise.reshape(-1, 4))
-        passed = run(self.frames, rows, belief, np.array([self.tau]))
-        return passed.likelihood.reshape(noise.shape[:2])
+        def likelihood(noise: Floats) -> Floats:
+            """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
+            rows = np.repeat(np.arange(len(noise)), noise.shape[1])
+            belief = self._belief(rows, noise.reshape(-1, 4))
+            passed = run(self.frames, rows, belief, np.array([self.tau]))
+            return passed.likelihood.reshape(noise.shape[:2])
+
+        self.noise, self.noise_std = newton_step(likelihood, self.noise, NOISE_PRIOR_STD)
 
     def fit_motion(self, watched: bool = False) -> Passed:
-        """Find the likeliest dead time, a, speed and bias at the present noise."""
-        belief = self._belief(np.arange(len(self.mean)), self.noise)
-        likeliest = marginal(self.frames, belief, self.tau, self.tau_std, watched)
-        self.tau = likeliest.dead_time
-        self.tau_std = likeliest.dead_time_std
-        self.mean = likeliest.mean
-        self.std = likeliest.std
-        return likeliest.passed
+        """Find the likeliest dead time, a, speed and bias at the present noise; return the pass
+        with dead times around the former one.
+
+        The likeliest dead time and its standard deviation are those of a parabola through the
+        likelihoods. Means change with the dead time as a line fitted to them, and so the deviations
+        account for that of the dead time.
+        """
+        rows = np.arange(len(self.mean))
+        belief = self._belief(rows, self.noise)
+        taus = self.tau + POINTS * self.tau_std
+        passed = run(self.frames, rows, belief, taus, watched=watched)
+        likelihood = passed.likelihood.sum(axis=1)
+        bend, slope, _ = np.polyfit(POINTS, likelihood, 2)
+        best = -slope / (2 * bend) if bend < 0 else POINTS[likelihood.argmax()]
+        best = float(np.clip(best, 2 * POINTS[0], 2 * POINTS[-1]))
+        width = np.sqrt(0.5 / max(-bend, 1e-9))
+        factor = float(np.clip(width, SHRINKS_TO, GROWS_TO))
+        tau_std = min(self.tau_std * factor, UNKNOWN_S)
+        rise, middle = np.polyfit(POINTS, passed.mean.reshape(len(POINTS), -1), 1)
+        by_dead_time = rise.reshape(self.mean.shape) * tau_std / self.tau_std
+        self.mean = (middle + best * rise).reshape(self.mean.shape)
+        self.std = np.hypot(passed.std[len(POINTS) // 2], by_dead_time)
+        self.tau += best * self.tau_std
+        self.tau_std = tau_std
+        return passed
 
     def _belief(self, rows: np.ndarray, noise: Floats) -> Belief:
         """Return what a pass assumes of robots `rows` (R,) with noise (R, 4)."""
@@ -286,7 +305,9 @@ class _Fit:
         """Return ln of the likelihood of each robot's blocks (B, N, 8): as it is, and with each
         parameter raised and lowered by its deviation: noise, means and dead time."""
         count = len(self.mean)
-        blocks = _blocks_of(self.frames)
+        durations_s = [np.diff(track.time[:, 0], prepend=track.time[0, 0]) for track in self.frames]
+        ends = np.cumsum([len(duration_s) for duration_s in durations_s])[:-1]
+        blocks = np.split(block_numbers(np.concatenate(durations_s)), ends)
         changes = np.vstack([np.eye(DEAD_TIME), -np.eye(DEAD_TIME)])
         rows = np.repeat(np.arange(count), len(changes))
         changes = np.tile(changes, (count, 1))
@@ -307,30 +328,31 @@ class _Fit:
         down = np.concatenate([by_parameter[..., DEAD_TIME:], sooner], axis=2)
         return base, up, down
 
-    def result(self, names: Sequence[str]) -> Fitted:
-        """Return the fit of robots with these names, with its intervals."""
+    def result(
+        self, names: Sequence[str], all_commands: bool
+    ) -> tuple[SampleInterval, tuple[FittedRobot, ...]]:
+        """Return the dead time and the values of robots with these names, with their intervals."""
         watched = self.fit_motion(watched=True)
         self._widen()
         correlated = _is_correlated(watched.heading_residuals)
         motion = self._motion_intervals()
         noise = self._noise_intervals()
-        speed = np.exp(self.mean[:, 1])
-        position_noise = np.array([of_robot[0].value for of_robot in noise])
-        of_noise = 2 * np.sqrt(2) * position_noise / (speed * WANDER_S)
+        speeds = np.exp(self.mean[:, 1])
+        of_noise = 2 * np.sqrt(2) * noise[:, 0, 0] / (speeds * WANDER_S)
         wanders = speed_wander(self.frames) > np.maximum(WANDERS, of_noise)
         intervals = intervals_used(self.frames)
         robots: list[FittedRobot] = []
         for i, name in enumerate(names):
-            a, speed_interval, heading_bias = motion[i]
-            position_noise, _, heading_noise, heading_walk = noise[i]
+            a, speed, heading_bias = _intervals(motion[i])
+            position_noise, _, heading_noise, heading_walk = _intervals(noise[i])
             misfits = [ALONG] if wanders[i] else []
-            if correlated[i]:
+            if correlated[i] and all_commands:
                 misfits.append(HEADING)
             robots.append(
                 FittedRobot(
                     name=name,
                     a=a,
-                    speed=speed_interval,
+                    speed=speed,
                     heading_bias=heading_bias,
                     position_noise=position_noise,
                     heading_noise=heading_noise,
@@ -340,7 +362,7 @@ class _Fit:
                     misfits=tuple(misfits),
                 )
             )
-        return Fitted(self._dead_time_interval(), tuple(robots))
+        return self._dead_time_interval(), tuple(robots)
 
     def _dead_time_interval(self) -> SampleInterval:
         """Return the dead time with its interval, not below 0 if it may be above."""
@@ -349,8 +371,8 @@ class _Fit:
         ends = self.tau, self.tau - reach, self.tau + reach
         return SampleInterval(*np.maximum(ends, least).tolist())
 
-    def _motion_intervals(self) -> list[list[SampleInterval]]:
-        """Return a, speed and bias of each robot with their intervals."""
+    def _motion_intervals(self) -> Floats:
+        """Return a, speed and bias of each robot (N, 3, 3): value, lower and upper end of each."""
         deviations = self.std.copy()
         if any(track.lag > 0 for track in self.frames):
             deviations[:, 0] = np.hypot(deviations[:, 0], np.exp(self.mean[:, 0]) * DELAY_S)
@@ -358,10 +380,11 @@ class _Fit:
         half = np.where(half > FAR, np.inf, half)
         motion = np.stack([self.mean, self.mean - half, self.mean + half], axis=-1)
         motion[:, :2] = np.exp(motion[:, :2])
-        return _intervals(motion)
+        return motion
 
-    def _noise_intervals(self) -> list[list[SampleInterval]]:
-        """Return the deviations of each robot's noise with their intervals."""
+    def _noise_intervals(self) -> Floats:
+        """Return the deviations of each robot's noise (N, 4, 3): value, lower and upper end of
+        each."""
         rows = np.arange(len(self.noise))
         value = np.abs(self.noise)
         value[:, ::2] = self.noise[:, ::2]
@@ -369,23 +392,11 @@ class _Fit:
         low[:, 1::2] = np.maximum(low[:, 1::2], 0.0)
         high = value + NORMAL * self.noise_std
         ends = [self._deviations(rows, parameters) for parameters in (value, low, high)]
-        return _intervals(np.stack(ends, axis=-1))
+        return np.stack(ends, axis=-1)
 
 
-def _blocks_of(frames: list[TrackFrames]) -> list[Integers]:
-    """Return the blocks in which the frames (F,) of each track are."""
-    durations_s = [np.diff(track.time[:, 0], prepend=track.time[0, 0]) for track in frames]
-    ends = np.cumsum([len(duration_s) for duration_s in durations_s])[:-1]
-    return np.split(block_numbers(np.concatenate(durations_s)), ends)
-
-
-def _intervals(values: Floats) -> list[list[SampleInterval]]:
-    """Return the intervals of values (N, K, 3): each the value, its lower and its upper end."""
-    return [_intervals_of_robot(of_robot) for of_robot in values]
-
-
-def _intervals_of_robot(values: Floats) -> list[SampleInterval]:
-    """Return the intervals of values (K, 3)."""
+def _intervals(values: Floats) -> list[SampleInterval]:
+    """Return the intervals of values (K, 3): each the value, its lower and its upper end."""
     return [SampleInterval(value, low, high) for value, low, high in values.tolist()]
 
 
@@ -398,16 +409,11 @@ def _is_correlated(residuals: Floats) -> list[bool]:
         is_residual = np.isfinite(series)
         std = np.std(series[is_residual])
         clipped = np.nan_to_num(np.clip(series, -CLIPPED * std, CLIPPED * std))
-        squares = np.square(_autocorrelations(clipped))
-        ljung_box = is_residual.sum() * squares.sum()
+        products = [clipped[lag:] @ clipped[:-lag] for lag in range(1, LAGS + 1)]
+        autocorrelations = np.array(products) / (clipped @ clipped + 1e-300)
+        ljung_box = is_residual.sum() * np.square(autocorrelations).sum()
         correlated.append(bool(std >= RESOLVED and chdtrc(LAGS, ljung_box) < DOUBT / robots))
     return correlated
-
-
-def _autocorrelations(series: Floats) -> Floats:
-    """Return the autocorrelations of residuals (F,) at 1 to LAGS frames."""
-    products = [series[lag:] @ series[:-lag] for lag in range(1, LAGS + 1)]
-    return np.array(products) / (series @ series + 1e-300)
 
 
 # ---- Newton steps, and blocks ----

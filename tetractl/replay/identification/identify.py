@@ -20,6 +20,20 @@ INTERVALS_MIN = 20
 """Least number of intervals of a robot for a fit."""
 UNKNOWN_A = 3.0
 """Prior a if the log states no value [rad/s]."""
+LAG_UNSTATED = (
+    "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
+    "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
+)
+RATES_UNSTATED = (
+    "a, heading bias and dead time have no intervals, as directions that turn smoothly do not show "
+    "whether robots with a lag steer themselves or keep the rates of a host: send directions that "
+    "jump"
+)
+NO_JUMP = "or send directions that jump, which show it"
+UNIFORM = (
+    "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
+    "tell one from another: send directions that jump"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +62,21 @@ class IdentifiedRobots:
     turns_uniformly: bool = False
     rates_unstated: bool = False
 
+    @property
+    def why_no_intervals(self) -> str:
+        """Why a, heading bias and dead time have no intervals, and what gives them; "" if they
+        have. A lag that nothing states is seen if a heading does not fit without it, or may be
+        there unseen if directions turn so smoothly that it would fit."""
+        if self.turns_uniformly:
+            return UNIFORM
+        if self.rates_unstated and self.turns_smoothly:
+            return RATES_UNSTATED
+        if self.lag_unstated and self.turns_smoothly:
+            return f"{LAG_UNSTATED}; {NO_JUMP}"
+        if self.lag_unstated and any(HEADING in robot.misfits for robot in self.robots):
+            return LAG_UNSTATED
+        return ""
+
 
 def identify(
     tracks: list[Track], a: Floats | None, dead_time: float | None = 0.05
@@ -73,33 +102,23 @@ def identify(
     if speed.min() < LEAST_SPEED:
         still = names[int(np.argmin(speed))]
         raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
-    fitted = fit(frames, names, expected_a, speed, dead_time)
-    ages = [track.frame_age for track in tracks if track.frame_age is not None]
     all_commands = all(track.all_commands for track in tracks)
+    shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
+    ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
         sources=tuple(track.source for track in tracks),
         unit=tracks[0].unit,
         commands=sum(len(track.u) for track in frames),
-        dead_time=fitted.dead_time,
+        dead_time=shared_dead_time,
         frame_age=float(np.median(ages)) if ages else None,
-        robots=_judged(fitted.robots, all_commands),
+        robots=robots,
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
         lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
         turns_smoothly=turn_smoothly(tracks),
         turns_uniformly=turn_uniformly(tracks),
         rates_unstated=not all_commands,
-    )
-
-
-def _judged(robots: tuple[FittedRobot, ...], all_commands: bool) -> tuple[FittedRobot, ...]:
-    """Return robots without a misfit of their headings if not all commands are known: hosts of
-    lagging wheels send new rates between two directions."""
-    if all_commands:
-        return robots
-    return tuple(
-        replace(robot, misfits=tuple(m for m in robot.misfits if m != HEADING)) for robot in robots
     )
 
 
@@ -144,20 +163,6 @@ UNSTATED = ("heading_noise", "heading_walk")
 """Those whose intervals are not stated."""
 OF_HEADING = ("a", "heading_bias")
 """Those that the equation of the heading gives, with the dead time of all robots."""
-NO_INTERVAL = (
-    "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
-    "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
-)
-RATES_UNSTATED = (
-    "a, heading bias and dead time have no intervals, as directions that turn smoothly do not show "
-    "whether robots with a lag steer themselves or keep the rates of a host: send directions that "
-    "jump"
-)
-NO_JUMP = "or send directions that jump, which show it"
-UNIFORM = (
-    "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
-    "tell one from another: send directions that jump"
-)
 UNIFORM_RAD = 0.2
 TURN_LEAST = 1.0
 """How far from a uniform turn, and from the one before, directions may be that turn uniformly, and
@@ -180,15 +185,13 @@ def stated(result: IdentifiedRobots) -> IdentifiedRobots:
     states gives the dead time wrong, which all robots share, and with it a and the bias of each; so
     may directions that turn uniformly, or smoothly if robots with a lag may steer themselves.
     """
-    if not (_may_lag(result) or result.turns_uniformly or _may_steer(result)):
-        return replace(result, robots=tuple(_without(robot, UNSTATED) for robot in result.robots))
-    robots = tuple(_without(robot, (*UNSTATED, *OF_HEADING)) for robot in result.robots)
-    return replace(result, dead_time=_bare(result.dead_time), robots=robots)
-
-
-def _without(robot: FittedRobot, names: tuple[str, ...]) -> FittedRobot:
-    """Return a robot without the intervals of some values."""
-    return replace(robot, **{name: _bare(getattr(robot, name)) for name in names})
+    withheld = (*UNSTATED, *OF_HEADING) if result.why_no_intervals else UNSTATED
+    robots: list[FittedRobot] = []
+    for robot in result.robots:
+        bare = {name: _bare(getattr(robot, name)) for name in withheld}
+        robots.append(replace(robot, **bare))
+    dead_time = _bare(result.dead_time) if result.why_no_intervals else result.dead_time
+    return replace(result, dead_time=dead_time, robots=tuple(robots))
 
 
 def _bare(interval: SampleInterval) -> SampleInterval:
@@ -196,48 +199,33 @@ def _bare(interval: SampleInterval) -> SampleInterval:
     return SampleInterval(interval.value, math.nan, math.nan)
 
 
-def _may_lag(result: IdentifiedRobots) -> bool:
-    """Return whether wheels may have a lag that nothing states: a heading does not fit without, or
-    directions turn so smoothly that it would."""
-    is_misfit = any(HEADING in robot.misfits for robot in result.robots)
-    return result.lag_unstated and (is_misfit or result.turns_smoothly)
-
-
-def _may_steer(result: IdentifiedRobots) -> bool:
-    """Return whether robots with a lag may steer themselves, without it being seen."""
-    return result.rates_unstated and result.turns_smoothly
-
-
 def identified(result: IdentifiedRobots, when: str) -> Identified:
-    """Return the section `identified` of a spec; `when` is its date and time as text."""
+    """Return the section `identified` of a spec; `when` is its date and time as text. There, a dead
+    time is not below 0."""
+    dead_time = result.dead_time
+    robots: dict[str, IdentifiedRobot] = {}
+    for robot in result.robots:
+        robots[robot.name] = IdentifiedRobot(
+            a=_value(robot.a),
+            speed=_value(robot.speed),
+            heading_bias=_value(robot.heading_bias),
+            position_noise=_value(robot.position_noise),
+            heading_noise=_value(robot.heading_noise),
+            heading_walk=_value(robot.heading_walk),
+        )
     return Identified(
         identified=when,
         origin=result.origin,
         sources=result.sources,
         unit=result.unit,
-        dead_time=_value(_of_spec(result.dead_time)),
+        dead_time=_value(
+            SampleInterval(
+                max(dead_time.value, 0.0), max(dead_time.low, 0.0), max(dead_time.high, 0.0)
+            )
+        ),
         frame_age=result.frame_age or 0.0,
         strength=result.strength,
-        robots={robot.name: _identified_robot(robot) for robot in result.robots},
-    )
-
-
-def _of_spec(dead_time: SampleInterval) -> SampleInterval:
-    """Return a dead time as specs have it, not below 0."""
-    return SampleInterval(
-        max(dead_time.value, 0.0), max(dead_time.low, 0.0), max(dead_time.high, 0.0)
-    )
-
-
-def _identified_robot(robot: FittedRobot) -> IdentifiedRobot:
-    """Return the values of a robot as a spec holds them."""
-    return IdentifiedRobot(
-        a=_value(robot.a),
-        speed=_value(robot.speed),
-        heading_bias=_value(robot.heading_bias),
-        position_noise=_value(robot.position_noise),
-        heading_noise=_value(robot.heading_noise),
-        heading_walk=_value(robot.heading_walk),
+        robots=robots,
     )
 
 
@@ -249,14 +237,16 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     if result.frame_age is not None:
         note += f"; frames are {result.frame_age:.4f} s old at sending"
     note += f"\n{_fits(result)}"
-    if result.turns_uniformly:
-        note += f"\n{UNIFORM}"
-    elif _may_steer(result):
-        note += f"\n{RATES_UNSTATED}"
-    elif _may_lag(result):
-        note += f"\n{NO_INTERVAL}" + (f"; {NO_JUMP}" if result.turns_smoothly else "")
+    if result.why_no_intervals:
+        note += f"\n{result.why_no_intervals}"
     note += clock_doubt(result.dead_time)
-    labels = _labels(result)
+    labels: list[str] = []
+    for name, unit in QUANTITIES.items():
+        quantity = name.replace("_", " ")
+        labels.append(f"{quantity} [{unit.format(unit=result.unit)}]")
+    labels.append("lost")
+    if result.strength is not None:
+        labels.append(f"a per strength [rad/(s {result.strength_unit})]")
     abreast: list[Table] = []
     for start in range(0, len(result.robots), _ABREAST):
         robots = result.robots[start : start + _ABREAST]
@@ -274,31 +264,16 @@ def clock_doubt(dead_time: SampleInterval) -> str:
     return ""
 
 
-def _labels(result: IdentifiedRobots) -> list[str]:
-    """Return the labels of the rows of `tables`."""
-    labels: list[str] = []
-    for name, unit in QUANTITIES.items():
-        quantity = name.replace("_", " ")
-        labels.append(f"{quantity} [{unit.format(unit=result.unit)}]")
-    labels.append("lost")
-    if result.strength is not None:
-        labels.append(f"a per strength [rad/(s {result.strength_unit})]")
-    return labels
-
-
 def _texts(robot: FittedRobot, strength: float | None) -> list[str]:
-    """Return the entries of a robot's column, for the labels of `tables`."""
+    """Return the entries of a robot's column, for the labels of `tables`; the last is alpha, the
+    turning rate per unit of the field's strength."""
     texts = [cell(getattr(robot, name)) for name in QUANTITIES]
     texts.append(str(robot.lost))
     if strength is not None:
-        texts.append(cell(_per(robot.a, strength)))
+        per = strength or math.nan
+        alpha = SampleInterval(robot.a.value / per, robot.a.low / per, robot.a.high / per)
+        texts.append(cell(alpha))
     return texts
-
-
-def _per(interval: SampleInterval, strength: float) -> SampleInterval:
-    """Return alpha, the turning rate per unit of the field's strength."""
-    by = strength or math.nan
-    return SampleInterval(interval.value / by, interval.low / by, interval.high / by)
 
 
 def _fits(result: IdentifiedRobots) -> str:

@@ -49,14 +49,6 @@ INNER_STDS = 1.049
 """How far these are apart for a normal distribution [standard deviations]."""
 FULL = 0.6
 """Duration of the blocks whose speeds are compared [s], and the share in which a robot is seen."""
-POINTS = np.arange(-2.0, 3.0)
-"""Dead times of a parabola, in standard deviations."""
-MIDDLE = len(POINTS) // 2
-UNKNOWN_S = 0.3
-"""Standard deviation from which a dead time counts as unknown."""
-SHRINKS_TO = 0.2
-GROWS_TO = 5.0
-"""Least and greatest new standard deviation of the dead time over the one before."""
 IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
 """The filter's states of a `Belief`."""
 NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
@@ -380,48 +372,6 @@ def _keep_likeliest(bank: Bank) -> None:
     best = bank.ln_weight.argmax(axis=2)[..., None, None]
     bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
     bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
-
-
-@dataclass(frozen=True, slots=True)
-class Marginal:
-    """The likeliest dead time [s] of N robots, and their `mean` and `std` (N, 3) at it, as in
-    `Belief`; `passed` is the pass with dead times around the former one."""
-
-    dead_time: float
-    dead_time_std: float
-    mean: Floats
-    std: Floats
-    passed: Passed
-
-
-def marginal(
-    tracks: Sequence[TrackFrames], belief: Belief, tau: float, tau_std: float, watched: bool = False
-) -> Marginal:
-    """Run the filter with dead times around `tau` [s], apart by `tau_std`, for N robots.
-
-    The likeliest dead time and its standard deviation are those of a parabola through the
-    likelihoods. Means change with the dead time as a line fitted to them, and so the deviations
-    account for that of the dead time.
-    """
-    rows = np.arange(len(belief.mean))
-    passed = run(tracks, rows, belief, tau + POINTS * tau_std, watched=watched)
-    likelihood = passed.likelihood.sum(axis=1)
-    bend, slope, _ = np.polyfit(POINTS, likelihood, 2)
-    best = -slope / (2 * bend) if bend < 0 else POINTS[likelihood.argmax()]
-    best = float(np.clip(best, 2 * POINTS[0], 2 * POINTS[-1]))
-    width = np.sqrt(0.5 / max(-bend, 1e-9))
-    factor = float(np.clip(width, SHRINKS_TO, GROWS_TO))
-    dead_time_std = min(tau_std * factor, UNKNOWN_S)
-    rise, middle = np.polyfit(POINTS, passed.mean.reshape(len(POINTS), -1), 1)
-    shape = belief.mean.shape
-    by_dead_time = rise.reshape(shape) * dead_time_std / tau_std
-    return Marginal(
-        dead_time=tau + best * tau_std,
-        dead_time_std=dead_time_std,
-        mean=(middle + best * rise).reshape(shape),
-        std=np.hypot(passed.std[MIDDLE], by_dead_time),
-        passed=passed,
-    )
 
 
 def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:

@@ -97,15 +97,15 @@ class _Remark:
 
 def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
     """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`: each text
-    with those it is true of, without names if that is every batch."""
+    with those it is true of, without names if there is one batch."""
     names: dict[tuple[str, str], list[str]] = {}  # by label and text
     for group in groups:
         for remark in _remarks(group, len(groups) > 1):
             names.setdefault((remark.label, remark.text), []).append(remark.name)
-    every_batch = [group.name for group in groups]
+    only_batch = [groups[0].name] if len(groups) == 1 else None
     texts: dict[str, list[str]] = {}  # by label
     for (label, text), of_text in names.items():
-        named = text if of_text == every_batch else f"{listing(of_text)}: {text}"
+        named = text if of_text == only_batch else f"{listing(of_text)}: {text}"
         texts.setdefault(label, []).append(named)
     for label, of_label in texts.items():
         yield f"{label}: {listing(of_label, '; ')}"

@@ -13,45 +13,12 @@ from tetractl.experiment.disturbance import Disturbance, overriding
 from tetractl.plant.sim_section import MeasurementNoise
 
 
-class FrameTransit:
-    """Frames on their way to the host, in the order of their arrival.
-
-    A frame goes through `put`, when it is taken, `receive`, when it reaches the host, and
-    `samples`, when the host reads it.
-    """
-
-    def __init__(self) -> None:
-        self._coming: deque[Sample] = deque()
-        self._unread: list[Sample] = []
-        self.newest: Observation | None = None
-        """The newest frame that the host has received."""
-
-    @property
-    def arriving_ns(self) -> int | None:
-        """The time when the next frame reaches the host [ns], None if none is on its way."""
-        return self._coming[0].observation.received_ns if self._coming else None
-
-    def put(self, sample: Sample) -> None:
-        """Let a frame be on its way; it arrives no earlier than those before it."""
-        self._coming.append(sample)
-
-    def receive(self, until_ns: int) -> None:
-        """Pass to the host every frame that arrives up to `until_ns`."""
-        while self._coming and self._coming[0].observation.received_ns <= until_ns:
-            sample = self._coming.popleft()
-            self.newest = sample.observation
-            self._unread.append(sample)
-
-    def samples(self) -> list[Sample]:
-        """Return every frame received since the last call, oldest first."""
-        samples = self._unread
-        self._unread = []
-        return samples
-
-
 class SimCamera:
-    """Exposes `frames` of N robots; disturbances change, delay and lose them. `random` draws the
+    """A camera of N robots; disturbances change, delay and lose its frames. `random` draws the
     noise.
+
+    A frame goes through `expose`, when it is taken, `receive`, when it reaches the host, and
+    `samples`, when the host reads it.
     """
 
     def __init__(
@@ -61,7 +28,10 @@ class SimCamera:
         disturbances: Sequence[Disturbance],
         random: np.random.Generator,
     ) -> None:
-        self.frames = FrameTransit()
+        self.newest: Observation | None = None
+        """The newest frame that the host has received."""
+        self._coming: deque[Sample] = deque()  # on their way to the host, in the order of arrival
+        self._unread: list[Sample] = []  # received, oldest first
         self._noise = np.array([[noise.position], [noise.position], [noise.heading]])
         self._random = random
         self._measuring = overriding(disturbances, "measured")
@@ -89,9 +59,27 @@ class SimCamera:
                 poses, tracked = self._measured(poses, exposed_ns[k])
             if arrival_ns < NEVER:
                 frame = Observation(self._exposed, exposed_ns[k], arrival_ns, poses, tracked)
-                self.frames.put(Sample(frame, true_poses))
+                self._coming.append(Sample(frame, true_poses))
                 self._last_shown = poses
             self._exposed += 1
+
+    @property
+    def arriving_ns(self) -> int | None:
+        """The time when the next frame reaches the host [ns], None if none is on its way."""
+        return self._coming[0].observation.received_ns if self._coming else None
+
+    def receive(self, until_ns: int) -> None:
+        """Pass to the host every frame that arrives up to `until_ns`."""
+        while self._coming and self._coming[0].observation.received_ns <= until_ns:
+            sample = self._coming.popleft()
+            self.newest = sample.observation
+            self._unread.append(sample)
+
+    def samples(self) -> list[Sample]:
+        """Return every frame received since the last call, oldest first."""
+        samples = self._unread
+        self._unread = []
+        return samples
 
     def _arrival_ns(self, exposed_ns: int) -> int:
         """Return when the next frame reaches the host [ns], NEVER if it is lost.

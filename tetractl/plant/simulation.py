@@ -6,15 +6,15 @@ time passes only where the clock is slept on: by the caller from one control ste
 while a command is planned and while the robots come to rest.
 
     SimPlant             what a host sees of the plant: frames, commands, verdict
-      SimCamera          exposes frames of the true poses
-        FrameTransit     the frames on their way to the host
+      SimCamera          exposes frames of the true poses, which reach the host later
       CommandSender        sends commands to the robots, again and again
         SimHost          computes the wheel speeds of robots on wheels
       Transit            the commands in flight
       TrueMotion         moves the robots from event to event
         Drive            how they move: DirectDrive, WheelDrive or CellDrive
         Watchdogs        stop robots that hear nothing
-        MotionDisturbances, TruePath
+        MotionDisturbances
+        PathCheck        checks the true path against obstacles, walls and other robots
         SimPlant           is called back to send the held command again, amid the motion
 
 `SimSection` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
@@ -51,7 +51,7 @@ from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.timetable import Timetable
 from tetractl.plant.transit import Transit, Watchdogs
-from tetractl.plant.true_motion import MotionDisturbances, TrueMotion, TruePath
+from tetractl.plant.true_motion import MotionDisturbances, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive
 
 NO_FRAME_S = 60
@@ -122,6 +122,12 @@ class SimPlant:
         self.speed = speed
         """The true speeds before they vary, (N,) [length unit/s]."""
         drive = build_drive(settings, setup, a, speed, starts, seed)
+        self.drive = drive
+        """What moves the robots."""
+        self.camera = SimCamera(
+            count, settings.measurement_noise, disturbances, generator(seed, RandomStream.CAMERA)
+        )
+        """The camera that sees them."""
         walk_rad = 0.0  # drives that sum up their path walk at each of its samples instead
         if not drive.sampled:
             walk_rad = float(settings.heading_noise / np.sqrt(settings.camera_rate))
@@ -136,33 +142,18 @@ class SimPlant:
         )
         self._motion = TrueMotion(
             drive=drive,
-            camera=SimCamera(
-                count,
-                settings.measurement_noise,
-                disturbances,
-                generator(seed, RandomStream.CAMERA),
-            ),
+            camera=self.camera,
             timetable=Timetable(settings.camera_rate, settings.truth_rate),
             transit=transit,
             watchdogs=Watchdogs(count, setup.watchdog_s),
             disturbances=MotionDisturbances(disturbances, self.a, self.speed),
             walk_rad=walk_rad,
             walking=generator(seed, RandomStream.HEADINGS),
-            path=TruePath(PathCheck.of(setup)),
+            check=PathCheck.of(setup),
             transmit_again=self._transmit_again,
         )
         self._repeated: list[Command | Note] = []  # transmissions that `news` has not returned
         self._stop: Command | None = None
-
-    @property
-    def drive(self) -> Drive:
-        """What moves the robots."""
-        return self._motion.drive
-
-    @property
-    def camera(self) -> SimCamera:
-        """The camera that sees them."""
-        return self._motion.camera
 
     @property
     def poses(self) -> Poses:
@@ -213,7 +204,7 @@ class SimPlant:
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
         self._catch_up()
-        return self.camera.frames.samples()
+        return self.camera.samples()
 
     def news(self) -> list[Command | Note]:
         """Return the commands sent under a held direction since the last call, oldest first."""
@@ -235,7 +226,7 @@ class SimPlant:
         self.clock.sleep_until(stand_ns + two_frames_ns)
         self._catch_up()
         self._await_frame(stand_ns)
-        return self._motion.path.verdict(self.poses)
+        return self._motion.verdict()
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -245,16 +236,16 @@ class SimPlant:
         self._motion.advance(self.clock.now())
 
     def _newest_frame(self) -> Observation:
-        newest = self.camera.frames.newest
+        newest = self.camera.newest
         assert newest is not None, "there is no frame: call open() first"
         return newest
 
     def _await_frame(self, since_ns: int) -> None:
         """Wait until the host has a frame exposed at `since_ns` or later."""
         give_up_ns = self.clock.now() + NO_FRAME_S * SECOND
-        frames = self.camera.frames
-        while frames.newest is None or frames.newest.sampled_ns < since_ns:
-            arriving_ns = frames.arriving_ns
+        camera = self.camera
+        while camera.newest is None or camera.newest.sampled_ns < since_ns:
+            arriving_ns = camera.arriving_ns
             if arriving_ns is None:
                 self.clock.sleep_until(self._motion.timetable.next_frame_ns)
             else:

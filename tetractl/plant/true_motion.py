@@ -48,11 +48,8 @@ class MotionDisturbances:
         self._acted_ns = -1  # the time up to which they have acted
         self.rates = (a, speed)
         """The present a and speed, (N,) each."""
-
-    @property
-    def any(self) -> bool:
+        self.any = bool(self._moving or self._varying)
         """Whether there is any such disturbance."""
-        return bool(self._moving or self._varying)
 
     def act(self, drive: Drive, now_ns: int) -> None:
         """Move the robots by what happened since the last time, and vary a and speed from now on;
@@ -87,31 +84,6 @@ class MotionDisturbances:
         drive.vary(a, speed)
 
 
-class TruePath:
-    """The true path of N robots: checked against obstacles, walls and other robots."""
-
-    def __init__(self, check: PathCheck) -> None:
-        self._check = check
-        self._unchecked: list[Floats] = []  # x, y, heading (M, 3, N) of parts of the path
-
-    def add(self, poses: Floats) -> None:
-        """Add the part of the path that follows: x, y, heading, (M, 3, N)."""
-        self._unchecked.append(poses)
-        if len(self._unchecked) > UNCHECKED_MAX:
-            self._check_all()
-
-    def verdict(self, final: Poses) -> Verdict:
-        """Return the verdict on the path so far, with the final poses."""
-        self._check_all()
-        return self._check.verdict(final)
-
-    def _check_all(self) -> None:
-        if self._unchecked:
-            path = np.concatenate(self._unchecked)
-            self._check.add(path[:, 0], path[:, 1])
-            self._unchecked = []
-
-
 @dataclass(slots=True)
 class MotionStep:
     """One step, from the present time to `end_ns`, and what happens at its end, in this order."""
@@ -131,14 +103,9 @@ class MotionStep:
     poses: Floats = field(default_factory=lambda: NO_POSES)
     """x, y, heading at these times, (M, 3, N)."""
 
-    @property
-    def is_event(self) -> bool:
-        """Whether something happens at the end that changes how robots move on."""
-        return self.disturbed or self.repeats or self.command is not None
-
 
 class TrueMotion:
-    """Moves N robots in continuous time, exposes the camera's frames and checks the true path.
+    """Moves N robots in continuous time, exposes the camera's frames and `check`s the true path.
 
     Commands for the robots are sent into `transit`. At each time [ns] at which the host transmits
     again, `transmit_again` is called with that time. The headings of robots that move take a step
@@ -157,7 +124,7 @@ class TrueMotion:
         disturbances: MotionDisturbances,
         walk_rad: float,
         walking: np.random.Generator,
-        path: TruePath,
+        check: PathCheck,
         transmit_again: Callable[[int], None],
     ) -> None:
         self.drive = drive
@@ -168,7 +135,8 @@ class TrueMotion:
         self.disturbances = disturbances
         self._walk_rad = walk_rad
         self._walking = walking
-        self.path = path
+        self._check = check
+        self._unchecked: list[Floats] = []  # x, y, heading (M, 3, N) of parts of the path
         self._transmit_again = transmit_again
         self._frames_are_events = disturbances.any or walk_rad > 0
         self._now_ns = 0  # the time of the drive's poses
@@ -177,8 +145,7 @@ class TrueMotion:
             self._move,  # the robots, under what they hold
             self._disturb,  # where they have come to, and what they are able to
             self._record,  # the part of the path
-            self._expose,  # the frames that are due
-            self._receive,  # the frames that have reached the host
+            self._film,  # the frames that are due, and those that have reached the host
             self._swerve,  # the headings' random walk, if a frame was due at the end
             self._act,  # the command, or the host's next transmission
         )
@@ -226,8 +193,9 @@ class TrueMotion:
         A drive that sums up its path goes only to the last time due, unless there is an event: so
         the path does not depend on how often the plant is read.
         """
-        stays = step.end_ns == self._now_ns and not (step.is_event and self._frames_are_events)
-        stops_early = self.drive.sampled and not step.is_event
+        is_event = step.disturbed or step.repeats or step.command is not None
+        stays = step.end_ns == self._now_ns and not (is_event and self._frames_are_events)
+        stops_early = self.drive.sampled and not is_event
         if (stays or stops_early) and self.timetable.next_ns > step.end_ns:
             return
         due = self.timetable.take(step.end_ns, with_end=not stops_early)
@@ -250,19 +218,29 @@ class TrueMotion:
         of_all_robots = self.drive.poses.x.shape == poses.shape[2:]
         if not (of_all_robots and (np.abs(poses) <= POSE_MAX).all()):  # not so for NaN
             raise WrongValueError(self, "a motion or disturbance", "a pose that no log can hold")
-        self.path.add(poses)
+        self._unchecked.append(poses)
+        if len(self._unchecked) > UNCHECKED_MAX:
+            self._check_path()
 
-    def _expose(self, step: MotionStep) -> None:
-        """Expose the frames that were due in the step."""
-        if step.due is None:
-            return
-        frames = step.due.frames.nonzero()[0]
-        if frames.size:
-            self.camera.expose(step.due.times_ns[frames], step.poses[frames])
+    def _check_path(self) -> None:
+        if self._unchecked:
+            path = np.concatenate(self._unchecked)
+            self._check.add(path[:, 0], path[:, 1])
+            self._unchecked = []
 
-    def _receive(self, step: MotionStep) -> None:
-        """Pass to the host the frames that have reached it."""
-        self.camera.frames.receive(step.end_ns)
+    def verdict(self) -> Verdict:
+        """Return the verdict on the path so far, at whose end the robots are now."""
+        self._check_path()
+        return self._check.verdict(self.drive.poses)
+
+    def _film(self, step: MotionStep) -> None:
+        """Expose the frames that were due in the step, and pass to the host those that have reached
+        it."""
+        if step.due is not None:
+            frames = step.due.frames.nonzero()[0]
+            if frames.size:
+                self.camera.expose(step.due.times_ns[frames], step.poses[frames])
+        self.camera.receive(step.end_ns)
 
     def _swerve(self, step: MotionStep) -> None:
         """Turn each robot that moves by one step of its random walk, after the frame."""

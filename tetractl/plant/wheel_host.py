@@ -58,18 +58,12 @@ class SimHost:
         and dead zones, and as the wheels run in truth; of each, left and right ones. `frame` is the
         newest one received; `is_new` if the action has not been transmitted before.
         """
-        self._schedule(now_ns)
+        if self._section.rate is not None:  # as the lab's inner loop does
+            due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
+            self.repeats_ns = next_due_ns(due_ns, now_ns, round(SECOND / self._section.rate))
         if is_new or self._section.recompute:
             self._speeds = self._compute(now_ns, action, frame)
         return self._speeds
-
-    def _schedule(self, now_ns: int) -> None:
-        """Schedule the next transmission as the lab's inner loop does."""
-        if self._section.rate is None:
-            return
-        period_ns = round(SECOND / self._section.rate)
-        due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
-        self.repeats_ns = next_due_ns(due_ns, now_ns, period_ns)
 
     def _compute(self, now_ns: int, action: Steer | Turn | FieldOff, frame: Observation) -> Floats:
         acts_ns = now_ns + self._lead_ns

@@ -32,12 +32,12 @@ from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.prior import nothing
 from tetractl.control.reception import Reception
 from tetractl.control.work_clock import WorkClock
-from tetractl.core.commands import Command, Verdict
+from tetractl.core.commands import Command
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import Controller, Plant
 from tetractl.core.setup import Setup
-from tetractl.core.trial import Result
+from tetractl.core.trial import Result, Verdict
 from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.results.estimate import distributions, percent

@@ -28,11 +28,11 @@ from solverbench.problems import played
 from solverbench.report import load, progress
 from worlds import WORLDS, Truth, Unmodelled
 
-from tetractl.core.commands import Command, Note
+from tetractl.core.commands import Command
 from tetractl.core.plan import End, Estimate, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller, Plant
-from tetractl.core.trial import Step
+from tetractl.core.trial import Note, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.plant.simulation import SimPlant

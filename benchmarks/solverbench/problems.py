@@ -9,11 +9,10 @@ import numpy as np
 from tetractl.control.optimizers.pso import Pso
 from tetractl.control.stop import BudgetStop
 from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import PlantInfo
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of

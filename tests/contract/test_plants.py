@@ -10,9 +10,10 @@ from support.geometry import gap
 from support.plants import RIGS
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import FieldOff, Steer, Stop, Turn, Verdict
+from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import wrap
+from tetractl.core.trial import Verdict
 
 pytestmark = pytest.mark.slow
 

@@ -7,10 +7,9 @@ import numpy as np
 from support import trials
 from support.trials import THREE_M3PI
 
-from tetractl.core.commands import PlantInfo, Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.core.trial import Result
+from tetractl.core.trial import PlantInfo, Result, Verdict
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.describe import BatchStatistics, describe

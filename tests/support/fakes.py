@@ -9,10 +9,10 @@ from support.recorder import Recorder
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Command, PlantInfo, Sample, Steer, Stop, Turn, Verdict
+from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.plan import Outcome, Plan, Search
-from tetractl.core.poses import Observation, Poses
-from tetractl.core.trial import EPOCH_NS
+from tetractl.core.poses import Observation, Poses, Sample
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Verdict
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt

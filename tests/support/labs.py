@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
+from tetractl.core.commands import Action, Steer, Stop, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.core.protocols import LabSupervision
+from tetractl.core.protocols import Health, LabSupervision, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
@@ -195,7 +195,11 @@ class FakeActuator:
             straight_left, straight_right = wheel_speeds(sine, setup.a, speed, 0.0)
             apart = turning * setup.wheel_radius
             wheels = (straight_left - apart, straight_right + apart)
-        transmission = Transmission(action, world.clock.now(), moving, speed, turning, *wheels)
+        delivered = (True,) * len(moving) if isinstance(action, Stop) else moving
+        now_ns = world.clock.now()
+        transmission = Transmission(
+            action, now_ns, delivered, *wheels, speed=speed, turning=turning
+        )
         self.sent.append(transmission)
         return transmission
 

@@ -6,8 +6,8 @@ import numpy as np
 from support import random_trials
 from support.paths import ROOT
 
-from tetractl.core.commands import HALTS, PlantInfo
 from tetractl.core.plan import Outcome
+from tetractl.core.trial import HALTS, PlantInfo
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_trial

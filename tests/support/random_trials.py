@@ -8,11 +8,11 @@ from unittest import mock
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, PlantInfo, Sample, Stop, Verdict
+from tetractl.core.commands import Command, Stop
 from tetractl.core.plan import Estimate, Outcome, Plan, Search, StopReason
-from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.protocols import Observer
-from tetractl.core.trial import EPOCH_NS, Result, Start, Step
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start, Step, Verdict
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.log import provenance

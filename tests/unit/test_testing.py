@@ -389,12 +389,15 @@ class PortActuator:
         headings = np.array([0.0 if pose is None else pose.heading for pose in poses])
         print(action.direction / self.section.divisor, file=self.port, flush=True)
         turning = self.setup.a * np.sin(action.direction - headings)
-        return Transmission(action, self.clock.now(), tuple(moving), self.setup.speed, turning)
+        now_ns = self.clock.now()
+        speed = self.setup.speed
+        return Transmission(action, now_ns, tuple(moving), speed=speed, turning=turning)
 
     def stop(self, emergency=False):
         print("off" * 10_000, file=self.port, flush=True)  # more than the port holds
         zeros = np.zeros(len(self.setup.names))
-        return Transmission(Stop(), self.clock.now(), (True,) * zeros.size, zeros, zeros)
+        all_robots = (True,) * zeros.size
+        return Transmission(Stop(), self.clock.now(), all_robots, speed=zeros, turning=zeros)
 
 
 def test_an_actuator_sends_to_a_port_behind_which_nothing_is():

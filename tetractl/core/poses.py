@@ -186,6 +186,30 @@ class Observation:
             array.setflags(write=False)
 
 
+@dataclass(frozen=True, slots=True)
+class FrameAddition:
+    """What a camera knows of the frame exposed at `sampled_ns` beyond its poses.
+
+    `messages`, topic and protobuf bytes, are logged as they are; a camera may use the channels of
+    pictures, `log.format.channels`.
+    """
+
+    sampled_ns: int
+    messages: tuple[tuple[str, bytes], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One camera frame and the true poses at its exposure; `truth` is None outside simulations.
+
+    `messages`, topic and bytes, are what its camera adds to the frame's record.
+    """
+
+    observation: Observation
+    truth: Poses | None
+    messages: tuple[tuple[str, bytes], ...] = ()
+
+
 INSIDE = 0.95
 """The fraction of a normal distribution that lies in the ellipse that `ellipse` returns."""
 DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))

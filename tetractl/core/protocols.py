@@ -1,27 +1,15 @@
 """The protocols of plants, controllers, observers and the lab's devices."""
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
-from tetractl.core.commands import (
-    Action,
-    Command,
-    Health,
-    Note,
-    PlantInfo,
-    RobotStatus,
-    Sample,
-    Steer,
-    Transmission,
-    Turn,
-    Verdict,
-)
+from tetractl.core.commands import Action, Command, Steer, Transmission, Turn
 from tetractl.core.guard_findings import Finding, RobotPlace
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
-from tetractl.core.poses import CameraFrame, Floats, Observation, Pose
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.poses import CameraFrame, Floats, Observation, Pose, Sample
+from tetractl.core.trial import Note, PlantInfo, Result, Start, Step, Verdict
 
 
 class Plant(Protocol):
@@ -70,6 +58,26 @@ class Plant(Protocol):
         ...
 
 
+EMULATED_NAME = "EMULATED by tetractl"
+"""Text in the name that an emulated device reports to its client."""
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """The state of a device of the lab before a run.
+
+    `problems` prevent a run from starting, `warnings` do not, and `questions` need the operator's
+    consent; all are lines of text. The log's metadata hold the `facts`. `emulated` is True if the
+    device reports that it is not real; all tables and figures then mark the trial as emulated.
+    """
+
+    problems: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    questions: tuple[str, ...] = ()
+    emulated: bool = False
+
+
 class Device(Protocol):
     """A device of the lab that is opened, checked and closed; a context manager.
 
@@ -105,6 +113,25 @@ class Camera(Device, Protocol):
     def frames(self) -> list[CameraFrame]:
         """Return every frame since the last call, oldest first."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class RobotStatus:
+    """The answer of one robot to a poll; `answers` is None for a robot that cannot answer. It gives
+    the voltage of its battery [V], or its charge [%], or neither."""
+
+    answers: bool | None
+    battery_v: float | None = None
+    problems: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    charge: int | None = None
+
+    @property
+    def battery(self) -> str | None:
+        """The voltage or the charge, for display; None if neither is known."""
+        if self.battery_v is not None:
+            return f"{self.battery_v:.2f} V"
+        return None if self.charge is None else f"{self.charge} %"
 
 
 class Actuator(Device, Protocol):

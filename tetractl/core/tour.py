@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Sample
-from tetractl.core.poses import Bools, Floats, Integers, Observation
+from tetractl.core.poses import Bools, Floats, Integers, Observation, Sample
 
 LOSS_LOOK_NS = SECOND // 10  # time between two frames in which standing robots are looked for
 STRIDE_S = 0.05  # least way by which a robot has moved, as a time of driving

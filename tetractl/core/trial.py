@@ -1,12 +1,15 @@
-"""The records of a trial: its start, each control step, its result."""
+"""The records of a trial: its plant, its start, each control step, its verdict and its result."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
-from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
+import numpy as np
+
+from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome, Plan
-from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses, Sample
 from tetractl.core.setup import Setup
 from tetractl.core.tour import TourMeasure
 
@@ -15,6 +18,95 @@ EPOCH_NS = 1_577_836_800_000_000_000
 
 OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"})
 """Names of the files attached to every log, which no file named in a spec may have."""
+HALTS = "halts"
+"""The fact of a lab that says whether its robots stand still after a stop."""
+EMULATED_PLANT = "emulated"
+"""The type of the plant that emulates a lab in virtual time."""
+EMULATED_DEVICES = "emulated"
+"""The key of `PlantInfo.facts` whose value names the emulated devices."""
+REAL_DEVICE = "real"
+"""The key of `PlantInfo.facts` that names the real device of plant `emulated`, if there is one."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlantInfo:
+    """A description of an open plant: `kind` is its type, and the log's metadata hold its `facts`.
+
+    The fact HALTS of a lab is "yes" if its robots stand still after a stop, otherwise "no". The
+    fact EMULATED_DEVICES names the lab's devices that are not real, such as "camera".
+    """
+
+    kind: str
+    simulated: bool
+    camera_rate_hz: float
+    facts: dict[str, str]
+
+    @property
+    def virtual(self) -> bool:
+        """Whether trials run in virtual time: those of a simulation, or of plant `emulated` without
+        a real device."""
+        if self.kind == EMULATED_PLANT:
+            return REAL_DEVICE not in self.facts
+        return self.simulated
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A message for the operator with its time in the trial; `level` is "info", "warning",
+    "error", or "debug" for one of the calls that led to an exception, which only the log has."""
+
+    t_ns: int
+    level: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a trial of N robots ended, from the plant's finest samples of their paths.
+
+    `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
+    obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
+    obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` is a text on the
+    robots that did not stand still after the stop, "" if all stood still; `unrest` names those that
+    may still drive when the trial has ended. `edge` (N,) is the least
+    distance of each robot to the edge of the arena, negative outside the arena, and `apart` (N,)
+    the least distance of each robot to another robot, inf for a single robot; both are empty in
+    older logs. All distances are measured from the robots' centres; the methods count bodies of a
+    `radius` [length unit], by default the centres. In a lab with robots on wheels `turn` (N,)
+    is the rate at which each robot turned by itself while it drove, and `turn_std` (N,) its
+    standard error, inf if it is unknown [rad/s]; otherwise both are empty.
+    """
+
+    final: Poses
+    entered: tuple[bool, ...]
+    clearance: tuple[float, ...]
+    not_at_rest: str = ""
+    edge: tuple[float, ...] = ()
+    apart: tuple[float, ...] = ()
+    turn: tuple[float, ...] = ()
+    turn_std: tuple[float, ...] = ()
+    unrest: str = ""
+
+    @classmethod
+    def unknown(cls, robots: int) -> Self:
+        """Return the verdict on N robots of which the plant could not tell where they stopped."""
+        nowhere = Poses.of(np.full((robots, 3), np.nan))
+        return cls(nowhere, (False,) * robots, (math.inf,) * robots)
+
+    def in_obstacle(self, radius: float = 0.0) -> list[bool]:
+        """Return which robots (N,) entered an obstacle."""
+        return [
+            entered or gap < radius
+            for entered, gap in zip(self.entered, self.clearance, strict=True)
+        ]
+
+    def over_edge(self, radius: float = 0.0) -> list[bool]:
+        """Return which robots (N,) left the arena; empty if the log does not record it."""
+        return [edge < radius for edge in self.edge]
+
+    def touched(self, radius: float = 0.0) -> list[bool]:
+        """Return which robots (N,) touched another one; empty if the log does not record it."""
+        return [apart < 2 * radius for apart in self.apart]
 
 
 @dataclass(frozen=True, slots=True)

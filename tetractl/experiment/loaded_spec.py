@@ -9,10 +9,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.shown import Shown
-from tetractl.core.trial import OWN_FILES, Start
+from tetractl.core.trial import OWN_FILES, PlantInfo, Start
 from tetractl.experiment.controller import ControllerSection, with_logged_keys
 from tetractl.experiment.experiment import Experiment, Trials, packages
 from tetractl.experiment.yaml.core_yaml import dump

@@ -6,9 +6,10 @@ A camera has an ability if it has the protocol's members; nothing needs to be de
 from collections.abc import Iterable
 from typing import Protocol, runtime_checkable
 
-from tetractl.core.commands import FrameAddition, Note
 from tetractl.core.guard_findings import Lose
+from tetractl.core.poses import FrameAddition
 from tetractl.core.setup import Setup
+from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import LabLimits
 
 

@@ -406,7 +406,7 @@ def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
     unloggable = "a transmission that no log can hold"
     if not isinstance(sent, Transmission):
         return unloggable
-    if not _is_whole(sent.sent_ns) or len(sent.moving) != robots:
+    if not _is_whole(sent.sent_ns) or len(sent.delivered) != robots:
         return unloggable
     for speeds in (sent.speed, sent.turning, sent.left, sent.right):
         if speeds is not None and not (

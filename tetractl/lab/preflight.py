@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import EMULATED_DEVICES, Health, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
-from tetractl.core.protocols import LabSupervision
+from tetractl.core.protocols import Health, LabSupervision, RobotStatus
+from tetractl.core.trial import EMULATED_DEVICES
 from tetractl.lab.frames import AcceptedFrame, as_shown, rate_hz
 from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig

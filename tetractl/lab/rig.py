@@ -8,9 +8,8 @@ from pkgutil import resolve_name
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
-from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.protocols import Actuator, Camera, Health
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.guard import Guard

@@ -12,24 +12,12 @@ from typing import Literal
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
-from tetractl.core.commands import (
-    HALTS,
-    Action,
-    Command,
-    FieldOff,
-    FrameAddition,
-    Note,
-    PlantInfo,
-    Sample,
-    Steer,
-    Stop,
-    Transmission,
-    Verdict,
-)
+from tetractl.core.commands import Action, Command, FieldOff, Steer, Stop
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import FrameAddition, Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
+from tetractl.core.trial import HALTS, Note, PlantInfo, Verdict
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
@@ -238,9 +226,8 @@ class LabPlant:
         sent = self.rig.loop.hold(action)
         self._returned.add(sent.sent_ns)
         if isinstance(sent.action, Stop):  # the guard holds all robots still at present
-            unheard = (False,) * len(sent.moving)
-            return Command(action, sent.sent_ns, unheard, sent.left, sent.right)
-        return self._command(sent)
+            return replace(sent, action=action, delivered=(False,) * len(sent.delivered))
+        return sent
 
     def samples(self) -> list[Sample]:
         """Return every camera frame since the last call, oldest first; the first call after
@@ -254,11 +241,10 @@ class LabPlant:
     def news(self) -> list[Command | Note]:
         """Return every transmission not returned by `send`, and every warning, since the last
         call."""
-        commands = [self._command(sent) for sent in self.rig.loop.sent()]
         warnings = [Note(t_ns, "warning", text) for t_ns, text in self.rig.loop.warnings()]
         events: list[Command | Note] = [
             *self._notes,
-            *(command for command in commands if command.sent_ns not in self._returned),
+            *(sent for sent in self.rig.loop.sent() if sent.sent_ns not in self._returned),
             *warnings,
         ]
         self._notes.clear()
@@ -362,9 +348,8 @@ class LabPlant:
         robots = len(self.setup.names)
         if first is None:
             return Command(Stop(), self._stopped_ns, delivered=(False,) * robots)
-        delivered = (self.rig.actuator.failure is None,) * robots
         self._returned.add(first.sent_ns)
-        return Command(Stop(), first.sent_ns, delivered, first.left, first.right)
+        return replace(first, delivered=(self.rig.actuator.failure is None,) * robots)
 
     def _check_pause(self, when: str) -> None:
         """Abort if a robot was seen to move in a pause as no command does, or once all have stood
@@ -390,12 +375,6 @@ class LabPlant:
 
     def _note(self, level: str, text: str) -> None:
         self._notes.append(Note(self.clock.now(), level, text))
-
-    def _command(self, sent: Transmission) -> Command:
-        delivered = sent.moving  # assumed, since broadcasts are not acknowledged
-        if isinstance(sent.action, Stop):
-            delivered = (True,) * len(sent.moving)
-        return Command(sent.action, sent.sent_ns, delivered, sent.left, sent.right)
 
 
 def _facts(findings: Preflight) -> dict[str, str]:

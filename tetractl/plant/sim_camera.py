@@ -6,9 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
-from tetractl.core.commands import Sample
 from tetractl.core.errors import WrongValueError
-from tetractl.core.poses import POSE_MAX, Bools, Floats, Observation, Poses, Times
+from tetractl.core.poses import POSE_MAX, Bools, Floats, Observation, Poses, Sample, Times
 from tetractl.experiment.disturbance import Disturbance, overriding
 from tetractl.plant.sim_section import MeasurementNoise
 

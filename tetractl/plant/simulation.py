@@ -27,19 +27,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND, Clock
-from tetractl.core.commands import (
-    Action,
-    Command,
-    Note,
-    PlantInfo,
-    Sample,
-    Stop,
-    Verdict,
-)
+from tetractl.core.commands import Action, Command, Stop
 from tetractl.core.errors import AbortError, WrongValueError
-from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
+from tetractl.core.trial import Note, PlantInfo, Verdict
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive

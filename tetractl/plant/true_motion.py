@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Verdict
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Floats, Poses
+from tetractl.core.trial import Verdict
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.drive import Drive

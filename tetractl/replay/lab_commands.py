@@ -18,9 +18,9 @@ from itertools import islice, pairwise
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND, MonotonicClock, next_due_ns
-from tetractl.core.commands import HALTS, Command, Steer, Stop, Turn
+from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.plan import Outcome
-from tetractl.core.trial import Result
+from tetractl.core.trial import HALTS, Result
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, UNTRACKED_STOP_S, LabSection
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.motion.rolling import wheel_speeds

@@ -15,8 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from tetractl.core.clock import SECOND, seconds
-from tetractl.core.commands import HALTS, Command, Verdict
-from tetractl.core.trial import Result
+from tetractl.core.commands import Command
+from tetractl.core.trial import HALTS, Result, Verdict
 from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.path_check import check_path, tracked_separations

@@ -19,9 +19,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
-from tetractl.core.commands import EMULATED_DEVICES, EMULATED_NAME, EMULATED_PLANT, Note
 from tetractl.core.errors import printable
-from tetractl.core.trial import Result, Start
+from tetractl.core.protocols import EMULATED_NAME
+from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, Note, Result, Start
 from tetractl.log.format.channels import (
     BACKGROUND,
     LAYOUT,

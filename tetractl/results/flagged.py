@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import compress
 
-from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.tour import STOOD
+from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import Batch, counts, errors_known
 from tetractl.results.turning import turned_otherwise

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND
-from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
+from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.flagged import ENTERED, LEFT, SAFETY, TOUCHED_EACH_OTHER
 from tetractl.results.open_batch import listing

@@ -70,13 +70,13 @@ from enum import Enum
 from typing import NamedTuple
 
 from tetractl.core.clock import SECOND, Clock, seconds
-from tetractl.core.commands import Command, Note, Sample, Stop, Turn, Verdict
+from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
-from tetractl.core.poses import Observation
+from tetractl.core.poses import Observation, Sample
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure, told_dead
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.trial import Note, Result, Start, Step, Verdict
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.news import ModelNews, RestNews, StatedModel
 from tetractl.tools.plugin_fault import FaultyPluginError, plugin_fault

@@ -20,13 +20,13 @@ from queue import SimpleQueue
 import numpy as np
 
 from tetractl.control.sequence import SequenceController, SequenceSection
-from tetractl.core.commands import Command, PlantInfo, Sample
+from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError, UsageError, demand, whole_number
 from tetractl.core.plan import Outcome, Plan
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.setup import Setup
-from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller, with_seed

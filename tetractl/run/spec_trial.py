@@ -19,11 +19,10 @@ from pkgutil import resolve_name
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.experiment.experiment import packages
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.experiment.plants import Prepare

@@ -19,7 +19,7 @@ from websockets.frames import CloseCode
 from websockets.sync.connection import Connection
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Sample
+from tetractl.core.poses import Sample
 from tetractl.core.trial import Start
 from tetractl.log.format.channels import LOG, Entry
 from tetractl.log.write.encoder import Encoder

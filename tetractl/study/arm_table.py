@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND
-from tetractl.core.commands import PlantInfo
+from tetractl.core.trial import PlantInfo
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
 from tetractl.results.open_batch import GIVEN_DIRECTIONS, Batch, counts, directions_given

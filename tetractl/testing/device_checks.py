@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, MonotonicClock, wait_for
-from tetractl.core.commands import Health, Steer, Stop, Transmission, Turn
+from tetractl.core.commands import Steer, Stop, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Floats, Pose
-from tetractl.core.protocols import Actuator, Camera, Device
+from tetractl.core.protocols import Actuator, Camera, Device, Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection, LabLimits
 from tetractl.experiment.section_abilities import OnPort
@@ -355,7 +355,7 @@ class _SteeringChecks:
             sent = self._steer(direction, self.all)
             self._check_turning("steer: robots turn towards the direction", sent, direction)
         # of the last one
-        as_asked = sent.action == Steer(DIRECTION) and sent.moving == self.all
+        as_asked = sent.action == Steer(DIRECTION) and sent.delivered == self.all
         true("steer: action, robots", as_asked)
         age_ns = self.robots.clock.now() - sent.sent_ns
         true("steer: sent now", 0 <= age_ns <= SECOND)
@@ -379,7 +379,7 @@ class _SteeringChecks:
         """Check a stop."""
         true(f"{name}: says that it stops", stop.action == Stop())
         if self.actuator.halts:
-            rests = not (any(stop.moving) or stop.speed.any() or stop.turning.any())
+            rests = not (stop.speed.any() or stop.turning.any())
             true(f"{name}: robots stand still", rests and self._wait(self._resting))
 
     def _check_turn(self) -> None:
@@ -392,7 +392,7 @@ class _SteeringChecks:
             problem = error.message if unfounded else ""
             expect("turn: robots that halt, no others", problem)
             return
-        as_asked = sent.action == turn and sent.moving == self.all
+        as_asked = sent.action == turn and sent.delivered == self.all
         true("turn: robots that halt, no others", as_asked and self.actuator.halts)
         fastest = np.abs(sent.speed).max()
         true("turn: on the spot", fastest < SPEED * self.setup.speed.min())
@@ -405,7 +405,7 @@ class _SteeringChecks:
         self.actuator.stop()
         self._wait(self._resting)
         sent = self._steer(DIRECTION, (False, *self.all[1:]))
-        held = not (sent.moving[0] or sent.speed[0] or sent.turning[0])
+        held = not (sent.delivered[0] or sent.speed[0] or sent.turning[0])
         others_move = self._wait(lambda: all(self.robots.moves()[1:]))
         stands = others_move and not self.robots.moves()[0]
         true("moving: one robot is held, the others move", held and stands)

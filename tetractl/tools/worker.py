@@ -9,10 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
+from tetractl.core.poses import Sample
 from tetractl.core.protocols import Observer
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.trial import Note, Result, Start, Step
 
 T = TypeVar("T")
 

@@ -14,9 +14,9 @@ from types import TracebackType
 from typing import Literal, Self
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Positive
 from tetractl.experiment.lab_section import CameraSection

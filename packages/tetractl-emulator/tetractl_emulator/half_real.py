@@ -14,10 +14,10 @@ from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Health, RobotStatus, Steer, Transmission, Turn
+from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.protocols import Actuator, Camera, Health, RobotStatus
 from tetractl.experiment.base import Model
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.faults import Fault

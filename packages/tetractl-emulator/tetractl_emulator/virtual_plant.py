@@ -15,10 +15,11 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import EMULATED_DEVICES, REAL_DEVICE, Action, Command, PlantInfo
+from tetractl.core.commands import Action, Command
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
+from tetractl.core.trial import EMULATED_DEVICES, REAL_DEVICE, PlantInfo
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlant, RigSection
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from typing import Any
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Health
 from tetractl.core.errors import printable
 from tetractl.core.poses import Pose
+from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack.natnet import Placement, RigidBody, UpAxis

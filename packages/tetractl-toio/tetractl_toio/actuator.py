@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Health, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Bools, Floats
+from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.own_robots import OwnLinks

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError, WireError
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.serial_port import Ports

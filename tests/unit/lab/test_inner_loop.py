@@ -146,7 +146,7 @@ def test_a_robot_that_must_stop_is_not_steered_until_the_next_period():
     lab.camera.hidden.add("blue")
     hidden = lab.clock.now()
     lab.clock.sleep_until(hidden + SECOND // 4)
-    first = next(sent for sent in lab.actuator.sent if sent.moving == (True, False, True))
+    first = next(sent for sent in lab.actuator.sent if sent.delivered == (True, False, True))
     assert first.sent_ns - hidden < 80_000_000  # 50 ms of limits.untracked_stop, and some frames
 
 

@@ -6,9 +6,9 @@ import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
-from tetractl.core.commands import RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
+from tetractl.core.protocols import RobotStatus
 from tetractl.lab.preflight import inspect, look_over
 
 

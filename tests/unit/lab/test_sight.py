@@ -11,9 +11,10 @@ from support.paths import ROOT
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note, Steer
+from tetractl.core.commands import Steer
 from tetractl.core.poses import CameraFrame, Pose, Sight
 from tetractl.core.setup import Bounds
+from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant

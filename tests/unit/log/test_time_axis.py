@@ -7,7 +7,7 @@ import pytest
 from support.random_trials import trial, write
 from support.trials import three_robots
 
-from tetractl.core.commands import Note
+from tetractl.core.trial import Note
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import step_gaps
 from tetractl.log.write.writer import LogWriter

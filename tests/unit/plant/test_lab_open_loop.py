@@ -6,9 +6,8 @@ from support.trials import experiment
 
 from tetractl.control.sequence import SequenceSection
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import PlantInfo
 from tetractl.core.plan import Outcome
-from tetractl.core.trial import EPOCH_NS
+from tetractl.core.trial import EPOCH_NS, PlantInfo
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt

@@ -8,11 +8,13 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, Health, Note, Steer, Stop, Turn
+from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.guard_findings import Lose
 from tetractl.core.plan import PAUSE_S
+from tetractl.core.protocols import Health
 from tetractl.core.tour import LossRule
+from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import STOPS, LabLimits
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.rest_check import REST_NS

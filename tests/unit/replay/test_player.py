@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from support.hand_clock import HandClock
 from support.trials import cut_short, three_robots
 
-from tetractl.core.commands import Note
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Poses
+from tetractl.core.trial import Note
 from tetractl.replay.player import Playback, Player, Recording, span
 
 pytestmark = pytest.mark.slow

@@ -17,9 +17,9 @@ from support.paths import ROOT
 from support.trials import three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
+from tetractl.core.trial import Verdict
 from tetractl.experiment.controller import ALONE
 from tetractl.experiment.load import parse_spec
 from tetractl.log import provenance

@@ -11,10 +11,10 @@ from scipy import stats
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
 from support.marked_robots import MarkedRobots
 
-from tetractl.core.commands import Verdict
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
+from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import batch_items
 from tetractl.results.flagged import flagged

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from support.batches import batch, experiment, group
 
-from tetractl.core.commands import Verdict
 from tetractl.core.poses import Poses
+from tetractl.core.trial import Verdict
 from tetractl.results.as_json import batch_items
 from tetractl.results.flagged import flagged
 from tetractl.results.tables import texts_by_label

@@ -9,9 +9,9 @@ import pytest
 from rich.console import Console
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
 
-from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
+from tetractl.core.trial import Verdict
 from tetractl.results.describe import contrast
 from tetractl.results.tables import summary, tables
 from tetractl.tools.table.terminal_table import WIDTH, latex, markdown, print_tables

@@ -7,10 +7,9 @@ import pytest
 from support.mutate import with_entry
 from support.paths import ROOT
 
-from tetractl.core.commands import Sample
 from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.tour import HoldTask, TourMeasure
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.format.channels import RESULT

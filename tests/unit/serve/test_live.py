@@ -3,7 +3,8 @@
 import pytest
 from support import random_trials
 
-from tetractl.core.commands import Command, Note, Steer
+from tetractl.core.commands import Command, Steer
+from tetractl.core.trial import Note
 from tetractl.log.format import channels
 from tetractl.log.read.salvage import scan
 from tetractl.serve.live import ServedRun

@@ -11,8 +11,9 @@ from typing import Protocol, Self
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND, Clock
-from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
+from tetractl.core.commands import Action, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Bools, Floats, Pose
+from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import MM, Setup
 from tetractl.model.wheels import CountArray, Drivetrains, WheelHost
 
@@ -196,7 +197,7 @@ class WheeledActuator(ABC):
         count = len(self.names)
         none = np.zeros((2, count), dtype=np.int64)
         still = self._host.drivetrains.speeds(none)
-        return self._transmission(sent_ns, Stop(), still, (False,) * count)
+        return self._transmission(sent_ns, Stop(), still, (True,) * count)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
         """Return the outputs (2, N) for wheel speeds (2, N) [mm/s], of robots that `may` move."""
@@ -238,13 +239,20 @@ class WheeledActuator(ABC):
         return [robot_status(name, reply, self._warn_v) for name, reply in replies]
 
     def _transmission(
-        self, sent_ns: int, action: Action, speeds: Floats, moving: tuple[bool, ...]
+        self, sent_ns: int, action: Action, speeds: Floats, delivered: tuple[bool, ...]
     ) -> Transmission:
-        """Return what was sent, by wheel speeds (2, N) [mm/s]."""
+        """Return what was sent, by wheel speeds (2, N) [mm/s]; that robots have received it is
+        assumed, as broadcasts are not acknowledged."""
         speed, turning = self._host.sent(sent_ns + self._delay_ns, speeds)
         left_speed, right_speed = speeds / self._mm
         return Transmission(
-            action, sent_ns, moving, speed / self._mm, turning, left_speed, right_speed
+            action,
+            sent_ns,
+            delivered,
+            left_speed,
+            right_speed,
+            speed=speed / self._mm,
+            turning=turning,
         )
 
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.section_abilities import Addressed
 from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tetractl.core.commands import Action, Command, FieldOff, Sample, Steer, Stop, Turn
+from tetractl.core.commands import Action, Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate, Plan, Search, State, StopReason
-from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses, Sample
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.packed_columns import pack_columns, unpack_columns

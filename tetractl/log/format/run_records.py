@@ -7,11 +7,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from tetractl.core.commands import Verdict
 from tetractl.core.errors import printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
-from tetractl.core.trial import Result, Start
+from tetractl.core.trial import Result, Start, Verdict
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import FORMAT_VERSION, TEXT
 

@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import GREY, OBSTACLE, robot_colors
-from tetractl.core.commands import Note
 from tetractl.core.errors import printable
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
+from tetractl.core.trial import Note
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import Frames, drawn
 

@@ -19,11 +19,10 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
-from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.trial import OWN_FILES, Result, Start, Step
+from tetractl.core.trial import OWN_FILES, PlantInfo, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_written
 from tetractl.experiment.yaml.document import MAX_BYTES

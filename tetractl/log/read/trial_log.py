@@ -6,10 +6,10 @@ from enum import StrEnum
 from itertools import islice, pairwise
 
 from tetractl.core.clock import SECOND, seconds
-from tetractl.core.commands import EMULATED_DEVICES, EMULATED_PLANT, Command, PlantInfo
+from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome
 from tetractl.core.shown import Shown
-from tetractl.core.trial import Result, TrialRecords
+from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, PlantInfo, Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
 
 

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.core.commands import Action, Command, Sample, Steer, Turn
+from tetractl.core.commands import Action, Command, Steer, Turn
 from tetractl.core.errors import printable
 from tetractl.core.plan import INNOVATIONS, Estimate, Plan
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Sample
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import TEXT

@@ -20,10 +20,10 @@ from typing import Protocol
 from google.protobuf.message import Message
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Observation
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.poses import Observation, Sample
+from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec, layout
 from tetractl.log.format.channels import Entry

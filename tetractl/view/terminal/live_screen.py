@@ -16,10 +16,10 @@ import numpy as np
 from rich.console import Console
 
 from tetractl.core.clock import seconds
-from tetractl.core.commands import Command, Note, Sample
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.commands import Command
+from tetractl.core.poses import Floats, Poses, Sample
 from tetractl.core.protocols import Observer
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log.read.trial_log import Event
 from tetractl.model.path_check import PathCheck
 from tetractl.replay.player import Moment, tracked

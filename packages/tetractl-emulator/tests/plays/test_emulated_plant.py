@@ -13,8 +13,8 @@ from support.lab_processes import SPEC, flags
 from support.paths import EXAMPLES, ROOT
 from tetractl_emulator import firmware
 
-from tetractl.core.commands import Health, Steer, Stop
-from tetractl.core.protocols import LabSupervision
+from tetractl.core.commands import Steer, Stop
+from tetractl.core.protocols import Health, LabSupervision
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest, read_result, read_trial

@@ -18,8 +18,7 @@ from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 import tetractl
 from tetractl import TrialLog
-from tetractl.core.commands import PlantInfo
-from tetractl.core.trial import EPOCH_NS, TrialRecords
+from tetractl.core.trial import EPOCH_NS, PlantInfo, TrialRecords
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection

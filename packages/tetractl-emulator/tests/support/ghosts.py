@@ -172,7 +172,8 @@ class Ghost:
         last = self.lab.plant.rig.loop.last
         if self._since_s > self.limit_s and guard.state is not GuardState.ABORT:
             guard.abort("not noticed")
-        if last and not math.isfinite(self.held_s) and not any(last.moving[i] for i in self.who):
+        driven = last and not last.stops and any(last.delivered[i] for i in self.who)
+        if last and not math.isfinite(self.held_s) and not driven:
             self.held_s = self._since_s
             self.off_mm = max(self._off(i) for i in self.who)
         if not math.isfinite(self.rest_s):

@@ -13,8 +13,8 @@ from functools import partial
 from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import WireError
+from tetractl.core.protocols import EMULATED_NAME
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.lab_section import LabSection, entry

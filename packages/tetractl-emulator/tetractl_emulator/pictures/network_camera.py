@@ -11,9 +11,9 @@ from typing import Self
 import cv2
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
+from tetractl.core.protocols import EMULATED_NAME
 from tetractl.tools.worker import LOOK_S
 
 BOUNDARY = "emulated-by-tetractl"

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from tetractl.core.clock import seconds
-from tetractl.core.commands import HALTS
 from tetractl.core.plan import Outcome
 from tetractl.core.setup import MM
+from tetractl.core.trial import HALTS
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S, LabSection
 from tetractl.lab.rest_check import REST_NS
 from tetractl.log.read.trial_log import TrialLog

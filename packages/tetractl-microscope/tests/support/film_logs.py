@@ -8,11 +8,11 @@ from support.recorder import Recorder
 from tetractl_microscope.cells.camera import CellCamera
 
 from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Command, PlantInfo, Sample, Stop
+from tetractl.core.commands import Command, Stop
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.tour import TourMeasure
-from tetractl.core.trial import Result
+from tetractl.core.trial import PlantInfo, Result
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.loaded_spec import start_of
 from tetractl.experiment.plants import on_plant

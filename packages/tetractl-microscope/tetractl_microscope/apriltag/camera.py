@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Health
 from tetractl.core.poses import Floats, Grey, Pose
+from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl_microscope.apriltag.detect import Detector, Sighting

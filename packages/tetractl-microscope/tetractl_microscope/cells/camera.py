@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import FrameAddition, Health
-from tetractl.core.poses import Bools, Floats, Grey, Pose
+from tetractl.core.poses import Bools, Floats, FrameAddition, Grey, Pose
+from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.tools.worker import drained

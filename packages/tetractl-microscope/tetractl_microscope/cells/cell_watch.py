@@ -6,10 +6,10 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tetractl.core.commands import Note
 from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
+from tetractl.core.trial import Note
 from tetractl_microscope.cells.identity_watch import IdentityWatch
 from tetractl_microscope.choice.choosing import most_alike
 from tetractl_microscope.choice.dish_abilities import TracksCells

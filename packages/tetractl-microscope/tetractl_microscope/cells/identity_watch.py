@@ -5,8 +5,8 @@ count as lost. The rule of lost robots in the spec decides what follows.
 from collections.abc import Iterator, Sequence
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note
 from tetractl.core.poses import Floats
+from tetractl.core.trial import Note
 
 SURE = 0.9
 """Least probability of a robot's identity; below it, it is unknown which robot it is."""

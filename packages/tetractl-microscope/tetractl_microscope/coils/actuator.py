@@ -14,9 +14,10 @@ from typing import Self
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
+from tetractl.core.commands import Action, Steer, Stop, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
+from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.cobs import Flag
@@ -182,8 +183,8 @@ class FieldActuator:
             action,
             sent_ns,
             (True,) * len(self._a),
-            self._speed.copy(),
-            np.nan_to_num(turning),
+            speed=self._speed.copy(),
+            turning=np.nan_to_num(turning),
             outputs={
                 "current_x_a": currents[0],
                 "current_y_a": currents[1],

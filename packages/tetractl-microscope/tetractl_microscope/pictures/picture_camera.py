@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Grey, Pose
+from tetractl.core.protocols import Health
 from tetractl.tools.worker import WAITING_MAX, drained
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.picture_section import PictureSection

@@ -16,9 +16,9 @@ from cv2.utils import logging
 from PIL.JpegImagePlugin import JpegImageFile
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Grey
+from tetractl.core.protocols import EMULATED_NAME
 from tetractl_microscope.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl_microscope.pictures.multipart import Multipart
 from tetractl_microscope.pictures.picture_section import (

@@ -13,8 +13,8 @@ from tetractl_emulator.port import PseudoPort, RobotRadio
 from tetractl_emulator.sides import Stage
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import WireError
+from tetractl.core.protocols import EMULATED_NAME
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
 from tetractl_toio.cubes import SPEED

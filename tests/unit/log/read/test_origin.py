@@ -3,7 +3,7 @@
 import pytest
 from support.batches import DISTURBED, experiment
 
-from tetractl.core.commands import PlantInfo
+from tetractl.core.trial import PlantInfo
 from tetractl.log.read.trial_log import Origin
 
 PLAIN = {"type": "sim", "camera_rate": 60}

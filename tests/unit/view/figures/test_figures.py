@@ -14,11 +14,12 @@ from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, GREEN, PALETTE, RED
-from tetractl.core.commands import PlantInfo, Steer
+from tetractl.core.commands import Steer
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
+from tetractl.core.trial import PlantInfo
 from tetractl.replay.player import Recording, first_seen
 from tetractl.report.trial_data import trial_data
 from tetractl.view import style

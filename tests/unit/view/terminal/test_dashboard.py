@@ -9,8 +9,9 @@ from support.terminal import console as terminal
 from support.trials import cut_short, three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note, Stop
+from tetractl.core.commands import Stop
 from tetractl.core.plan import Estimate, Outcome, State
+from tetractl.core.trial import Note
 from tetractl.replay.player import Player, Recording, span
 from tetractl.view.terminal.glyphs import glyphs_for
 from tetractl.view.terminal.replay_screen import dashboard, step_line

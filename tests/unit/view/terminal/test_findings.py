@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from tetractl.core.commands import RobotStatus
+from tetractl.core.protocols import RobotStatus
 from tetractl.lab.preflight import Preflight, RobotFinding
 from tetractl.view.terminal.findings import preflight_items, print_findings, robots_table
 

@@ -11,10 +11,10 @@ from support.terminal import console as terminal
 from support.trials import run_three_robots, three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note, PlantInfo, Sample
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.protocols import Observer
+from tetractl.core.trial import Note, PlantInfo
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.keys import STOP_HINT

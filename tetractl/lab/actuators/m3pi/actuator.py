@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Health
 from tetractl.core.poses import Floats
+from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection

@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.commands import EMULATED_NAME, Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
+from tetractl.core.protocols import EMULATED_NAME, Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet

@@ -185,7 +185,7 @@ class Coils:
     failure = None
 
     def send(self, action, poses, moving, exposed_ns):
-        return Transmission(action, 0, (True,), np.zeros(1), np.zeros(1))
+        return Transmission(action, 0, (True,), speed=np.zeros(1), turning=np.zeros(1))
 
     def stop(self, emergency=False):
         return self.send(Stop(), None, (True,), 0)

@@ -11,10 +11,11 @@ from tetractl_microscope.cells.cell_watch import CellWatch, Identities
 from tetractl_microscope.choice.candidate import RobotCandidate
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Note, Steer
+from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import Pose
+from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import LabLimits
 
 SETUP = experiment().setup

@@ -59,7 +59,7 @@ def test_the_field_turns_cells_by_the_papers_law(direction):
     currents = sent.outputs["current_x_a"], sent.outputs["current_y_a"]
     assert currents == asked(actuator)
     assert math.hypot(*actuator.coils.field(currents)) == pytest.approx(sent.outputs["field_mt"])
-    assert (sent.direction, sent.moving, sent.left) == (direction, BOTH, None)
+    assert (sent.direction, sent.delivered, sent.left) == (direction, BOTH, None)
 
 
 def test_the_spec_may_state_the_strength_instead():
@@ -84,7 +84,7 @@ def test_the_spec_may_state_the_strength_instead():
 def test_no_cell_can_be_held_and_one_out_of_sight_has_no_known_turning():
     actuator, _ = virtual()
     sent = actuator.send(Steer(1.0), (None, POSES[1]), (False, True), 0)
-    assert sent.moving == (True, True)
+    assert sent.delivered == (True, True)
     assert sent.turning[0] == 0 != sent.turning[1]
 
 

@@ -145,7 +145,7 @@ class TrueMotion:
             self._move,  # the robots, under what they hold
             self._disturb,  # where they have come to, and what they are able to
             self._record,  # the part of the path
-            self._film,  # the frames that are due, and those that have reached the host
+            self._expose,  # the frames that are due, and those that have reached the host
             self._swerve,  # the headings' random walk, if a frame was due at the end
             self._act,  # the command, or the host's next transmission
         )
@@ -233,7 +233,7 @@ class TrueMotion:
         self._check_path()
         return self._check.verdict(self.drive.poses)
 
-    def _film(self, step: MotionStep) -> None:
+    def _expose(self, step: MotionStep) -> None:
         """Expose the frames that were due in the step, and pass to the host those that have reached
         it."""
         if step.due is not None:

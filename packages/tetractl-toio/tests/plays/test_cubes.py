@@ -6,6 +6,7 @@ import socket
 import pytest
 import yaml
 from support.cli import tetractl
+from support.virtual_lab import virtual_lab
 from tetractl_emulator.rehearsal import day
 from tetractl_toio.camera import ToioCamera
 from tetractl_toio.cubes import EmulatedCubePort
@@ -19,7 +20,7 @@ from tetractl_toio.messages import (
     pack,
 )
 
-from tetractl.core.clock import MILLISECOND, VirtualClock
+from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
 from tetractl.experiment.load import load_spec
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.lab.serial_port import SerialPort
@@ -69,6 +70,23 @@ def test_cubes_that_are_lifted_before_a_run_are_waited_for(folder, tmp_path):
     lifted = [f"fault: untracked, robot: {n}, at: 0.1, since: start, for: 0.8" for n in NAMES]
     waits = ("--set", "lab.limits.placing=5", "--trials", "1")
     run(folder, tmp_path / "out", *waits, *faults(*lifted)).ok()
+
+
+def test_cubes_that_are_carried_read_no_mat(folder):
+    with virtual_lab(None, spec=folder / "cubes.yaml") as lab:
+        mat = lab.emulation.camera
+
+        def readings():
+            for cube in mat.cubes:
+                cube.program.asked = True
+            lab.clock.sleep_until(lab.clock.now() + SECOND // 20)
+            return [eye.last for eye in mat.eyes.values()]
+
+        assert None not in readings()
+        mat.hide(True)
+        assert readings() == [None] * len(NAMES)
+        mat.hide(False)
+        assert None not in readings()
 
 
 @pytest.mark.long

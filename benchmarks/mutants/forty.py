@@ -25,20 +25,20 @@ TIERS = {
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv*", "logs", "build", "node_modules", "__pycache__")
 TABLE = r"""
 tetractl/analysis/analyze.py | alike.gap < TOO_ALIKE | alike.gap > TOO_ALIKE | tests/unit/analysis/test_analyze.py
-tetractl/cli/logs.py | min(max(digits, 0), 9) | min(max(digits, 1), 9) | tests/cli/test_stats_cli.py
+tetractl/cli/logs.py | min(max(digits, 0), 9) | min(max(digits, 1), 9) | tests/cli/test_info_cli.py
 tetractl/control/kernels/clearance.py | range(FIRST, last + 1, 2) | range(FIRST, last, 2) | tests/unit/control/kernels/test_clearance.py
 tetractl/control/kernels/filter.py | (model, i, z, u) - _turning_rate(model, i, z, u_before) | (model, i, z, u) + _turning_rate(model, i, z, u_before) | tests/unit/control/test_filter.py
-tetractl/control/kernels/filter_motion.py | += cos_less_1 * p + s * q + sine_w * ln_w | += cos_less_1 * p - s * q + sine_w * ln_w | packages/tetractl-microscope/tests/unit/cells/test_helix.py
-tetractl/core/poses.py | return corner + 4 * self.noise_mm | return corner + self.noise_mm | tests/unit/core
+tetractl/control/kernels/filter_motion.py | += cos_less_1 * p + s * q + sine_w * ln_w | += cos_less_1 * p - s * q + sine_w * ln_w | tests/unit/control/test_filter.py
+tetractl/core/poses.py | return corner + 4 * self.noise_mm | return corner + self.noise_mm | tests/unit/lab/test_sight.py
 tetractl/core/shape.py | apart |= np.maximum(ay, by) < np.minimum(y0, y1) | apart |= np.minimum(ay, by) < np.minimum(y0, y1) | tests/unit/model/test_shapes.py
-tetractl/experiment/experiment.py | self.on_lost == "stop" and not on_wheels | self.on_lost == "stop" and on_wheels | tests/unit/experiment
+tetractl/experiment/experiment.py | self.on_lost == "stop" and not on_wheels | self.on_lost == "stop" and on_wheels | tests/unit/experiment tests/unit/run/test_losses.py
 tetractl/experiment/yaml/core_yaml.py | column = len(before) - before.rfind("\n") - 1 | column = len(before) - before.rfind("\n") | tests/unit/experiment/yaml
 tetractl/gym.py | set(options or {}) - {"trial"} | set(options or {}) - {"trial", "seed"} | tests/unit/test_gym.py
 tetractl/lab/actuators/m3pi/broadcast.py | (self._sequence + 1) % 256 | (self._sequence + 1) % 255 | tests/unit/lab/actuators
 tetractl/lab/calibrate.py | max(TURNED_RAD, QUIET_TURNS * turned_rad) | min(TURNED_RAD, QUIET_TURNS * turned_rad) | tests/unit/lab/test_calibrate.py packages/tetractl-emulator/tests/plays/test_lab_commands.py
 tetractl/log/read/overview.py | (len(entries) - 1) * SECOND / span_ns | len(entries) * SECOND / span_ns | tests/unit/log tests/cli/test_info_cli.py
 tetractl/log/read/recover.py | max((entry.log_ns for entry in contents.entries), default=0) | min((entry.log_ns for entry in contents.entries), default=0) | tests/unit/log/read
-tetractl/model/motion/exact.py | a * p - m * alternating(k, first_b, len(k), q) | a * p + m * alternating(k, first_b, len(k), q) | tests/unit/model/test_motion.py
+tetractl/model/motion/exact.py | a * p - m * alternating(k, first_b, len(k), q) | a * p + m * alternating(k, first_b, len(k), q) | tests/unit/control/kernels/test_prediction.py
 tetractl/model/obstacles.py | return self.distance(x, y) <= 0 | return self.distance(x, y) < -1 | tests/unit/model/test_obstacles.py
 tetractl/plant/direct.py | np.sin(direction - answered)[reached] | np.sin(answered - direction)[reached] | tests/unit/plant
 tetractl/plant/disturbances/robots.py | min(1.0, time_s / self._section.over) | max(1.0, time_s / self._section.over) | tests/unit/plant

@@ -103,7 +103,6 @@ def test_alike_robots_are_found_and_a_better_a_is_advised():
     assert f"change a of {change.robot} from {change.old:g} to {change.new:g}" in advice(analysis)
 
 
-@pytest.mark.long
 def test_robots_that_differ_are_advised_no_change(analysis_of_three):
     assert not analysis_of_three.looked
     assert analysis_of_three.change is None

@@ -45,6 +45,12 @@ def on_grid(value, step):
     return step * round(value / step) if step else value
 
 
+def test_a_pose_is_off_by_half_a_square_of_the_grid_and_four_deviations_at_most():
+    position_mm, heading = replace(MAT, noise_mm=2.0, noise_rad=0.1).largest
+    assert position_mm == pytest.approx(math.hypot(1.36 / 2, 1.36 / 2) + 8.0)
+    assert heading == pytest.approx(math.radians(0.5) + 0.4)
+
+
 class Measured(NamedTuple):
     """A pose as a robot has measured it, and when."""
 

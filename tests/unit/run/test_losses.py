@@ -5,6 +5,7 @@ import pytest
 from support.marked_robots import install
 from support.mutate import with_entry
 from support.paths import ROOT
+from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
@@ -121,6 +122,14 @@ def test_one_that_is_dead_is_not_lost_where_that_ends_the_trial_or_no_rule_holds
     losses = driven(way_s, rule=rule)
     assert losses.dead.tolist() == dead
     assert not losses.lost.any()
+
+
+@pytest.mark.parametrize(
+    ("wheels", "rule"), [(True, LossRule(0.3, False, True, True)), (False, None)]
+)
+def test_unless_a_spec_says_otherwise_one_on_wheels_that_is_dead_ends_the_trial(wheels, rule):
+    stated = {"wheels": {"radius": 40}} if wheels else {}
+    assert experiment(**stated).setup.loss == rule
 
 
 BLUE_STANDS = "blue does not move while others drive"

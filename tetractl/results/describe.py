@@ -176,14 +176,6 @@ def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Scal
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
-    """The verdict "lower", "higher" or "undecided"; or None, with the reason."""
-
-    verdict: str | None
-    reason: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Contrast(Shown):
     """Comparison of the total errors of two batches; differences are `first` minus `second`.
 
@@ -214,41 +206,42 @@ class Contrast(Shown):
     rank_p_holm: float = math.nan
 
     @property
-    def verdict(self) -> str | None:
-        """The verdict, None if there is none."""
-        return self.decision.verdict
-
-    @property
     def reason(self) -> str | None:
-        """Why there is no verdict."""
-        return self.decision.reason
-
-    @property
-    def decision(self) -> Decision:
-        """The verdict, or why there is none.
-
-        "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
-        difference below or above 0, and a corrected p below 0.05.
-        """
+        """Why there is no verdict, None if there is one."""
         if not self.alike:
-            return Decision(None, "plants are not alike")
+            return "plants are not alike"
         if self.no_controller:
-            return Decision(None, "directions were given: no controller decided")
+            return "directions were given: no controller decided"
         if self.compared < ENOUGH:
             what = "pairs" if self.pairs else "complete trials on each side"
-            return Decision(None, f"a verdict needs {ENOUGH} {what}")
-        intervals = [self.difference.ci95]
-        if not self.pairs:
-            intervals.append(self.from_both_means)
-        for interval in intervals:
+            return f"a verdict needs {ENOUGH} {what}"
+        for interval in self.intervals:
             if not interval.known:
-                return Decision(None, f"no interval: {interval.reason}")
+                return f"no interval: {interval.reason}"
+        return None
+
+    @property
+    def verdict(self) -> str | None:
+        """The verdict, None if there is a `reason` for none.
+
+        "lower" or "higher" needs every interval of the difference below or above 0, and a corrected
+        p below 0.05; all else is "undecided".
+        """
+        if self.reason is not None:
+            return None
         if self.p_holm < 1 - CONFIDENCE:
-            if all(interval.high < 0 for interval in intervals):
-                return Decision("lower")
-            if all(interval.low > 0 for interval in intervals):
-                return Decision("higher")
-        return Decision("undecided")
+            if all(interval.high < 0 for interval in self.intervals):
+                return "lower"
+            if all(interval.low > 0 for interval in self.intervals):
+                return "higher"
+        return "undecided"
+
+    @property
+    def intervals(self) -> tuple[Interval, ...]:
+        """The intervals of the difference on which a verdict rests."""
+        if self.pairs:
+            return (self.difference.ci95,)
+        return (self.difference.ci95, self.from_both_means)
 
     @property
     def compared(self) -> int:
@@ -336,11 +329,11 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Co
     """Compare two batches; p-values are not corrected yet."""
     ours = first.total
     theirs = second.total
-    pairing = pair_up(first, second)
-    pairs = len(pairing.differences)
+    paired, why_unpaired = pair_up(first, second)
+    pairs = len(paired)
     if pairs:
-        difference = mean_difference.paired_t(pairing.differences)
-        rank_p = mean_difference.signed_rank(pairing.differences)
+        difference = mean_difference.paired_t(paired)
+        rank_p = mean_difference.signed_rank(paired)
         detects = mean_difference.detectable(pairs, tests=tests)
     else:
         difference = mean_difference.welch(
@@ -358,7 +351,7 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Co
         alike=first.origin is second.origin,
         no_controller=directions_given(first.experiment) or directions_given(second.experiment),
         pairs=pairs,
-        why_unpaired=pairing.why_none,
+        why_unpaired=why_unpaired,
         difference=difference,
         from_both_means=from_both_intervals(ours, theirs),
         rank_p=rank_p,
@@ -367,32 +360,23 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Co
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Pairing:
-    """The differences (n,) between the total errors of paired trials, the first batch minus the
-    second, and "" or the reason why there are no pairs.
-    """
-
-    differences: Floats
-    why_none: str = ""
-
-
-def pair_up(first: BatchStatistics, second: BatchStatistics) -> Pairing:
-    """Pair the trials of two batches.
+def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, str]:
+    """Return the differences (n,) between the total errors of paired trials, the first batch minus
+    the second, and "" or the reason why there are no pairs.
 
     A pair is two simulated trials with the same seed, number and disturbances, which do not depend
     on the controller.
     """
     if not (first.origin.simulated and second.origin.simulated):
-        return Pairing(NO_PAIRS, "no two trials in a lab have the same disturbances")
+        return NO_PAIRS, "no two trials in a lab have the same disturbances"
     if _world(first) != _world(second):
-        return Pairing(NO_PAIRS, "the batches differ in more than the controller")
+        return NO_PAIRS, "the batches differ in more than the controller"
     ours = _errors_by_trial(first.batch.trials)
     theirs = _errors_by_trial(second.batch.trials)
     pairs = [error - theirs[trial] for trial, error in ours.items() if trial in theirs]
     if not pairs:
-        return Pairing(NO_PAIRS, "the batches have no seed and trial in common")
-    return Pairing(np.array(pairs))
+        return NO_PAIRS, "the batches have no seed and trial in common"
+    return np.array(pairs), ""
 
 
 def _world(group: BatchStatistics) -> dict[str, object]:

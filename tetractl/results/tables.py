@@ -51,8 +51,10 @@ def summary(comparison: BatchComparison) -> list[Table]:
     notes: list[str] = []
     if len(groups) <= 2:
         notes += [f"{contrast.name}: {_verdict(contrast)}" for contrast in comparison.contrasts]
-    if len(groups) == 1:
-        notes += _from_published(groups[0])
+    first = groups[0]
+    published = first.from_published
+    if len(groups) == 1 and published is not None and first.origin.comparable and first.counted:
+        notes.append(f"{PUBLISHED}: {published_text(published, first)}")
     notes += _unusual(groups)
     if errors.note:
         notes.append(errors.note)
@@ -60,13 +62,6 @@ def summary(comparison: BatchComparison) -> list[Table]:
     if len(groups) <= 2:
         return [with_notes]
     return [with_notes, differences_table(comparison.contrasts)]
-
-
-def _from_published(group: BatchStatistics) -> Iterator[str]:
-    """Yield the line on the difference from the published result, if both are known."""
-    difference = group.from_published
-    if difference is not None and group.origin.comparable and group.counted:
-        yield f"{PUBLISHED}: {published_text(difference, group)}"
 
 
 def _verdict(contrast: Contrast) -> str:

@@ -281,31 +281,21 @@ def whole_ticks(axes: Axes) -> None:
 
 def separated(wanted: Floats, gap: float) -> Floats:
     """Return increasing heights from 0 to 1, at least `gap` apart, near the increasing heights
-    `wanted`.
+    `wanted` (n,), of which the last may be NaN: unknown.
 
-    Neighbours that would overlap form a block around the mean of their heights, the least-squares
-    solution. Then all heights are shifted into the range, as far as they fit.
+    Less i times the gap, heights that are far enough apart do not decrease. Nearest to the wanted
+    ones by least squares are those of the isotonic regression,
+
+        height i = the greatest, over j <= i, of the least, over k >= i, of the means of j to k.
+
+    Then all heights are shifted into the range, as far as they fit.
     """
-    blocks: list[_TouchingHeights] = []
-    for i, height in enumerate(wanted):
-        block = _TouchingHeights(float(height) - i * gap, 1)
-        while blocks and blocks[-1].base > block.base:
-            block = blocks.pop().joined(block)
-        blocks.append(block)
-    base = np.repeat([block.base for block in blocks], [block.count for block in blocks])
     rise = gap * np.arange(len(wanted))
+    sums = np.concatenate([[0.0], np.cumsum(wanted - rise)])
+    first, last = np.indices((len(wanted), len(wanted)))
+    means = np.full(first.shape, np.inf)
+    np.divide(sums[last + 1] - sums[first], last - first + 1, out=means, where=last >= first)
+    least = np.fmin.accumulate(means[:, ::-1], axis=1)[:, ::-1]
+    base = np.fmax.accumulate(least, axis=0).diagonal()
     highest = max(1.0 - gap * (len(wanted) - 1), 0.0)
     return np.asarray(np.clip(base, 0.0, highest) + rise, dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True)
-class _TouchingHeights:
-    """Heights that touch: `base` is the mean of (wanted - index * gap) of `count` heights."""
-
-    base: float
-    count: int
-
-    def joined(self, above: "_TouchingHeights") -> "_TouchingHeights":
-        """Return this block and the one above it as one."""
-        count = self.count + above.count
-        return _TouchingHeights((above.base * above.count + self.base * self.count) / count, count)

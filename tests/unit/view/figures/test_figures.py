@@ -401,6 +401,12 @@ def test_labels_stay_apart_in_order_and_inside(heights, gap):
         assert placed == pytest.approx(wanted)  # those that do not touch stay
 
 
+def test_labels_stay_apart_beside_one_of_an_unknown_value():
+    """As of a robot that was never seen."""
+    placed = separated(np.array([0.5, 0.5, np.nan]), 0.1)
+    assert placed == pytest.approx([0.45, 0.55, np.nan], nan_ok=True)
+
+
 def refusals():
     """What cannot be drawn: the kind, the logs that a log becomes, the error and its text."""
 

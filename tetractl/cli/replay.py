@@ -126,7 +126,7 @@ class Playlist:
         return Player(
             recording,
             self._wall,
-            (recording.began_ns, recording.end_ns),
+            (recording.log.began_ns, recording.end_ns),
             rate=player.rate,
             loop=self._loop,
             paused=player.state is Playback.PAUSED,

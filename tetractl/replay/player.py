@@ -86,8 +86,8 @@ def end_ns(log: TrialLog) -> int:
 class Recording:
     """A recorded trial; `at` returns its state at any time.
 
-    Times [ns] are on the trial's clock. A control step begins when its command is sent; `began_ns`
-    is the time of the first direction, shown to users as 0, and `event_ns` are the times of events.
+    Times [ns] are on the trial's clock. A control step begins when its command is sent; `event_ns`
+    are the times of events. Users are shown times since the first direction: `log.elapsed_s`.
     """
 
     def __init__(self, log: TrialLog) -> None:
@@ -103,22 +103,17 @@ class Recording:
         self._trail = tracked(log.mocap, log.valid)
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
-    @property
-    def began_ns(self) -> int:
-        """The time of the first direction."""
-        return self.log.began_ns
-
     def at(self, time_ns: int) -> Moment:
         """Return the state of the trial at a time [ns]."""
         log = self.log
         frames = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         steps = int(np.searchsorted(self.step_ns, time_ns, side="right"))
         result = log.result if time_ns >= self.end_ns else None
-        until_s = self.elapsed_s(time_ns) if result is None else math.inf
+        until_s = log.elapsed_s(time_ns) if result is None else math.inf
         return Moment(
             setup=log.start.setup,
-            time_s=self.elapsed_s(time_ns),
-            end_s=self.elapsed_s(self.end_ns),
+            time_s=log.elapsed_s(time_ns),
+            end_s=log.elapsed_s(self.end_ns),
             poses=self._poses[frames] if result is None else result.verdict.final.array(),
             trail=self._trail[:frames],
             step=log.steps[steps - 1] if steps else None,
@@ -128,10 +123,6 @@ class Recording:
             events=self.events[: bisect_right(self._event_s, until_s)],
             known="true" if result and log.start.plant.simulated else "measured",
         )
-
-    def elapsed_s(self, time_ns: int) -> float:
-        """Return the time since the first direction [s] at a time of the trial's clock [ns]."""
-        return self.log.elapsed_s(time_ns)
 
 
 def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
@@ -283,8 +274,8 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
 
     `start_s` and `until_s` count from the first direction; the log may begin before it.
     """
-    first_s = recording.elapsed_s(0)
-    end_s = recording.elapsed_s(recording.end_ns)
+    first_s = recording.log.elapsed_s(0)
+    end_s = recording.log.elapsed_s(recording.end_ns)
     if not start_s >= first_s:
         begins = f"at {first_s:.4g}" if first_s else "with the first command, at 0"
         raise UsageError(f"--start {start_s:g} lies before the log, which begins {begins}")
@@ -292,7 +283,7 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
         raise UsageError(f"--start {start_s:g} lies after the end: the trial lasts {end_s:g} s")
     if until_s is not None and not start_s < until_s:
         raise UsageError(f"--start {start_s:g} must lie before --until {until_s:g}")
-    began_ns = recording.began_ns
+    began_ns = recording.log.began_ns
     if until_s is None or until_s > end_s:
         return began_ns + round(SECOND * start_s), recording.end_ns
     return began_ns + round(SECOND * start_s), began_ns + round(SECOND * until_s)

@@ -32,15 +32,16 @@ class Ending:
 
 
 class RunObserver(Protocol):
-    """An object that is notified when trials start and end; trials may end in any order."""
+    """An object that is notified when trials start and end; trials may end in any order.
+
+    What a subclass does not define does nothing.
+    """
 
     def trial_started(self, task: Task) -> None:
         """Called when a trial starts."""
-        ...
 
     def trial_ended(self, ending: Ending) -> None:
         """Called when a trial has ended."""
-        ...
 
 
 @dataclass(slots=True)

@@ -100,7 +100,7 @@ def write_video(
     rate = rate or FORMATS[ending]
     frames = VideoFrames(log, width)
     recording = frames.recording
-    end_s = max(recording.elapsed_s(recording.end_ns), 0.0)
+    end_s = max(recording.log.elapsed_s(recording.end_ns), 0.0)
     speed = _speed(end_s)
     times = np.append(np.arange(0, end_s, speed / rate), end_s).tolist()
     hold = round(HOLD_S * rate)
@@ -256,9 +256,9 @@ class _ErrorCurve:
     """The total error over time: the whole course in grey, up to a moment in colour."""
 
     def __init__(self, axes: Axes, recording: Recording) -> None:
-        self._times_s = (recording.step_ns - recording.began_ns) / SECOND
+        self._times_s = (recording.step_ns - recording.log.began_ns) / SECOND
         axes.plot(self._times_s, recording.totals, color=style.FAINT, lw=1.2)
-        axes.set_xlim(0, max(recording.elapsed_s(recording.end_ns), 1e-9))
+        axes.set_xlim(0, max(recording.log.elapsed_s(recording.end_ns), 1e-9))
         axes.set_ylim(0, 1.05 * float(np.nanmax(recording.totals, initial=1e-9)))
         unit = unit_of(recording.log.start.setup.unit)
         axes.set(xlabel="time [s]", ylabel=f"total error [{unit}]")
@@ -365,7 +365,7 @@ class VideoFrames:
 
     def at(self, elapsed_s: float) -> Picture:
         """Return the picture at `elapsed_s` [s] after the first direction sent."""
-        time_ns = self.recording.began_ns + round(elapsed_s * SECOND)
+        time_ns = self.recording.log.began_ns + round(elapsed_s * SECOND)
         moment = self.recording.at(time_ns)
         for part in self._parts:
             part.show(moment)

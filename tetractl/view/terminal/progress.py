@@ -45,7 +45,7 @@ class Tally:
         return ", ".join(words)
 
 
-class _TrialsBar:
+class _TrialsBar(RunObserver):
     """A progress bar, shown on a terminal unless `quiet`; a context manager."""
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
@@ -66,9 +66,6 @@ class _TrialsBar:
     def __exit__(self, *error: object) -> None:
         if self._bar:
             self._bar.stop()
-
-    def trial_started(self, task: Task) -> None:
-        """Do nothing: trials count when they end."""
 
     def _advance(self, *words: str) -> None:
         self._done += 1
@@ -142,7 +139,7 @@ def progress_of_script(total: int) -> RunObserver:
     return ScriptProgress(total)
 
 
-class ScriptProgress:
+class ScriptProgress(RunObserver):
     """A `RunObserver` for scripts: prints to stderr, every PAUSE_S at most, how many
     of `total` trials have ended and how long the others will take.
 
@@ -155,9 +152,6 @@ class ScriptProgress:
         self._done = 0
         self._said_s = now_s()
 
-    def trial_started(self, task: Task) -> None:
-        """Do nothing: trials count when they end."""
-
     def trial_ended(self, ending: Ending) -> None:
         """Count the trial; print a line if the last one was PAUSE_S ago."""
         self._done += 1
@@ -169,7 +163,7 @@ class ScriptProgress:
         print("; ".join(filter(None, words)), file=sys.stderr, flush=True)
 
 
-class NotebookProgress:
+class NotebookProgress(RunObserver):
     """A `RunObserver` for notebooks: one output of the cell, a bar that grows as trials end.
 
     `display` is IPython's function of this name, which every front end supports.
@@ -187,9 +181,6 @@ class NotebookProgress:
         self._left = ""
         self._shown_s = now_s()
         self._output = display(self, display_id=True)
-
-    def trial_started(self, task: Task) -> None:
-        """Do nothing: trials count when they end."""
 
     def trial_ended(self, ending: Ending) -> None:
         """Count the trial; change the bar if it was changed BAR_PAUSE_S ago, or all have ended."""

@@ -95,8 +95,8 @@ def _footer(player: Player, glyphs: Glyphs, place: TrialOfSeveral) -> Footer:
     """Return the rate, how far the trial is, and what keys do, the most useful first."""
     recording = player.recording
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
-    now_s = recording.elapsed_s(player.now)
-    end_s = recording.elapsed_s(recording.end_ns)
+    now_s = recording.log.elapsed_s(player.now)
+    end_s = recording.log.elapsed_s(recording.end_ns)
     end = f"{end_s:.1f}"
     hints = [f"space {SPACE.get(player.state, '')}", "? keys", "q quit"]
     if place.index + 1 < place.count:
@@ -201,7 +201,7 @@ def result_line(recording: Recording) -> str:
     assert result is not None, "the caller has checked this"
     unit = recording.log.start.setup.unit
     error = lengths(result.total_error)(result.total_error)
-    time_s = recording.elapsed_s(recording.end_ns)
+    time_s = recording.log.elapsed_s(recording.end_ns)
     return f"{time_s:6.2f} s  {result.outcome.value}, final total error {error} {unit} {end.known}"
 
 
@@ -219,7 +219,7 @@ def step_line(recording: Recording, index: int) -> str:
     standing = plan.estimate.standing(setup.names) if plan.estimate else []
     if standing:
         state += f"  {', '.join(standing)}: standing"
-    time_s = recording.elapsed_s(int(recording.step_ns[index]))
+    time_s = recording.log.elapsed_s(int(recording.step_ns[index]))
     cost = "      -" if plan.pauses else f"{plan.cost:7.1f}"  # robots that stand follow no plan
     return (
         f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "

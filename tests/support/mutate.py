@@ -122,11 +122,11 @@ def rewrite(
         sink.channel(channel, schema)
     for record in contents.records:
         if isinstance(record, Attachment):
-            sink.attachment(record.name, record.media_type, record.log_time, record.data)
+            sink.add(record)
         elif record.topic == DIGESTS:
             sink.seal(record.log_ns)
         else:
-            sink.messages([entries.get(record, record)])
+            sink.add(entries.get(record, record))
             if apart:
                 sink.flush()
     sink.close(complete=True)

@@ -2,10 +2,7 @@
 of that spec replaced.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import options, ui
@@ -15,6 +12,7 @@ from tetractl.log.read.find import find_log
 
 if TYPE_CHECKING:
     from tetractl.experiment.loaded_spec import LoadedSpec
+    from tetractl.log.read.raw_log import RawLog
     from tetractl.log.read.trial_log import TrialLog
 
 PLANT_NAMES = {"sim": "simulated", "lab": "of the lab"}
@@ -49,12 +47,17 @@ def rerun(
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
+    from tetractl.experiment.load import parse_written
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
     from tetractl.run.spec_trial import log_path
 
-    log = find_log(log)
-    trial = trial_of(scan(log))
+    raw = scan(find_log(log))
+    trial = trial_of(raw)
+    spec = trial.spec
+    if sets:
+        changed = parse_written(trial.start.resolved, "the log's spec", sets)
+        spec = replace(spec, experiment=changed.experiment)
     how = RunOptions(
         out=out,
         dry_run=dry_run,
@@ -65,45 +68,26 @@ def rerun(
         unattended=unattended,
     )
     number = trial.start.trial
-    code, folder = run_command(_recorded(trial, plant, sets or ()), how, only=number)
+    code, folder = run_command(_on_plant(spec, plant), how, only=number)
     if code != Exit.DONE or dry_run:
         return code
-    again = log_path(folder, number)
-    if sets:
-        _tell_errors(log, again, trial.start.setup.unit)
-        return Exit.DONE
-    return _compare(log, again)
+    raw_again = scan(log_path(folder, number))
+    if spec.hash == trial.spec.hash:
+        return _compare(raw, trial, raw_again)
+    _tell_errors(raw, raw_again)
+    return Exit.DONE
 
 
-def _tell_errors(log: Path, again: Path, unit: str) -> None:
-    """Print the total errors [unit] of the trials of two logs with different specs."""
-    from tetractl.log.read.reader import result_of
-    from tetractl.log.read.salvage import scan
-
-    error = result_of(scan(log)).result.total_error
-    error_again = result_of(scan(again)).result.total_error
-    ui.tell(
-        f"total error {error_again:.2f} {unit}, in the log {error:.2f} {unit}; their specs differ, "
-        "so nothing else is compared"
-    )
-
-
-def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec":
-    """Return the spec of a log with values replaced, changed to the given plant.
+def _on_plant(spec: "LoadedSpec", plant: str) -> "LoadedSpec":
+    """Return the spec of a log, changed to the given plant.
 
     No calibration file is read of a log of the lab: its spec has the calibration's values.
     """
     from tetractl.experiment.lab_section import LabSection
-    from tetractl.experiment.load import parse_written
-    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.experiment.plants import lab_as, on_plant
 
-    start = trial.start
-    experiment = trial.experiment
-    if sets:
-        experiment = parse_written(start.resolved, "the log's spec", sets).experiment
+    experiment = spec.experiment
     lab = experiment.plant
-    spec = LoadedSpec(experiment, start.spec_text, start.spec_name, attached=start.attached)
     if plant == "sim" or not isinstance(lab, LabSection):
         return on_plant(spec, plant)
     changed: dict[str, Any] = {"plant": lab_as(plant, lab)}
@@ -112,17 +96,26 @@ def _recorded(trial: "TrialLog", plant: str, sets: Sequence[str]) -> "LoadedSpec
     return replace(spec, experiment=experiment.model_copy(update=changed))
 
 
-def _compare(log: Path, again: Path) -> int:
+def _tell_errors(raw: "RawLog", raw_again: "RawLog") -> None:
+    """Print the total errors of the trials of two logs with different specs."""
+    from tetractl.log.read.reader import result_of
+
+    error = result_of(raw).result.total_error
+    error_again = result_of(raw_again).result.total_error
+    unit = raw.run.unit
+    ui.tell(
+        f"total error {error_again:.2f} {unit}, in the log {error:.2f} {unit}; their specs differ, "
+        "so nothing else is compared"
+    )
+
+
+def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
     """Print whether two logs of a trial have the same content; return FAILED if they differ."""
     from tetractl.log.format.channels import RESOLVED_SPEC
-    from tetractl.log.read.reader import result_of, trial_of
-    from tetractl.log.read.salvage import scan
+    from tetractl.log.read.reader import result_of
     from tetractl.replay.comparison import log_differences
     from tetractl.replay.verify import host_differences
 
-    raw = scan(log)
-    raw_again = scan(again)
-    trial = result_of(raw)
     plant = trial.experiment.plant
     plant_again = result_of(raw_again).experiment.plant
     if plant.type != plant_again.type or plant.real_time:
@@ -138,13 +131,15 @@ def _compare(log: Path, again: Path) -> int:
     if digest == digest_again:
         ui.tell(f"the content digests agree: {digest}")
         return Exit.DONE
-    ui.tell(f"the content digests differ: {digest} in {log}, {digest_again} in {again}")
-    for difference in islice(log_differences(raw_again, raw), 1):
-        ui.tell(f"  {difference}")
-    if trial.recovered or not trial.outcome.complete:
-        ui.tell(f"  {log} is damaged, or its trial did not run to its end")
+    both_digests = f"{digest} in {raw.path}, {digest_again} in {raw_again.path}"
+    ui.tell(f"the content digests differ: {both_digests}")
+    first_difference = next(log_differences(raw_again, raw), None)
+    if first_difference is not None:
+        ui.tell(f"  {first_difference}")
+    if raw.damaged or not result_of(raw).outcome.complete:
+        ui.tell(f"  {raw.path} is damaged, or its trial did not run to its end")
     if raw.text(RESOLVED_SPEC) != raw_again.text(RESOLVED_SPEC):
         ui.tell("  the log's spec lacks fields of this tetractl")
-    for line in host_differences(trial_of(raw)):
+    for line in host_differences(trial):
         ui.tell(f"  {line}")
     return Exit.FAILED

@@ -3,48 +3,38 @@ two logs record by record.
 """
 
 import time
-from collections.abc import Iterable, Iterator
-
-from mcap.records import Attachment
+from collections.abc import Iterator
 
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome, StopReason
-from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.log.format.channels import WRITER, Entry
+from tetractl.log.format.channels import WRITER, Record
 from tetractl.log.provenance import CODE
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.log.write.encoder import Encoder
+from tetractl.log.write.encoder import Encoder, RecordSink
 from tetractl.replay.comparison import Difference, log_differences
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import ready_trial
 from tetractl.run.task import code_of
 
 
-class Recorder:
+class Recorder(RecordSink):
     """A sink that keeps all records of a trial, and asks to stop it once `until_s` [s of processor
     time] has passed."""
 
     def __init__(self, until_s: float) -> None:
-        self.records: list[Entry | Attachment] = []
+        self.records: list[Record] = []
         self.interrupt = Interrupt()
         self.late = False
         self._until_s = until_s
 
-    def messages(self, entries: Iterable[Entry]) -> None:
-        """Keep messages."""
-        self.records += entries
+    def add(self, record: Record) -> None:
+        """Keep a record."""
+        self.records.append(record)
         if time.thread_time() > self._until_s and not self.late:
             self.late = True
             self.interrupt.request()
-
-    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Keep an attachment."""
-        self.records.append(Attachment(unix_ns, unix_ns, name, media_type, data))
-
-    def flush(self) -> None:
-        """Do nothing: how messages are divided into chunks is not compared."""
 
 
 def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
@@ -67,11 +57,9 @@ def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
 def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     """Run the trial of a log again, and yield the differences between its records and those in the
     log."""
-    start = log.start
-    spec = LoadedSpec(log.experiment, start.spec_text, start.spec_name, attached=start.attached)
     sink = Recorder(time.thread_time() + 2 * limits.seconds_limit())
     try:
-        with ready_trial([Encoder(sink)], spec, start.trial, (), sink.interrupt) as again:
+        with ready_trial([Encoder(sink)], log.spec, log.start.trial, (), sink.interrupt) as again:
             again.run()
     except (TetractlError, ValueError, OverflowError) as error:
         why = str(error).partition("\n")[0]

@@ -21,8 +21,8 @@ from websockets.sync.connection import Connection
 from tetractl.core.clock import Clock
 from tetractl.core.poses import Sample
 from tetractl.core.trial import Start
-from tetractl.log.format.channels import LOG, Entry
-from tetractl.log.write.encoder import Encoder
+from tetractl.log.format.channels import LOG, Entry, Record
+from tetractl.log.write.encoder import Encoder, RecordSink
 from tetractl.serve import foxglove_protocol
 
 BACKLOG = 2048
@@ -31,7 +31,7 @@ CLOSE_S = 0.5
 """Time for the viewers to receive their last messages and to end their connections [s]."""
 
 
-class Viewers:
+class Viewers(RecordSink):
     """Sends trials called `name` to viewers."""
 
     def __init__(self, name: str) -> None:
@@ -48,17 +48,11 @@ class Viewers:
         with self._lock:
             return any(client.subscriptions for client in self._clients)
 
-    def messages(self, entries: Iterable[Entry]) -> None:
-        """Send messages, each preceded by its log time; never waits."""
-        with self._lock:
-            for entry in entries:
-                self._publish(entry)
-
-    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Do nothing: viewers have the spec's facts from the scene."""
-
-    def flush(self) -> None:
-        """Do nothing: messages are sent at once."""
+    def add(self, record: Record) -> None:
+        """Send a message, preceded by its log time, and no attachment; never waits."""
+        if isinstance(record, Entry):
+            with self._lock:
+                self._publish(record)
 
     def jump(self, time_ns: int, entries: Iterable[Entry]) -> None:
         """Jump to another time [Unix ns]; `entries` are the newest message of each topic at that

@@ -28,6 +28,10 @@ class Live(LoopbackServer):
         self.viewers = Viewers("test")
         super().__init__(self.viewers)
 
+    def send(self, records):
+        for record in records:
+            self.viewers.add(record)
+
 
 @pytest.fixture
 def server():
@@ -95,7 +99,7 @@ def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
 
 
 def test_lines_of_text_are_not_sent_twice(server):
-    server.viewers.messages([Entry(LOG, START_NS, START_NS, b""), frame(1)])
+    server.send([Entry(LOG, START_NS, START_NS, b""), frame(1)])
     with Viewer(server.url) as viewer:
         viewer.subscribe(LOG, FRAMES)
         viewer.until(is_of(FRAMES))
@@ -104,11 +108,11 @@ def test_lines_of_text_are_not_sent_twice(server):
 
 def test_the_time_never_runs_back_but_by_a_jump(server):
     with Viewer(server.url) as viewer:
-        server.viewers.messages([frame(1)])
+        server.viewers.add(frame(1))
         viewer.subscribe(FRAMES).until(is_of(FRAMES))
         viewer.all.clear()
         for number in (3, 2, 4):
-            server.viewers.messages([frame(number)])
+            server.viewers.add(frame(number))
         # not to 1, whose time may have been still to come
         server.viewers.jump(START_NS, [frame(0)])
         viewer.seen(is_of_time("time", START_NS))
@@ -120,7 +124,7 @@ def test_the_time_never_runs_back_but_by_a_jump(server):
 def test_viewers_watch_once_one_has_subscribed(server):
     with Viewer(server.url) as viewer:
         assert not server.viewers.watched
-        server.viewers.messages([frame(1)])
+        server.viewers.add(frame(1))
         viewer.subscribe(FRAMES).until(is_of(FRAMES))
         assert server.viewers.watched
 
@@ -131,12 +135,12 @@ def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
     frames = 3 * BACKLOG  # far more than its queue and sockets hold
     with deaf(server.url, len(CHANNELS)) as stuck:
         with Viewer(server.url) as viewer:
-            server.viewers.messages([frame(0)])
+            server.viewers.add(frame(0))
             viewer.subscribe(FRAMES).until(is_of(FRAMES))
             viewer.all.clear()
             for first in range(0, frames, 512):
                 batch = [frame(number, 8000) for number in range(first, first + 512)]
-                server.viewers.messages(batch)
+                server.send(batch)
                 viewer.until(is_of_time(FRAMES, START_NS + first + 511))
             assert numbers(viewer, FRAMES) == list(range(frames))
         server.close()
@@ -230,7 +234,7 @@ def test_what_a_client_says_wrong_ends_its_connection_and_no_other(wrong, capfd)
         with Viewer(server.url) as viewer, pytest.raises(ConnectionClosedError):
             viewer.socket.send(wrong)
             viewer.until(lambda message: False)
-        server.viewers.messages([frame(1)])
+        server.viewers.add(frame(1))
         bystander.subscribe(FRAMES).until(is_of(FRAMES))
     assert capfd.readouterr().err == ""
 
@@ -238,9 +242,9 @@ def test_what_a_client_says_wrong_ends_its_connection_and_no_other(wrong, capfd)
 def test_what_was_published_last_is_sent_before_the_end():
     server = Live()
     with Viewer(server.url) as viewer:
-        server.viewers.messages([frame(0)])
+        server.viewers.add(frame(0))
         viewer.subscribe(FRAMES).until(is_of(FRAMES))
-        server.viewers.messages([frame(number) for number in range(1, 500)])
+        server.send([frame(number) for number in range(1, 500)])
         server.close()
         viewer.until(is_of_time(FRAMES, START_NS + 499))
 
@@ -252,11 +256,11 @@ def unsubscribe(viewer, topic):
 
 def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
     with Viewer(server.url) as viewer:
-        server.viewers.messages([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
+        server.send([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
         viewer.subscribe(FRAMES).until(is_of(FRAMES))
         unsubscribe(viewer, FRAMES)
         viewer.subscribe(TRANSFORMS).until(is_of(TRANSFORMS))
-        server.viewers.messages([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
+        server.send([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
         viewer.until(is_of_time(TRANSFORMS, START_NS + 3))
         assert numbers(viewer, FRAMES) == [1]
 

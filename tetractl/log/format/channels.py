@@ -11,6 +11,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
+from mcap.records import Attachment
 
 from tetractl.log.format import tetractl_pb2 as pb
 
@@ -48,46 +49,30 @@ RECOVERED = "/recovered"
 SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
 """The channels of the run and its result; of two messages of one of them, the first counts."""
 
-CHANNELS: dict[str, type[Message]] = {
-    RUN: pb.Run,
-    HOST: pb.Host,
-    FRAMES: pb.CameraFrames,
-    TRANSFORMS: FrameTransforms,
-    STEP: pb.ControllerStep,
-    COMMANDS: pb.WheelCommand,
-    SCENE: SceneUpdate,
-    SCENE_PLAN: SceneUpdate,
-    LOG: Log,
-    HOST_TIMING: pb.StepTiming,
-    PICTURE: CompressedImage,
-    BACKGROUND: CompressedImage,
-    HOST_END: pb.HostEnd,
-    RESULT: pb.Result,
-    DIGESTS: pb.Digests,
-    RECOVERED: pb.Recovered,
-}
-"""Topic and message of each channel."""
-NUMBERS = {
-    RUN: 1,
-    HOST: 2,
-    FRAMES: 3,
-    TRANSFORMS: 4,
-    STEP: 5,
-    COMMANDS: 6,
-    SCENE: 7,
-    SCENE_PLAN: 8,
-    LOG: 9,
-    HOST_TIMING: 10,
-    PICTURE: 13,
-    BACKGROUND: 14,
-    HOST_END: 15,
-    RESULT: 16,
-    DIGESTS: 17,
-    RECOVERED: 18,
-}
-"""The number of each channel, which identifies its messages if the record of the channel is lost.
-It is part of the format version. Earlier logs have other channels under 11 and 12.
+TABLE: tuple[tuple[int, str, type[Message]], ...] = (
+    (1, RUN, pb.Run),
+    (2, HOST, pb.Host),
+    (3, FRAMES, pb.CameraFrames),
+    (4, TRANSFORMS, FrameTransforms),
+    (5, STEP, pb.ControllerStep),
+    (6, COMMANDS, pb.WheelCommand),
+    (7, SCENE, SceneUpdate),
+    (8, SCENE_PLAN, SceneUpdate),
+    (9, LOG, Log),
+    (10, HOST_TIMING, pb.StepTiming),
+    (13, PICTURE, CompressedImage),
+    (14, BACKGROUND, CompressedImage),
+    (15, HOST_END, pb.HostEnd),
+    (16, RESULT, pb.Result),
+    (17, DIGESTS, pb.Digests),
+    (18, RECOVERED, pb.Recovered),
+)
+"""Number, topic and message of each channel. The number identifies its messages if the record of
+the channel is lost. It is part of the format version: earlier logs have other channels under 11 and
+12.
 """
+CHANNELS = {topic: message for _, topic, message in TABLE}
+NUMBERS = {topic: number for number, topic, _ in TABLE}
 
 SPEC = "spec.yaml"
 RESOLVED_SPEC = "spec.resolved.yaml"
@@ -109,3 +94,7 @@ class Entry(NamedTuple):
     log_ns: int
     publish_ns: int
     data: bytes
+
+
+Record = Entry | Attachment
+"""A record of a log that says something of the trial."""

@@ -3,19 +3,20 @@ again (the content digest) and one of the host records.
 """
 
 import hashlib
-from collections.abc import Iterable
 
-from tetractl.log.format.channels import DIGESTS, HOST_RECORDS, RECOVERED, Entry
+from mcap.records import Attachment
+
+from tetractl.log.format.channels import DIGESTS, HOST_RECORDS, RECOVERED, Record
 from tetractl.log.format.tetractl_pb2 import Digests
 
 _UNCOVERED = frozenset({DIGESTS, RECOVERED})
 
 
 class LogDigests:
-    """A sink of log records, for their digests.
+    """Hashes the records of a log.
 
-    Each is a SHA-256 over records in file order, without the digests themselves and the report of
-    a recovery.
+    Each digest is a SHA-256 over records in file order, without the digests themselves and the
+    report of a recovery.
 
     A record is preceded by the number of its fields, and a field by its length in bytes, so that no
     two different logs give the same bytes to hash. The fields of a message are topic, both times
@@ -27,28 +28,24 @@ class LogDigests:
         self._host = hashlib.sha256()
         self._heads: dict[str, bytes] = {}  # first bytes of a message, by topic
 
-    def messages(self, entries: Iterable[Entry]) -> None:
-        """Add messages."""
-        for topic, log_ns, publish_ns, data in entries:
-            if topic in _UNCOVERED:
-                continue
-            head = self._heads.get(topic)
-            if head is None:
-                name = topic.encode()
-                head = self._heads[topic] = b"4;7:message%d:%b" % (len(name), name)
-            times = b"%d %d" % (log_ns, publish_ns)
-            # one call of the hash per message, since a log has thousands
-            digest = self._host if topic in HOST_RECORDS else self._content
-            digest.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
-
-    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Add an attachment, without its time."""
-        fields = (b"attachment", name.encode(), media_type.encode(), data)
-        digest = self._host if name in HOST_RECORDS else self._content
-        digest.update(b"4;" + b"".join(b"%d:%b" % (len(field), field) for field in fields))
-
-    def flush(self) -> None:
-        """Do nothing: how messages are divided into chunks does not count."""
+    def add(self, record: Record) -> None:
+        """Add a record, of an attachment without its time."""
+        if isinstance(record, Attachment):
+            fields = (b"attachment", record.name.encode(), record.media_type.encode(), record.data)
+            digest = self._host if record.name in HOST_RECORDS else self._content
+            digest.update(b"4;" + b"".join(b"%d:%b" % (len(field), field) for field in fields))
+            return
+        topic, log_ns, publish_ns, data = record
+        if topic in _UNCOVERED:
+            return
+        head = self._heads.get(topic)
+        if head is None:
+            name = topic.encode()
+            head = self._heads[topic] = b"4;7:message%d:%b" % (len(name), name)
+        times = b"%d %d" % (log_ns, publish_ns)
+        # one call of the hash per message, since a log has thousands
+        digest = self._host if topic in HOST_RECORDS else self._content
+        digest.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
 
     def stated(self) -> Digests:
         """Return the digests of all records so far, as 64 hex digits each."""

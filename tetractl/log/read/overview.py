@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
 from tetractl.core.trial import Result
 from tetractl.log.format import tetractl_pb2 as pb
-from tetractl.log.format.channels import CHANNELS, COMMANDS, LOG, STEP, SUMMARY, Entry
+from tetractl.log.format.channels import CHANNELS, COMMANDS, LOG, STEP, SUMMARY, Record
 from tetractl.log.format.run_records import run_items
 from tetractl.log.provenance import is_version
 from tetractl.log.read.raw_log import ALTERED, RawLog
@@ -97,7 +97,7 @@ def overview(path: Path) -> Overview:
     )
 
 
-def _shown(contents: RawLog) -> list[Entry | Attachment]:
+def _shown(contents: RawLog) -> list[Record]:
     """Return what an overview shows or needs of a log's records, in file order: attachments, run,
     result, events, the first command with a direction, and control steps: the first, and the last
     with an estimate.
@@ -113,7 +113,7 @@ def _shown(contents: RawLog) -> list[Entry | Attachment]:
     needed = [*islice(directed, 1), *steps[:1], *islice(estimates, 1)]
     needed_ids = {id(entry) for entry in needed}  # of two entries with the same bytes, one
 
-    def is_shown(record: Entry | Attachment) -> bool:
+    def is_shown(record: Record) -> bool:
         if isinstance(record, Attachment):
             return True
         return record.topic in SUMMARY or record.topic == LOG or id(record) in needed_ids

@@ -17,7 +17,7 @@ from mcap.records import Attachment, Channel, Schema
 from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.core.trial import Result
 from tetractl.log.format import channels
-from tetractl.log.format.channels import Entry
+from tetractl.log.format.channels import Entry, Record
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.run_records import decode_facts
 from tetractl.log.format.tetractl_pb2 import Digests, Run
@@ -34,7 +34,7 @@ class RawLog:
 
     path: Path
     size: int = 0  # bytes
-    records: list[Entry | Attachment] = field(default_factory=list)  # in file order
+    records: list[Record] = field(default_factory=list)  # in file order
     chunks: int = 0
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
@@ -150,10 +150,7 @@ class RawLog:
             records = [*self.entries[:2], *attachments, *self.entries[2:]]
         digests = LogDigests()
         for record in records:
-            if isinstance(record, Entry):
-                digests.messages([record])
-            else:
-                digests.attachment(record.name, record.media_type, record.log_time, record.data)
+            digests.add(record)
         return digests.stated()
 
     @property

@@ -115,12 +115,10 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
         for channel, schema in contents.channels.values():
             sink.channel(channel, schema)
         for record in contents.records:
-            if isinstance(record, Attachment):
-                sink.attachment(record.name, record.media_type, record.log_time, record.data)
-            elif record.topic != RECOVERED:
-                sink.messages([record])
+            if isinstance(record, Attachment) or record.topic != RECOVERED:
+                sink.add(record)
         last_ns = max((entry.log_ns for entry in contents.entries), default=0)
-        sink.messages([Entry(RECOVERED, last_ns, last_ns, recovered.SerializeToString())])
+        sink.add(Entry(RECOVERED, last_ns, last_ns, recovered.SerializeToString()))
         sink.close(complete=True)
     except BaseException:  # such as a full disk: remove the copy, the source is unchanged
         sink.discard()

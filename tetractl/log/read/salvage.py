@@ -26,7 +26,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Schema, Statistics
 
 from tetractl.core.errors import LogError, printable
-from tetractl.log.format.channels import NUMBERS, SUMMARY, WRITER, Entry
+from tetractl.log.format.channels import NUMBERS, SUMMARY, WRITER, Entry, Record
 from tetractl.log.read.limits import CHUNK_MAX, file_limit, seconds_limit, too_much
 from tetractl.log.read.raw_log import RawLog, read_file
 
@@ -298,7 +298,7 @@ class _Scan:
         topics = {number: channel.topic for number, channel in self._channels.items()}
         if all(_TOPICS.get(number, topic) == topic for number, topic in topics.items()):
             topics = _TOPICS | topics
-        in_order: list[Entry | Attachment] = []
+        in_order: list[Record] = []
         chunks = 0
         for _, record in sorted(self._by_offset.items(), key=lambda item: item[0]):
             if isinstance(record, Attachment):

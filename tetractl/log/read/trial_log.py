@@ -11,6 +11,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.shown import Shown
 from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, PlantInfo, Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.loaded_spec import LoadedSpec
 
 
 class Origin(StrEnum):
@@ -126,6 +127,14 @@ class TrialLog(TrialRecords, Shown):
     def origin(self) -> Origin:
         """The origin of the trial: simulation, emulated lab or lab."""
         return Origin.of(self.experiment, self.start.plant)
+
+    @property
+    def spec(self) -> LoadedSpec:
+        """The spec by which the trial can be run again."""
+        start = self.start
+        return LoadedSpec(
+            self.experiment, start.spec_text, start.spec_name, attached=start.attached
+        )
 
 
 def _next_step(text: str) -> str:

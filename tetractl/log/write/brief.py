@@ -2,7 +2,6 @@
 running the trial again writes.
 """
 
-from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 
@@ -17,10 +16,11 @@ from tetractl.log.format.channels import (
     RESULT,
     RUN,
     Entry,
+    Record,
 )
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.tetractl_pb2 import Digests
-from tetractl.log.write.encoder import Encoder
+from tetractl.log.write.encoder import Encoder, RecordSink
 from tetractl.log.write.file_writer import FileWriter
 from tetractl.tools.files import save_whole
 
@@ -30,7 +30,7 @@ LEFT_OUT = frozenset({LAYOUT, ENVIRONMENT})
 """The attachments of a whole log that a brief one lacks."""
 
 
-class _BriefFile:
+class _BriefFile(RecordSink):
     """A sink that hashes all records, and writes those of a brief log to a file in memory."""
 
     def __init__(self) -> None:
@@ -38,22 +38,15 @@ class _BriefFile:
         self._stream = BytesIO()
         self._mcap = FileWriter(self._stream)
 
-    def messages(self, entries: Iterable[Entry]) -> None:
-        """Hash messages, and write those of a brief log."""
-        for entry in entries:
-            self._of_whole_log.messages([entry])
-            if entry.topic in TOPICS:
-                self._mcap.add_entry(entry)
-
-    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Hash an attachment, and write it if a brief log has it."""
-        self._of_whole_log.attachment(name, media_type, unix_ns, data)
-        if name not in LEFT_OUT:
-            self._mcap.flush()
-            self._mcap.attach(name, media_type, unix_ns, data)
-
-    def flush(self) -> None:
-        """Do nothing: the attachments alone divide a brief log."""
+    def add(self, record: Record) -> None:
+        """Hash a record, and write it if a brief log has it."""
+        self._of_whole_log.add(record)
+        if isinstance(record, Entry):
+            is_of_brief_log = record.topic in TOPICS
+        else:
+            is_of_brief_log = record.name not in LEFT_OUT
+        if is_of_brief_log:
+            self._mcap.add(record)
 
     def finished(self, end_ns: int) -> bytes:
         """End the file with the digests at the end of the trial [Unix ns], and return it."""
@@ -62,7 +55,7 @@ class _BriefFile:
         stated = Digests(
             content=of_whole_log.content, host=of_brief_log.host, brief=of_brief_log.content
         )
-        self._mcap.add_entry(Entry(DIGESTS, end_ns, end_ns, stated.SerializeToString()))
+        self._mcap.add(Entry(DIGESTS, end_ns, end_ns, stated.SerializeToString()))
         self._mcap.finish()
         return self._stream.getvalue()
 

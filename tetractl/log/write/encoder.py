@@ -14,10 +14,12 @@ Records count time from the trial's start [ns]; messages have Unix times [ns]. C
 simulation are collected until their chunk ends, those of a lab are added as they come.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 from google.protobuf.message import Message
+from mcap.records import Attachment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
@@ -26,7 +28,7 @@ from tetractl.core.poses import Observation, Sample
 from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec, layout
-from tetractl.log.format.channels import Entry
+from tetractl.log.format.channels import Entry, Record
 from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import encode_facts, encode_result, encode_run
 from tetractl.log.format.scene import Scene, encode_note
@@ -47,19 +49,14 @@ PLAN_SHOWN_NS = SECOND * 3 // 20
 
 
 class RecordSink(Protocol):
-    """Takes the records of a log, in their order."""
+    """Takes the records of a log, in their order; chunks mean nothing to most."""
 
-    def messages(self, entries: Iterable[Entry]) -> None:
-        """Add messages."""
-        ...
-
-    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Add an attachment."""
-        ...
+    @abstractmethod
+    def add(self, record: Record) -> None:
+        """Add a record."""
 
     def flush(self) -> None:
         """End the chunk of the messages so far."""
-        ...
 
 
 class Encoder:
@@ -222,7 +219,8 @@ class Encoder:
         self._add(channels.LOG, message, t_ns)
 
     def _attach(self, name: str, media_type: str, text: str) -> None:
-        self._sink.attachment(name, media_type, self._start.start_unix_ns, text.encode())
+        begin_ns = self._start.start_unix_ns
+        self._sink.add(Attachment(0, begin_ns, name, media_type, text.encode()))
 
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
@@ -233,7 +231,7 @@ class Encoder:
     def _add_bytes(self, topic: str, data: bytes, log_ns: int, publish_ns: int) -> None:
         """Add a message with times of the trial [ns]."""
         begin_ns = self._start.start_unix_ns
-        self._sink.messages([Entry(topic, begin_ns + log_ns, begin_ns + publish_ns, data)])
+        self._sink.add(Entry(topic, begin_ns + log_ns, begin_ns + publish_ns, data))
 
 
 # ---- messages that follow from other records ----

@@ -7,13 +7,13 @@ from functools import cache
 from typing import Any, BinaryIO
 
 from google.protobuf.message import Message
-from mcap.records import Channel, Schema, Statistics
+from mcap.records import Attachment, Channel, Schema, Statistics
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.version import __version__
-from tetractl.log.format.channels import CHANNELS, METADATA, NUMBERS, WRITER, Entry
+from tetractl.log.format.channels import CHANNELS, METADATA, NUMBERS, WRITER, Record
 from tetractl.log.format.digest import LogDigests
 
 UNNUMBERED = 0
@@ -47,18 +47,18 @@ class FileWriter(Writer):
         if channel.topic not in NUMBERS:
             self._others.setdefault(channel.topic, (channel, schema))
 
-    def add_entry(self, entry: Entry) -> None:
-        """Add a message, after the record of its channel if it is the first."""
-        number = self._numbers.get(entry.topic)
+    def add(self, record: Record) -> None:
+        """Add a message, after the record of its channel if it is the first, or an attachment,
+        after the chunk of the messages so far."""
+        self.digests.add(record)
+        if isinstance(record, Attachment):
+            self.flush()
+            self.add_attachment(0, record.log_time, record.name, record.media_type, record.data)
+            return
+        number = self._numbers.get(record.topic)
         if number is None:
-            number = self._record_channel(entry.topic)
-        self.digests.messages([entry])
-        self.add_message(number, entry.log_ns, entry.data, entry.publish_ns)
-
-    def attach(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Add an attachment."""
-        self.digests.attachment(name, media_type, unix_ns, data)
-        self.add_attachment(0, unix_ns, name, media_type, data)
+            number = self._record_channel(record.topic)
+        self.add_message(number, record.log_ns, record.data, record.publish_ns)
 
     def _record_channel(self, topic: str) -> int:
         """Record a topic's schema and channel, and return the channel's number."""

@@ -5,16 +5,16 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 
-from mcap.records import Channel, Schema
+from mcap.records import Attachment, Channel, Schema
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import DIGESTS, Entry
+from tetractl.log.format.channels import DIGESTS, Entry, Record
 from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.file_writer import FileWriter
 from tetractl.tools.files import lock_file
@@ -84,22 +84,18 @@ class Sink:
         self._mcap.allow(channel, schema)
 
     @_while_open
-    def messages(self, entries: Iterable[Entry]) -> None:
-        """Add messages."""
-        self._chunk_since = self._chunk_since or time.monotonic()
-        for entry in entries:
-            self._mcap.add_entry(entry)
-
-    @_while_open
-    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
-        """Add an attachment after all messages so far."""
-        self.flush()
-        self._mcap.attach(name, media_type, unix_ns, data)
+    def add(self, record: Record) -> None:
+        """Add a record; an attachment ends the chunk of the messages so far."""
+        if isinstance(record, Attachment):
+            self.flush()
+        else:
+            self._chunk_since = self._chunk_since or time.monotonic()
+        self._mcap.add(record)
 
     def seal(self, unix_ns: int) -> None:
         """Add the digests of all records so far."""
         stated = self.digests.SerializeToString()
-        self.messages([Entry(DIGESTS, unix_ns, unix_ns, stated)])
+        self.add(Entry(DIGESTS, unix_ns, unix_ns, stated))
 
     @property
     def digests(self) -> Digests:

@@ -1,6 +1,7 @@
 """Two runs of one trial differ in nothing but the host records."""
 
 import pytest
+from mcap.records import Attachment
 from support.random_trials import trial, write
 
 from tetractl.log import provenance
@@ -43,8 +44,8 @@ def test_the_digest_ignores_where_and_when(tmp_path, request):
 def test_every_part_of_a_record_counts():
     def digest(entry, attached):
         digests = LogDigests()
-        digests.messages([entry])
-        digests.attachment("spec.yaml", "application/yaml", 0, attached)
+        digests.add(entry)
+        digests.add(Attachment(0, 0, "spec.yaml", "application/yaml", attached))
         return digests.stated().content
 
     entry = Entry("/step", 1, 2, b"x")

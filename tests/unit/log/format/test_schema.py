@@ -32,10 +32,7 @@ def test_the_generated_code_is_up_to_date(tmp_path):
             field.ClearField("json_name")  # the generated code leaves it out
     ours = FileDescriptorProto()
     tetractl_pb2.DESCRIPTOR.CopyToProto(ours)
-    assert ours == fresh, (
-        "run, with grpcio-tools 1.70 so that protobuf 5.29 can read it: python -m "
-        "grpc_tools.protoc -I. --python_out=. --pyi_out=. tetractl/log/format/tetractl.proto"
-    )
+    assert ours == fresh, "run: make proto"
 
 
 def test_the_oldest_protobuf_that_is_allowed_reads_the_generated_code():

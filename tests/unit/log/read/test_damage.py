@@ -60,9 +60,9 @@ def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path
     (_, step, *_) = whole.by_topic[STEP]
     altered = tmp_path / "altered.mcap"
     sink = Sink(altered)
-    sink.messages(entry for entry in whole.entries if entry is not step)
-    for name, attachment in whole.attachments.items():
-        sink.attachment(name, attachment.media_type, attachment.log_time, attachment.data)
+    for record in whole.records:
+        if record is not step:
+            sink.add(record)
     sink.close(complete=True)
     raw = scan(altered)
     assert not raw.damaged

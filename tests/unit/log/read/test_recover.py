@@ -5,7 +5,7 @@ import random
 from pathlib import Path
 
 import pytest
-from mcap.records import Attachment, Channel
+from mcap.records import Channel
 from support.durable import small_disk
 from support.mutate import rewrite
 from support.random_trials import trial, write
@@ -227,10 +227,8 @@ def test_a_lost_record_of_the_host_is_a_loss(log, tmp_path):
     path = tmp_path / "changed.mcap"
     sink = Sink(path)
     for record in contents.records:
-        if isinstance(record, Attachment):
-            sink.attachment(record.name, record.media_type, record.log_time, record.data)
-        elif record != timing:
-            sink.messages([record])
+        if record != timing:
+            sink.add(record)
     sink.close(complete=True)
     assert recover(log).whole
     assert recover(path).damage.lost == ("a record covered by the log's digest or its host digest",)

@@ -47,7 +47,7 @@ def test_a_channel_of_another_log_gets_a_number_that_is_free():
         Channel(id=9, topic="/camera/own", message_encoding="json", metadata={}, schema_id=0), None
     )
     for topic in (LOG, "/camera/own", RUN):
-        writer.add_entry(Entry(topic, 0, 0, b""))
+        writer.add(Entry(topic, 0, 0, b""))
     writer.finish()
     stream.seek(0)
     listed = make_reader(stream).get_summary().channels
@@ -78,7 +78,7 @@ def test_messages_of_a_channel_whose_record_is_lost_are_read_by_their_number(tmp
     writer = FileWriter(stream)
 
     def add(topic):
-        writer.add_entry(Entry(topic, 0, 0, b""))
+        writer.add(Entry(topic, 0, 0, b""))
 
     counts = without_second_chunk(tmp_path / "log.mcap", writer, stream, add)
     assert counts == {RUN: 1, LOG: 1}

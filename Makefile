@@ -8,7 +8,7 @@ DEMO := logs/demo
 PAPERS := ./packages/tetractl-papers
 PACKAGES := $(PAPERS) ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
 
-.PHONY: demo demo-ours demo-paper test test-fast test-long test-system test-ci test-all test-lowest test-newest lint dist docs clean
+.PHONY: demo demo-ours demo-paper test test-fast test-long test-system test-ci test-all test-lowest test-newest lint dist docs clean proto
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml $(PAPERS)/pyproject.toml constraints.txt
@@ -22,6 +22,13 @@ $(STAMP): $(RUNTIME) $(PACKAGES:%=%/pyproject.toml)
 	@echo "Installing what the tests need into .venv"
 	@$(PIP) -e '.[dev]' $(PACKAGES:%=-e %)
 	@touch $(STAMP)
+
+# Generates the code of the log's messages from tetractl.proto, after a change of it, by the compiler
+# whose code the oldest protobuf that is allowed can read.
+proto:
+	@$(PYTHON) -m venv .venv/.proto
+	@.venv/.proto/bin/python -m pip install --quiet --disable-pip-version-check 'grpcio-tools==1.70.*'
+	.venv/.proto/bin/python -m grpc_tools.protoc -I. --python_out=. --pyi_out=. tetractl/log/format/tetractl.proto
 
 # The reference experiment on the simulated bench: the published controller and ours in the same 20
 # paired seeds, next to the published result. A second run replaces the first one's logs. The two runs

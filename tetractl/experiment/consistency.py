@@ -34,12 +34,15 @@ class SpecFinding:
     """One thing that is wrong with a spec, at the location `where`: an error or a warning.
 
     `text` goes on after the name and the value of the field at that location: "is outside the
-    arena". `hint` says what to do; an error says that in its text.
+    arena". `hint` says what to do; most errors say that in their text.
     """
 
     where: Loc
     text: str
     hint: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.hint}" if self.hint else self.text
 
 
 Findings = Iterator[SpecFinding]

@@ -199,7 +199,7 @@ def validated_experiment(document: Document, written: bool) -> Experiment:
         document.problems.extend(explain(error, document, schema_of(Experiment)))
         raise InvalidSpecError(document.all_problems) from None
     for error in errors_of(experiment, written):
-        document.refuse(error.where, error.text)
+        document.refuse(error.where, str(error))
     if document.all_problems:
         raise InvalidSpecError(document.all_problems)
     return experiment

@@ -80,7 +80,7 @@ def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True
     in_lab = experiment.model_copy(update={"plant": lab, "lab": None})
     loaded = replace(loaded, experiment=in_lab)
     for error in section_errors(loaded.experiment):
-        raise SpecError(f"{loaded.name}: {dotted(error.where)} {error.text}")
+        raise SpecError(f"{loaded.name}: {dotted(error.where)} {error}")
     if lab.calibration is None or not with_calibration:
         return loaded
     path = file_of_spec(folder, "lab.calibration", lab.calibration)
@@ -161,8 +161,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
                 merged.put(loc, measured.value, place)
     updated = validated(Experiment, merged)
     for error in section_errors(updated):
-        where = dotted(error.where)
-        raise SpecError(f"{origin}: with this calibration, {where} {error.text}")
+        raise SpecError(f"{origin}: with this calibration, {dotted(error.where)} {error}")
     return updated
 
 

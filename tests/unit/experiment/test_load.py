@@ -14,6 +14,7 @@ from support.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
+from tetractl.experiment.consistency import SpecFinding
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue, merge
 from tetractl.experiment.load import load_spec, parse_spec, parse_written
 from tetractl.experiment.loaded_spec import attach, resolved_yaml, spec_hash
@@ -374,6 +375,14 @@ def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_controller_and_
 
 def hash_of(text, *sets):
     return spec_hash(parse_spec(text, "s.yaml", sets).experiment)
+
+
+def test_the_hint_of_an_error_is_printed(monkeypatch):
+    """Regression: only that of a warning was."""
+    finding = SpecFinding(("robots", 0, "speed"), "is odd", "choose another")
+    monkeypatch.setattr("tetractl.experiment.load.errors_of", lambda *_: [finding])
+    with pytest.raises(InvalidSpecError, match="robots.0.speed: [0-9.]+: is odd; choose another$"):
+        load_spec(ROOT / "experiments/three_m3pi.yaml")
 
 
 def test_the_hash_is_one_of_sha_256():

@@ -146,9 +146,14 @@ def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTria
 def stepped(spec: Spec) -> LoadedSpec:
     """Return a spec for trials that a script steps, checked and compiled; errors are those of
     `open_trial`."""
-    from tetractl.run.open_trial import stepped_spec
+    from tetractl.run.open_trial import directed_spec
 
-    opened = stepped_spec(_spec(spec))
+    loaded = _spec(spec)
+    if loaded.experiment.plant.real_time:
+        raise UsageError(
+            "the spec's plant is the lab, which no script drives", "use `tetractl run`"
+        )
+    opened = directed_spec(loaded)
     _check(opened, logging.getLogger("tetractl").info)
     return opened
 

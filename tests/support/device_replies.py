@@ -5,7 +5,6 @@ from dataclasses import astuple
 
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
-from tetractl.lab.actuators.twist import lines
 from tetractl.lab.actuators.wheel_commands import Reply
 
 
@@ -18,4 +17,5 @@ def packed_reply(reply):
 def reply_line(reply):
     """Return the line of a reply, with its end."""
     numbers = [str(int(number)) for number in astuple(reply)]
-    return lines._sealed(" ".join(["S", *numbers]))
+    text = " ".join(["S", *numbers]).encode()
+    return text + b"*%04X\n" % cobs.crc16(text)

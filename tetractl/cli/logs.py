@@ -117,6 +117,7 @@ def _result(log: "Overview") -> dict[str, str]:
 
 def _estimate(log: "Overview") -> dict[str, str]:
     """Return the last estimate, one line per robot, each value with its standard deviation."""
+    from tetractl.core.plan import OF_PLACES, OF_TURNING
     from tetractl.run.news import turning
 
     estimate = log.estimate
@@ -140,10 +141,10 @@ def _estimate(log: "Overview") -> dict[str, str]:
         lines[name] = ", ".join(parts)
     if estimate.dead_time is not None and estimate.dead_time_std is not None:
         lines["dead time"] = f"{_deviating(estimate.dead_time, estimate.dead_time_std)} s"
-    unfit = estimate.unfit(names)
+    unfit = estimate.unexplained(names, OF_TURNING)
     if unfit:
         lines["the model does not fit"] = ", ".join(sorted(unfit))
-    strays = estimate.strays(names)
+    strays = estimate.unexplained(names, OF_PLACES)
     if strays:
         lines["not as predicted, which says nothing of a"] = ", ".join(sorted(strays))
     return lines

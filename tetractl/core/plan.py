@@ -204,18 +204,14 @@ class Estimate:
             name for name, p in zip(names, probabilities, strict=False) if p > STANDS_PROBABILITY
         ]
 
-    def unfit(self, names: Sequence[str]) -> set[str]:
-        """Return what the model of turning does not fit, such as "heading of red": its a may be
-        wrong by more than its deviation."""
-        return self._unexplained(names, OF_TURNING)
+    def unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
+        """Return what the model does not explain, such as "heading of red", of the parts OF_TURNING
+        or OF_PLACES.
 
-    def strays(self, names: Sequence[str]) -> set[str]:
-        """Return which motion of places is not explained, such as "cross-track motion of red":
-        deviations have grown by it, and a holds within its own (docs/decisions/filter.md)."""
-        return self._unexplained(names, OF_PLACES)
-
-    def _unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
-        """Return what the model does not explain, of some of INNOVATIONS."""
+        Where a motion OF_TURNING is not explained, a may be wrong by more than its deviation. Where
+        one OF_PLACES is not, deviations have grown by it, and a holds within its own
+        (docs/decisions/filter.md).
+        """
         if self.misfit is None:
             return set()
         unexplained: set[str] = set()

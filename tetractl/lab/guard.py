@@ -93,7 +93,7 @@ from tetractl.lab.frames import AcceptedFrame, CameraStream, FrameBuffer
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, REPEATS
-from tetractl.lab.robot_track import MISSING, AcceptedPoses, PoseDecision, RobotTrack
+from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
@@ -144,10 +144,8 @@ class Guard:
         self._make_tracks_and_checks()
 
     def _make_tracks_and_checks(self) -> None:
-        self._robots = [
-            RobotTrack(name, AcceptedPoses(self.rules, i))
-            for i, name in enumerate(self.rules.names)
-        ]
+        names = self.rules.names
+        self._robots = [RobotTrack(name, self.rules, i) for i, name in enumerate(names)]
         of_robots = self._checks_of(self.rules)
         self._checks = of_robots.checks
         self.drift = of_robots.drift
@@ -263,14 +261,14 @@ class Guard:
         if not self.rules.goes_on or not others:
             self.abort(reason + self._stream.slow_text)
             return
-        robot.lost_ns = robot.poses.last_ns
+        robot.lost_ns = robot.last_ns
         self._warnings.append(f"{reason}: the run goes on without this robot")
 
     def replace_robot(self, i: int) -> None:
         """Continue with another body in place of a lost robot."""
         lost = self._robots[i]
-        poses = AcceptedPoses(self.rules, i, last_ns=lost.newest_ns)  # counts as seen now
-        self._robots[i] = RobotTrack(lost.name, poses, lost.newest_ns)
+        seen_ns = lost.newest_ns  # it counts as seen now
+        self._robots[i] = RobotTrack(lost.name, self.rules, i, last_ns=seen_ns, newest_ns=seen_ns)
         for check in self._checks:
             check.replace(i)
 
@@ -326,7 +324,7 @@ class Guard:
                 self._warn_once(f"a camera frame {self._stream.outdated_text} was dropped")
             return None
         in_run = self._in_run
-        times = frame.times([robot.poses.last_ns for robot in self._robots])
+        times = frame.times([robot.last_ns for robot in self._robots])
         for robot, read_ns in zip(self._robots, times, strict=True):
             robot.read(frame.sampled_ns, read_ns, own_times=bool(frame.exposed_ns))
         for check in self._checks:
@@ -402,12 +400,12 @@ class Guard:
         whatever is commanded meanwhile.
         """
         robot = self._robots[i]
-        last = robot.poses.last
+        last = robot.last
         if pose is None or robot.lost:
             return MISSING
         if not robot.is_new:
             return None
-        fault = robot.ghost or robot.poses.fault(pose, robot.read_ns, self._pace.driven)
+        fault = robot.ghost or robot.fault(pose, robot.read_ns, self._pace.driven)
         if fault:
             return PoseDecision(refused=fault)
         if last is None or not self._pace.driven:
@@ -435,7 +433,7 @@ class Guard:
             if decision.refused:
                 self.refusals += 1
             if decision.accepted is not None:
-                robot.poses.accept(decision.accepted, robot.read_ns)
+                robot.accept(decision.accepted, robot.read_ns)
         for decision in decisions:
             if decision is not None:
                 self._record(decision.findings)
@@ -447,9 +445,9 @@ class Guard:
         times: list[int] = []
         for robot, pose in zip(self._robots, frame.poses, strict=True):
             in_frame = pose is not None and not robot.decision.refused
-            poses.append(robot.poses.last)
+            poses.append(robot.last)
             fresh.append(in_frame and not robot.lost and not robot.hidden)
-            times.append(robot.poses.last_ns)
+            times.append(robot.last_ns)
         own_times = tuple(times) if frame.exposed_ns else ()
         return AcceptedFrame(frame, tuple(poses), tuple(fresh), own_times)
 
@@ -507,12 +505,12 @@ class Guard:
     def _pose_now(self, i: int, robot: RobotTrack) -> Pose | None:
         """Return the accepted pose of robot i at the newest frame, None if it is hidden or lost; a
         pose that is older is carried on by the commands."""
-        pose = robot.poses.last
+        pose = robot.last
         if pose is None or not robot.tracked:
             return None
         if not self._stream.own_times or robot.untracked_ns <= 0:
             return pose
-        return self.drift.carried(i, pose, robot.poses.last_ns, robot.untracked_ns)
+        return self.drift.carried(i, pose, robot.last_ns, robot.untracked_ns)
 
     def _places(self, poses: Sequence[Pose | None]) -> tuple[RobotPlace, ...]:
         """Return where the robots are, whose `poses` (N,) are those at the newest frame."""
@@ -520,7 +518,7 @@ class Guard:
         for robot, pose, speed in zip(self._robots, poses, self.rules.speeds, strict=True):
             stands = robot.lost or not self._pace.ahead
             way = 0.0 if stands else speed * self.rules.limits.reaction
-            places.append(RobotPlace(pose, robot.poses.last, robot.lost, way))
+            places.append(RobotPlace(pose, robot.last, robot.lost, way))
         return tuple(places)
 
     def _moving(self, now_ns: int) -> tuple[bool, ...]:

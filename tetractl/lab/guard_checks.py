@@ -16,6 +16,7 @@ from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import MotionCheck
 from tetractl.lab.places import Keeps
+from tetractl.lab.robot_track import TimedPose
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,21 +52,14 @@ def drift_of(rules: GuardRules, motion: MotionCheck) -> DriftCheck:
     return DriftCheck(rules.names, rules.wheel_radius, rules.mm, error, motion, rules.sight)
 
 
-@dataclass(frozen=True, slots=True)
-class Straying:
-    """Since when a robot has been seen to move in a pause [ns], and its last pose before."""
-
-    since_ns: int
-    before: Pose
-
-
 class StandsInPauses(GuardCheck):
     """In a pause, a robot that has moved against its commands for UNTRACKED_STOP_S is noted: a stop
     may be lost and sent again."""
 
     def __init__(self, motion: MotionCheck) -> None:
         self._motion = motion
-        self._straying: dict[int, Straying] = {}
+        # of robots that are seen to move: the last pose before
+        self._straying: dict[int, TimedPose] = {}
 
     def start(self) -> None:
         """Forget what was seen before."""
@@ -73,11 +67,11 @@ class StandsInPauses(GuardCheck):
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterator[Finding]:
         """Check a pose in a pause."""
-        straying = self._straying.get(robot, Straying(now_ns, before))
-        fault = self._motion.take_pose(robot, straying.before, pose)
+        stood = self._straying.get(robot, TimedPose(now_ns, before))
+        fault = self._motion.take_pose(robot, stood.pose, pose)
         if not fault:
             self._straying.pop(robot, None)
             return
-        self._straying[robot] = straying
-        if now_ns - straying.since_ns > UNTRACKED_STOP_S * SECOND:
+        self._straying[robot] = stood
+        if now_ns - stood.exposed_ns > UNTRACKED_STOP_S * SECOND:
             yield Moved(robot, fault)

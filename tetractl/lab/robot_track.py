@@ -49,17 +49,120 @@ class TimedPose:
     pose: Pose
 
 
-@dataclass(slots=True)
-class AcceptedPoses:
-    """The `last` accepted pose of robot `i` of the rules, exposed at `last_ns`; None, at 0, before
-    the first."""
+@dataclass(frozen=True, slots=True)
+class PoseDecision:
+    """What becomes of a robot's pose: it is `accepted`, or why it is `refused`, and whether that is
+    since the robot disobeys; neither if there is none. `findings` are what checks found besides.
+    """
 
+    accepted: Pose | None = None
+    refused: str = ""
+    disobeys: bool = False
+    findings: tuple[Finding, ...] = ()
+
+
+MISSING = PoseDecision()
+"""There is no pose."""
+
+
+@dataclass(slots=True)
+class RobotTrack:
+    """What the guard remembers of one robot; a body that replaces a lost one has a track of its
+    own.
+    """
+
+    name: str
     rules: GuardRules
     i: int
+    """Its index."""
     last: Pose | None = None
+    """The last accepted pose, None before the first."""
     last_ns: int = 0
-    _height: float | None = None  # when the run began; None if the camera measures none
-    _remembered: deque[TimedPose] = field(default_factory=deque)  # oldest first
+    """When that was exposed, 0 before the first."""
+    newest_ns: int = 0
+    """When the newest frame was exposed, 0 before the first: all that follows is as of then."""
+    read_ns: int = 0
+    """The time of its pose in that frame, or of the one accepted before if there is none."""
+    is_new: bool = True
+    """Whether that frame, if there is a pose in it, shows a new measurement."""
+    unseen_ns: float = 0.0
+    """For how long it was not seen in runs, less `FORGIVEN` of the time it was seen."""
+    _counted_ns: int = 0
+    """Time until which that is counted."""
+    decision: PoseDecision = MISSING
+    """What became of its newest pose."""
+    ghost: str = ""
+    """Why its poses are refused for good, "" if they are not."""
+    lost_ns: int | None = None
+    """When a robot that is lost was last seen [ns]; None for one that is not lost."""
+    strayed: str = ""
+    """How it was first seen to move in a pause, "" if it was not."""
+    _height: float | None = None
+    """That of its body when the run began; None if the camera measures none."""
+    _remembered: deque[TimedPose] = field(default_factory=deque)
+    """Accepted poses with which a new one is compared, oldest first."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the run goes on without the robot."""
+        return self.lost_ns is not None
+
+    @property
+    def untracked_ns(self) -> int:
+        """The age of the last accepted pose [ns]."""
+        return self.newest_ns - self.last_ns
+
+    @property
+    def untracked_text(self) -> str:
+        """A text that the robot is not tracked, since when and, if known, why."""
+        why = f": {self.decision.refused}" if self.decision.refused else ""
+        return f"{self.name} is not tracked{why} ({self.untracked_ns / SECOND:.2f} s)"
+
+    @property
+    def hidden(self) -> bool:
+        """Whether no pose was accepted for so long that the robot must stop."""
+        return self.untracked_ns > UNTRACKED_STOP_S * SECOND
+
+    @property
+    def tracked(self) -> bool:
+        """Whether the robot may move, as far as its pose is concerned."""
+        return self.last is not None and not self.lost and not self.hidden
+
+    def start_run(self) -> None:
+        """Forget how the robot moved before a run, as it may have been carried: compare new poses
+        with the last one only, and with the height at which the body is now."""
+        heights = [
+            earlier.pose.height
+            for earlier in self._remembered
+            if self.last_ns - earlier.exposed_ns <= HEIGHT_NS and earlier.pose.height is not None
+        ]
+        self._height = statistics.median(heights) if heights else None
+        self._remembered.clear()
+        if self.last is not None:
+            self._remembered.append(TimedPose(self.last_ns, self.last))
+        self._counted_ns = self.last_ns
+        self.decision = MISSING
+
+    # ---- its poses ----
+
+    def read(self, newest_ns: int, read_ns: int, own_times: bool) -> None:
+        """Take the times of the newest frame and of the robot's pose in it.
+
+        Where poses have times of their own, a frame may show a pose again that was measured for one
+        before: it is new only if it is later than that accepted, and than that read, last.
+        """
+        self.is_new = not own_times or read_ns > max(self.last_ns, self.read_ns)
+        self.newest_ns = newest_ns
+        self.read_ns = read_ns
+
+    def count_absence(self, stale_ns: float) -> None:
+        """Count for how long the robot was not seen, up to the newest frame of a run, before its
+        poses; it counts as seen until its last pose is `stale_ns` old."""
+        seen_until_ns = self.last_ns + stale_ns
+        unseen_ns = max(0.0, self.newest_ns - max(self._counted_ns, seen_until_ns))
+        seen_ns = self.newest_ns - self._counted_ns - unseen_ns
+        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN * seen_ns)
+        self._counted_ns = self.newest_ns
 
     def accept(self, pose: Pose, exposed_ns: int) -> None:
         """Take a pose that was exposed after the last one."""
@@ -70,19 +173,6 @@ class AcceptedPoses:
             remembered.popleft()
         if not remembered or exposed_ns - remembered[-1].exposed_ns >= JUMP_SPACING_NS:
             remembered.append(TimedPose(exposed_ns, pose))
-
-    def start_run(self) -> None:
-        """Compare new poses with the last one only, before which the robot may have been carried,
-        and with the height at which the body is now."""
-        heights = [
-            earlier.pose.height
-            for earlier in self._remembered
-            if self.last_ns - earlier.exposed_ns <= HEIGHT_NS and earlier.pose.height is not None
-        ]
-        self._height = statistics.median(heights) if heights else None
-        self._remembered.clear()
-        if self.last is not None:
-            self._remembered.append(TimedPose(self.last_ns, self.last))
 
     def fault(self, pose: Pose, exposed_ns: int, driving: bool) -> str:
         """Return why a pose cannot be the robot's, "" if it can.
@@ -132,98 +222,3 @@ class AcceptedPoses:
             if angle > fastest_turning * dt_s + JUMP_HEADING:
                 return True
         return False
-
-
-@dataclass(frozen=True, slots=True)
-class PoseDecision:
-    """What becomes of a robot's pose: it is `accepted`, or why it is `refused`, and whether that is
-    since the robot disobeys; neither if there is none. `findings` are what checks found besides.
-    """
-
-    accepted: Pose | None = None
-    refused: str = ""
-    disobeys: bool = False
-    findings: tuple[Finding, ...] = ()
-
-
-MISSING = PoseDecision()
-"""There is no pose."""
-
-
-@dataclass(slots=True)
-class RobotTrack:
-    """What the guard remembers of one robot; a body that replaces a lost one has a track of its
-    own.
-    """
-
-    name: str
-    poses: AcceptedPoses
-    newest_ns: int = 0
-    """When the newest frame was exposed, 0 before the first: all that follows is as of then."""
-    read_ns: int = 0
-    """The time of its pose in that frame, or of the one accepted before if there is none."""
-    is_new: bool = True
-    """Whether that frame, if there is a pose in it, shows a new measurement."""
-    unseen_ns: float = 0.0
-    """For how long it was not seen in runs, less `FORGIVEN` of the time it was seen."""
-    _counted_ns: int = 0
-    """Time until which that is counted."""
-    decision: PoseDecision = MISSING
-    """What became of its newest pose."""
-    ghost: str = ""
-    """Why its poses are refused for good, "" if they are not."""
-    lost_ns: int | None = None
-    """When a robot that is lost was last seen [ns]; None for one that is not lost."""
-    strayed: str = ""
-    """How it was first seen to move in a pause, "" if it was not."""
-
-    @property
-    def lost(self) -> bool:
-        """Whether the run goes on without the robot."""
-        return self.lost_ns is not None
-
-    @property
-    def untracked_ns(self) -> int:
-        """The age of the last accepted pose [ns]."""
-        return self.newest_ns - self.poses.last_ns
-
-    @property
-    def untracked_text(self) -> str:
-        """A text that the robot is not tracked, since when and, if known, why."""
-        why = f": {self.decision.refused}" if self.decision.refused else ""
-        return f"{self.name} is not tracked{why} ({self.untracked_ns / SECOND:.2f} s)"
-
-    @property
-    def hidden(self) -> bool:
-        """Whether no pose was accepted for so long that the robot must stop."""
-        return self.untracked_ns > UNTRACKED_STOP_S * SECOND
-
-    @property
-    def tracked(self) -> bool:
-        """Whether the robot may move, as far as its pose is concerned."""
-        return self.poses.last is not None and not self.lost and not self.hidden
-
-    def start_run(self) -> None:
-        """Forget how the robot moved before a run: it may have been carried."""
-        self.poses.start_run()
-        self._counted_ns = self.poses.last_ns
-        self.decision = MISSING
-
-    def read(self, newest_ns: int, read_ns: int, own_times: bool) -> None:
-        """Take the times of the newest frame and of the robot's pose in it.
-
-        Where poses have times of their own, a frame may show a pose again that was measured for one
-        before: it is new only if it is later than that accepted, and than that read, last.
-        """
-        self.is_new = not own_times or read_ns > max(self.poses.last_ns, self.read_ns)
-        self.newest_ns = newest_ns
-        self.read_ns = read_ns
-
-    def count_absence(self, stale_ns: float) -> None:
-        """Count for how long the robot was not seen, up to the newest frame of a run, before its
-        poses; it counts as seen until its last pose is `stale_ns` old."""
-        seen_until_ns = self.poses.last_ns + stale_ns
-        unseen_ns = max(0.0, self.newest_ns - max(self._counted_ns, seen_until_ns))
-        seen_ns = self.newest_ns - self._counted_ns - unseen_ns
-        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN * seen_ns)
-        self._counted_ns = self.newest_ns

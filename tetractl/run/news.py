@@ -17,7 +17,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
-from tetractl.core.plan import Estimate, Plan
+from tetractl.core.plan import OF_PLACES, OF_TURNING, Estimate, Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
@@ -174,10 +174,10 @@ class ModelNews:
         """Yield level and text of what is news in an estimate, and note that it is said."""
         for name in estimate.standing(setup.names):
             yield from self._once("info", f"{name} stands although it is sent a direction")
-        for part in sorted(estimate.strays(setup.names)):
+        for part in sorted(estimate.unexplained(setup.names, OF_PLACES)):
             yield from self._once("info", f"{part} is not as predicted, which says nothing of a")
         yield from self._later(estimate, setup, now_ns)
-        unfit = estimate.unfit(setup.names)
+        unfit = estimate.unexplained(setup.names, OF_TURNING)
         if self.stated is not None and self.stated.lacks_noise:
             if unfit:
                 yield from self._once("warning", NOISE_UNSTATED)

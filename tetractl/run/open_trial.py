@@ -42,16 +42,6 @@ FIRST_SENT = 0.0
 """A direction of the section of `sequence`, which needs one; the script's take its place [rad]."""
 
 
-def stepped_spec(spec: LoadedSpec) -> LoadedSpec:
-    """Return a spec whose directions a script gives, as `directed_spec` does; UsageError for a
-    lab."""
-    if spec.experiment.plant.real_time:
-        raise UsageError(
-            "the spec's plant is the lab, which no script drives", "use `tetractl run`"
-        )
-    return directed_spec(spec)
-
-
 def directed_spec(spec: LoadedSpec) -> LoadedSpec:
     """Return a spec with the controller `sequence`, whose directions are given as it runs.
 
@@ -161,7 +151,7 @@ class OpenTrial:
     def __init__(self, spec: LoadedSpec, trial: int, seed: int) -> None:
         experiment = spec.experiment
         section: ControllerSection = experiment.controller
-        assert isinstance(section, SequenceSection), "a spec by `stepped_spec`"
+        assert isinstance(section, SequenceSection), "a spec by `directed_spec`"
         self._spec = spec
         self._trial = whole_number(trial, "a trial")
         self._seed = whole_number(seed, "a seed")

@@ -125,7 +125,11 @@ def ready_trial(
     start_unix_ns = _unix_ns() if section.real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
     supervisor = supervision or _own_supervision(writers, interrupt)
-    with plugins_blamed(packages(spec.experiment)), _relayed(observers, section.real_time) as calls:
+    with plugins_blamed(packages(spec.experiment)), ExitStack() as relays:
+        if section.real_time:
+            observers = [
+                relays.enter_context(closing(ObserverRelay(observer))) for observer in observers
+            ]
         full_spec, plant = _spec_and_plant(spec, clock, seed, supervisor)
         try:
             # the trial asks the plant about itself once it is open
@@ -135,7 +139,7 @@ def ready_trial(
                 plant=plant,
                 controller=controller or build_controller(full_spec.experiment, key),
                 clock=clock,
-                observers=[*writers, *calls],
+                observers=[*writers, *observers],
                 interrupt=interrupt,
                 stated=stated_model(full_spec.experiment),
             )
@@ -145,16 +149,6 @@ def ready_trial(
             abandon(plant)
             raise
         yield ready
-
-
-@contextmanager
-def _relayed(observers: Sequence[Observer], real_time: bool) -> Iterator[Sequence[Observer]]:
-    """Give the observers, in real time each behind a relay, which is closed in the end."""
-    if not real_time:
-        yield observers
-        return
-    with ExitStack() as stack:
-        yield [stack.enter_context(closing(ObserverRelay(observer))) for observer in observers]
 
 
 def _own_supervision(writers: Sequence[Observer], interrupt: Interrupt) -> LabSupervision:

@@ -72,16 +72,13 @@ class BatchFolder:
         except LogError:
             return
         self._check(result)
-        if self._finished(result):
-            self.results[trial] = result
-
-    def _finished(self, result: ResultSummary) -> bool:
         aborts_again = (
             result.outcome is Outcome.ABORTED
             and result.code == self.code
             and not self.experiment.plant.real_time
         )
-        return not result.recovered and (result.outcome.complete or aborts_again)
+        if not result.recovered and (result.outcome.complete or aborts_again):
+            self.results[trial] = result
 
     def _check(self, result: ResultSummary) -> None:
         """Raise UsageError for a trial of another spec or seed."""

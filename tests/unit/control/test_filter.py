@@ -33,7 +33,7 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.control.prior import Prior, Sticks
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop
-from tetractl.core.plan import Estimate
+from tetractl.core.plan import INNOVATIONS, OF_PLACES, OF_TURNING, Estimate
 from tetractl.core.poses import Observation, Poses, Sight, wrap
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec
@@ -278,14 +278,14 @@ def test_a_motion_that_the_model_leaves_out_is_noticed():
     names = ["green", "blue", "red"]
     seconds = 15
     estimate, *_ = drive(NOISY, seconds, 20)
-    assert estimate.strays(names) == estimate.unfit(names) == set()
+    assert estimate.unexplained(names, INNOVATIONS) == set()
     slide = "plant.disturbances=[{type: flow, speed: 30}]"
     wrong, *_ = drive([*NOISY, slide, "controller.prior.flow=0"], seconds, 20)
-    assert wrong.strays(names)
-    assert wrong.unfit(names) == set()
+    assert wrong.unexplained(names, OF_PLACES)
+    assert wrong.unexplained(names, OF_TURNING) == set()
     assert (wrong.speed_std > estimate.speed_std).all()
     right, *_ = drive([*NOISY, slide, "controller.prior.flow=30"], seconds, 20)
-    assert right.strays(names) == right.unfit(names) == set()
+    assert right.unexplained(names, INNOVATIONS) == set()
 
 
 @pytest.mark.parametrize("error", [0.0, 0.1, 0.25])

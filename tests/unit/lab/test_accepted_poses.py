@@ -9,7 +9,7 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard_records import GuardRules
-from tetractl.lab.robot_track import AcceptedPoses
+from tetractl.lab.robot_track import RobotTrack
 
 RULES = GuardRules(
     names=("green",),
@@ -33,22 +33,22 @@ DT = SECOND // 2
     ],
 )
 def test_a_pose_beyond_twice_the_speed_and_one_allowance_is_a_jump(pose, jumps):
-    poses = AcceptedPoses(RULES, 0)
-    poses.accept(Pose(0.0, 0.0, 0.0), 0)
-    assert poses.fault(pose, DT, driving=True) == ("its pose jumped" if jumps else "")
-    assert poses.fault(pose, DT, driving=False) == "", "robots may be carried"
+    robot = RobotTrack("one", RULES, 0)
+    robot.accept(Pose(0.0, 0.0, 0.0), 0)
+    assert robot.fault(pose, DT, driving=True) == ("its pose jumped" if jumps else "")
+    assert robot.fault(pose, DT, driving=False) == "", "robots may be carried"
 
 
 def test_the_allowance_is_given_once_in_a_second():
     """Each pose is 30 mm from the last, 1/50 s later; 2 x 100 mm/s x 0.8 s + 30 mm are allowed."""
-    poses = AcceptedPoses(RULES, 0)
-    poses.accept(Pose(0.0, 0.0, 0.0), 0)
+    robot = RobotTrack("one", RULES, 0)
+    robot.accept(Pose(0.0, 0.0, 0.0), 0)
     for k in range(1, 41):
         now_ns = k * SECOND // 50
-        pose = Pose(poses.last.x + 30.0, 0.0, 0.0)
-        if not poses.fault(pose, now_ns, driving=True):
-            poses.accept(pose, now_ns)
-    assert poses.last.x <= 200.0 * 0.8 + 30.0
+        pose = Pose(robot.last.x + 30.0, 0.0, 0.0)
+        if not robot.fault(pose, now_ns, driving=True):
+            robot.accept(pose, now_ns)
+    assert robot.last.x <= 200.0 * 0.8 + 30.0
 
 
 def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
@@ -56,30 +56,30 @@ def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
 
     Poses come every 1/120 s and are true for 0.49 s; then each is 10 mm from the last.
     """
-    poses = AcceptedPoses(RULES, 0)
+    robot = RobotTrack("one", RULES, 0)
     since_ns = 49 * SECOND // 100
     x_mm = 0.0
     for k in range(120):
         now_ns = k * SECOND // 120
         x_mm += 10.0 if now_ns > since_ns else 0.0
         pose = Pose(x_mm, 0.0, 0.0)
-        if poses.fault(pose, now_ns, driving=True):
+        if robot.fault(pose, now_ns, driving=True):
             break
-        poses.accept(pose, now_ns)
+        robot.accept(pose, now_ns)
     spacing_s = 0.02
-    creeps_s = (poses.last_ns - since_ns) / SECOND
-    assert poses.last.x <= 200.0 * (creeps_s + spacing_s) + 30.0
+    creeps_s = (robot.last_ns - since_ns) / SECOND
+    assert robot.last.x <= 200.0 * (creeps_s + spacing_s) + 30.0
 
 
 def started(heights_mm, rules=RULES):
     """Return the poses of a robot that stood for half a second, whose heights were seen in turn,
     when a run began."""
-    poses = AcceptedPoses(rules, 0)
+    robot = RobotTrack("one", rules, 0)
     for k in range(51):
         height = heights_mm[k % len(heights_mm)]
-        poses.accept(Pose(0.0, 0.0, 0.0, height=height), k * SECOND // 100)
-    poses.start_run()
-    return poses
+        robot.accept(Pose(0.0, 0.0, 0.0, height=height), k * SECOND // 100)
+    robot.start_run()
+    return robot
 
 
 @pytest.mark.parametrize(
@@ -94,38 +94,38 @@ def started(heights_mm, rules=RULES):
     ],
 )
 def test_a_robot_stays_as_high_as_when_its_run_began(height_mm, said):
-    poses = started([60.0])
+    robot = started([60.0])
     pose = Pose(0.0, 0.0, 0.0, height=height_mm)
-    assert poses.fault(pose, SECOND, driving=True) == said
-    assert poses.fault(pose, SECOND, driving=False) == "", "robots may be carried"
+    assert robot.fault(pose, SECOND, driving=True) == said
+    assert robot.fault(pose, SECOND, driving=False) == "", "robots may be carried"
 
 
 def test_one_wrong_height_is_not_that_of_the_start():
-    poses = started([60.0, 60.0, 130.0])
-    assert poses.fault(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, driving=True) == ""
+    robot = started([60.0, 60.0, 130.0])
+    assert robot.fault(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, driving=True) == ""
 
 
 def test_a_floor_out_of_level_is_followed_from_run_to_run():
     """A pause comes every 2 m; each time the floor is 35 mm higher."""
-    poses = started([60.0])
+    robot = started([60.0])
     for k in range(1, 5):
         now_ns = k * 20 * SECOND
         pose = Pose(2000.0 * k, 0.0, 0.0, height=60.0 + 35.0 * k)
-        assert poses.fault(pose, now_ns, driving=True) == ""
-        poses.accept(pose, now_ns)
-        poses.start_run()
+        assert robot.fault(pose, now_ns, driving=True) == ""
+        robot.accept(pose, now_ns)
+        robot.start_run()
 
 
 def test_a_robot_lifted_in_a_pause_is_noticed_in_the_next_run():
-    poses = started([60.0])
+    robot = started([60.0])
     lifted = Pose(0.0, 0.0, 0.0, height=120.0)
-    assert "lifted" in poses.fault(lifted, SECOND, driving=True)
-    poses.start_run()
-    assert "lifted" in poses.fault(lifted, 2 * SECOND, driving=True)
+    assert "lifted" in robot.fault(lifted, SECOND, driving=True)
+    robot.start_run()
+    assert "lifted" in robot.fault(lifted, 2 * SECOND, driving=True)
 
 
 def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
     metres = replace(RULES, speeds=(0.1,), mm=1000.0)
-    poses = started([0.06], metres)
-    assert poses.fault(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) == ""
-    assert "60 mm higher" in poses.fault(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True)
+    robot = started([0.06], metres)
+    assert robot.fault(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) == ""
+    assert "60 mm higher" in robot.fault(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True)

@@ -12,7 +12,7 @@ from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.guard import Guard
-from tetractl.lab.robot_track import AcceptedPoses
+from tetractl.lab.robot_track import RobotTrack
 
 pytestmark = pytest.mark.slow
 
@@ -151,7 +151,7 @@ def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
 def test_a_guard_of_streamed_cells_that_accepts_a_jump_is_found(tmp_path, monkeypatch):
     words = streamed_cells_that_jump(monkeypatch)
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
-    monkeypatch.setattr(AcceptedPoses, "_jumps", lambda *_: False)
+    monkeypatch.setattr(RobotTrack, "_jumps", lambda *_: False)
     done = tetractl(tmp_path, *words, "--out", "blind")
     assert "untrue: " in done.stderr
 

@@ -43,7 +43,8 @@ def encode_command(command: LineCommand) -> bytes:
         int(command.flags),
         *(n for entry in command.entries for n in entry),
     ]
-    line = _sealed(" ".join([command.kind, *map(str, numbers)]))
+    text = " ".join([command.kind, *map(str, numbers)]).encode("ascii")
+    line = text + b"*%04X\n" % cobs.crc16(text)
     if decode_command(line[:-1]) != command:
         raise WireError(f"cannot be sent: {command}")
     return line
@@ -76,11 +77,6 @@ def decode_reply(line: bytes) -> Reply:
         raise WireError("not a reply")
     index, sequence, status, *counters = numbers
     return Reply(index, sequence, Status(status & 7), *counters)
-
-
-def _sealed(text: str) -> bytes:
-    data = text.encode("ascii")
-    return data + b"*%04X\n" % cobs.crc16(data)
 
 
 def _numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:

@@ -58,7 +58,8 @@ class ClockSync:
         if not 0 <= returned_ns - sent_ns <= SECOND:
             return
         halfway = (sent_ns + returned_ns) // 2
-        echo = Echo(halfway, self._ns(ticks), returned_ns - sent_ns)
+        server_ns = ticks * SECOND // self.clock_hz
+        echo = Echo(halfway, server_ns, returned_ns - sent_ns)
         self.fault = self.fault or self._contradiction(echo)
         self._echoes.append(echo)
         self.synced = True
@@ -70,7 +71,7 @@ class ClockSync:
 
     def to_host(self, ticks: int) -> int:
         """Return the host time [ns] at which the server's clock showed `ticks`."""
-        since = self._ns(ticks) - self._at.server_ns
+        since = ticks * SECOND // self.clock_hz - self._at.server_ns
         return self._at.host_ns + round(since / (1.0 + self.drift))
 
     def error_ns(self, host_ns: int) -> int:
@@ -94,9 +95,6 @@ class ClockSync:
                     "the server's clock was set, or runs at a wrong rate"
                 )
         return ""
-
-    def _ns(self, ticks: int) -> int:
-        return ticks * SECOND // self.clock_hz
 
 
 def _slope(echoes: list[Echo]) -> float:

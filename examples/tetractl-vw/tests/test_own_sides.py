@@ -62,7 +62,7 @@ def test_robots_that_cannot_answer_are_calibrated_and_emulated_as_the_spec_says(
 
 def test_a_calibrated_lab_is_rehearsed_near_its_calibration():
     experiment = vw(GREEN, f"{GREEN}, left_gain: 1.2")
-    drawn = EmulatedVw.rehearsal(experiment.lab, experiment.setup).world(Random(1), 0.0)
+    drawn = EmulatedVw.world_of_day(Random(1), experiment.lab, experiment.setup)
     assert 1.14 <= drawn["robots"][0]["left_gain"] <= 1.26
 
 
@@ -77,7 +77,7 @@ def test_an_emulated_camera_has_the_rate_and_the_latency_of_its_section(monkeypa
         frames = camera.frames()
     assert 49 <= len(frames) <= 51
     assert 0.039 < (clock.now() - max(lab.camera.shown_ns)) / SECOND < 0.062
-    drawn = EmulatedJsonPoses.rehearsal(experiment.lab, experiment.setup).world(Random(1), 0.0)
+    drawn = EmulatedJsonPoses.world_of_day(Random(1), experiment.lab, experiment.setup)
     assert 0.033 <= drawn["latency"] <= 0.042
 
 

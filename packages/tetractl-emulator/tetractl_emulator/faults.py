@@ -1,15 +1,15 @@
 """Triggers and undoes the faults of a script, and records when each became visible.
 
 A fault becomes visible with the first frame exposed during the fault, with the first frame sent
-during it, or at once; see `Visible`. A table next to each device lists its faults; `fault_kind`
-makes each row.
+during it, or at once; see `Visible`. A table next to each device lists its faults: `fault_kind`
+makes each, with what it does, its fields in a script, and its rows in rehearsals.
 
 What begins a fault is called as `begin(fault, device)` and returns the function that ends it. Such
 functions are made by `settings`, of attributes to be set, and by `switching`, of a switch.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
@@ -19,6 +19,7 @@ from pydantic import Field, create_model
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Model, Name, NonNegative, Positive
+from tetractl_emulator.fault_rows import NAMES, FaultRow
 from tetractl_emulator.loop import Timeline
 
 Undo = Callable[[], None]
@@ -45,6 +46,8 @@ class Fault(Model):
     visible: ClassVar[Visible]
     # starts the fault on a device and returns the function that ends it
     begin: ClassVar[Callable[..., Undo]]
+    # its variants on rehearsed days; none if it is in no rehearsal
+    rows: ClassVar[Sequence[FaultRow]]
     fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
     """Time of the fault after the event `since` [s]."""
@@ -145,28 +148,46 @@ def fault_kind(
     begin: Begin,
     visible: Visible = Visible.AT_ONCE,
     fields: Mapping[str, Any] = NO_FIELDS,
+    rows: Sequence[FaultRow] = (),
 ) -> type[Fault]:
-    """Return a kind of fault: a row of a device's table.
+    """Return a kind of fault for a device's table.
 
     `fields` are those that the kind has in a script in addition to those of `Fault`: each a type,
-    or a pair of type and default.
+    or a pair of type and default. `rows` are its variants in rehearsals, which need not say how
+    robots are drawn that the fields have to name.
     """
     columns: dict[str, Any] = {"fault": (Literal[name], ...)}
+    named: dict[str, Any] = {}
     for key, field_type in fields.items():
         columns[key] = field_type if isinstance(field_type, tuple) else (field_type, ...)
+        if key in NAMES and not isinstance(field_type, tuple):
+            named[key] = NAMES[key]
     undocumented = {"use_attribute_docstrings": False}  # else pydantic looks for the class's source
     kind = create_model(name, __base__=Fault, __doc__=about, __cls_kwargs__=undocumented, **columns)
     kind.visible = visible
     kind.begin = begin
+    kind.rows = [replace(row, fault=name, fields={**named, **row.fields}) for row in rows]
     return kind
 
 
-UNPLUG = fault_kind(
-    "unplug", "The actuator's port is unplugged.", switching(lambda f, d: d.plugged, False)
-)
-STUCK_PORT = fault_kind(
-    "stuck_port", "The actuator's port takes no bytes.", switching(lambda f, d: d.port.stall)
-)
+def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], type[Fault]]:
+    """Return the faults of the port of a device, `what`, and the reasons that name each rightly."""
+    return (
+        fault_kind(
+            "unplug",
+            "The actuator's port is unplugged.",
+            switching(lambda f, d: d.plugged, False),
+            rows=[FaultRow(f"{what} unplugged", unplugged)],
+        ),
+        fault_kind(
+            "stuck_port",
+            "The actuator's port takes no bytes.",
+            switching(lambda f, d: d.port.stall),
+            rows=[FaultRow(f"{what} stuck", stuck)],
+        ),
+    )
+
+
 MARK = fault_kind(
     "mark",
     "Not a fault: only reports a named time.",

@@ -19,13 +19,19 @@ from tetractl.tools.table.table import plural
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
 
+DRAWN = 2
+"""Which draw of days a folder has: days that were drawn otherwise are not continued."""
+WATCHDOG_S = 0.25
+"""Time after which robots stop whose spec names none [s]."""
 DAYS_MAX = 1_000_000
 """Most days of a command: some weeks of computing."""
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
-    from tetractl_emulator.rehearsal.day import DayPlan
+    from tetractl.experiment.lab_section import LabSection
+    from tetractl_emulator.rehearsal.day import Day, DayPlan
     from tetractl_emulator.rehearsal.summary import DayRow
+    from tetractl_emulator.rehearsal.truth import Truth, Violation
 
 
 def rehearse(
@@ -62,8 +68,8 @@ def rehearse(
     from tetractl.run.executors import called
     from tetractl.run.spec_trial import run_logged
     from tetractl.run.store import RecordStore
-    from tetractl_emulator.rehearsal.participants import rehearsal_of
-    from tetractl_emulator.rehearsal.summary import FIELDS, broken, reasons, summary, table
+    from tetractl_emulator.rehearsal.day import rows_of
+    from tetractl_emulator.rehearsal.summary import FIELDS, reasons, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
     if loaded.experiment.plant.real_time:
@@ -73,7 +79,7 @@ def rehearse(
         )
     loaded.experiment.plant.require_devices()
     lab = lab_of(loaded.experiment, loaded.name)
-    kinds = rehearsal_of(lab, loaded.experiment.setup, loaded.experiment.open).kinds
+    names = [row.name for row in rows_of(lab, loaded.experiment.setup)]
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
     short_sets = (*(sets or ()), *_known(loaded.experiment, time_limit=1))
     short = on_plant(load_spec(spec, short_sets), "emulated")
@@ -86,7 +92,7 @@ def rehearse(
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
     ui.tell_of_earlier_rows(folder, "days.jsonl")
-    store = RecordStore(folder, f"{loaded.hash} {seed} {faults}", FIELDS)
+    store = RecordStore(folder, f"{loaded.hash} {seed} {faults} {DRAWN}", FIELDS)
     rows = store.records
     wanted = range(first, first + days)
     play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults)
@@ -102,9 +108,9 @@ def rehearse(
                 if not sys.stderr.isatty():
                     left_s = (time.monotonic() - began_s) / done * (len(waiting) - done)
                     ui.tell(_line_of(row, done, len(waiting), left_s))
-                for name, at_s, finding, _ in broken(row):
+                for name, at_s, finding in row["violations"]:
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
-                if broken(row):
+                if row["violations"]:
                     script = folder / script_name(seed, row["day"])
                     smaller = shrunk_day(spec, tuple(sets or ()), seed, script, row, bad=faults)
                     store.add(row["day"], smaller)
@@ -112,11 +118,11 @@ def rehearse(
         interrupted = True
         ui.tell(f"interrupted; the same command with --out {folder} continues")
     played = [rows[day] for day in wanted if day in rows]
-    bad = [row for row in played if broken(row)]
+    bad = [row for row in played if row["violations"]]
     played_days = f"{len(played)} {plural('day', len(played))}"
     violations = f"{len(bad)} {plural('violation', len(bad))}"
     last = f"{played_days}, {violations}"
-    said = table(played, kinds), reasons(played), summary(played), last
+    said = table(played, names), reasons(played), summary(played), last
     print(*filter(None, said), sep="\n\n")
     if bad:
         return Exit.FAILED
@@ -157,16 +163,15 @@ def shrunk_day(
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl_emulator.rehearsal.outcome_sentences import HANGS
     from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, shrunk
-    from tetractl_emulator.rehearsal.summary import broken
 
     day = row["day"]
-    name = broken(row)[0][0]
+    name = row["violations"][0][0]
     plan, assessed = _day_of(spec, sets, seed, day, bad)
     about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
 
     def breaks(smaller: "DayPlan") -> tuple[bool, float]:
         again, seconds = assessed(smaller)
-        return name in [violation[0] for violation in broken(again)], seconds
+        return name in [violation[0] for violation in again["violations"]], seconds
 
     def save(day_plan: "DayPlan") -> None:
         text = dump(day_plan.script() | {"about": about})
@@ -175,7 +180,7 @@ def shrunk_day(
     small = plan
     plays = 0
     save(plan)
-    hangs = any(finding == HANGS for _, _, finding, _ in broken(row))
+    hangs = any(finding == HANGS for _, _, finding in row["violations"])
     if not hangs:  # else each play of which would last until it is killed
         ui.tell(f"  {script} has all its faults; shrinking it, up to {PLAYS_MAX} plays")
         small, plays = shrunk(plan, breaks)
@@ -194,15 +199,12 @@ def _day_of(
     from tetractl.experiment.plants import on_plant
     from tetractl.plant.lab_plant import RigSection
     from tetractl_emulator.rehearsal.day import plan_of_day, play
-    from tetractl_emulator.rehearsal.observe import observed
-    from tetractl_emulator.rehearsal.participants import rehearsal_of
     from tetractl_emulator.rehearsal.summary import row_of
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment
     setup = experiment.setup
     lab = experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
-    drawn = rehearsal_of(lab, setup, experiment.open)
     sets = (*sets, *_known(experiment, deadline=60))  # no search is cut short
 
     def assessed(plan: "DayPlan") -> "tuple[DayRow, float]":
@@ -212,4 +214,21 @@ def _day_of(
             truth, violations = observed(played, experiment, lab)
             return row_of(day, truth, violations, time.process_time() - began_s), truth.alive_s
 
-    return plan_of_day(seed, day, setup, drawn, bad), assessed
+    return plan_of_day(seed, day, lab, setup, experiment.open, bad), assessed
+
+
+def observed(
+    day: "Day", experiment: "Experiment", lab: "LabSection"
+) -> "tuple[Truth, Sequence[Violation]]":
+    """Return the truth of a day in a lab, and the sentences that it has broken."""
+    from tetractl_emulator.rehearsal.sentences import violations
+    from tetractl_emulator.rehearsal.truth import Truth
+
+    watchdog_s = (experiment.wheels.watchdog if experiment.wheels else None) or WATCHDOG_S
+    if lab.actuator.type == "field":
+        from tetractl_emulator.rehearsal.cell_sentences import DishTruth, cell_violations
+
+        dish = DishTruth(day, experiment.setup, lab.limits, watchdog_s)
+        return dish, cell_violations(dish, lab)
+    truth = Truth(day, experiment.setup, lab.limits, watchdog_s)
+    return truth, violations(truth)

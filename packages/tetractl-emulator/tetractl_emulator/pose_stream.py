@@ -17,12 +17,12 @@ from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.section_abilities import Addressed
 from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
+from tetractl_emulator.fault_rows import scale_of
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
-from tetractl_emulator.optitrack.pose_camera import PoseCamera, world
+from tetractl_emulator.optitrack.pose_camera import PoseCamera, noise_of_day
 from tetractl_emulator.optitrack.scripted import FAULTS
 from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
-from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
 from tetractl_emulator.sides import Body, Facts, Stage
 
 OF_A_SERVER = (
@@ -33,7 +33,7 @@ OF_A_SERVER = (
 
 NEEDS = "the section of a camera with an emulated PoseStream has `address` and `latency`"
 RATE_HZ = 100.0  # of a camera that does not say its rate
-LATENCY_S = 0.01  # of that of `world`
+LATENCY_S = 0.01  # of that of `noise_of_day`
 
 
 class PoseSettings(Model):
@@ -76,18 +76,13 @@ class PoseStream(PoseCamera):
     )
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of the camera: `world`, later by the section's latency."""
+    def world_of_day(cls, chance: random.Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw the camera of a rehearsed day as `noise_of_day`, later by the section's latency."""
         section = lab.camera
         assert isinstance(section, Addressed), NEEDS
-        more = section.latency - LATENCY_S
-        scale = scale_of(lab, setup)
-
-        def own(chance: random.Random, off: float) -> dict[str, Any]:
-            drawn = world(chance, off, scale)
-            return drawn | {"latency": max(0.0, round(drawn["latency"] + more, 4))}
-
-        return Rehearsal(world=own)
+        drawn = noise_of_day(chance, scale_of(lab, setup))
+        later_s = section.latency - LATENCY_S
+        return drawn | {"latency": max(0.0, round(drawn["latency"] + later_s, 4))}
 
     def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera

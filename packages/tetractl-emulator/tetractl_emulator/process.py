@@ -21,6 +21,15 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.base import Positive
 from tetractl.lab.port_holder import holder
 from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl_emulator.fault_rows import (
+    CELLS,
+    LATE,
+    MOVED,
+    NOTHING,
+    FaultRow,
+    between,
+    one_of,
+)
 from tetractl_emulator.faults import Begin, Undo, fault_kind, switching
 
 AFTER_NS = SECOND
@@ -184,31 +193,71 @@ def _busy(fault: Any, process: Process) -> Undo:
     return lambda: process.plan_for(0.0)
 
 
+STANDS = f"stood still|late|{CELLS}|{LATE}"  # cells seem to stand still meanwhile
+ASLEEP = f"{STANDS}|{MOVED}"
 PROCESS_FAULTS = (
     fault_kind(
         "signal",
         "The process that drives the robots gets this signal.",
         _once(lambda f, p: p.signal(f.signal)),
         fields={"signal": SIGNALS},
+        rows=[
+            FaultRow("killed", NOTHING, {"signal": "KILL"}, at_once=True),
+            FaultRow(
+                "signal",
+                "interrupted|cancelled",
+                {"signal": one_of("INT", "TERM", "HUP", "QUIT")},
+                at_once=True,
+            ),
+        ],
     ),
-    fault_kind("stopped", "That process is suspended, or sleeps.", switching(lambda f, p: p.stop)),
-    fault_kind("disk_full", "The disk for the log is full.", _once(lambda f, p: p.fill_disk())),
+    fault_kind(
+        "stopped",
+        "That process is suspended, or sleeps.",
+        switching(lambda f, p: p.stop),
+        rows=[
+            FaultRow("suspended", ASLEEP, {"for": between(0.02, 5)}),
+            FaultRow("computer sleeps", ASLEEP, {"for": one_of(3.0, 30.0)}),
+        ],
+    ),
+    fault_kind(
+        "disk_full",
+        "The disk for the log is full.",
+        _once(lambda f, p: p.fill_disk()),
+        rows=[FaultRow("disk full", "cannot write the log", at_once=True)],
+    ),
     fault_kind(
         "host_clock",
         "The computer's monotonic clock jumps by this time [s]; only in virtual time.",
         _once(lambda f, p: p.set_clock(round(f.by * SECOND))),
         fields={"by": Positive},
+        rows=[FaultRow("host's clock jumps", STANDS, {"by": between(0.02, 6)}, at_once=True)],
     ),
     fault_kind(
         "busy",
         "Each plan, or one of `every` plans, takes this time [s]; only in virtual time.",
         _busy,
         fields={"seconds": Positive, "every": (Annotated[int, Field(ge=1)], 1)},
+        rows=[
+            FaultRow("host busy", f"late|silent|{MOVED}", {"seconds": between(0.01, 6)}),
+            FaultRow(
+                "host busy at times",
+                f"late|silent|{MOVED}",
+                {"seconds": between(0.05, 0.45), "every": one_of(2, 3, 4)},
+                weight=0.5,
+            ),
+        ],
     ),
     fault_kind(
         "emergency",
         "The operator presses the emergency stop; only in virtual time.",
         _once(lambda f, p: p.press_stop()),
+        rows=[FaultRow("emergency stop", "emergency stop", at_once=True)],
     ),
-    fault_kind("second_run", "A second run opens the port.", _once(lambda f, p: p.run_again())),
+    fault_kind(
+        "second_run",
+        "A second run opens the port.",
+        _once(lambda f, p: p.run_again()),
+        rows=[FaultRow("second run", NOTHING, at_once=True, weight=0.5)],
+    ),
 )

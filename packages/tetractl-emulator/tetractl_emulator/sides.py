@@ -2,8 +2,8 @@
 
 To emulate another camera or actuator, implement the interface and name the class in the entry
 points `tetractl.emulated_cameras` or `tetractl.emulated_actuators`; those of this package are named
-in `tetractl_emulator.registries`. What a side may add to rehearsals is in
-`tetractl_emulator.rehearsal.participants`.
+in `tetractl_emulator.registries`. A side takes part in rehearsals by the `rows` of its faults; it
+may have a class method `world_of_day(random, lab, setup)`, which draws its section of `emulation`.
 """
 
 from collections.abc import Callable, Mapping, Sequence

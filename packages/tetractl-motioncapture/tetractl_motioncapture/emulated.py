@@ -2,19 +2,16 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
+from tetractl_emulator.fault_rows import FaultRow
 from tetractl_emulator.faults import Fault, Undo, fault_kind
 from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
-from tetractl_emulator.rehearsal.participants import Rehearsal
-from tetractl_emulator.rehearsal.schedule import FaultRow
 from tetractl_emulator.sides import Body, Stage
 
 from tetractl.core.errors import UsageError
-from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabSection, entry
+from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.udp_port import SCHEME
 from tetractl_motioncapture.section import MotionCaptureSection
@@ -30,14 +27,13 @@ class EmulatedMotionCapture(PoseStream):
 
     faults: ClassVar[Sequence[type[Fault]]] = (
         *PoseStream.faults,
-        fault_kind("process_ends", "The library's process ends.", _end),
+        fault_kind(
+            "process_ends",
+            "The library's process ends.",
+            _end,
+            rows=[FaultRow("capture ends", "the camera", at_once=True)],
+        ),
     )
-
-    @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of the camera, and the end of its process."""
-        row = FaultRow("capture ends", "process_ends", "the camera", at_once=True)
-        return replace(super().rehearsal(lab, setup), rows=[row])
 
     def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera

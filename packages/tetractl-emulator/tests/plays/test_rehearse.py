@@ -7,8 +7,8 @@ from support.cli import tetractl
 from support.lab_processes import APRILTAG, SMALL, SPEC, flags
 from support.paths import EXAMPLES
 from support.virtual_lab import virtual_lab
+from tetractl_emulator.fault_rows import SEEN, SIGHT
 from tetractl_emulator.rehearsal import day, shrink
-from tetractl_emulator.rehearsal.picture_faults import microscope_rows
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.guard import Guard
@@ -88,9 +88,9 @@ def test_a_lab_with_a_real_device_is_not_rehearsed(tmp_path):
 @pytest.mark.long
 def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):
     """Regression: no row of the table had the reason."""
-    silent = {"kind": "server silent", "strength": 0.5, "fault": "no_server"}
+    silent = {"kind": "server silent", "strength": 0.5, "fault": "no_server", "right": SIGHT}
     silent |= {"since": "start", "at": 0.0, "for": 2.778}
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent], ""))
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent]))
     done = rehearse(tmp_path, "--days", "1").ok()
     assert done.stdout.endswith("1 day, 0 violations\n")
     assert rows(tmp_path)[0]["reason"].startswith("no camera server answers at")
@@ -109,8 +109,9 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
 def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
     """Without pictures the field goes off; a guard whose clock stands with them is found."""
     pytest.importorskip("cv2")
-    lost = {"kind": "no pictures", "strength": 0.95, "fault": "no_frames", "at": 6.3}
-    plan = day.DayPlan(1, {}, [lost], "", [*microscope_rows()])
+    lost = {"kind": "no pictures", "right": SEEN, "strength": 0.95, "fault": "no_frames"}
+    lost |= {"at": 6.3}
+    plan = day.DayPlan(1, {}, [lost])
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
     rehearse = ("lab", "rehearse", EXAMPLES / "tetrahymena_dish.yaml", "--days", "1", *DISH)
     done = tetractl(tmp_path, *rehearse, "--out", "days").ok()
@@ -132,8 +133,8 @@ def test_a_day_of_cells_is_observed(tmp_path, monkeypatch):
 def streamed_cells_that_jump(monkeypatch):
     """The words of a day on which the pose of a streamed cell jumps further than it can swim."""
     pytest.importorskip("tetractl_microscope")
-    jump = {"fault": "jump", "robot": "first", "by": [0.6, 0.0], "at": 2.0}
-    plan = day.DayPlan(1, {}, [{"kind": "pose jumps", "strength": 0.95, **jump}], "")
+    jump = {"fault": "jump", "right": SIGHT, "robot": "first", "by": [0.6, 0.0], "at": 2.0}
+    plan = day.DayPlan(1, {}, [{"kind": "pose jumps", "strength": 0.95, **jump}])
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
     return "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml", "--days", "1"
 
@@ -170,7 +171,7 @@ def test_days_of_pictures_break_nothing(tmp_path, spec):
 @pytest.mark.long
 def test_a_planted_defect_is_found_and_shrunk_to_one_fault(tmp_path, monkeypatch):
     """By two jobs; what a day is does not depend on their number, as the test of digests says."""
-    plan = day.DayPlan(5, {}, [*map(dict, FAULTS)], "")
+    plan = day.DayPlan(5, {}, [*map(dict, FAULTS)])
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
     without_tracking(monkeypatch)
     done = rehearse(tmp_path, "--days", "1", "--jobs", "2")
@@ -185,7 +186,7 @@ def test_a_planted_defect_is_found_and_shrunk_to_one_fault(tmp_path, monkeypatch
 @pytest.mark.long
 def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkeypatch):
     """Regression: the day was forgotten, and the last line said that there was no violation."""
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [*FAULTS], ""))
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [*FAULTS]))
     without_tracking(monkeypatch)
 
     def interrupted(plan, breaks):
@@ -206,7 +207,7 @@ def test_a_violation_counts_though_its_shrinking_is_interrupted(tmp_path, monkey
 
 @pytest.mark.long
 def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, [], ""))
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, []))
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)
     gathered = []
     check_frame = Guard.check_frame
@@ -222,6 +223,6 @@ def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
 
 
 FAULTS = (
-    {"kind": "packets doubled", "strength": 0.5, "fault": "doubled_packets", "at": 0.2},
-    {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "green", "at": 0.6},
+    {"kind": "packets doubled", "right": "$.", "fault": "doubled_packets", "at": 0.2},
+    {"kind": "untracked", "right": SIGHT, "fault": "untracked", "robot": "green", "at": 0.6},
 )

@@ -8,13 +8,13 @@ import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from support.paths import ROOT
 from support.paths import SCRIPTS as FOLDER
-from tetractl_emulator.rehearsal.log_checks import log_differences
 
 from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.model.obstacles import Obstacles
+from tetractl.replay.lab_result import lab_differences
 
 SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
 
@@ -58,7 +58,7 @@ def check_log(expect, played):
     if broke_off:
         assert trial.damage is not None
         return
-    assert [*log_differences(trial)] == []
+    assert [*lab_differences(trial, trial.result)] == []
     if expect.outcome == "done":
         assert trial.result.outcome.complete
     else:

@@ -17,6 +17,7 @@ from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
 from tetractl.model.wheels import Counts
+from tetractl_emulator.fault_rows import MOTION, OUR_HZ, PLACE, FaultRow, pair, signed
 from tetractl_emulator.faults import Fault, Share, Undo, fault_kind, settings
 from tetractl_emulator.firmware import RobotCore
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
@@ -29,7 +30,6 @@ from tetractl_emulator.m3pi.wheeled_side import (
     trouble_of,
 )
 from tetractl_emulator.port import PluggedDevice
-from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 Count = Annotated[int, Field(ge=-127, le=127)]
@@ -71,6 +71,7 @@ class M3piSettings(Model):
     """The robots whose true properties differ from the spec."""
 
 
+ELSEWHERE = f"only an emergency stop|{MOTION}|{PLACE}"
 FAULTS = (
     fault_kind(
         "veer",
@@ -89,6 +90,12 @@ FAULTS = (
         "Another program on the radio sends all robots these counts, at this rate [Hz].",
         lambda fault, device: device.drive_elsewhere(fault.counts, round(SECOND / fault.rate)),
         fields={"counts": tuple[Count, Count], "rate": (Positive, 100.0)},
+        rows=[
+            FaultRow("second sender", ELSEWHERE, {"counts": pair(signed(3, 60)), "rate": 100.0}),
+            FaultRow(
+                "sender at our rate", ELSEWHERE, {"counts": pair(signed(3, 60)), "rate": OUR_HZ}
+            ),
+        ],
     ),
     *WHEELED_FAULTS,
 )
@@ -102,16 +109,13 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of radio and robots."""
+    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw radio and robots of a rehearsed day."""
 
         def gain(share: float) -> dict[str, float]:
             return {"gain_mm": round(1000 / 127 * share, 4)}
 
-        def world(random: Random, off: float) -> dict[str, Any]:
-            return robots_of_day(random, setup.names, off, "{}", gain)
-
-        return Rehearsal(world=world)
+        return robots_of_day(random, setup.names, "{}", gain)
 
     def __init__(self, stage: Stage, settings: M3piSettings) -> None:
         section = stage.lab.actuator

@@ -18,13 +18,26 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.actuators.twist.actuator import drivetrains
+from tetractl_emulator.fault_rows import (
+    LINK,
+    MOVED,
+    NOTHING,
+    RADIO,
+    WHEEL,
+    FaultRow,
+    between,
+    less,
+    lost,
+    off,
+    signed,
+    whole,
+)
 from tetractl_emulator.faults import (
-    STUCK_PORT,
-    UNPLUG,
     Begin,
     Share,
     Undo,
     fault_kind,
+    port_faults,
     setting,
     settings,
     switching,
@@ -34,12 +47,12 @@ from tetractl_emulator.faults import (
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots, RobotTrouble
 from tetractl_emulator.port import RobotRadio
-from tetractl_emulator.rehearsal.participants import Rehearsal
-from tetractl_emulator.rehearsal.world import LAG_MAX_S
 from tetractl_emulator.sides import Stage
 
 PUSH_NS = SECOND // 5  # how long a push takes
 PUSH_PARTS = 40  # in how many steps
+LAG_MAX_S = 0.08  # longest time constant of a wheel on a rehearsed day
+WHEEL_OFF = 0.05  # most by which the speed of a wheel is off on such a day
 Wheel = Literal["left", "right", "both"]
 
 
@@ -209,17 +222,16 @@ class PortedSide(WheeledSide):
 
 
 def robots_of_day(
-    random: Random, names: Sequence[str], off: float, wheel: str, gain: Callable[[float], Any]
+    random: Random, names: Sequence[str], wheel: str, gain: Callable[[float], Any]
 ) -> dict[str, Any]:
-    """Draw the section of a day's radio and robots, whose fields LEFT and RIGHT are of a wheel's
-    share of its speed: within 5 %, the first robot's left one less by the share `off` if it is not
-    0.
+    """Draw the section of a day's radio and robots, whose fields LEFT and RIGHT are `gain` of a
+    wheel's share of its speed, within WHEEL_OFF of 1.
     """
     robots: list[dict[str, Any]] = []
-    for i, name in enumerate(names):
-        error = off if off and i == 0 else random.uniform(-0.05, 0.05)
-        robot = {"name": name, wheel.format("left"): gain(1 - error)}
-        robot[wheel.format("right")] = gain(1 + random.uniform(-0.05, 0.05))
+    for name in names:
+        robot: dict[str, Any] = {"name": name}
+        for side in ("left", "right"):
+            robot[wheel.format(side)] = gain(1 + random.uniform(-WHEEL_OFF, WHEEL_OFF))
         robot |= {"lag": round(random.uniform(0.02, LAG_MAX_S), 3)}
         robots.append(robot | {"battery_mv": random.randint(4600, 5300)})
     return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
@@ -239,19 +251,14 @@ def gains_of(robots: Sequence[Geared], names: Sequence[str]) -> list[tuple[float
     return [gains[name] for name in names]
 
 
-def gains_of_day(setup: Setup, robots: Sequence[Geared]) -> Rehearsal:
-    """Return what rehearsals draw of a side whose settings are `WheelsSettings`: gains near those
-    of the spec's `robots`."""
+def gains_of_day(random: Random, setup: Setup, robots: Sequence[Geared]) -> dict[str, Any]:
+    """Draw the `WheelsSettings` of a rehearsed day: gains near those of the spec's `robots`."""
+    drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
     gains = gains_of(robots, setup.names)
-
-    def world(random: Random, off: float) -> dict[str, Any]:
-        drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda share: round(share, 4))
-        for robot, (left_gain, right_gain) in zip(drawn["robots"], gains, strict=True):
-            robot["left_gain"] *= left_gain
-            robot["right_gain"] *= right_gain
-        return drawn
-
-    return Rehearsal(world=world)
+    for robot, (left_gain, right_gain) in zip(drawn["robots"], gains, strict=True):
+        robot["left_gain"] *= left_gain
+        robot["right_gain"] *= right_gain
+    return drawn
 
 
 def robot_of(fault: Any, device: Any) -> EmulatedRobot:
@@ -297,71 +304,82 @@ WHEELED_FAULTS = (
         "One or both wheels no longer turn.",
         settings(trouble_of, stuck=lambda f: STUCK[f.wheel]),
         fields={"robot": Name, "wheel": Wheel},
+        rows=[FaultRow("wheel stuck", MOVED, {"wheel": WHEEL})],
     ),
-    UNPLUG,
-    STUCK_PORT,
+    *port_faults("radio", RADIO, RADIO),
     fault_kind(
         "loss",
         "Robots do not receive this fraction of the transmissions.",
         _radios(TROUBLE, loss=attrgetter("share")),
         fields={"share": Share},
+        rows=[FaultRow("radio silent", LINK, {"share": lost})],
     ),
     fault_kind(
         "deaf",
         "A robot does not receive this fraction of the transmissions.",
         settings(trouble_of, deaf=attrgetter("share")),
         fields={"robot": Name, "share": Share},
+        rows=[FaultRow("robot deaf", LINK, {"share": lost})],
     ),
     fault_kind(
         "swapped_numbers",
         "Two robots have exchanged numbers: each obeys what is sent to the other.",
         lambda f, d: d.swap_numbers(d.robot(f.robot), d.robot(f.other)),
         fields={"robot": Name, "other": Name},
+        rows=[FaultRow("numbers swapped", MOVED, at_once=True, start=1.0)],
     ),
     fault_kind(
         "late_radio",
         "Transmissions arrive late [s].",
         _radios(TROUBLE, late_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
+        rows=[FaultRow("radio late", LINK, {"by": between(0.005, 1)})],
     ),
     fault_kind(
         "stopped_elsewhere",
         "Robots hear `tetractl lab stop` by another radio: ten emergency stops.",
         lambda f, d: d.stop_elsewhere(),
+        rows=[FaultRow("stopped elsewhere", f"emergency-stopped|{LINK}", at_once=True)],
     ),
     fault_kind(
         "overtaken_packets",
         "Transmissions are late by a random time up to this one [s], so that some overtake others.",
         _radios(TROUBLE, jitter_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
+        rows=[FaultRow("packets overtaken", LINK, {"by": between(0.005, 0.3)})],
     ),
     fault_kind(
         "doubled_packets",
         "Robots receive each transmission twice.",
         _radios(TROUBLE, doubled=True),
+        rows=[FaultRow("packets doubled", NOTHING, weight=0.5)],
     ),
     fault_kind(
         "radio_resets",
         "The radio's module restarts: it takes and gives no bytes until it is up again.",
         switching(lambda f, d: d.restart),
+        rows=[FaultRow("radio resets", LINK)],
     ),
     fault_kind(
         "baud",
         "The radio's module has another baud rate.",
         _radios(LINE, speed=attrgetter("baud")),
         fields={"baud": Literal[9600, 19200, 38400, 115200]},
+        rows=[FaultRow("other baud rate", LINK, {"baud": 9600})],
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the wire to the radio is changed, both ways.",
         _radios(LINE, noise=attrgetter("share")),
         fields={"share": Share},
+        rows=[FaultRow("bad bytes", LINK, {"share": between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_wheel",
         "A wheel turns at this share of its speed.",
         settings(trouble_of, weak=_weak),
         fields={"robot": Name, "wheel": Wheel, "share": Share},
+        rows=[FaultRow("wheel weak", MOVED, {"wheel": WHEEL, "share": less(0.02, 1.2)})],
     ),
     fault_kind(
         "pushed",
@@ -369,18 +387,29 @@ WHEELED_FAULTS = (
         "or at once if it is put elsewhere.",
         lambda f, d: d.push(f),
         fields={"robot": Name, "by": Point, "turn": (Finite, 0.0), "at_once": (bool, False)},
+        rows=[
+            FaultRow("pushed", MOVED, {"by": off(3, 200), "turn": signed(0.01, 2)}, at_once=True),
+            FaultRow(
+                "put elsewhere",
+                MOVED,
+                {"by": off(10, 600), "turn": signed(0.01, 2), "at_once": True},
+                at_once=True,
+            ),
+        ],
     ),
     fault_kind(
         "off",
         "A robot is switched off.",
         switching(lambda f, d: robot_of(f, d).switch, False),
         fields={"robot": Name},
+        rows=[FaultRow("brown-out", LINK)],
     ),
     fault_kind(
         "reboots",
         "A robot starts again, and from then on obeys by this time [s] late.",
         _reboot,
         fields={"robot": Name, "by": Positive},
+        rows=[FaultRow("late after a reboot", LINK, {"by": between(0.05, 3)})],
     ),
     fault_kind(
         "low_battery",
@@ -389,6 +418,7 @@ WHEELED_FAULTS = (
             lambda f, d: robot_of(f, d).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
         ),
         fields={"robot": Name, "millivolts": Annotated[int, Field(ge=0, le=9000)]},
+        rows=[FaultRow("battery low", "battery", {"millivolts": whole(4700, 3500)}, start=0.9)],
     ),
 )
 """The faults of a `WheeledSide`."""

@@ -180,8 +180,8 @@ class PoseCamera(ABC):
         return tuple(body for body in bodies if body.id in streamed)
 
 
-def world(chance: random.Random, _off: float, scale: float) -> dict[str, Any]:
-    """Draw the noise, in the scale of lengths, and latency of a day's motion-capture system."""
+def noise_of_day(chance: random.Random, scale: float) -> dict[str, Any]:
+    """Draw noise, in the scale of lengths, and latency of a rehearsed day's cameras."""
     return {
         "noise_mm": float(f"{scale * round(chance.uniform(0.1, 0.5), 3):.3g}"),
         "noise_rad": round(chance.uniform(0.001, 0.005), 4),

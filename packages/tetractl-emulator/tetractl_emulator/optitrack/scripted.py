@@ -2,7 +2,8 @@
 
 `OptitrackSettings` holds for a whole run. `FAULTS`, at the end, is the table of faults: what each
 sets while it lasts is the server's `Trouble` or its clock, one robot's `TrackedBody`, or the
-`View` of all. Lengths are in mm, angles in rad, times in s; displacements are complex, x + iy.
+`View` of all; and its rows in rehearsals. Lengths are in mm, angles in rad, times in s;
+displacements are complex, x + iy.
 
 When a fault ends, all is as it would be without it: after `clock_rate`, too, the server's clock
 is right again, so it jumps back by what it has gained. Only a picture that crept stays where it
@@ -11,7 +12,7 @@ reported pose add up; of others that set the same attribute, the newest holds.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Annotated, Any, Literal
@@ -22,6 +23,25 @@ from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.natnet import Version
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
+from tetractl_emulator.fault_rows import (
+    CLOCK,
+    FRAME_S,
+    LATE,
+    MOVED,
+    NOTHING,
+    PLACE,
+    SIGHT,
+    FaultRow,
+    along,
+    between,
+    factor,
+    first_robot,
+    lost,
+    off,
+    one_of,
+    part,
+    signed,
+)
 from tetractl_emulator.faults import (
     NO_FIELDS,
     Fault,
@@ -159,29 +179,32 @@ def _server_fault(
     name: str,
     about: str,
     visible: Visible,
+    rows: Sequence[FaultRow],
     sets: Mapping[str, object],
     fields: Mapping[str, Any] = NO_FIELDS,
 ) -> type[Fault]:
     """Return a kind of fault of the server, which sets attributes of its `Trouble`."""
     begin = settings(lambda fault, device: device.trouble, **sets)
-    return fault_kind(name, about, begin, visible, fields)
+    return fault_kind(name, about, begin, visible, fields, rows)
 
 
 def _body_fault(
     name: str,
     about: str,
+    rows: Sequence[FaultRow],
     part: Callable[[TrackedBody], object],
     sets: Mapping[str, object],
     fields: Mapping[str, Any] = NO_FIELDS,
 ) -> type[Fault]:
     """Return a kind of fault of one robot's rigid body, which sets attributes of a part of it."""
     begin = settings(lambda fault, device: part(_body(fault, device)), **sets)
-    return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields})
+    return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields}, rows)
 
 
 def _pose_fault(
     name: str,
     about: str,
+    rows: Sequence[FaultRow],
     change_of: Callable[[Any], BodyChange],
     fields: Mapping[str, Any] = NO_FIELDS,
 ) -> type[Fault]:
@@ -192,7 +215,7 @@ def _pose_fault(
     def begin(fault: Any, device: Any) -> Undo:
         return adding(_body(fault, device).changes, change_of(fault))
 
-    return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields})
+    return fault_kind(name, about, begin, EXPOSED, {"robot": Name, **fields}, rows)
 
 
 def _body(fault: Any, device: Any) -> TrackedBody:
@@ -246,21 +269,47 @@ Axes = Literal["floor", "robot"]
 
 FAULTS = (
     # of the server
-    _server_fault("no_server", "The server sends nothing.", SENT, {"silent": True}),
-    _server_fault("no_frames", "No frames are sent.", SENT, {"no_frames": True}),
-    _server_fault("freeze", "The same frame is sent repeatedly.", SENT, {"frozen": True}),
+    _server_fault(
+        "no_server",
+        "The server sends nothing.",
+        SENT,
+        [FaultRow("server silent", f"{SIGHT}|{CLOCK}")],
+        {"silent": True},
+    ),
+    _server_fault(
+        "no_frames",
+        "No frames are sent.",
+        SENT,
+        [FaultRow("frames lost", SIGHT)],
+        {"no_frames": True},
+    ),
+    _server_fault(
+        "freeze",
+        "The same frame is sent repeatedly.",
+        SENT,
+        [FaultRow("frames frozen", SIGHT)],
+        {"frozen": True},
+    ),
     _server_fault(
         "counter_back",
         "The frame number goes back by this number.",
         EXPOSED,
+        [FaultRow("counter back", "counter", {"frames": 30})],
         sets={"counter": attrgetter("frames")},
         fields={"frames": Frames},
     ),
-    _server_fault("edit_mode", "Motive is in edit mode.", EXPOSED, {"edit_mode": True}),
+    _server_fault(
+        "edit_mode",
+        "Motive is in edit mode.",
+        EXPOSED,
+        [FaultRow("edit mode", "edit mode")],
+        {"edit_mode": True},
+    ),
     _server_fault(
         "bad_datagrams",
         "A fraction of the frames is damaged.",
         SENT,
+        [FaultRow("frames damaged", f"damaged|{SIGHT}|{PLACE}", {"share": part(0.005, 1.3)})],
         sets={"damaged": attrgetter("share")},
         fields={"share": Share},
     ),
@@ -268,6 +317,7 @@ FAULTS = (
         "other_version",
         "Frames have another protocol version than the server reports.",
         SENT,
+        [FaultRow("other version", f"damaged|{SIGHT}", {"version": one_of("2.9", "3.0")})],
         sets={"version": lambda fault: Version.of(fault.version)},
         fields={"version": VersionText},
     ),
@@ -275,6 +325,7 @@ FAULTS = (
         "outdated",
         "This number of frames has exposure times that are too early by this time [s].",
         EXPOSED,
+        [FaultRow("frames of the past", LATE, {"by": between(0.05, 30), "frames": 50})],
         sets={"outdated": attrgetter("frames"), "outdated_s": attrgetter("by")},
         fields={"by": Positive, "frames": (Frames, 1)},
     ),
@@ -282,6 +333,7 @@ FAULTS = (
         "late_frames",
         "Frames are late [s].",
         SENT,
+        [FaultRow("frames late", LATE, {"by": between(0.003, 0.4)})],
         sets={"late_s": attrgetter("by")},
         fields={"by": Positive},
     ),
@@ -289,14 +341,22 @@ FAULTS = (
         "reordered",
         "Frames are late by a random time up to this one [s], so that some overtake others.",
         SENT,
+        [FaultRow("frames reordered", LATE, {"by": between(0.002, 0.3)})],
         sets={"jitter_s": attrgetter("by")},
         fields={"by": Positive},
     ),
-    _server_fault("doubled_frames", "Each frame is sent twice.", SENT, {"doubled": True}),
+    _server_fault(
+        "doubled_frames",
+        "Each frame is sent twice.",
+        SENT,
+        [FaultRow("frames doubled", NOTHING, weight=0.5)],
+        {"doubled": True},
+    ),
     _server_fault(
         "slow_frames",
         "At most this number of frames is sent each second.",
         SENT,
+        [FaultRow("frames slow", MOVED, {"rate": between(100, 1)})],
         sets={"hz": attrgetter("rate")},
         fields={"rate": Positive},
     ),
@@ -313,17 +373,27 @@ FAULTS = (
             "turn": (Finite, 0.0),
             "creeps": (bool, False),
         },
+        rows=[
+            FaultRow("origin jumps", MOVED, {"by": off(3, 300)}),
+            FaultRow("scale jumps", MOVED, {"scale": factor(2e-3, 0.2)}),
+            FaultRow("axes jump", MOVED, {"turn": signed(2e-3, 1)}),
+            FaultRow("origin creeps", MOVED, {"by": off(2, 300, FRAME_S), "creeps": True}),
+            FaultRow("scale creeps", MOVED, {"scale": factor(2e-3, 0.2, FRAME_S), "creeps": True}),
+            FaultRow("axes creep", MOVED, {"turn": signed(0.02, 2, FRAME_S), "creeps": True}),
+        ],
     ),
     # of one body
     _body_fault(
         "untracked",
         "A body is not tracked; its last pose is repeated.",
+        [FaultRow("untracked", SIGHT)],
         TRACKING,
         sets={"tracked": False},
     ),
     _body_fault(
         "half_tracked",
         "A body is not tracked in this fraction of the frames.",
+        [FaultRow("tracked in part", SIGHT, {"share": lost})],
         TRACKING,
         sets={"missing": attrgetter("share")},
         fields={"share": Share},
@@ -331,6 +401,7 @@ FAULTS = (
     _body_fault(
         "jump",
         "A body's pose jumps by this distance [mm].",
+        [FaultRow("pose jumps", MOVED, {"by": off(5, 500)})],
         DISPLACEMENT,
         sets={"shift": _displacement},
         fields={"by": Point},
@@ -339,6 +410,12 @@ FAULTS = (
         "ghost",
         "A body's pose moves away from its robot: by this distance [mm] and angle [rad] in each "
         "frame, along the spec's axes or along and left of the robot's heading.",
+        [
+            FaultRow("ghost drives", MOVED, {"by": along(3, 600, 0.0), "axes": "robot"}),
+            FaultRow("ghost slides", MOVED, {"by": along(3, 600, math.pi / 2), "axes": "robot"}),
+            FaultRow("ghost drifts", MOVED, {"by": off(3, 600, FRAME_S)}),
+            FaultRow("ghost turns", MOVED, {"by": [0, 0], "turn": signed(0.02, 4, FRAME_S)}),
+        ],
         DISPLACEMENT,
         sets={
             "step": _displacement,
@@ -353,6 +430,7 @@ FAULTS = (
         "slip",
         "A robot's marker plate slips by this distance along and left of its heading [mm], and "
         "turns by an angle [rad].",
+        [FaultRow("plate slips", MOVED, {"by": off(2, 60), "turn": signed(0.02, 1.5)})],
         attrgetter("plate"),
         sets={"slip": _displacement, "turned": attrgetter("turn")},
         fields={"by": Point, "turn": (Finite, 0.0)},
@@ -360,6 +438,7 @@ FAULTS = (
     _body_fault(
         "lifted",
         "A body is seen at this height above the floor [mm].",
+        [FaultRow("lifted", SIGHT, {"height": between(80, 2e3)})],
         DISPLACEMENT,
         sets={"height": attrgetter("height")},
         fields={"height": Finite},
@@ -367,13 +446,20 @@ FAULTS = (
     _pose_fault(
         "tipped",
         "A body is seen rolled about its own x axis by this angle [rad].",
+        [FaultRow("tipped", SIGHT, {"angle": signed(0.05, 3.1)})],
         lambda fault: rolled(fault.angle),
         fields={"angle": Finite},
     ),
-    _pose_fault("nan", "A body's position is not a number.", lambda fault: without_position),
+    _pose_fault(
+        "nan",
+        "A body's position is not a number.",
+        [FaultRow("nan", SIGHT)],
+        lambda fault: without_position,
+    ),
     _pose_fault(
         "bad_quaternion",
         "A body's quaternion does not have norm 1.",
+        [FaultRow("bad_quaternion", SIGHT)],
         lambda fault: with_halved_quaternion,
     ),
     # of several bodies
@@ -383,6 +469,10 @@ FAULTS = (
         _repeat_poses,
         EXPOSED,
         fields={"robot": (Name | None, None)},
+        rows=[
+            FaultRow("pose frozen", MOVED, {"robot": first_robot}),
+            FaultRow("picture frozen", MOVED),
+        ],
     ),
     fault_kind(
         "swap",
@@ -390,6 +480,7 @@ FAULTS = (
         _swap_bodies,
         EXPOSED,
         fields={"robot": Name, "other": Name},
+        rows=[FaultRow("identities swapped", MOVED)],
     ),
     fault_kind(
         "twin_id",
@@ -397,6 +488,7 @@ FAULTS = (
         _twin_ids,
         EXPOSED,
         fields={"robot": Name, "other": Name},
+        rows=[FaultRow("twin ids", "2 rigid bodies")],
     ),
     # of the server's clock
     fault_kind(
@@ -404,12 +496,14 @@ FAULTS = (
         "The server's clock is set forward by a time [s].",
         _set_clock,
         fields={"by": Finite},
+        rows=[FaultRow("camera's clock jumps", LATE, {"by": signed(5e-4, 5)})],
     ),
     fault_kind(
         "clock_rate",
         "The server's clock advances by this time [s] each second.",
         _run_clock,
         fields={"rate": Positive},
+        rows=[FaultRow("camera's clock drifts", LATE, {"rate": factor(2e-4, 0.5)})],
     ),
 )
 """The faults of these cameras, as a script names them."""

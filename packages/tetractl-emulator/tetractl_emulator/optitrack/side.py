@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
@@ -21,10 +20,11 @@ from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl_emulator.fault_rows import scale_of
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.natnet_server import mangle, pack_answer, parse_request
-from tetractl_emulator.optitrack.pose_camera import PoseCamera, world
+from tetractl_emulator.optitrack.pose_camera import PoseCamera, noise_of_day
 from tetractl_emulator.optitrack.scripted import (
     CLOCK_HZ,
     CLOCK_START,
@@ -34,7 +34,6 @@ from tetractl_emulator.optitrack.scripted import (
     TrueBody,
 )
 from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
-from tetractl_emulator.rehearsal.participants import Rehearsal, scale_of
 from tetractl_emulator.sides import Body, Facts, Options, Stage
 
 Address = tuple[str, int]
@@ -110,9 +109,9 @@ class EmulatedOptitrack(PoseCamera):
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of the cameras."""
-        return Rehearsal(world=partial(world, scale=scale_of(lab, setup)))
+    def world_of_day(cls, chance: random.Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw the cameras of a rehearsed day."""
+        return noise_of_day(chance, scale_of(lab, setup))
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera

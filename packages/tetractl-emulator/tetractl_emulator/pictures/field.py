@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
+from random import Random
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -22,14 +23,24 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import walls_of
+from tetractl_emulator.fault_rows import (
+    DRIVER,
+    NOTHING,
+    SEEN,
+    FaultRow,
+    between,
+    less,
+    one_of,
+    signed,
+    whole,
+)
 from tetractl_emulator.faults import (
-    STUCK_PORT,
-    UNPLUG,
     Begin,
     Fault,
     Share,
     Undo,
     fault_kind,
+    port_faults,
     setting,
     settings,
     switching,
@@ -38,8 +49,6 @@ from tetractl_emulator.loop import Timeline
 from tetractl_emulator.pictures.dish.live_dish import CellBody, CoilField, Dish, cells_of, culture
 from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
-from tetractl_emulator.rehearsal.cell_faults import DISH, SPAN_S, dish_world, field_rows
-from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 
 
@@ -220,62 +229,95 @@ def _rests(fault: Any, device: Any) -> Callable[[bool], None]:
     return lambda resting: device.dish.cells.rest(row, resting)
 
 
+FIELD = f"{DRIVER}|{SEEN}"  # cells that are not steered swim where they want
 FAULTS = (
-    UNPLUG,
-    STUCK_PORT,
+    *port_faults("driver", DRIVER, DRIVER),
     fault_kind(
-        "off", "The driver is switched off.", switching(lambda f, d: d.driver.switch, False)
+        "off",
+        "The driver is switched off.",
+        switching(lambda f, d: d.driver.switch, False),
+        rows=[
+            FaultRow("driver off", FIELD),
+            FaultRow("driver resets", FIELD, {"for": between(0.01, 1)}),
+        ],
     ),
     fault_kind(
         "low_supply",
         "The driver's supply has this voltage [mV].",
         _driver(TROUBLE, supply_mv=attrgetter("millivolts")),
         fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
+        rows=[FaultRow("supply low", FIELD, {"millivolts": whole(12_000, 5_000)})],
     ),
     fault_kind(
         "hot",
         "The coils have this temperature [degrees Celsius].",
         _driver(TROUBLE, temperature_dc=lambda f: round(10 * f.celsius)),
         fields={"celsius": Annotated[float, Field(ge=0, le=200)]},
+        rows=[FaultRow("coils hot", f"°C|{FIELD}", {"celsius": between(30, 150)})],
     ),
-    fault_kind("divides", "A cell divides into two.", _divides, fields={"cell": Name}),
-    fault_kind("rests", "A cell stops swimming.", switching(_rests), fields={"cell": Name}),
+    fault_kind(
+        "divides",
+        "A cell divides into two.",
+        _divides,
+        fields={"cell": Name},
+        rows=[FaultRow("cell divides", SEEN, at_once=True)],
+    ),
+    fault_kind(
+        "rests",
+        "A cell stops swimming.",
+        switching(_rests),
+        fields={"cell": Name},
+        rows=[FaultRow("cell rests", SEEN)],
+    ),
     fault_kind(
         "dives",
         "A cell leaves the focal plane by this height [um], and returns within seconds.",
         _dives,
         fields={"cell": Name, "by_um": (Finite, 300.0)},
+        rows=[FaultRow("cell dives", SEEN, {"by_um": signed(20, 600)}, at_once=True)],
     ),
     fault_kind(
         "late_driver",
         "What the driver receives arrives late [s].",
         _driver(TROUBLE, late_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
+        rows=[FaultRow("driver late", FIELD, {"by": between(0.005, 1)})],
     ),
     fault_kind(
         "doubled_commands",
         "The driver receives each command twice.",
         _driver(TROUBLE, doubled=True),
+        rows=[FaultRow("commands doubled", NOTHING, weight=0.5)],
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the driver's wire is changed, both ways.",
         _driver(LINE, noise=attrgetter("share")),
         fields={"share": Share},
+        rows=[FaultRow("bad bytes", FIELD, {"share": between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_coils",
         "A coil pair makes this share of its field: less than 0, the other way.",
         _coils(_weak),
         fields={"axis": Literal["x", "y"], "share": Annotated[float, Field(ge=-1, le=1)]},
+        rows=[
+            FaultRow("coils weak", SEEN, {"axis": one_of("x", "y"), "share": less(0.02, 2, -1.0)})
+        ],
     ),
     fault_kind(
         "turned_coils",
         "The coils are turned by this angle [rad].",
         _coils(_turned),
         fields={"by": Finite},
+        rows=[FaultRow("coils turned", SEEN, {"by": signed(0.02, 3.1)})],
     ),
-    fault_kind("mute", "The driver receives but does not reply.", _driver(TROUBLE, mute=True)),
+    fault_kind(
+        "mute",
+        "The driver receives but does not reply.",
+        _driver(TROUBLE, mute=True),
+        rows=[FaultRow("driver silent", DRIVER)],
+    ),
 )
 
 
@@ -285,6 +327,8 @@ class EmulatedField(PluggedDevice):
     what = "current driver"
     Settings: ClassVar[type[Model]] = FieldSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
+    choosable: ClassVar[Sequence[str]] = tuple(f"cell {i + 1}" for i in range(6))
+    """The cells with a magnet in the dish of a rehearsed day, of which trials choose."""
 
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
@@ -311,9 +355,14 @@ class EmulatedField(PluggedDevice):
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of driver, coils and cells."""
-        return Rehearsal([*field_rows()], dish_world, DISH, SPAN_S)
+    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw the cells of a rehearsed day."""
+        walk = round(random.uniform(0.02, 0.1), 4)
+        return {
+            "heading_noise": walk,
+            "cells": len(cls.choosable),
+            "strangers": random.randint(0, 3),
+        }
 
     @property
     def bodies(self) -> Sequence[CellBody]:

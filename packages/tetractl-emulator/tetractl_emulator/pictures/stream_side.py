@@ -16,9 +16,16 @@ from tetractl_microscope.pictures.picture_section import DeviceSource, MjpegSour
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Grey
-from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
-from tetractl.experiment.lab_section import LabSection
+from tetractl_emulator.fault_rows import (
+    NOTHING,
+    SEEN,
+    FaultRow,
+    between,
+    one_of,
+    part,
+    whole,
+)
 from tetractl_emulator.faults import Fault, Share, Undo, Visible, adding, fault_kind, settings
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
@@ -26,10 +33,8 @@ from tetractl_emulator.pictures.network_camera import (
     EmulatedNetworkCamera,
     PictureTiming,
     StreamTrouble,
-    part,
 )
-from tetractl_emulator.rehearsal.participants import Rehearsal
-from tetractl_emulator.rehearsal.picture_faults import stream_rows
+from tetractl_emulator.pictures.network_camera import part as part_of
 from tetractl_emulator.sides import Facts, Stage
 
 SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
@@ -43,7 +48,7 @@ def cut_short(sent_part: bytes) -> bytes:
 def cut_before_its_end(sent_part: bytes) -> bytes:
     """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
     jpeg = sent_part.partition(b"\r\n\r\n")[2]
-    return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
+    return part_of(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
 
 
 def oversized(sent_part: bytes) -> bytes:
@@ -112,12 +117,19 @@ def _late(fault: Any, device: Any) -> Undo:
 
 
 STREAM_FAULTS = (
-    fault_kind("no_frames", "No pictures are exposed.", _freeze, Visible.SENT),
+    fault_kind(
+        "no_frames",
+        "No pictures are exposed.",
+        _freeze,
+        Visible.SENT,
+        rows=[FaultRow("no pictures", SEEN)],
+    ),
     fault_kind(
         "repeat",
         "The same picture is sent repeatedly, at the camera's rate.",
         _repeat,
         Visible.SENT,
+        rows=[FaultRow("picture frozen", SEEN)],
     ),
     fault_kind(
         "half_rate",
@@ -125,9 +137,14 @@ STREAM_FAULTS = (
         settings(_trouble_of, every=attrgetter("every")),
         Visible.SENT,
         fields={"every": (Annotated[int, Field(ge=2, le=1000)], 2)},
+        rows=[FaultRow("pictures slow", SEEN, {"every": whole(2, 60)})],
     ),
     fault_kind(
-        "late_pictures", "Pictures come later by this time [s].", _late, fields={"by": Positive}
+        "late_pictures",
+        "Pictures come later by this time [s].",
+        _late,
+        fields={"by": Positive},
+        rows=[FaultRow("pictures late", SEEN, {"by": between(0.01, 1)})],
     ),
     fault_kind(
         "bad_pictures",
@@ -139,6 +156,20 @@ STREAM_FAULTS = (
             "share": Share,
             "how": (Literal["cut", "cut_ended", "oversized", "lost", "doubled"], "cut"),
         },
+        rows=[
+            FaultRow("pictures lost", SEEN, {"share": part(0.02, 1.3), "how": "lost"}),
+            FaultRow(
+                "pictures doubled",
+                NOTHING,
+                {"share": part(0.02, 1.3), "how": "doubled"},
+                weight=0.5,
+            ),
+            FaultRow(
+                "pictures damaged",
+                SEEN,
+                {"share": part(0.02, 1.3), "how": one_of("cut", "cut_ended", "oversized")},
+            ),
+        ],
     ),
 )
 
@@ -230,11 +261,6 @@ class StreamedCamera(ABC):
         self._watched = False
         self._opened = False
         self._exposures = 0
-
-    @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of the pictures."""
-        return Rehearsal([*stream_rows()])
 
     @property
     def seed(self) -> int:

@@ -33,10 +33,10 @@ from tetractl_emulator.rehearsal.truth import (
     TRANSIT_S,
     Event,
     Truth,
+    Violation,
     VisibleFault,
     time_s,
 )
-from tetractl_emulator.rehearsal.violation import Violation
 
 RUNS_ON_S = 0.004  # after the stop in which a command on its way may still make a field
 PERIOD_S = 0.025  # between two commands
@@ -126,22 +126,22 @@ class DishTruth(Truth):
             return bool(knocks)
         return any(knock.span.began_s < learned_s for knock in knocks)
 
-    def mistaken(self, frame: int, robot: int) -> str:
-        """Return the class of a wrong pose: a cell is taken for one that it has met, or a false
-        pose moves as a cell may swim; "" if it is of none.
+    def may_be_wrong(self, frame: int, robot: int) -> bool:
+        """Return whether no camera can tell that a pose is wrong: a cell is taken for one that it
+        has met, since names are sure to 90 %; a false pose moves as a cell may swim; or nothing
+        that stands showed a knock.
         """
         if self.numbered:
-            return "slow: as a cell may swim" if self.met(*FALSE) else ""
+            return self.met(*FALSE)
         if self.moved:
-            return "knocked: nothing showed that stands"
+            return True
         own_cell = self.steered[robot]
         nearest_cell = int(np.nan_to_num(self.apart_um[frame, robot], nan=np.inf).argmin())
         if own_cell == nearest_cell:
-            return ""
+            return False
         way = self.poses[: self.logged_exposures[frame] + 1]
         apart = way[:, own_cell, :2] - way[:, nearest_cell, :2]
-        have_met = 1000 * np.nanmin(np.hypot(*apart.T)) < MET_UM
-        return "met: names are sure to 90 %" if have_met else ""
+        return bool(1000 * np.nanmin(np.hypot(*apart.T)) < MET_UM)
 
 
 def cell_violations(truth: DishTruth, lab: LabSection) -> list[Violation]:
@@ -226,8 +226,9 @@ def cells_are_not_mistaken(truth: DishTruth, limits: LabLimits) -> Iterator[Viol
             if wrong_since_s is None:
                 wrong_since_s = times_s[frame]
             if times_s[frame] - wrong_since_s > bound_s:
-                finding = f"{truth.setup.names[i]} by {off_um[frame]:.0f} um"
-                yield Violation("untrue", times_s[frame], finding, truth.mistaken(frame, i))
+                if not truth.may_be_wrong(frame, i):
+                    finding = f"{truth.setup.names[i]} by {off_um[frame]:.0f} um"
+                    yield Violation("untrue", times_s[frame], finding)
                 return
 
 
@@ -268,8 +269,9 @@ def errors_are_true(truth: DishTruth) -> Iterator[Violation]:
         lost = log.result.lost and log.result.lost[i]
         if not lost and off_um[i] > bound_um + _speed_um(truth, cell) * truth.late_s:
             frame = int(np.flatnonzero(truth.logged_exposures == row)[0])
-            finding = f"{truth.setup.names[i]} by {off_um[i]:.0f} um"
-            yield Violation("untrue", truth.times_s[row], finding, truth.mistaken(frame, i))
+            if not truth.may_be_wrong(frame, i):
+                finding = f"{truth.setup.names[i]} by {off_um[i]:.0f} um"
+                yield Violation("untrue", truth.times_s[row], finding)
             return
 
 

@@ -8,6 +8,7 @@ import gc
 import hashlib
 import importlib
 import json
+import math
 import os
 import resource
 import select
@@ -16,18 +17,18 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from typing import Any
 
 from tetractl.cli.app import run_app
 from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.run.interrupt import listen_to_signals
-from tetractl_emulator.rehearsal.participants import LabRehearsal
-from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow, faults_of_day
-from tetractl_emulator.rehearsal.world import world_of_day
+from tetractl_emulator.fault_rows import STRONG, Draw, FaultRow, scale_of
+from tetractl_emulator.script import Sides
 
 HANGS_S = 600.0
 """Processor time after which a day counts as one that hangs [s]."""
@@ -38,30 +39,31 @@ HUNG = -100
 """Stands for the exit code of a day that hangs; no signal has this number."""
 KEPT = 20_000
 """Blocks of memory that a run may leave in its process, if it has loaded no module."""
-OWN = ("kind", "strength")  # keys of a drawn fault that a script does not have
+START_SHARE = 0.16
+"""Share of `start_mm` within which robots are put."""
+STOP_SHARE = 0.1
+"""Share of the faults that begin while robots stop, in a pause or at the end."""
+SPAN_S = 11.0
+"""Latest begin of a fault after the first command that moves robots [s]."""
+CHOICE_S = 5.0
+"""By how much later it may be if trials choose their cells first [s]."""
+OWN = ("kind", "strength", "right")  # keys of a drawn fault that a script does not have
 
 
 @dataclass(frozen=True, slots=True)
 class DayPlan:
     """What is to happen on a day: the `emulation` and the `faults` of a script, drawn for the trial
-    with number `seed`, and the reasons that are right even without a fault (`right`); `kinds` are
-    the rows from which faults were drawn.
+    with number `seed`.
     """
 
     seed: int
     emulation: Mapping[str, Any]
     faults: Sequence[Mapping[str, Any]]
-    right: str
-    kinds: Sequence[FaultRow] = field(default=KINDS, repr=False)
 
     @property
     def sorted(self) -> list[Mapping[str, Any]]:
         """The faults by their times."""
         return sorted(self.faults, key=lambda fault: fault["at"])
-
-    def kind(self, fault: Mapping[str, Any]) -> FaultRow:
-        """Return the row of a drawn fault."""
-        return next(kind for kind in self.kinds if kind.name == fault["kind"])
 
     def script(self) -> dict[str, Any]:
         """Return the script of the day."""
@@ -93,14 +95,84 @@ class Day:
         return hashlib.sha256(events).hexdigest()[:16]
 
 
-def plan_of_day(seed: int, day: int, setup: Setup, lab: LabRehearsal, bad: bool = True) -> DayPlan:
-    """Draw the plan of a day; it depends on the seed and on the day's number alone. On one that is
-    not `bad` there is no fault, and robots and wheels are as the spec allows.
+def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
+    """Return the rows of all faults that a lab can have."""
+    sides = Sides.of(lab.camera.type, lab.actuator.type)
+    rows = [row for kind in sides.faults.values() for row in kind.rows]
+    return [row for row in rows if "other" not in row.fields or len(setup.names) > 1]
+
+
+def plan_of_day(
+    seed: int, day: int, lab: LabSection, setup: Setup, chosen: bool = False, bad: bool = True
+) -> DayPlan:
+    """Draw the plan of a day; it depends on the lab, the seed and the day's number alone.
+
+    On a day that is not `bad` there is no fault. `chosen`: whether trials choose their cells.
     """
     random = Random(f"{seed}-{day}")
-    faults = faults_of_day(random, lab.names, lab.kinds, lab.span_s, lab.scale) if bad else []
-    emulation, right = world_of_day(random, setup, lab, bad)
-    return DayPlan(random.randrange(2**31), emulation, faults, right, lab.kinds)
+    sides = Sides.of(lab.camera.type, lab.actuator.type)
+    faults: list[dict[str, Any]] = []
+    if bad:
+        names = sides.actuator.choosable if chosen else setup.names
+        span_s = SPAN_S + CHOICE_S if chosen else SPAN_S
+        scale = scale_of(lab, setup)
+        faults = faults_of_day(random, names, rows_of(lab, setup), span_s, scale)
+    emulation: dict[str, Any] = {}
+    for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
+        if hasattr(side, "world_of_day"):
+            emulation[name] = side.world_of_day(random, lab, setup)
+    if not chosen:
+        emulation["robots"] = _placed(random, setup, START_SHARE * lab.limits.start_mm)
+    return DayPlan(random.randrange(2**31), emulation, faults)
+
+
+def faults_of_day(
+    random: Random,
+    names: Sequence[str],
+    rows: Sequence[FaultRow],
+    span_s: float = SPAN_S,
+    scale: float = 1.0,
+) -> list[dict[str, Any]]:
+    """Draw a day's faults as of a script; a third of the days have one, others two to six. Each
+    also says its `kind`, the name of the row; its `strength`; and which reasons are `right`.
+    """
+    count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
+    chosen = random.choices(rows, [row.weight for row in rows], k=count)
+    return [_fault(row, random, names, span_s, scale) for row in chosen]
+
+
+def _fault(
+    row: FaultRow, random: Random, names: Sequence[str], span_s: float, scale: float
+) -> dict[str, Any]:
+    draw = Draw(random, random.sample(names, len(names)), random.random(), scale)
+    fault: dict[str, Any] = {"kind": row.name, "right": row.right, "fault": row.fault}
+    fault["strength"] = round(draw.strength, 3)
+    for key, value in row.fields.items():
+        fault[key] = value(draw) if callable(value) else value
+    when = random.random()
+    if when < row.start:
+        fault |= {"since": "start", "at": round(random.uniform(0, 1), 3)}
+    elif when > 1 - STOP_SHARE:
+        fault |= {"since": "stop", "at": round(random.uniform(0, 0.5), 3)}
+    else:
+        fault["at"] = round(random.uniform(0, span_s), 3)
+    if not row.at_once and "for" not in fault and draw.strength < STRONG:
+        fault["for"] = round(0.02 * 800 ** random.random(), 3)  # from 20 ms to 16 s
+    return fault
+
+
+def _placed(random: Random, setup: Setup, near_mm: float) -> list[dict[str, Any]]:
+    """Return starts that are off by up to `near_mm`."""
+    placed = []
+    for i, name in enumerate(setup.names):
+        off = random.uniform(0, near_mm) / 1000 / setup.metres
+        angle = random.uniform(-math.pi, math.pi)
+        x = float(setup.starts.x[i] + off * math.cos(angle))
+        y = float(setup.starts.y[i] + off * math.sin(angle))
+        heading = round(float(setup.starts.heading[i]) + random.uniform(-0.05, 0.05), 4)
+        start = [round(x, 2), round(y, 2)]
+        placed.append({"name": name, "start": start, "heading": heading})
+    return placed
 
 
 def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:

@@ -7,8 +7,7 @@ import numpy as np
 
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.poses import Floats
-from tetractl_emulator.rehearsal.truth import RUN, Truth, time_s
-from tetractl_emulator.rehearsal.violation import Violation
+from tetractl_emulator.rehearsal.truth import RUN, Truth, Violation, time_s
 
 NOTED_S = 0.002  # from a transmission to its record: the poll of the wire
 MUTE = ("unplug", "stuck_port", "stopped", "host_clock")  # nothing can be sent

@@ -10,13 +10,11 @@ import numpy as np
 
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome
+from tetractl.replay.lab_result import lab_differences
+from tetractl_emulator.fault_rows import MOTION, PLACE
 from tetractl_emulator.rehearsal.day import HUNG
-from tetractl_emulator.rehearsal.excuses import undetectable_freeze
-from tetractl_emulator.rehearsal.log_checks import log_differences
 from tetractl_emulator.rehearsal.logged import logged
-from tetractl_emulator.rehearsal.schedule import MOTION
-from tetractl_emulator.rehearsal.truth import TRANSIT_S, Truth
-from tetractl_emulator.rehearsal.violation import Violation
+from tetractl_emulator.rehearsal.truth import TRANSIT_S, Truth, Violation
 
 KILLED = -9
 """The exit code that a day has of a process that was killed."""
@@ -56,8 +54,10 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
     elif log.result is None or log.damage is not None:
         if not may_be_damaged:
             yield Violation("log", 0.0, f"damaged, or without a result: {log.damage}")
+    elif log.stop is None:
+        yield Violation("log", 0.0, "has no stop")
     else:
-        for difference in islice(log_differences(log), 1):
+        for difference in islice(lab_differences(log, log.result), 1):
             yield Violation("log", 0.0, str(difference))
 
 
@@ -110,7 +110,8 @@ def _expected_code(truth: Truth) -> int:
 
 def _counts(truth: Truth) -> Iterator[Violation]:
     """A trial counts only if no emergency stop was pressed since its run began, but in the last
-    `TRANSIT_S`; no robot was unseen for `stream_lost` at its end; no fault showed motion from the
+    `TRANSIT_S`; no robot was unseen for `stream_lost` at its end, unless poses froze as those of
+    robots that stand; no fault showed motion from the
     end of driving to that of the process; and no more than `late_steps` were late in a row.
 
     Other limits of the spec are not checked here.
@@ -121,9 +122,9 @@ def _counts(truth: Truth) -> Iterator[Violation]:
         yield _wrong_end("a trial counts though an emergency stop was pressed", pressed_s)
     is_before_end = truth.times_s <= end_s
     last_unseen_s = truth.unseen_s[is_before_end][-1:]
-    if last_unseen_s.size and last_unseen_s.max() > truth.limits.stream_lost:
-        finding = f"a trial counts though a robot was unseen for {last_unseen_s.max():.2f} s"
-        yield Violation("exit code", end_s, finding, undetectable_freeze(truth))
+    most_s = last_unseen_s.max(initial=0.0)
+    if most_s > truth.limits.stream_lost and not truth.froze_as_rest:
+        yield _wrong_end(f"a trial counts though a robot was unseen for {most_s:.2f} s", end_s)
     for fault in truth.shown_moving:
         if fault.span.began_s < truth.ended_s + TRANSIT_S and fault.span.ended_s > end_s:
             finding = f"a trial counts though the camera shows motion: {fault.kind}"
@@ -164,8 +165,8 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
     """The reason of an abort or a refusal matches, in capitals or not, a pattern
 
     - that the table of faults has for a fault which became visible,
-    - of the plan, `right`: what robots near the rim, or a world off the spec, bring about, or
-    - `MOTION`, if a camera that measures on a grid sent a frozen frame: robots then seem to stand;
+    - `PLACE`, of robots near the rim, an obstacle or each other, or
+    - `MOTION`, on a day on which poses froze as those of robots that stand;
 
     and it names no robot but one that has the fault, as of `_robot_not_named`. On a day planned
     without a fault each reason is wrong: the lab is as the spec allows.
@@ -184,11 +185,8 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
 
 def _right_patterns(truth: Truth) -> list[str]:
     """Return the regular expressions of right reasons, as of `reason_names_a_fault`."""
-    plan = truth.day.plan
-    grid_froze = truth.setup.sight.coarse and truth.met("freeze")
-    patterns = [plan.right, MOTION if grid_froze else ""]
-    patterns += [plan.kind(fault.fields).right for fault in truth.faults]
-    return [pattern for pattern in patterns if pattern]
+    right = [str(fault.fields["right"]) for fault in truth.faults]
+    return [*right, PLACE, *([MOTION] if truth.froze_as_rest else [])]
 
 
 def _is_right(reason: str, patterns: list[str]) -> bool:
@@ -199,8 +197,7 @@ def _robot_not_named(truth: Truth) -> str:
     """Return the robot that has the only visible fault, if the reason names robots, but neither it
     nor the fault's `other`; "" if not, and for a reason that is right without a fault.
     """
-    right = truth.day.plan.right
-    needs_no_fault = bool(right) and _is_right(truth.reason, [right])
+    needs_no_fault = _is_right(truth.reason, [PLACE])
     if len(truth.faults) != 1 or needs_no_fault or "robot" not in truth.faults[0].fields:
         return ""
     fields = truth.faults[0].fields

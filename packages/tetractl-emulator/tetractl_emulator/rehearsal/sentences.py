@@ -27,14 +27,14 @@ from itertools import combinations
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
-from tetractl_emulator.rehearsal.excuses import undetectable_freeze, undetectable_motion
+from tetractl_emulator.fault_rows import FRAME_S
+from tetractl_emulator.m3pi.wheeled_side import LAG_MAX_S
 from tetractl_emulator.rehearsal.logged import MUTE, SHOWN_S
 from tetractl_emulator.rehearsal.outcome_sentences import (
     exit_code_is_right,
     log_is_readable,
     reason_names_a_fault,
 )
-from tetractl_emulator.rehearsal.schedule import FRAME_S
 from tetractl_emulator.rehearsal.truth import (
     EMERGENCY,
     LATCHED,
@@ -44,11 +44,10 @@ from tetractl_emulator.rehearsal.truth import (
     TRANSIT_S,
     Event,
     Truth,
+    Violation,
     VisibleFault,
     time_s,
 )
-from tetractl_emulator.rehearsal.violation import Violation
-from tetractl_emulator.rehearsal.world import LAG_MAX_S
 
 Sentence = Callable[[Truth], Iterator[Violation]]
 
@@ -108,7 +107,11 @@ def violations(truth: Truth) -> list[Violation]:
 def driven_blind(truth: Truth) -> Iterator[Violation]:
     """No robot is driven that the camera has not shown for long, none without a direction of the
     controller, and none that is shown too seldom. Only the first finding is yielded.
+
+    Not checked on a day on which poses froze as those of robots that stand.
     """
+    if truth.froze_as_rest:
+        return
     violation = _first_blind_command(truth)
     if violation is None:
         violation = _first_seldom_shown(truth)
@@ -147,7 +150,7 @@ def _first_blind_command(truth: Truth) -> Violation | None:
             finding = f"without a direction for {undirected_s:.2f} s"
         else:
             continue
-        return Violation("driven blind", time_s(command), finding, undetectable_freeze(truth))
+        return Violation("driven blind", time_s(command), finding)
     return None
 
 
@@ -183,7 +186,7 @@ def _first_seldom_shown(truth: Truth) -> Violation | None:
         return None
     at_s = float(truth.times_s[is_seldom.argmax()])
     finding = f"a robot is unseen for half of {DRIVING_WINDOW_S:g} s"
-    return Violation("driven blind", at_s, finding, undetectable_freeze(truth))
+    return Violation("driven blind", at_s, finding)
 
 
 def _may_be_driven(truth: Truth) -> Bools:
@@ -362,9 +365,10 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
     more than is allowed: for each robot the greatest error of its pose so far, the way of its
     fastest wheel so far in `_rolls_on_s`, and half the noise; and all pushes of the day.
 
-    Yields the worst place of one robot, and of one pair; none if another program drove them.
+    Yields the worst place of one robot, and of one pair. Not checked if another program drove
+    them, or on a day on which false poses look like true ones.
     """
-    if not len(truth.times_s) or truth.met(*ELSEWHERE):
+    if not len(truth.times_s) or truth.met(*ELSEWHERE) or truth.false_as_true:
         return
     speed_mm_s = np.maximum.accumulate(truth.wheel_speed_mm_s, axis=0)
     wrong_mm = np.maximum.accumulate(truth.error_mm, axis=0)
@@ -412,7 +416,7 @@ def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Itera
         row, i = np.unravel_index(int(beyond_mm.argmax()), beyond_mm.shape)
         finding = f"{names[int(i)]} by {beyond_mm[row, i]:.0f} mm more than allowed"
         at_s = float(truth.times_s[row])
-        yield Violation("outside", at_s, finding, undetectable_motion(truth))
+        yield Violation("outside", at_s, finding)
 
 
 # 4: poses and the result are true
@@ -421,11 +425,14 @@ def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Itera
 def poses_are_true(truth: Truth) -> Iterator[Violation]:
     """Poses accepted of robots that are driven are true, what was refused as false stays refused,
     the log has no pose of a robot that is hidden, and the errors of a complete trial are true.
+
+    The first and the last are not checked on a day on which false poses look like true ones.
     """
-    yield from _accepted_poses_are_true(truth)
     yield from _false_poses_stay_refused(truth)
     yield from _hidden_robots_have_no_pose(truth)
-    yield from _result_is_true(truth)
+    if not truth.false_as_true:
+        yield from _accepted_poses_are_true(truth)
+        yield from _result_is_true(truth)
 
 
 def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
@@ -450,7 +457,7 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
             row, i = np.argwhere(wrong)[0]
             finding = f"{truth.setup.names[i]} by {errors[row, i]:.3g} {unit}"
             at_s = float(truth.times_s[row])
-            yield Violation("untrue", at_s, finding, undetectable_motion(truth))
+            yield Violation("untrue", at_s, finding)
             return
 
 
@@ -543,7 +550,7 @@ def _result_is_true(truth: Truth) -> Iterator[Violation]:
     if most_mm > RESULT_MM:
         finding = f"a result by {most_mm:.0f} mm"
         at_s = float(truth.times_s[-1])
-        yield Violation("untrue", at_s, finding, undetectable_motion(truth))
+        yield Violation("untrue", at_s, finding)
 
 
 def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:

@@ -1,21 +1,18 @@
 """Shrinks the plan of a day that broke an invariant to the few events that matter.
 
 A greedy delta debugger: it tries each fault alone, leaves out faults one by one, then parts of the
-world, then makes faults shorter and milder, and keeps each change after which the same invariant is
-still broken. It ends after `PLAYS_MAX` plays, or when their virtual time is `SHRINKS_S`:
-neither is a matter of the computer's speed.
+world, and keeps each change after which the same invariant is still broken. It ends after
+`PLAYS_MAX` plays, or when their virtual time is `SHRINKS_S`: neither is a matter of the computer's
+speed.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 from tetractl_emulator.rehearsal.day import DayPlan
 
 PLAYS_MAX = 40  # most plays of a day
 SHRINKS_S = 600.0  # longest time that a day is shrunk
-HALVED = ("share", "by", "turn", "seconds", "height", "angle", "for")
-"""Fields of faults that are made smaller; those with no effect at 0."""
 
 Breaks = Callable[[DayPlan], tuple[bool, float]]
 """Plays a plan; returns whether the invariant is broken, and the virtual time that it took [s]."""
@@ -51,18 +48,3 @@ def _smaller(plan: DayPlan) -> Iterator[DayPlan]:
         yield replace(plan, emulation={})
     for key in plan.emulation:
         yield replace(plan, emulation={k: v for k, v in plan.emulation.items() if k != key})
-    for i, fault in enumerate(plan.faults):
-        for milder in _milder(dict(fault)):
-            yield replace(plan, faults=[*plan.faults[:i], milder, *plan.faults[i + 1 :]])
-
-
-def _milder(fault: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield a fault shorter and milder by a half, at a rounder time."""
-    if fault["at"] != round(fault["at"], 1):
-        yield fault | {"at": round(fault["at"], 1)}
-    for key in HALVED:
-        value = fault.get(key)
-        if isinstance(value, float | int) and abs(value) > 1e-3:
-            yield fault | {key: round(value / 2, 6)}
-        elif isinstance(value, list) and max(map(abs, value)) > 1:
-            yield fault | {key: [round(component / 2, 4) for component in value]}

@@ -1,33 +1,19 @@
 """What many days of a rehearsal come to: how often each fault was met, noticed, in what time."""
 
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from tetractl.tools.table.table import plural
-from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
-from tetractl_emulator.rehearsal.truth import Truth, time_s
-from tetractl_emulator.rehearsal.violation import Violation
+from tetractl_emulator.rehearsal.truth import Truth, Violation, time_s
 
 DayRow = Mapping[str, Any]
 """What is kept of a day, by the names in FIELDS."""
 FIELDS = frozenset({"day", "digest", "seconds", "ended", "reason", "met", "violations"})
 NIGHT_S = 8 * 3600.0
-
-
-@dataclass(slots=True)
-class Met:
-    """On how many `days` a fault was met, on how many `alone`, and of these the times after which
-    the guard noticed it [s].
-    """
-
-    days: int = 0
-    alone: int = 0
-    times_s: list[float] = field(default_factory=list)
 
 
 def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: float) -> DayRow:
@@ -45,7 +31,7 @@ def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: 
         "ended": ended,
         "reason": truth.reason,
         "met": [[fault.kind, _noticed_s(truth, fault.span.began_s)] for fault in truth.faults],
-        "violations": [[v.name, round(v.at_s, 3), v.finding, v.predicted] for v in violations],
+        "violations": [[v.name, round(v.at_s, 3), v.finding] for v in violations],
     }
 
 
@@ -58,35 +44,21 @@ def _noticed_s(truth: Truth, began_s: float) -> float | None:
     return None
 
 
-def broken(row: DayRow) -> list[list[Any]]:
-    """Return the violations of a day that no derivation predicts."""
-    return [violation for violation in row["violations"] if not violation[3]]
-
-
-def met_by_kind(rows: Sequence[DayRow]) -> dict[str, Met]:
-    """Return how each fault was met on days, by its name."""
-    met = defaultdict[str, Met](Met)
-    for row in rows:
-        for kind, noticed_s in row["met"]:
-            met[kind].days += 1
-            if len(row["met"]) == 1:
-                met[kind].alone += 1
-                met[kind].times_s += [] if noticed_s is None else [noticed_s]
-    return dict(met)
-
-
-def table(rows: Sequence[DayRow], kinds: Sequence[FaultRow] = KINDS) -> str:
-    """Return the faults met, as a table in Markdown."""
-    met = met_by_kind(rows)
+def table(rows: Sequence[DayRow], names: Sequence[str]) -> str:
+    """Return on how many days faults of these names were met, on how many alone, and after what
+    times the guard noticed these, as a table in Markdown.
+    """
+    days = Counter(name for row in rows for name, _ in row["met"])
+    alone = [row["met"][0] for row in rows if len(row["met"]) == 1]
     lines = [
         "| fault | met | alone | noticed | median [s] | p99 [s] | worst [s] |",
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
-    for kind in kinds:
-        fault = met.get(kind.name, Met())
-        times_s = fault.times_s
+    for name in names:
+        noticed = [noticed_s for met, noticed_s in alone if met == name]
+        times_s = [noticed_s for noticed_s in noticed if noticed_s is not None]
         quantiles = [f"{np.quantile(times_s, q):.3f}" if times_s else "" for q in (0.5, 0.99, 1.0)]
-        cells = [kind.name, fault.days, fault.alone, len(times_s), *quantiles]
+        cells = [name, days[name], len(noticed), len(times_s), *quantiles]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 
@@ -98,16 +70,13 @@ def reasons(rows: Sequence[DayRow]) -> str:
 
 
 def summary(rows: Sequence[DayRow]) -> str:
-    """Return how the days ended, of which classes violations are, and what a day took."""
+    """Return how the days ended, how small violations became, and what a day took."""
     count = max(len(rows), 1)
     ended = Counter(row["ended"] for row in rows)
     shares = ", ".join(f"{n} {how} ({n / count:.0%})" for how, n in ended.most_common())
-    predicted = Counter(v[3] for row in rows for v in row["violations"][:1] if v[3])
-    classes = [f"{n} days of the class '{name}', as derived" for name, n in predicted.items()]
     small = [row["shrunk"] for row in rows if "shrunk" in row]
-    if small:
-        classes.append(f"{len(small)} shrunk, in the median to {np.median(small):g} faults")
+    shrunk = f"{len(small)} shrunk, in the median to {np.median(small):g} faults" if small else ""
     mean_s = sum(row["seconds"] for row in rows) / count
     a_night = f": {NIGHT_S / mean_s:.0f} days in 8 hours on one core" if mean_s else ""
-    parts = [shares, *classes, f"{mean_s:.2f} s of processor time a day{a_night}"]
+    parts = [shares, shrunk, f"{mean_s:.2f} s of processor time a day{a_night}"]
     return "; ".join(filter(None, parts))

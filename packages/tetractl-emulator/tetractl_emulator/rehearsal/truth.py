@@ -36,9 +36,9 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
+from tetractl_emulator.fault_rows import FRAME_S
 from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day
-from tetractl_emulator.rehearsal.schedule import FRAME_S
 
 Event = Mapping[str, Any]
 """A recorded event, as of the table above."""
@@ -65,8 +65,24 @@ MOVES_RAD_S = 0.1
 TRANSIT_S = 0.05
 """Longest time from an event to its command at the robots [s]: a tick of our side of 10 ms, a frame
 of the camera, the UART and the air."""
+FROM_ORIGIN_MM = 1000.0
+"""Distance from the origin at which the speed of a growing picture counts [mm]; a choice."""
+NOISE_MM_S = 5.0
+"""Speed that poses seem to have by their noise; a choice."""
+WHEEL_RADIUS = 0.04
+"""Distance from a wheel to the centre of robots whose spec has no wheels [length unit], in metres
+that of an m3pi."""
 NEAR_S = 0.02
 """Greatest difference between the times of a picture and of the exposure that it shows [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A broken sentence: its name, when [s], and what was found then."""
+
+    name: str
+    at_s: float
+    finding: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +114,17 @@ class VisibleFault:
     def is_kill(self) -> bool:
         """Whether it kills our process."""
         return self.fields.get("signal") == "KILL"
+
+    @property
+    def speed_mm_s(self) -> float:
+        """The speed at which one that creeps moves a pose at `FROM_ORIGIN_MM`."""
+        grows_mm = abs(self.fields.get("scale", 1.0) - 1.0) * FROM_ORIGIN_MM
+        return (math.hypot(*self.fields.get("by", (0.0, 0.0))) + grows_mm) / FRAME_S
+
+    @property
+    def rate_rad_s(self) -> float:
+        """The rate at which one that creeps turns poses."""
+        return abs(self.fields.get("turn", 0.0)) / FRAME_S
 
 
 def time_s(event: Event) -> float:
@@ -327,18 +354,42 @@ class Truth:
         return any(fault.is_kill for fault in self.faults)
 
     @cached_property
+    def creeping(self) -> list[VisibleFault]:
+        """The faults that move poses further in each frame."""
+        return [f for f in self.faults if f.name == "ghost" or f.fields.get("creeps", False)]
+
+    @cached_property
     def shown_moving(self) -> list[VisibleFault]:
         """The faults by which a camera plainly shows motion of robots that may rest."""
-        moving = list[VisibleFault]()
-        for fault in self.faults:
-            is_creeping = fault.name == "ghost" or fault.fields.get("creeps", False)
-            if not is_creeping:
-                continue
-            speed_mm_s = math.hypot(*fault.fields.get("by", (0.0, 0.0))) / FRAME_S
-            rate_rad_s = abs(fault.fields.get("turn", 0.0)) / FRAME_S
-            if speed_mm_s > MOVES_MM_S or rate_rad_s > MOVES_RAD_S:
-                moving.append(fault)
-        return moving
+        return [
+            fault
+            for fault in self.creeping
+            if fault.speed_mm_s > MOVES_MM_S or fault.rate_rad_s > MOVES_RAD_S
+        ]
+
+    @cached_property
+    def false_as_true(self) -> bool:
+        """Whether false poses look like true ones on this day, so that no camera can tell: they
+        move no faster than wheels within `wheel_error` could move robots, or crept before the run,
+        all poses of which are measured in the picture that had.
+        """
+        setup = self.setup
+        unit_mm = setup.metres * 1000
+        off_mm_s = self.limits.wheel_error * float(setup.speed.max()) * unit_mm
+        off_rad_s = off_mm_s / ((setup.wheel_radius or WHEEL_RADIUS) * unit_mm)
+        for fault in self.creeping:
+            is_slow = fault.speed_mm_s <= off_mm_s + NOISE_MM_S and fault.rate_rad_s <= off_rad_s
+            was_before = fault.name == "picture" and fault.span.ended_s <= self.began_s
+            if is_slow or was_before:
+                return True
+        return False
+
+    @cached_property
+    def froze_as_rest(self) -> bool:
+        """Whether a camera that measures on a grid repeated poses or frames on this day, which look
+        like those of robots that stand.
+        """
+        return self.setup.sight.coarse and self.met("repeat", "freeze")
 
     @cached_property
     def numbered(self) -> bool:

@@ -7,6 +7,7 @@ port without its end.
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from random import Random
 from typing import Any, ClassVar
 
 from tetractl.core.errors import WireError
@@ -29,7 +30,6 @@ from tetractl_emulator.m3pi.wheeled_side import (
     gains_of,
     gains_of_day,
 )
-from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 from tetractl_emulator.twist.radio import LineRadio
 
@@ -115,11 +115,11 @@ class OwnLines(PortedSide):
     )
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of radio and robots."""
+    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw radio and robots of a rehearsed day."""
         section = lab.actuator
         assert isinstance(section, OwnSection), NEEDS
-        return gains_of_day(setup, section.robots)
+        return gains_of_day(random, setup, section.robots)
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section = stage.lab.actuator

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import ClassVar
+from random import Random
+from typing import Any, ClassVar
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
@@ -20,7 +21,6 @@ from tetractl_emulator.m3pi.wheeled_side import (
     gains_of,
     gains_of_day,
 )
-from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Stage
 from tetractl_emulator.twist.radio import LineRadio
 
@@ -32,11 +32,11 @@ class EmulatedTwist(PortedSide):
     faults: ClassVar[Sequence[type[Fault]]] = WHEELED_FAULTS
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of radio and robots."""
+    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw radio and robots of a rehearsed day."""
         section = lab.actuator
         assert isinstance(section, TwistSection), "the actuator's section has the type twist"
-        return gains_of_day(setup, section.robots)
+        return gains_of_day(random, setup, section.robots)
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section = stage.lab.actuator

@@ -7,6 +7,7 @@ import pytest
 import yaml
 from support.cli import tetractl
 from support.virtual_lab import virtual_lab
+from tetractl_emulator.fault_rows import SIGHT
 from tetractl_emulator.rehearsal import day
 from tetractl_toio.camera import ToioCamera
 from tetractl_toio.cubes import EmulatedCubePort
@@ -109,7 +110,7 @@ def test_a_fault_stops_the_cubes(folder, tmp_path, row, why):
 
 def rehearse(folder, out, monkeypatch, fault):
     """Rehearse one day with a fault, which breaks nothing; return the day's record."""
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [fault], ""))
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [fault]))
     words = ("lab", "rehearse", "cubes.yaml", "--days", "1", "--out", out)
     done = tetractl(folder, *words).ok()
     assert done.stdout.endswith("1 day, 0 violations\n")
@@ -122,7 +123,7 @@ def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
 ):
     """Regression: no report, no exposure, so the fault had no begin in the record; and no row of a
     rehearsal's table had the reason."""
-    silent = {"kind": "frames lost", "strength": 0.95, "fault": "no_frames"}
+    silent = {"kind": "frames lost", "right": SIGHT, "fault": "no_frames"}
     silent |= {"since": "start", "at": 0.0}
     record = rehearse(folder, tmp_path / "days", monkeypatch, silent)
     assert record["reason"] == "no message came from green, blue, red"
@@ -132,7 +133,7 @@ def test_cubes_that_are_silent_from_the_start_refuse_a_run_for_a_recorded_fault(
 def test_frozen_readings_of_cubes_that_stand_show_them(folder, tmp_path, monkeypatch):
     """Regression: a trial was said to count though its robots were unseen, as the cubes reported
     the same readings while they stood."""
-    frozen = {"kind": "frames frozen", "strength": 0.5, "fault": "freeze"}
+    frozen = {"kind": "frames frozen", "right": SIGHT, "fault": "freeze"}
     frozen |= {"since": "stop", "at": 0.3, "for": 1.046}
     assert rehearse(folder, tmp_path / "days", monkeypatch, frozen)["violations"] == []
 

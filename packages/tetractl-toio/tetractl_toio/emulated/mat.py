@@ -6,15 +6,13 @@ from random import Random
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
+from tetractl_emulator.fault_rows import MOVED, SIGHT, FaultRow, off
 from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind, setting, settings, together
 from tetractl_emulator.loop import Loop
-from tetractl_emulator.rehearsal.participants import Rehearsal
 from tetractl_emulator.sides import Body, Facts, Stage
 
 from tetractl.core.errors import SpecError
-from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Name, Point
-from tetractl.experiment.lab_section import LabSection
 from tetractl_toio.camera import placed
 from tetractl_toio.emulated.cube import ns
 from tetractl_toio.emulated.side import ConnectedCube
@@ -57,14 +55,27 @@ def _freeze(_: Any, device: Any) -> Undo:
 SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
 FAULTS = (
-    fault_kind("no_frames", "No cube reports.", settings(lambda f, d: d, silent=True), SENT),
-    fault_kind("freeze", "All cubes report the same again and again.", _freeze, SENT),
+    fault_kind(
+        "no_frames",
+        "No cube reports.",
+        settings(lambda f, d: d, silent=True),
+        SENT,
+        rows=[FaultRow("frames lost", SIGHT)],
+    ),
+    fault_kind(
+        "freeze",
+        "All cubes report the same again and again.",
+        _freeze,
+        SENT,
+        rows=[FaultRow("frames frozen", SIGHT)],
+    ),
     fault_kind(
         "untracked",
         "A cube does not see the mat.",
         settings(_eye, hidden=True),
         EXPOSED,
         fields={"robot": Name},
+        rows=[FaultRow("untracked", SIGHT)],
     ),
     fault_kind(
         "jump",
@@ -72,6 +83,7 @@ FAULTS = (
         settings(_eye, shift=attrgetter("by")),
         EXPOSED,
         fields={"robot": Name, "by": Point},
+        rows=[FaultRow("pose jumps", MOVED, {"by": off(5, 500)})],
     ),
 )
 
@@ -82,11 +94,6 @@ class EmulatedMat:
 
     Settings: ClassVar[type[Model]] = MatSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
-
-    @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return that readings are as in the spec."""
-        return Rehearsal()
 
     def __init__(self, stage: Stage, settings: MatSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera

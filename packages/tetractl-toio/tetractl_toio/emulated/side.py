@@ -6,7 +6,8 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
-from tetractl_emulator.faults import Fault, Share
+from tetractl_emulator.fault_rows import RADIO, SIGHT
+from tetractl_emulator.faults import Fault, Share, port_faults
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
@@ -15,8 +16,6 @@ from tetractl_emulator.m3pi.wheeled_side import (
     gains_of,
     robots_of_day,
 )
-from tetractl_emulator.rehearsal.participants import Rehearsal
-from tetractl_emulator.rehearsal.schedule import RADIO, SIGHT, FaultRow
 from tetractl_emulator.sides import Stage
 
 from tetractl.core.errors import UsageError
@@ -28,8 +27,12 @@ from tetractl_toio.emulated.cube import Connection, CubeProgram, ns
 from tetractl_toio.messages import SPEED_MAX, WHEEL_MM_S
 from tetractl_toio.section import ToioSection
 
-NONE = ("baud", "bad_bytes", "overtaken_packets", "stopped_elsewhere")
-"""Faults that Bluetooth cannot have: it checks packets and keeps their order, with one sender."""
+NONE = (
+    *("baud", "bad_bytes", "overtaken_packets", "stopped_elsewhere"),  # Bluetooth has one sender
+    *("unplug", "stuck_port"),
+)
+"""Faults that Bluetooth cannot have, as it checks packets and keeps their order; and those of
+ports, whose reasons are others."""
 
 
 class CubesSettings(WheelsSettings):
@@ -60,21 +63,17 @@ class EmulatedCubes(PortedSide):
     """Emulated cubes, each at a port of its own, which has its name."""
 
     Settings: ClassVar[type[Model]] = CubesSettings
-    faults: ClassVar[Sequence[type[Fault]]] = tuple(
-        kind for kind in WHEELED_FAULTS if kind.__name__ not in NONE
+    faults: ClassVar[Sequence[type[Fault]]] = (
+        # a cube tells its pose over the same connection
+        *port_faults("radio", f"{RADIO}|{SIGHT}", RADIO),
+        *(kind for kind in WHEELED_FAULTS if kind.__name__ not in NONE),
     )
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of connections and cubes."""
-
-        def world(random: Random, off: float) -> dict[str, Any]:
-            drawn = robots_of_day(random, setup.names, off, "{}_gain", lambda s: round(s, 4))
-            return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
-
-        reasons = f"{RADIO}|{SIGHT}"  # a cube tells its pose over the same connection
-        gone = FaultRow("radio unplugged", "unplug", reasons)
-        return Rehearsal(rows=[gone], world=world)
+    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw connections and cubes of a rehearsed day."""
+        drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
+        return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
 
     def __init__(self, stage: Stage, settings: CubesSettings) -> None:
         section = stage.lab.actuator

@@ -1,14 +1,13 @@
-"""What a lab is rehearsed against: the table's faults that its sides can have, and their own."""
+"""What a lab is rehearsed against: the faults of its sides."""
 
 import numpy as np
 import pytest
 from support.device_specs import APRILTAG_SPEC, TWIST_SPEC
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES
-from tetractl_emulator.faults import UNPLUG, fault_kind
-from tetractl_emulator.rehearsal.day import plan_of_day
-from tetractl_emulator.rehearsal.participants import Rehearsal, rehearsal_of
-from tetractl_emulator.rehearsal.schedule import KINDS, FaultRow
+from tetractl_emulator.fault_rows import FaultRow, scale_of
+from tetractl_emulator.faults import fault_kind
+from tetractl_emulator.rehearsal.day import plan_of_day, rows_of
 from tetractl_emulator.script import Sides, script_of
 from tetractl_emulator.twist.side import EmulatedTwist
 
@@ -20,19 +19,19 @@ def lab_of(spec):
     return experiment.lab, experiment.setup
 
 
-def kinds_of(spec):
-    return rehearsal_of(*lab_of(spec)).kinds
+def rows_of_spec(spec):
+    return rows_of(*lab_of(spec))
 
 
-def test_robots_on_wheels_can_have_every_fault_of_the_table():
-    """But those that take lines have ports of their own, at which no other program sends."""
-    alone = [row for row in KINDS if row.fault != "driven_elsewhere"]
-    assert list(kinds_of(SPEC)) == list(KINDS)
-    assert list(kinds_of(TWIST_SPEC)) == alone
+def test_robots_that_take_lines_have_ports_of_their_own_at_which_no_other_program_sends():
+    of_m3pi = {row.name for row in rows_of_spec(SPEC)}
+    of_lines = {row.name for row in rows_of_spec(TWIST_SPEC)}
+    assert of_m3pi - of_lines == {"second sender", "sender at our rate"}
+    assert not of_lines - of_m3pi
 
 
 def test_a_camera_of_pictures_has_none_of_a_motion_capture_system():
-    names = {kind.fault for kind in kinds_of(APRILTAG_SPEC)}
+    names = {kind.fault for kind in rows_of_spec(APRILTAG_SPEC)}
     assert {"no_frames", "untracked", "unplug", "signal"} < names
     assert not names & {"swap", "twin_id", "ghost"}
 
@@ -45,21 +44,21 @@ def test_days_of_cells_and_of_pictures_are_valid_scripts(name):
     loaded = loaded if name == "tags" else load_spec(EXAMPLES / f"{name}.yaml")
     lab = loaded.experiment.lab
     setup = loaded.experiment.setup
-    drawn = rehearsal_of(lab, setup, loaded.experiment.open)
+    chosen = loaded.experiment.open
     met = set()
     for day in range(400):
-        plan = plan_of_day(1, day, setup, drawn)
+        plan = plan_of_day(1, day, lab, setup, chosen)
         met |= {fault["kind"] for fault in plan.faults}
         if day % 4 == 0:
             script = script_of(plan.script(), lab.camera.type, lab.actuator.type)
             assert len(script.faults) == len(plan.faults)
-            assert bool(script.emulation.robots) == (not loaded.experiment.open)
-    assert met == {row.name for row in drawn.kinds}
+            assert bool(script.emulation.robots) == (not chosen)
+    assert met == {row.name for row in rows_of(lab, setup)}
 
 
 def test_cells_can_have_what_pictures_coils_and_cells_have_and_nothing_of_wheels():
     experiment = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment
-    names = {row.name for row in rehearsal_of(experiment.lab, experiment.setup, True).kinds}
+    names = {row.name for row in rows_of(experiment.lab, experiment.setup)}
     assert {"blurred", "knocked", "pictures late", "coils turned", "cell divides"} < names
     assert {"killed", "suspended", "disk full", "second run"} < names
     assert not names & {"wheel stuck", "pose frozen", "ghost turns", "radio late"}
@@ -67,9 +66,9 @@ def test_cells_can_have_what_pictures_coils_and_cells_have_and_nothing_of_wheels
 
 def test_lengths_are_drawn_in_the_scale_of_cells():
     experiment = load_spec(EXAMPLES / "tetrahymena_lab.yaml").experiment
-    drawn = rehearsal_of(experiment.lab, experiment.setup)
-    assert drawn.scale == pytest.approx(330 / 200_000)
-    plans = [plan_of_day(1, day, experiment.setup, drawn) for day in range(300)]
+    lab = experiment.lab, experiment.setup
+    assert scale_of(*lab) == pytest.approx(330 / 200_000)
+    plans = [plan_of_day(1, day, *lab) for day in range(300)]
     jumps = [np.hypot(*f["by"]) for p in plans for f in p.faults if f["fault"] == "jump"]
     assert 0.008 < min(jumps) < 0.02 < 0.3 < max(jumps) < 0.83
     assert all(p.emulation["camera"]["noise_mm"] < 0.0009 for p in plans)
@@ -77,35 +76,38 @@ def test_lengths_are_drawn_in_the_scale_of_cells():
 
 def test_one_robot_is_not_swapped_with_itself():
     lab, setup = lab_of(SPEC)
-    kinds = rehearsal_of(lab, setup.only([0])).kinds
-    none = {kind.fault for kind in KINDS} - {kind.fault for kind in kinds}
-    assert none == {"swap", "swapped_numbers", "twin_id"}
+    of_one = {row.fault for row in rows_of(lab, setup.only([0]))}
+    assert {row.fault for row in rows_of(lab, setup)} - of_one == {
+        "swap",
+        "swapped_numbers",
+        "twin_id",
+    }
 
 
 @pytest.mark.long
 def test_days_of_lines_are_valid_scripts_with_a_world_of_their_own():
     lab, setup = lab_of(TWIST_SPEC)
     for day in range(100):
-        plan = plan_of_day(1, day, setup, rehearsal_of(lab, setup))
+        plan = plan_of_day(1, day, lab, setup)
         script = script_of(plan.script(), "optitrack", "twist")
         assert len(script.faults) == len(plan.faults)
         assert {robot.name for robot in script.emulation.actuator.robots} == {"green", "blue"}
 
 
-def test_a_side_of_its_own_has_rows_of_its_own_in_place_of_the_tables(monkeypatch):
-    flood = FaultRow("flood", "flood", "wet")
-    plug = FaultRow("cable cut", "unplug", "cable", weight=2.0)
-
+def test_a_side_of_its_own_takes_part_with_its_faults(monkeypatch):
     class Own(EmulatedTwist):
-        faults = (UNPLUG, fault_kind("flood", "Water.", lambda fault, device: lambda: None))
-
-        @classmethod
-        def rehearsal(cls, lab, setup):
-            return Rehearsal([flood, plug])
+        faults = (
+            fault_kind(
+                "flood",
+                "Water.",
+                lambda fault, device: lambda: None,
+                rows=[FaultRow("flood", "wet"), FaultRow("drip", "damp", weight=2.0)],
+            ),
+        )
 
     camera = Sides.of("optitrack", "twist").camera
     monkeypatch.setattr(Sides, "of", lambda *_: Sides(camera, Own))
-    names = [kind.name for kind in kinds_of(TWIST_SPEC)]
-    assert names[:2] == ["flood", "cable cut"]
-    assert "frames lost" in names
-    assert not {"radio unplugged", "wheel stuck"} & set(names)
+    rows = {row.name: row for row in rows_of_spec(TWIST_SPEC)}
+    assert rows["drip"].fault == "flood"
+    assert "frames lost" in rows
+    assert "wheel stuck" not in rows

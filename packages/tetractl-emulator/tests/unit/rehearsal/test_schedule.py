@@ -1,43 +1,43 @@
 """The draw of days: every row can be drawn and is a valid script, and a third have one fault."""
 
+import math
 from collections import Counter
 from random import Random
 
 import pytest
 from support.paths import ROOT
-from tetractl_emulator.rehearsal.day import DayPlan, plan_of_day
-from tetractl_emulator.rehearsal.participants import rehearsal_of
-from tetractl_emulator.rehearsal.schedule import KINDS, STRONG, faults_of_day
+from tetractl_emulator.fault_rows import STRONG
+from tetractl_emulator.rehearsal.day import DayPlan, faults_of_day, plan_of_day, rows_of
 from tetractl_emulator.script import script_of
 
 from tetractl.experiment.load import load_spec
 
 NAMES = ("green", "blue", "red")
 EXPERIMENT = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
-SETUP = EXPERIMENT.setup
-LAB = rehearsal_of(EXPERIMENT.lab, SETUP)
+LAB = (EXPERIMENT.lab, EXPERIMENT.setup)
+ROWS = rows_of(*LAB)
 NAPS = ("stopped",)  # whose strength is their duration
 
 
 def test_a_day_depends_on_its_number_and_the_seed_alone():
-    first_plan, again = (plan_of_day(7, 12, SETUP, LAB) for _ in range(2))
+    first_plan, again = (plan_of_day(7, 12, *LAB) for _ in range(2))
     assert first_plan == again
-    assert first_plan != plan_of_day(7, 13, SETUP, LAB)
-    assert first_plan != plan_of_day(8, 12, SETUP, LAB)
+    assert first_plan != plan_of_day(7, 13, *LAB)
+    assert first_plan != plan_of_day(8, 12, *LAB)
 
 
 def test_a_day_without_faults_is_as_the_spec_allows():
-    plans = [plan_of_day(7, day, SETUP, LAB, bad=False) for day in range(300)]
-    assert not any(plan.faults for plan in plans)
-    ordinary = max(len(plan.right) for plan in plans)
-    bad_plans = [plan_of_day(7, day, SETUP, LAB) for day in range(300)]
-    assert any(len(plan.right) > ordinary for plan in bad_plans)
+    plan = plan_of_day(7, 1, *LAB, bad=False)
+    assert not plan.faults
+    starts = EXPERIMENT.setup.starts
+    for robot, x, y in zip(plan.emulation["robots"], starts.x, starts.y, strict=True):
+        assert math.dist(robot["start"], (x, y)) < EXPERIMENT.lab.limits.start_mm
 
 
 @pytest.mark.long
 def test_every_tenth_day_is_a_valid_script():
     for day in range(0, 3000, 10):
-        plan = plan_of_day(1, day, SETUP, LAB)
+        plan = plan_of_day(1, day, *LAB)
         script = script_of(plan.script(), "optitrack", "m3pi-xbee")
         assert len(script.faults) == len(plan.faults)
 
@@ -49,7 +49,7 @@ def test_every_fault_is_drawn_often_and_its_strongest_lasts():
     met = Counter()
     strong = Counter()
     for _ in range(20_000):
-        faults = faults_of_day(random, NAMES)
+        faults = faults_of_day(random, NAMES, ROWS)
         counts[len(faults)] += 1
         met.update({fault["kind"] for fault in faults})
         strong.update(f["kind"] for f in faults if f["strength"] >= STRONG)
@@ -57,7 +57,7 @@ def test_every_fault_is_drawn_often_and_its_strongest_lasts():
         assert not any("for" in fault for fault in lasting)
     assert counts[1] / 20_000 == pytest.approx(1 / 3, abs=0.01)
     assert max(counts) == 6
-    assert {kind.name for kind in KINDS} == met.keys()
+    assert {kind.name for kind in ROWS} == met.keys()
     assert min(met.values()) >= 100
     assert min(strong.values()) >= 10
 
@@ -70,7 +70,7 @@ reboots driven_elsewhere"""
 
 
 def test_the_table_has_each_fault_that_was_asked_for():
-    assert set(NAMED.split()) <= {kind.fault for kind in KINDS}
+    assert set(NAMED.split()) <= {kind.fault for kind in ROWS}
 
 
 def test_a_script_is_in_the_order_of_time_without_what_only_the_draw_has():
@@ -78,10 +78,10 @@ def test_a_script_is_in_the_order_of_time_without_what_only_the_draw_has():
         {"kind": "killed", "strength": 0.3, "fault": "signal", "signal": "KILL", "at": 4.0},
         {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "red", "at": 2.0},
     ]
-    script = DayPlan(1, {}, faults, "").script()
+    script = DayPlan(1, {}, faults).script()
     assert script["about"] == "untracked, killed"
     assert script["faults"][1] == {"fault": "signal", "signal": "KILL", "at": 4.0}
 
 
 def test_names_of_rows_are_unique():
-    assert len({kind.name for kind in KINDS}) == len(KINDS)
+    assert len({kind.name for kind in ROWS}) == len(ROWS)

@@ -21,6 +21,7 @@ from tetractl.core.poses import Floats, Grey, Poses
 from tetractl.core.setup import MM
 from tetractl.experiment.base import Model, Name, NonNegative
 from tetractl.experiment.lab_section import entry
+from tetractl_emulator.fault_rows import SIGHT, FaultRow
 from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind
 from tetractl_emulator.pictures.stream_side import (
     SPARE_PX,
@@ -296,6 +297,7 @@ class EmulatedAprilTag(StreamedCamera):
             _cover,
             Visible.EXPOSED,
             fields={"robot": Name},
+            rows=[FaultRow("untracked", SIGHT)],
         ),
     )
 

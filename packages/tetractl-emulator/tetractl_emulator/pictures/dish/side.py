@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import astuple
+from random import Random
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import Bodies, bodies
+from tetractl_emulator.fault_rows import SEEN, FaultRow, between, signed, way
 from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind
 from tetractl_emulator.pictures.dish.live_dish import CellBody
 from tetractl_emulator.pictures.dish.picture import (
@@ -25,8 +27,6 @@ from tetractl_emulator.pictures.dish.picture import (
     RenderedSpeck,
 )
 from tetractl_emulator.pictures.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
-from tetractl_emulator.rehearsal.participants import Rehearsal
-from tetractl_emulator.rehearsal.picture_faults import microscope_rows, microscope_world
 from tetractl_emulator.sides import Body, Stage
 
 
@@ -108,6 +108,11 @@ class EmulatedMicroscope(StreamedCamera):
                 "share": (Annotated[float, Field(ge=0, le=10)], 1.0),
                 "flicker": (Annotated[float, Field(ge=0, le=1)], 0.0),
             },
+            rows=[
+                FaultRow("dark", SEEN, {"share": between(0.95, 1 / 60)}),
+                FaultRow("bright", SEEN, {"share": between(1.05, 6)}),
+                FaultRow("flicker", SEEN, {"flicker": between(0.02, 1)}),
+            ],
         ),
         fault_kind(
             "focus",
@@ -115,6 +120,7 @@ class EmulatedMicroscope(StreamedCamera):
             _changes(focus_um=lambda f, look: f.by_um),
             Visible.EXPOSED,
             fields={"by_um": Finite},
+            rows=[FaultRow("blurred", SEEN, {"by_um": signed(5, 300)})],
         ),
         fault_kind(
             "knocked",
@@ -122,6 +128,7 @@ class EmulatedMicroscope(StreamedCamera):
             _changes(corner_um=_knocked),
             Visible.EXPOSED,
             fields={"by_um": tuple[Finite, Finite]},
+            rows=[FaultRow("knocked", SEEN, {"by_um": way(3, 800)})],
         ),
         fault_kind(
             "bubble",
@@ -129,6 +136,7 @@ class EmulatedMicroscope(StreamedCamera):
             _changes(specks=_bubble),
             Visible.EXPOSED,
             fields={"size_um": (Positive, 200.0)},
+            rows=[FaultRow("bubble", SEEN, {"size_um": between(20, 600)})],
         ),
         fault_kind(
             "untracked",
@@ -136,6 +144,7 @@ class EmulatedMicroscope(StreamedCamera):
             _hide,
             Visible.EXPOSED,
             fields={"cell": Name},
+            rows=[FaultRow("cell covered", SEEN)],
         ),
     )
 
@@ -181,9 +190,11 @@ class EmulatedMicroscope(StreamedCamera):
         self._mirrored = settings.mirrored
 
     @classmethod
-    def rehearsal(cls, lab: LabSection, setup: Setup) -> Rehearsal:
-        """Return what rehearsals draw of the microscope."""
-        return Rehearsal([*microscope_rows()], microscope_world)
+    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw the pictures of a rehearsed day."""
+        noise = round(random.uniform(2, 6), 2)
+        contrast = round(random.uniform(40, 80), 1)
+        return {"noise": noise, "contrast": contrast, "specks": random.randint(0, 20)}
 
     def hide(self, hidden: bool) -> None:
         """If `hidden`, leave all cells out of the pictures; otherwise draw them again, but for

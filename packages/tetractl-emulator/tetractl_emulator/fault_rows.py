@@ -1,0 +1,163 @@
+"""How faults are drawn on rehearsed days, and what the guard may say of them.
+
+The table of faults is that of the lab's sides: each kind of fault has `rows`, its variants on a
+day, with their weights, the draws of their fields, and the reasons that name them rightly. So a
+device of another package takes part by its own kinds.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any
+
+from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import LabSection
+
+# regular expressions of reasons
+SIGHT = (
+    r"no new camera frame|no new frames|no frames|outdated|not tracked|too rarely|old on arrival"
+    r"|watched long enough|before reception|no camera frame|not known: the camera|frames came"
+    r"|no message came|no camera server answers"
+)
+MOTION = (
+    r"moves? |turns? |does not move|drift together|off its commanded speed|radio slow"
+    r"|camera or its origin|swapped|pose jumped|pose repeats|still moves|from its start|turned by"
+)
+PLACE = r"about to leave|about to enter|too close"
+CELLS = r"respond to the field|divided, or has parted|not been known which cell|are needed"
+CLOCK = r"server's clock|after reception|before reception"
+RADIO = r"radio|\bport\b|does not answer|no XBee module answers|battery"
+DRIVER = r"current driver|\bport\b"
+NOTHING = r"$."
+MOVED = f"{MOTION}|{PLACE}|{SIGHT}"
+LATE = f"{SIGHT}|{PLACE}|{CLOCK}|{MOTION}"
+LINK = f"{RADIO}|{MOVED}"
+SEEN = f"{MOVED}|{CELLS}|no picture|damaged|picture is|in view|was the stage"
+
+FRAME_S = 1 / 120
+"""Time between two exposures of the emulated camera [s]."""
+STRONG = 0.9
+"""Strength from which on a fault lasts to the end."""
+OUR_HZ = 40.0
+"""Rate at which m3pi robots are sent commands by a spec that names none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """The draw of one fault: `strength` is uniform in [0, 1), `names` are the robots in a random
+    order. A length in robots' `scale` is that of a robot of 200 mm/s times `scale`.
+    """
+
+    random: Random
+    names: Sequence[str]
+    strength: float
+    scale: float = 1.0
+
+
+DrawValue = Callable[[Draw], Any]
+
+
+def between(low: float, high: float) -> DrawValue:
+    """Return the draw of a value from `low` to `high`, by the strength, in equal ratios."""
+    return lambda d: float(f"{low * (high / low) ** d.strength:.4g}")
+
+
+def whole(low: float, high: float) -> DrawValue:
+    """Return the draw of a whole number as `between`."""
+    return lambda d: round(between(low, high)(d))
+
+
+def part(low: float, high: float) -> DrawValue:
+    """Return the draw of a share as `between`, 1 at most."""
+    return lambda d: min(1.0, between(low, high)(d))
+
+
+def less(low: float, high: float, least: float = 0.0) -> DrawValue:
+    """Return the draw of what is left of 1, at least `least`."""
+    return lambda d: max(least, round(1 - between(low, high)(d), 4))
+
+
+def signed(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+    """Return the draw of a value as `between`, of either sign; times `a_frame`."""
+    return lambda d: round(d.random.choice((-1, 1)) * between(low, high)(d) * a_frame, 7)
+
+
+def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+    """Return the draw of a factor that is off from 1 as `signed`."""
+    return lambda d: 1 + signed(low, high, a_frame)(d)
+
+
+def way(low: float, high: float) -> DrawValue:
+    """Return the draw of a vector of a length between two, in any direction."""
+    return lambda d: _vector(between(low, high)(d), d.random.uniform(-math.pi, math.pi))
+
+
+def off(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
+    """Return the draw of a vector as `way`, in robots' scale; times `a_frame`."""
+    return lambda d: [round(value * d.scale * a_frame, 6) for value in way(low, high)(d)]
+
+
+def along(low: float, high: float, angle: float) -> DrawValue:
+    """Return the draw of the way in a frame at a speed, to and fro along a direction."""
+    return lambda d: _vector(signed(low, high, d.scale * FRAME_S)(d), angle)
+
+
+def one_of(*values: Any) -> DrawValue:
+    """Return the draw of one of some values."""
+    return lambda d: d.random.choice(values)
+
+
+def pair(draw: DrawValue) -> DrawValue:
+    """Return the draw of two whole numbers."""
+    return lambda d: [round(draw(d)), round(draw(d))]
+
+
+def lost(d: Draw) -> float:
+    """Return a share from 5 to 98 %, near 98 % as often as near 5 %; a strong one is 1."""
+    share = 1.0 / (1.0 + math.exp(3.0 - 7.0 * d.strength / STRONG))
+    return round(share, 4) if d.strength < STRONG else 1.0
+
+
+def first_robot(d: Draw) -> str:
+    """Return the robot that has the fault."""
+    return d.names[0]
+
+
+def second_robot(d: Draw) -> str:
+    """Return another robot."""
+    return d.names[1]
+
+
+NAMES = {"robot": first_robot, "cell": first_robot, "other": second_robot}
+"""The draws of fields that name robots; each row has those that its kind cannot do without."""
+WHEEL = one_of("left", "right", "both")
+
+
+def _vector(length: float, angle: float) -> list[float]:
+    return [round(length * math.cos(angle), 6), round(length * math.sin(angle), 6)]
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRow:
+    """A variant of a fault on rehearsed days: reasons that match `right` name it. `fields` are
+    those of a script: values, or the draws of values; `fault` is the name of the kind.
+
+    One `at_once` has no duration. `weight` is relative.
+    """
+
+    name: str
+    right: str
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    at_once: bool = False
+    weight: float = 1.0
+    start: float = 0.1  # share of the days on which it is there from the start
+    fault: str = ""
+
+
+def scale_of(lab: LabSection, setup: Setup) -> float:
+    """Return the scale in which lengths, drawn for robots of 200 mm/s, are drawn for a lab: that of
+    their speeds for cells, 1 for all robots on wheels.
+    """
+    fastest_mm_s = float(setup.speed.max()) * setup.metres * 1000
+    return fastest_mm_s / 200 if lab.actuator.type == "field" else 1.0

@@ -43,7 +43,7 @@ def stream(up: UpAxis | None = None) -> Stream:
         TrackedRobot(name="robot", body="green"),
         TrackedRobot(name="robot", body=12, heading_offset=0.5),
     )
-    return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up, on_frame=sound)
+    return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up)
 
 
 def natnet_datagrams(data: bytes) -> None:
@@ -64,6 +64,8 @@ def natnet_datagrams(data: bytes) -> None:
     for datagram in cut_by_headers(rest):
         hearing.asked(natnet.NatNetRequest((UP_AXIS, UNITS)[fed % 2]))
         hearing.feed(datagram, 500 * MS * fed)
+        if hearing.newest is not None:
+            sound(hearing.newest)
         fed += 1
     counts = hearing.counts
     assert counts.frames + counts.bad + counts.unasked <= fed

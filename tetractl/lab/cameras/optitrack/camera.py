@@ -63,7 +63,7 @@ class OptitrackCamera:
         )
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
         placement = Placement.of(section, setup.metres)
-        self.stream = Stream(robots, placement, self._pinned, up, self._keep)
+        self.stream = Stream(robots, placement, self._pinned, up)
         self._fresh: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
@@ -220,18 +220,18 @@ class OptitrackCamera:
                 continue
             if not self.senders.admit(datagram, host, port):
                 continue
-            now = self._clock.now()
-            message = self.stream.feed(datagram, now)
+            before = self.stream.newest
+            message = self.stream.feed(datagram, self._clock.now())
+            newest = self.stream.newest
             self._next_ns = 0
+            if newest is not None and newest is not before:
+                self._fresh.append(newest)
+                self.error = None
+                self._wake()
             if isinstance(message, natnet.NatNetFrame):
                 self.senders.pin(port)
             elif isinstance(message, natnet.ServerInfo) and self._unicast:
                 self.senders.pin(message.data_port)
-
-    def _keep(self, frame: CameraFrame) -> None:
-        self._fresh.append(frame)
-        self.error = None
-        self._wake()
 
     def _chores(self) -> None:
         """Send the requests that are due."""

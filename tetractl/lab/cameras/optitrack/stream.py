@@ -10,7 +10,7 @@ gained or lost more than `DRIFT_MAX` [s/s], it was set or runs at a wrong rate, 
 
 import statistics
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tetractl.core.clock import SECOND
@@ -189,7 +189,6 @@ class Stream:
         placement: Placement,
         pinned: natnet.Version | None = None,
         up: UpAxis | None = None,
-        on_frame: Callable[[CameraFrame], None] = lambda frame: None,
     ) -> None:
         self.robots = tuple(robots)
         self.counts = StreamCounts()
@@ -208,7 +207,6 @@ class Stream:
         self.newest: CameraFrame | None = None
         self._placement = placement
         self._pinned = pinned
-        self._on_frame = on_frame
         self._ids: dict[str, int] = {}  # the bodies of the model
         self._requests = OpenRequests()
         self._fault = ""
@@ -305,7 +303,6 @@ class Stream:
         self.changing = frame.models_changed
         self.seen = tuple(body.id for body in frame.bodies)
         self.newest = self._camera_frame(frame, sampled_ns, received_ns)
-        self._on_frame(self.newest)
 
     def _exposed(self, frame: natnet.NatNetFrame, received_ns: int) -> int:
         if frame.exposure is None or self.sync is None or not self.sync.synced:

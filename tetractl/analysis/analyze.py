@@ -64,14 +64,6 @@ class MostAlike:
 
 
 @dataclass(frozen=True, slots=True)
-class ChangedRate:
-    """The setup in which the robot of an index has another turning rate a."""
-
-    robot: int
-    setup: Setup
-
-
-@dataclass(frozen=True, slots=True)
 class Analysis:
     """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
@@ -112,17 +104,20 @@ def analyze(
     fewer = range(1, len(setup.names))
     gaps = GAPS if several else ()
     alike = most_alike(setup)
-    changed: list[ChangedRate] = []
+    tried: list[tuple[int, float]] = []
     if alike is not None and alike.gap < TOO_ALIKE:
-        changed = list(_changed(setup, alike))
+        tried = list(_rates_to_try(setup, alike))
 
-    count = 1 + len(fewer) + len(gaps) + len(changed)
+    count = 1 + len(fewer) + len(gaps) + len(tried)
     predictor = _Predictor(experiment, plans, lambda done: on_done(done, count))
     as_they_are = predictor.steering(setup)
     error = _error(as_they_are)
     by_count = [(n, predictor.error(setup.only(range(n)))) for n in fewer]
     by_gap = [(gap, predictor.error(respaced(setup, gap))) for gap in gaps]
-    changes = [_change(setup, rate, predictor.error(rate.setup)) for rate in changed]
+    changes: list[Change] = []
+    for robot, a in tried:
+        changed_error = predictor.error(_with_rate(setup, robot, a))
+        changes.append(Change(setup.names[robot], float(setup.a[robot]), a, changed_error))
 
     return Analysis(
         setup=setup,
@@ -136,7 +131,7 @@ def analyze(
         gap=math.inf if alike is None else alike.gap,
         by_gap=tuple(by_gap),
         by_count=(*by_count, (len(setup.names), error)),
-        looked=bool(changed),
+        looked=bool(tried),
         change=best_change(changes, error),
     )
 
@@ -190,32 +185,25 @@ def respaced(setup: Setup, gap: float) -> Setup:
     return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))
 
 
-def _changed(setup: Setup, alike: MostAlike) -> Iterator[ChangedRate]:
-    """Yield the setups in which one of the two robots most alike has another a, which raises the
-    least gap: the faster one turns faster, or the slower one more slowly."""
+def _rates_to_try(setup: Setup, alike: MostAlike) -> Iterator[tuple[int, float]]:
+    """Yield an index of one of the two robots most alike, and another a for it, of three digits as
+    is advised, which raises the least gap: the faster one turns faster, or the slower one more
+    slowly."""
     for step in STEPS:
-        higher = _with_rate(setup, alike.high, setup.a[alike.low] * (1 + step))
-        lower = _with_rate(setup, alike.low, setup.a[alike.high] / (1 + step))
-        for changed in (higher, lower):
-            closest = most_alike(changed.setup)
+        higher = float(f"{setup.a[alike.low] * (1 + step):.3g}")
+        lower = float(f"{setup.a[alike.high] / (1 + step):.3g}")
+        for robot, a in ((alike.high, higher), (alike.low, lower)):
+            closest = most_alike(_with_rate(setup, robot, a))
             assert closest is not None
             if closest.gap > max(alike.gap, GAP_OF_STEP * step):
-                yield changed
+                yield robot, a
 
 
-def _with_rate(setup: Setup, robot: int, a: float) -> ChangedRate:
-    """Return the setup with another turning rate of a robot, of three digits, as is advised."""
+def _with_rate(setup: Setup, robot: int, a: float) -> Setup:
+    """Return the setup with another turning rate of a robot."""
     rates = setup.a.copy()
-    rates[robot] = float(f"{a:.3g}")
-    return ChangedRate(robot, replace(setup, a=rates))
-
-
-def _change(setup: Setup, changed: ChangedRate, error: float) -> Change:
-    """Return what is changed of a setup, with the error predicted for it."""
-    robot = changed.robot
-    old_a = float(setup.a[robot])
-    new_a = float(changed.setup.a[robot])
-    return Change(setup.names[robot], old_a, new_a, error)
+    rates[robot] = a
+    return replace(setup, a=rates)
 
 
 def best_change(changes: list[Change], error: float) -> Change | None:

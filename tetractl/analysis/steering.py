@@ -154,8 +154,9 @@ def steering(
     singular = np.zeros(2 * len(setup.names))
     singular[: len(spread)] = spread  # with fewer signals than coordinates, some values stay 0
     weakest = directions[:, -1].reshape(-1, 2)
+    lengths = [planned.shortest for planned in reaching if planned.shortest is not None]
     return Steering(
-        shortest=_shortest(reaching),
+        shortest=min(lengths, default=None),
         signal_s=section.signal_periods * section.period,
         errors=errors,
         open_loop=np.array([prediction.open_loop.sum() for prediction in predictions]),
@@ -193,9 +194,3 @@ def _predict(planned: Planned, noise: Noise, identifies: bool) -> _Prediction:
         errors=mean_errors(covariance, linear.miss),
         open_loop=mean_errors(free_covariance, linear.miss),
     )
-
-
-def _shortest(reaching: list[Planned]) -> int | None:
-    """Return the least number of signals of all sequences that reach, None if none does."""
-    lengths = [planned.shortest for planned in reaching if planned.shortest is not None]
-    return min(lengths, default=None)

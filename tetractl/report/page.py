@@ -61,7 +61,7 @@ SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
 
 
 @dataclass(frozen=True, slots=True)
-class _Carried:
+class _CarriedTrial:
     """A trial that the page carries: the path of its log, its name in the player, and its data."""
 
     path: str
@@ -78,15 +78,15 @@ class _Contents:
 
     groups: list[BatchStatistics]
     complete: bool
-    carried: list[_Carried]
-    errors: list[str]
+    trials: list[_CarriedTrial]
+    errors_over_time: list[str]
     first: TrialLog | None
     unread: list[str]
 
     @property
     def numbers(self) -> dict[str, int]:
         """The number of each trial on the page, from 1, by the path of its log."""
-        return {trial.path: number for number, trial in enumerate(self.carried, 1)}
+        return {trial.path: number for number, trial in enumerate(self.trials, 1)}
 
 
 def report(
@@ -106,16 +106,18 @@ def report(
     of_study = len(paths) == 1 and len(groups) > 1
     name = title or (paths[0].resolve().name if of_study else ", ".join(experiments))
     compared = contrast(groups)
-    errors = "".join(contents.errors)
-    parts = [
-        _header(name, compared, contents.numbers),
-        _player(contents.carried, groups[0].unit, _left_out(contents)) if first else "",
-        f"<section><h2>Errors</h2>{errors}</section>" if errors else "",
-        _statistics(compared, contents.numbers),
-        f"<section><h2>Figures of the first trial</h2>{of_trial(first)}</section>" if first else "",
-        _provenance(first) if first else "",
-    ]
-    return _page(name, "".join(parts), bool(contents.carried)), contents.unread
+    errors = "".join(contents.errors_over_time)
+    parts = [_header(name, compared, contents.numbers)]
+    if first is not None:
+        parts.append(_player(contents.trials, groups[0].unit, _left_out(contents)))
+    if errors:
+        parts.append(f"<section><h2>Errors</h2>{errors}</section>")
+    parts.append(_statistics(compared, contents.numbers))
+    if first is not None:
+        figures = figures_of_trial(first)
+        parts.append(f"<section><h2>Figures of the first trial</h2>{figures}</section>")
+        parts.append(_provenance(first))
+    return _page(name, "".join(parts), bool(contents.trials)), contents.unread
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +140,11 @@ def player(logs: Sequence[TrialLog]) -> PlayerPage:
     """Return the player of trials that are read; of more than MANY, without plans and searches."""
     title = f"{logs[0].experiment.name}: {logs[0].origin}"
     header = f"<header><h1>{escape(title)}</h1>{THEME}</header>"
-    trials: list[_Carried] = []
+    trials: list[_CarriedTrial] = []
     for log in logs:
         name = Path(log.log).name
         data = trial_data(log, name, len(logs) <= MANY)
-        trials.append(_Carried(log.log, name, data))
+        trials.append(_CarriedTrial(log.log, name, data))
     parts = header + _player(trials, logs[0].experiment.units.length)
     body = f'<div class="framed">{parts}</div>'
     return PlayerPage(_page(title, body, with_player=True))
@@ -156,12 +158,12 @@ def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Conte
     groups, unread = _batches(paths, progress)
     several = len(groups) > 1
     complete = sum(len(group.batch.logs) for group in groups) <= MANY
-    trials: list[_Carried] = []
+    trials: list[_CarriedTrial] = []
     errors: list[str] = []
     first: TrialLog | None = None
     for group in groups:
         logs: list[TrialLog] = []
-        for path in group.batch.logs if complete else carried(group, len(groups)):
+        for path in group.batch.logs if complete else logs_to_carry(group, len(groups)):
             try:
                 log = read_trial(path)
             except LogError as error:
@@ -171,15 +173,15 @@ def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Conte
             logs.append(lean(log))
             name = f"{group.name}, {path.name}" if several else path.name
             data = trial_data(log, path.name, complete)
-            trials.append(_Carried(str(path), name, data))
+            trials.append(_CarriedTrial(str(path), name, data))
         which = [group.name] if several else []
         if not complete:
             which.append(f"the {len(logs)} trials on this page")
-        errors.append(of_batch(", ".join(which), logs))
+        errors.append(errors_over_time(", ".join(which), logs))
     return _Contents(groups, complete, trials, errors, first, unread)
 
 
-def carried(group: BatchStatistics, groups: int) -> list[Path]:
+def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
     """Return the logs of a batch, one of `groups`, that a page carries which cannot carry all:
     trials at evenly spaced ranks of the total error, from the best to the worst, and some that do
     not count, in the order of the trials.
@@ -261,7 +263,7 @@ def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         f"{THEME}</header>"
-        f'<div class="top">{_tables(top)}{of_groups(groups, numbers)}</div>'
+        f'<div class="top">{_tables(top)}{total_errors(groups, numbers)}</div>'
     )
 
 
@@ -295,7 +297,7 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
     )
 
 
-def _player(trials: Sequence[_Carried], unit: str, note: str = "") -> str:
+def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
     """Return the HTML of the player, with the data of its trials."""
     options: list[str] = []
     data: list[str] = []
@@ -316,7 +318,7 @@ def _left_out(contents: _Contents) -> str:
         return ""
     count = sum(len(group.batch.logs) for group in contents.groups)
     return (
-        f"<p>The page carries {len(contents.carried)} of {count} trials, without plans"
+        f"<p>The page carries {len(contents.trials)} of {count} trials, without plans"
         " and searches: of each batch those at evenly spaced ranks of the total error, from the"
         " best to the worst, and some that do not count. The tables hold all trials.</p>"
     )
@@ -371,11 +373,11 @@ def _provenance(log: TrialLog) -> str:
 
 
 def lean(log: TrialLog) -> TrialLog:
-    """Return the trial with only the data that `of_batch` draws, so that many fit into memory."""
+    """Return the trial with the data alone that `errors_over_time` draws: so many fit into memory."""
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
 
-def of_trial(log: TrialLog) -> str:
+def figures_of_trial(log: TrialLog) -> str:
     """Return the figures of a trial; "" for a log without control steps or camera frames."""
     if not (log.steps and len(log.mocap_ns)):
         return ""
@@ -384,8 +386,8 @@ def of_trial(log: TrialLog) -> str:
     return _side_by_side(figures)
 
 
-def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
-    """Return the figures of a batch called `name`, "" for fewer than two trials with frames."""
+def errors_over_time(name: str, logs: Sequence[TrialLog]) -> str:
+    """Return the errors over time of a batch called `name`, "" for fewer than two trials with frames."""
     with_frames = [log for log in logs if len(log.mocap_ns)]
     if len(with_frames) < 2:
         return ""
@@ -394,7 +396,7 @@ def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
     return _side_by_side([_figure("errors", with_frames, text + where)])
 
 
-def of_groups(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
+def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
     """Return all total errors as inline SVG, each dot a link to its trial; "" without any error.
 
     `numbers` has each trial's number on the page, by path.

@@ -15,7 +15,7 @@ from support.trials import three_robots
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome, State
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.report.page import carried, lean, of_batch
+from tetractl.report.page import errors_over_time, lean, logs_to_carry
 from tetractl.report.trial_data import packed, significant, trial_data
 from tetractl.results.describe import describe
 from tetractl.results.open_batch import Batch
@@ -42,13 +42,13 @@ def pictures(html):
 @pytest.mark.long
 @pytest.mark.slow  # draws
 def test_a_batch_is_drawn_as_plot_draws_it_though_little_of_it_is_kept(logs):
-    html = of_batch("one & two", [lean(log) for log in logs])
+    html = errors_over_time("one & two", [lean(log) for log in logs])
     assert pictures(html) == [svg(draw("errors", logs))]
     assert html.count(": one &amp; two<") == 1
 
 
 def test_one_trial_has_no_figure_of_a_batch(logs):
-    assert of_batch("", logs[:1]) == ""
+    assert errors_over_time("", logs[:1]) == ""
 
 
 def unpacked(text):
@@ -131,7 +131,7 @@ def batch_of_101(logs):
 
 
 def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(batch_of_101):
-    carried_logs = carried(batch_of_101, 2)
+    carried_logs = logs_to_carry(batch_of_101, 2)
     assert len(carried_logs) == 30
     assert carried_logs == sorted(carried_logs, key=lambda path: int(path.stem))
     complete = [trial for trial in batch_of_101.batch.trials if trial.outcome.complete]
@@ -144,7 +144,7 @@ def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(batch_of_
 
 
 def test_a_page_of_very_many_batches_carries_three_trials_of_each(batch_of_101):
-    assert len(carried(batch_of_101, 1000)) == 3
+    assert len(logs_to_carry(batch_of_101, 1000)) == 3
 
 
 def test_what_is_not_finite_is_missing():

@@ -69,11 +69,21 @@ def run(*words: str) -> str:
 
 
 ON_BENCH = ("--bench", "three_m3pi_bench.yaml", "--dead-time", "0.06")
-ROWS = [
+ROWS = [  # of one script: two worlds show what the others would
     ("ablation", "whole", (*ON_BENCH, "--part", "ablation", "--seed", "59301")),
-    ("knowledge 20", "dead time given", (*ON_BENCH, "--part", "knowledge", "--seed", "60101")),
+    pytest.param(
+        "knowledge 20",
+        "dead time given",
+        (*ON_BENCH, "--part", "knowledge", "--seed", "60101"),
+        marks=pytest.mark.release,
+    ),
     ("hurting", "none of these", ("--part", "hurting", "--seed", "60201")),
-    ("accept", "accept 30 mm", (*ON_BENCH, "--part", "accept", "--seed", "60101")),
+    pytest.param(
+        "accept",
+        "accept 30 mm",
+        (*ON_BENCH, "--part", "accept", "--seed", "60101"),
+        marks=pytest.mark.release,
+    ),
 ]
 
 

@@ -122,10 +122,10 @@ def test_checks_plant_log_and_pictures_honour_them(installed):
     (folder / "outside.yaml").write_text(outside, encoding="utf-8")
     done = run("-m", "tetractl", "validate", "outside.yaml")
     assert "is entirely outside the arena" in done.stderr + done.stdout
-    # through the obstacle, since the weight of the potential is 0: the plant's verdict tells
-    done = run("-m", "tetractl", "run", "s.yaml", "--out", "through", "--quiet",
-               "--set", "controller.obstacle_weight=0",
-               "--set", "controller.optimizer={type: pso}")  # fmt: skip
+    # straight on is through the obstacle: the plant's verdict tells
+    straight = f"controller={{type: sequence, period: 0.2, directions: {[0.0] * 20}}}"
+    words = ("--out", "through", "--quiet", "--set", straight)
+    done = run("-m", "tetractl", "run", "s.yaml", *words)
     assert done.returncode == 0, done.stderr
     assert "1 of 1" in next(line for line in done.stdout.splitlines() if "entered" in line)
     done = run("-m", "tetractl", "run", "s.yaml", "--out", "past", "--quiet")

@@ -15,9 +15,14 @@ LATE_S = 0.05  # half of the shortest tolerance: an emulator as late as that spo
 AGAIN = ("no_server", "radio_unplugged", "stream_stops")  # in both, over sockets and ports
 SIGNALS = ("asleep", "ctrl_c", "hung_up", "killed", "quit", "terminated")
 PROCESS = ("disk_full", "second_run", *SIGNALS, *AGAIN)
-LIKE_CTRL_C = ("hung_up", "quit", "terminated")  # in virtual time, and at `tetractl run` alone
+SHOWN_ELSEWHERE = (  # in virtual time
+    *("hung_up", "quit", "terminated"),  # and at `tetractl run` alone
+    *("cut_ended", "oversized"),  # of pictures over HTTP, as `cut` and `drips` are
+)
 CHOSEN = [
-    pytest.param(path, id=path.stem, marks=pytest.mark.release if path.stem in LIKE_CTRL_C else ())
+    pytest.param(
+        path, id=path.stem, marks=pytest.mark.release if path.stem in SHOWN_ELSEWHERE else ()
+    )
     for path in SCRIPTS
     if path.stem in PROCESS or camera_of(path) == "apriltag"
 ]

@@ -17,6 +17,7 @@ from tetractl_papers.registries import PAPERS
 from tetractl import api
 from tetractl.core.errors import Exit, UsageError
 from tetractl.experiment.examples import examples
+from tetractl.experiment.load import load_spec
 
 COMPLETE = partial(api.run_batch, resume=True)
 PAGE = Path(__file__).parents[2] / "README.md"
@@ -138,10 +139,23 @@ def test_the_deviation_of_one_trial_is_unknown():
 
 @pytest.mark.long
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ou", pytest.param("khalil-2013", marks=pytest.mark.release)])
+@pytest.mark.release
+@pytest.mark.parametrize("name", ["ou", "khalil-2013"])
 def test_one_trial_of_each_arm_of_a_paper_is_run(tmp_path, name):
     """Of pichel-2018, whose films take long: test_pichel_2018.py of the emulator."""
     assert command.reproduce([name], trials=1, out=tmp_path) in (Exit.DONE, Exit.FAILED)
+
+
+@pytest.mark.parametrize("name", ["ou", "khalil-2013", "pichel-2018"])
+def test_each_arm_of_a_paper_is_a_right_spec_and_each_claim_is_of_an_arm(name):
+    paper = PAPERS.load(name)
+    earlier = {None}
+    for arm_name, arm in paper.arms.items():
+        if isinstance(arm, Runs):
+            load_spec(examples()[arm.example], arm.sets)
+            assert {arm.plan_of, arm.plans_of} <= earlier
+        earlier.add(arm_name)
+    assert {stated.arm for stated in paper.claims} <= earlier
 
 
 def rows_of_page():

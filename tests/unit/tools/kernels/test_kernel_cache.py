@@ -93,13 +93,14 @@ print(sum(kernel.stats.cache_hits.values()), found.hex())
     [
         pytest.param(PARTS, 1, id="parts"),
         pytest.param(SEARCH, 1, id="search", marks=[pytest.mark.system, pytest.mark.release]),
-        pytest.param(KNOW, 2, id="identification", marks=pytest.mark.system),
+        pytest.param(KNOW, 2, id="identification", marks=[pytest.mark.system, pytest.mark.release]),
     ],
 )
 def test_compiling_and_loading_give_the_same_bits(tmp_path, script, kernels):
     """Regression: a callee that was not inlined had two machine codes, one for each.
 
-    Of a search with a motion and a shape of another package see `test_plugin_models`.
+    The parts show it in seconds; of a search with a motion and a shape of another package see
+    `test_plugin_models`.
     """
     experiments = ROOT / "experiments"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

@@ -45,8 +45,7 @@ def test_every_signal_finishes_the_step_and_the_log(tmp_path, name):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("spec", [ENDLESS, HEAVY], ids=["endless", "heavy"])
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize(("spec", "jobs"), [(ENDLESS, "1"), (HEAVY, "2")], ids=["endless", "heavy"])
 def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path, spec, jobs):
     with Running(tmp_path, spec, "--jobs", jobs) as running:
         running.until_logging(int(jobs))
@@ -86,10 +85,9 @@ def test_a_signal_during_an_import_is_one_line(tmp_path, module, number):
 
 @LINUX
 @pytest.mark.system
-@pytest.mark.parametrize("spec", [ENDLESS, HEAVY], ids=["endless", "heavy"])
-def test_workers_end_with_their_parent(tmp_path, spec):
-    """Regression: kill -9 of the parent left its workers for ever."""
-    with Running(tmp_path, spec, "--jobs", "2") as running:
+def test_workers_end_with_their_parent(tmp_path):
+    """Regression: kill -9 of the parent left its workers for ever. They plan for minutes."""
+    with Running(tmp_path, HEAVY, "--jobs", "2") as running:
         running.until_logging(2)
         workers = running.workers()
         assert len(workers) == 2

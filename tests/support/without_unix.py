@@ -1,8 +1,9 @@
 """Runs tetractl as on Windows, as far as Linux can: without the modules, functions and signals of
-Unix. `python without_unix.py WORDS...`"""
+Unix, one command after another until one fails. `python without_unix.py COMMAND...`"""
 
 import os
 import select
+import shlex
 import signal
 import sys
 
@@ -30,7 +31,10 @@ if __name__ == "__main__":
         for name in names:
             if hasattr(module, name):
                 delattr(module, name)
-    sys.argv[0] = "tetractl"
-    from tetractl.cli import main
+    from tetractl.cli.app import run_app
 
-    main()
+    for command in sys.argv[1:]:
+        sys.argv = ["tetractl", *shlex.split(command)]
+        code = run_app()
+        if code != 0:
+            sys.exit(int(code))

@@ -287,7 +287,7 @@ run_logged(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1)
         pytest.param(
             {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
             "numba_settings",
-            marks=pytest.mark.system,  # compiles everything again
+            marks=[pytest.mark.system, pytest.mark.release],  # compiles everything again
         ),
     ],
 )

@@ -373,7 +373,7 @@ def _provenance(log: TrialLog) -> str:
 
 
 def lean(log: TrialLog) -> TrialLog:
-    """Return the trial with the data alone that `errors_over_time` draws: so many fit into memory."""
+    """Return the trial with what `errors_over_time` draws alone, so that many fit into memory."""
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
 
@@ -387,7 +387,7 @@ def figures_of_trial(log: TrialLog) -> str:
 
 
 def errors_over_time(name: str, logs: Sequence[TrialLog]) -> str:
-    """Return the errors over time of a batch called `name`, "" for fewer than two trials with frames."""
+    """Return the figure of a batch called `name`, "" for less than two trials with frames."""
     with_frames = [log for log in logs if len(log.mocap_ns)]
     if len(with_frames) < 2:
         return ""

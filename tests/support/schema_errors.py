@@ -11,6 +11,7 @@ ERRORS = {  # of a schema, those that data out of YAML can cause in strict mode
     | {"string_pattern_mismatch"},
     "tuple": {"tuple_type", "too_short", "too_long", "missing"},
     "dict": {"dict_type", "too_long"},
+    "none": {"none_required"},
     "model": {"model_type"},
     "model-fields": {"model_attributes_type", "missing", "extra_forbidden"},
     "literal": {"literal_error"},

@@ -139,7 +139,8 @@ def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
         if alone is None or wrong_setting:
             raise
         ui.tell(*(f"warning: {line}" for line in error.message.split("\n")))
-        return partial(alone.section.stop_all, alone.setup, MonotonicClock())
+        actuator, setup = alone
+        return partial(actuator.stop_all, setup, MonotonicClock())
     lab = lab_of(loaded.experiment, loaded.name)
     return partial(lab.actuator.stop_all, loaded.experiment.setup, lab.clock())
 

@@ -12,6 +12,7 @@ from tetractl.cli.options import AsJson, Logs, argument, out_option
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
 from tetractl.log.read.find import find_log, find_logs
+from tetractl.tools.table.table_files import json_text
 
 LINE_MOST = 240
 """Characters of a line of `info`."""
@@ -37,7 +38,7 @@ def info(
     log = find_log(log)
     contents = overview(log)
     if as_json:
-        print(contents.as_json())
+        print(json_text(contents))
     else:
         for line in _lines(contents):
             print(printable(line, LINE_MOST).rstrip())  # --json prints whole lines

@@ -4,7 +4,6 @@ A stop needs the actuator's ports and the names of its robots. Their motion, the
 controller and the calibration do not matter to it.
 """
 
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -23,16 +22,9 @@ STAND_IN_WHEEL_RADIUS = 1.0
 """Distance from a wheel to a robot's centre, in the unit of the setup: as above."""
 
 
-@dataclass(frozen=True, slots=True)
-class ActuatorAlone:
-    """An actuator's valid section, and a setup with the names of its robots."""
-
-    section: ActuatorSection
-    setup: Setup
-
-
-def actuator_alone(spec: Document) -> ActuatorAlone | None:
-    """Return the actuator of a spec's plant or lab; None if that section is missing or invalid."""
+def actuator_alone(spec: Document) -> tuple[ActuatorSection, Setup] | None:
+    """Return the actuator of a spec's plant or lab, and a setup with the names of its robots; None
+    if that section is missing or invalid."""
     section = _valid_actuator(spec.data.get("plant")) or _valid_actuator(spec.data.get("lab"))
     if section is None:
         return None
@@ -46,7 +38,7 @@ def actuator_alone(spec: Document) -> ActuatorAlone | None:
         "wheels": {"radius": STAND_IN_WHEEL_RADIUS},
     }
     experiment = Experiment.model_validate(contents, strict=True, context=STRICT)
-    return ActuatorAlone(section, experiment.setup)
+    return section, experiment.setup
 
 
 def _valid_actuator(lab: Any) -> ActuatorSection | None:

@@ -34,6 +34,7 @@ MESSAGES = {
     "string_type": "must be text",
     "string_unicode": "must be valid Unicode text",
     "tuple_type": "must be a list",
+    "none_required": "must be a mapping of keys to values",
     "model_type": "must be a mapping of keys to values",
     "model_attributes_type": "must be a mapping of keys to values",
     "dict_type": "must be a mapping of keys to values",
@@ -83,16 +84,13 @@ class Mistake:
 
 
 def validated(model: type[Section], document: Document) -> Section:
-    """Validate a document as a given type; InvalidSpecError lists its problems."""
-    data = with_tuples(document.data)
+    """Return a document's data as a given type; InvalidSpecError with the problems of the document
+    so far and with all its wrong values, if there are any."""
     try:
-        section = model.model_validate(data, strict=True, context=STRICT)
+        return model.model_validate(with_tuples(document.data), strict=True, context=STRICT)
     except ValidationError as error:
         problems = explain(error, document, schema_of(model))
         raise InvalidSpecError([*document.all_problems, *problems]) from None
-    if document.all_problems:
-        raise InvalidSpecError(document.all_problems)
-    return section
 
 
 def explain(error: ValidationError, document: Document, schema: Schema) -> Iterator[SpecProblem]:

@@ -9,7 +9,7 @@ from tetractl.core.errors import printable
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.explain import validated
 from tetractl.experiment.yaml.document import Document, Place, read_document
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
+from tetractl.experiment.yaml.problems import Loc
 
 
 class IdentifiedValue(Model):
@@ -70,8 +70,7 @@ def read_identified(path: Path) -> tuple[Identified, str]:
             document.refuse(("robots", name, "a", "value"), "must be greater than 0")
         if robot.speed.value < 0:
             document.refuse(("robots", name, "speed", "value"), "must be at least 0")
-    if document.all_problems:
-        raise InvalidSpecError(document.all_problems)
+    document.require_no_problems()
     return identified, document.text
 
 

@@ -21,20 +21,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
-from tetractl.experiment.base import with_tuples
 from tetractl.experiment.consistency import errors_of
 from tetractl.experiment.controller import without_retired
 from tetractl.experiment.experiment import DEFAULT_CONTROLLER, Experiment
-from tetractl.experiment.explain import explain
+from tetractl.experiment.explain import validated
 from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.loaded_spec import Attached, LoadedSpec, attach
 from tetractl.experiment.policy_weights import read_weights
-from tetractl.experiment.registry_fields import STRICT
-from tetractl.experiment.schema import schema_of
 from tetractl.experiment.yaml.document import (
     Document,
     Place,
@@ -191,15 +186,8 @@ def _estimates(document: Document) -> bool:
 def validated_experiment(document: Document, written: bool) -> Experiment:
     """Return the experiment of a document; InvalidSpecError with all its wrong values at once or,
     if there are none, with all that contradicts each other."""
-    try:
-        experiment = Experiment.model_validate(
-            with_tuples(document.data), strict=True, context=STRICT
-        )
-    except ValidationError as error:
-        document.problems.extend(explain(error, document, schema_of(Experiment)))
-        raise InvalidSpecError(document.all_problems) from None
+    experiment = validated(Experiment, document)
     for error in errors_of(experiment, written):
         document.refuse(error.where, str(error))
-    if document.all_problems:
-        raise InvalidSpecError(document.all_problems)
+    document.require_no_problems()
     return experiment

@@ -148,6 +148,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     """
     document = _calibration(text, origin)
     validated(Calibration, document)
+    document.require_no_problems()
     merged = Document(document.origin, experiment.model_dump(mode="json"))
     for name, field in type(experiment.plant).model_fields.items():
         if field.exclude:  # the dump leaves it out, since no log is to have it

@@ -2,10 +2,11 @@
 registry, and plug-ins add more.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, LiteralString
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
@@ -14,6 +15,12 @@ from tetractl.experiment.packages import not_installed
 
 STRICT = {"strict": True}
 """Validation context in which values of another type are refused, as when a spec is read."""
+
+
+def read(section: type[BaseModel], value: Any, info: core_schema.ValidationInfo) -> Any:
+    """Return the section that a mapping describes, in the context of what holds it."""
+    strict = bool(info.context and info.context.get("strict"))
+    return section.model_validate(value, strict=strict, context=info.context)
 
 
 @dataclass(eq=False)
@@ -38,10 +45,7 @@ class KindSection:
         self._base = source
 
         def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
-            if isinstance(value, source):
-                return value
-            strict = bool(info.context and info.context.get("strict"))
-            return self._section(value).model_validate(value, strict=strict, context=info.context)
+            return value if isinstance(value, source) else read(self._section(value), value, info)
 
         return core_schema.with_info_plain_validator_function(validate)
 
@@ -90,6 +94,42 @@ class KindSection:
             usable.name: str(usable) for usable in self.registry.kinds() if usable.name != without
         }
         return PydanticCustomError(kind, text, {"known": texts})
+
+
+@dataclass(eq=False)
+class OrMapping:
+    """Annotation of a field that holds a `value` or, as a mapping, a section of the type `base`:
+    `section_of` returns its class, and `sections` all there are.
+
+    A union of pydantic's would report a wrong value once for each alternative.
+    """
+
+    value: Any
+    base: type[BaseModel]
+    section_of: Callable[[dict[Any, Any]], type[BaseModel]]
+    sections: Callable[[], Iterable[type[BaseModel]]]
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def validate(value: Any, otherwise: Any, info: core_schema.ValidationInfo) -> Any:
+            if isinstance(value, self.base):
+                return value
+            if isinstance(value, dict):
+                return read(self.section_of(value), value, info)
+            return otherwise(value)
+
+        return core_schema.with_info_wrap_validator_function(
+            validate,
+            handler.generate_schema(self.value),
+            serialization=core_schema.simple_ser_schema("any"),
+        )
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        sections = [handler(section.__pydantic_core_schema__) for section in self.sections()]
+        return {"anyOf": [handler(schema), *sections]}
 
 
 @dataclass(eq=False)

@@ -1,18 +1,11 @@
 """Turning rates in proportion to the strength B of the field: a = alpha B."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import (
-    Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
-    model_serializer,
-    model_validator,
-)
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field, model_serializer, model_validator
 
 from tetractl.experiment.base import Model, Positive, inconsistent
+from tetractl.experiment.registry_fields import OrMapping
 
 UNITS = {"per_mT": "mT", "per_V_cm": "V/cm"}
 """The unit of the field's strength by the key of alpha."""
@@ -47,35 +40,10 @@ class PerStrength(Model):
         return self.per_mt or self.per_v_cm or 0.0
 
 
-class _OrPerStrength:
-    """Annotation of a number in place of which a spec may have a mapping, a `PerStrength`.
-
-    A union of pydantic's would report a wrong value once for each alternative.
-    """
-
-    def __get_pydantic_core_schema__(
-        self, source: type[Any], handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        def validate(value: Any, number: Any, info: core_schema.ValidationInfo) -> Any:
-            if not isinstance(value, dict | PerStrength):
-                return number(value)
-            strict = bool(info.context and info.context.get("strict"))
-            return PerStrength.model_validate(value, strict=strict, context=info.context)
-
-        either = core_schema.wrap_serializer_function_ser_schema(
-            lambda value, inner: inner(value), schema=handler(source)
-        )
-        return core_schema.with_info_wrap_validator_function(
-            validate, handler.generate_schema(Positive), serialization=either
-        )
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"anyOf": [handler(schema), handler(PerStrength.__pydantic_core_schema__)]}
-
-
-TurningRate = Annotated[float | PerStrength, _OrPerStrength()]
+TurningRate = Annotated[
+    float | PerStrength,
+    OrMapping(Positive, PerStrength, lambda _: PerStrength, lambda: [PerStrength]),
+]
 """a of a robot: a number [rad/s], or a mapping with its alpha."""
 
 

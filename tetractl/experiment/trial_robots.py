@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import PydanticCustomError
 
 from tetractl.core.registries import TRIAL_ROBOTS
 from tetractl.experiment.base import Model
 from tetractl.experiment.packages import missing, not_installed
+from tetractl.experiment.registry_fields import OrMapping
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,40 +52,10 @@ class TrialRobots(Model):
         """The robots until a trial has found them."""
 
 
-@dataclass(eq=False)
-class OrTrialRobots:
-    """Annotation of a field whose value may be a rule by which trials find their robots, as a
-    mapping; `listed` is what the value is otherwise, by default None."""
-
-    listed: Any = None
-
-    def __get_pydantic_core_schema__(
-        self, source: type[Any], handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        def validate(value: Any, otherwise: Any, info: core_schema.ValidationInfo) -> Any:
-            if isinstance(value, TrialRobots):
-                return value
-            if isinstance(value, dict):
-                strict = bool(info.context and info.context.get("strict"))
-                return rule_of(value).model_validate(value, strict=strict, context=info.context)
-            if self.listed is None and value is not None:
-                raise PydanticCustomError("model_type", "must be a mapping of keys to values")
-            return otherwise(value)
-
-        listed = self.listed
-        otherwise = core_schema.any_schema() if listed is None else handler.generate_schema(listed)
-        return core_schema.with_info_wrap_validator_function(
-            validate,
-            otherwise,
-            serialization=core_schema.simple_ser_schema("any"),
-        )
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        rules = [handler(rule.__pydantic_core_schema__) for rule in TRIAL_ROBOTS.usable().values()]
-        otherwise = {"type": "null"} if self.listed is None else handler(schema)
-        return {"anyOf": [otherwise, *rules]}
+def or_trial_robots(value: Any) -> OrMapping:
+    """Return the annotation of a field that holds a `value`, or a rule by which trials find their
+    robots, as a mapping."""
+    return OrMapping(value, TrialRobots, rule_of, lambda: TRIAL_ROBOTS.usable().values())
 
 
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:

@@ -8,7 +8,7 @@ import socket
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache, lru_cache
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -95,12 +95,7 @@ def processor(host: Mapping[str, str]) -> str:
     if not name:
         return ""
     sets = f"{host.get('cpu_features')} {host.get('numpy_dispatch')}"
-    return f"{printable(name, 40)}-{_short_digest(sets)}"
-
-
-@lru_cache(maxsize=64)
-def _short_digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:6]
+    return f"{printable(name, 40)}-{hashlib.sha256(sets.encode()).hexdigest()[:6]}"
 
 
 @cache

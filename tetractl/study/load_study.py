@@ -220,7 +220,9 @@ def _study(document: Document) -> Study:
         origin = document.origin
         hint = f"run it with: tetractl run {origin}; a study names it as its 'base:'"
         raise InvalidSpecError([SpecProblem(origin, "is a spec, not a study")], hint)
-    return validated(Study, document)
+    study = validated(Study, document)
+    document.require_no_problems()
+    return study
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,8 +136,7 @@ def parse_script(
         problem = error.errors(include_url=False)
         problems = [_problem(details, document, sides) for details in problem]
         raise InvalidSpecError([*document.all_problems, *problems]) from None
-    if document.all_problems:
-        raise InvalidSpecError(document.all_problems)
+    document.require_no_problems()
     return script
 
 

@@ -15,8 +15,9 @@ M3PI = "{type: m3pi-xbee, port: a, robots: [{name: green}, {name: blue}]}"
 def test_robots_are_those_of_the_actuator(section, actuator):
     alone = actuator_alone(parse_document(f"{section}: {{actuator: {actuator}}}", "spec.yaml"))
     assert alone is not None
-    assert alone.setup.names == ("green", "blue")
-    alone.section.build(alone.setup, VirtualClock())
+    actuator_section, setup = alone
+    assert setup.names == ("green", "blue")
+    actuator_section.build(setup, VirtualClock())
 
 
 def test_a_real_lab_is_that_of_the_plant_if_both_have_an_actuator():
@@ -25,7 +26,7 @@ def test_a_real_lab_is_that_of_the_plant_if_both_have_an_actuator():
     text = f"plant: {{actuator: {TWIST}}}\nlab: {{actuator: {lab}}}"
     alone = actuator_alone(parse_document(text, "spec.yaml"))
     assert alone is not None
-    assert alone.setup.names == ("green", "blue")
+    assert alone[1].names == ("green", "blue")
 
 
 @pytest.mark.parametrize(

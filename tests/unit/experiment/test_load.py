@@ -381,7 +381,8 @@ def test_the_hint_of_an_error_is_printed(monkeypatch):
     """Regression: only that of a warning was."""
     finding = SpecFinding(("robots", 0, "speed"), "is odd", "choose another")
     monkeypatch.setattr("tetractl.experiment.load.errors_of", lambda *_: [finding])
-    with pytest.raises(InvalidSpecError, match="robots.0.speed: [0-9.]+: is odd; choose another$"):
+    said = r"robots\.0\.speed: [0-9.]+: is odd; choose another$"
+    with pytest.raises(InvalidSpecError, match=said):
         load_spec(ROOT / "experiments/three_m3pi.yaml")
 
 

@@ -75,6 +75,11 @@ class Document:
         refused = [place.refused for place in self.places.values() if place.refused]
         return [*self.problems, *refused]
 
+    def require_no_problems(self) -> None:
+        """Raise InvalidSpecError with the problems so far, if there are any."""
+        if self.all_problems:
+            raise InvalidSpecError(self.all_problems)
+
     def key(self, loc: Loc) -> Place:
         """Return the place of a key or, if unknown, of its value or the enclosing node."""
         written = self.places.get(loc)

@@ -17,7 +17,6 @@ from tetractl.log.read.raw_log import ALTERED, RawLog
 from tetractl.log.read.reader import decode_errors, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Event
-from tetractl.tools.table.table_files import json_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +56,6 @@ class Overview:
     stated_digest: str | None
     brief: bool
     damage: Damage | None
-
-    def as_json(self) -> str:
-        """Return the overview as a JSON object; a number that is not finite is null."""
-        return json_text(self)
 
 
 def overview(path: Path) -> Overview:

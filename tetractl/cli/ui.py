@@ -86,7 +86,7 @@ def warn_of_damage(path: str, damage: "Damage | None") -> None:
 def tell_of_earlier_rows(folder: Path, name: str) -> None:
     """Print on stderr that rows of an earlier version, files of this name in a folder or in the
     folders in it, are not read."""
-    places = [path for pattern in (name, f"*/{name}") for path in sorted(folder.glob(pattern))]
+    places = [*folder.glob(name), *sorted(folder.glob(f"*/{name}"))]
     if places:
         more = f" and {len(places) - 1} more" if len(places) > 1 else ""
         tell(

@@ -37,7 +37,7 @@ from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.strength import PerStrength, TurningRate, rate, unit_of
-from tetractl.experiment.trial_robots import TrialRobots, or_trial_robots
+from tetractl.experiment.trial_robots import OrTrialRobots, TrialRobots
 
 
 class Units(Model):
@@ -167,7 +167,7 @@ class Experiment(Model):
     """Units of all numbers."""
     arena: Arena
     """The field of view; starts and targets must lie in it."""
-    robots: Annotated[_Listed, or_trial_robots(_Listed)]
+    robots: Annotated[_Listed, OrTrialRobots(_Listed)]
     """The robots, all steered by the one direction u; or a mapping with `choose`: then each trial
     finds its robots.
     """
@@ -175,7 +175,7 @@ class Experiment(Model):
     """Strength B of the field: in V/cm if robots have `a: {per_V_cm: ...}`, otherwise in mT, as
     coils need it. Turning rates a in rad/s are those at this strength.
     """
-    chosen: Annotated[TrialRobots | None, or_trial_robots(None)] = None
+    chosen: Annotated[TrialRobots | None, OrTrialRobots(None)] = None
     """In a resolved spec, the mapping given as `robots`; `robots` then holds placeholders until a
     trial has found its robots.
     """

@@ -66,7 +66,7 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
         path = folder / identified_file
         identified, text = read_identified(path)
         estimates = _estimates(settled)
-        merged = document.copied()
+        merged = with_settings(document, ())
         merge(merged, identified, str(path), estimates)
         settled = with_settings(merged, settings)
         del settled.data["identified"]  # its values are now in the spec

@@ -7,6 +7,7 @@ such as `choose` of `robots: {choose: 3, ...}`, to its class.
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Self
 
 from pydantic_core import PydanticCustomError
@@ -52,12 +53,6 @@ class TrialRobots(Model):
         """The robots until a trial has found them."""
 
 
-def or_trial_robots(value: Any) -> OrMapping:
-    """Return the annotation of a field that holds a `value`, or a rule by which trials find their
-    robots, as a mapping."""
-    return OrMapping(value, TrialRobots, rule_of, lambda: TRIAL_ROBOTS.usable().values())
-
-
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
     """Return the class that is named after a key of the mapping, else the first there is."""
     names = list(TRIAL_ROBOTS.names())
@@ -67,3 +62,13 @@ def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
     if name not in TRIAL_ROBOTS and why:
         raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(why), "key": name})
     return TRIAL_ROBOTS.load(name)
+
+
+OrTrialRobots = partial(
+    OrMapping,
+    base=TrialRobots,
+    section_of=rule_of,
+    sections=lambda: TRIAL_ROBOTS.usable().values(),
+)
+"""Makes the annotation of a field that holds a value, or a rule by which trials find their robots,
+as a mapping."""

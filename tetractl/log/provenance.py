@@ -95,7 +95,8 @@ def processor(host: Mapping[str, str]) -> str:
     if not name:
         return ""
     sets = f"{host.get('cpu_features')} {host.get('numpy_dispatch')}"
-    return f"{printable(name, 40)}-{hashlib.sha256(sets.encode()).hexdigest()[:6]}"
+    digest = hashlib.sha256(sets.encode())
+    return f"{printable(name, 40)}-{digest.hexdigest()[:6]}"
 
 
 @cache

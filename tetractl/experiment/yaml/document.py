@@ -100,15 +100,6 @@ class Document:
         place = self.place(loc)
         self.problems.append(place.problem(loc, message, place.text))
 
-    def copied(self) -> "Document":
-        """Return a document that can be changed without changing this one."""
-        return replace(
-            self,
-            data=deepcopy(self.data),
-            places=dict(self.places),
-            problems=list(self.problems),
-        )
-
     def holder(self, loc: Loc) -> Any:
         """Return the mapping or list that holds, or will hold, the value at a location."""
         holder: Any = self.data
@@ -303,7 +294,12 @@ def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Docume
     A step of a setting's path is a key, an index, or the `name` of an entry: `robots.0.a`,
     `robots.green.a`. Mappings that the spec omits are created.
     """
-    changed = document.copied()
+    changed = replace(
+        document,
+        data=deepcopy(document.data),
+        places=dict(document.places),
+        problems=list(document.problems),
+    )
     for setting in settings:
         try:
             if isinstance(setting, str):

@@ -133,11 +133,10 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
 
 
 def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
-    """Return a sorting key by which trial-2 precedes trial-10, and x=0/t precedes x=0.1/t."""
-    return [_natural_part(part) for part in path.parts]
-
-
-def _natural_part(part: str) -> list[tuple[int, int, str]]:
-    """Return the sorting key of a part of a path: its numbers by their value."""
-    pieces = re.split(r"(\d+)", part)
-    return [(int(piece), 1, "") if piece.isdecimal() else (0, 0, piece) for piece in pieces]
+    """Return a sorting key by which trial-2 precedes trial-10, and x=0/t precedes x=0.1/t: numbers
+    in the parts of the path count by their value."""
+    key: list[list[tuple[int, int, str]]] = []
+    for part in path.parts:
+        pieces = re.split(r"(\d+)", part)
+        key.append([(int(p), 1, "") if p.isdecimal() else (0, 0, p) for p in pieces])
+    return key

@@ -590,6 +590,70 @@ def test_robots_that_nothing_is_sent_to_are_told(tmp_path, poses, commands, says
         tracks_of(tmp_path, poses, commands)
 
 
+LOST = "time_s,robot,x_mm,y_mm,heading_rad\n" + "".join(
+    f"{t / 10},a,{t * 9},0,0.1\n{t / 10},b,,,\n" for t in range(8)
+)
+
+
+@pytest.mark.parametrize("commands", [NO_NAME, sent_to("a", "b"), COMMANDS])
+def test_a_robot_that_is_never_tracked_is_left_out(tmp_path, commands):
+    """Regression: a traceback."""
+    (track,) = tracks_of(tmp_path, LOST, commands)
+    assert track.names == ("a",)
+    assert f"{tmp_path / 'p.csv'}: no pose is of b" in track.remarks
+
+
+def test_a_table_without_a_pose_is_refused(tmp_path):
+    with pytest.raises(UsageError, match=r"has no robot that is seen$"):
+        tracks_of(tmp_path, LOST.replace(",a,", ",b,").replace("0.1\n", "\n"), COMMANDS)
+
+
+def course(*rows):
+    """A table of poses of a robot, of rows (time, x, y, heading)."""
+    return "time_s,x_mm,y_mm,heading_rad\n" + "".join(
+        f"{time:.3f},{x:.3f},{y:.3f},{heading:.4f}\n" for time, x, y, heading in rows
+    )
+
+
+CIRCLING = [
+    (t / 20, 100 * math.sin(t / 40), -100 * math.cos(t / 40), t / 40 % (2 * math.pi))
+    for t in range(200)
+]
+ELSEWHERE = [(time, x + 400, y, heading) for time, x, y, heading in CIRCLING]
+TURNED = [(time, x, y, heading + 2.5) for time, x, y, heading in CIRCLING]
+JUMPING = {
+    "another from then on": CIRCLING[:120] + ELSEWHERE[120:],
+    "another for 4 s": CIRCLING[:60] + ELSEWHERE[60:140] + CIRCLING[140:],
+    "carried while it was not seen": CIRCLING[:120] + ELSEWHERE[126:],
+}
+GOING_ON = {
+    "seen always": CIRCLING,
+    "not seen for 3 s": CIRCLING[:60] + CIRCLING[120:],
+    "elsewhere once": CIRCLING[:60] + ELSEWHERE[60:61] + CIRCLING[61:],
+    "elsewhere for 1 s": CIRCLING[:60] + ELSEWHERE[60:80] + CIRCLING[80:],
+    "turned once": CIRCLING[:60] + TURNED[60:61] + CIRCLING[61:],
+    "repeated for 1 s": CIRCLING[:60]
+    + [(time, *CIRCLING[60][1:]) for time, *_ in CIRCLING[60:80]]
+    + CIRCLING[80:],
+    "seen at 2 Hz": CIRCLING[::10],
+}
+
+
+@pytest.mark.parametrize("name", JUMPING)
+def test_poses_that_jump_and_stay_are_told(tmp_path, name):
+    """Regression: a turning gain of 0.75 (0.48 to 1.02) for 0.95, without a word."""
+    (track,) = tracks_of(tmp_path, course(*JUMPING[name]), NO_NAME)
+    (remark,) = [text for text in track.remarks if "jump and stay there: robot at " in text]
+    jumps_s = 2.95 if name == "another for 4 s" else 5.95
+    assert f"robot at {jumps_s:.2f} s: " in remark
+
+
+@pytest.mark.parametrize("name", GOING_ON)
+def test_poses_that_go_on_are_not_told_to_jump(tmp_path, name):
+    (track,) = tracks_of(tmp_path, course(*GOING_ON[name]), NO_NAME)
+    assert not [text for text in track.remarks if "stay there" in text]
+
+
 def twice(table, later_s=0.0):
     """A table whose rows follow once more, from their first time or a little later on."""
     header, *rows = table.splitlines()
@@ -759,3 +823,42 @@ def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
     with_speed = "\n".join([header + ",v_mm_s", *(row + ",90" for row in rows), ""])
     (track,) = tracks_of(tmp_path, with_speed, NO_NAME)
     assert track.names == ("robot",)
+
+
+DATES = {
+    "a date": ("2026-05-04T12:00:00.0", "2026-05-04T12:00:00.1"),
+    "a blank between": ("2026-05-04 12:00:00.000000", "2026-05-04 12:00:00.100000"),
+    "universal time": ("2026-05-04T12:00:00.0Z", "2026-05-04T12:00:00.1Z"),
+    "a time zone": ("2026-05-04T12:00:00.0+02:00", "2026-05-04T12:00:00.1+02:00"),
+    "a time of day": ("23:59:59.9", "23:59:59.99"),
+    "over midnight": ("2026-05-04T23:59:59.95", "2026-05-05T00:00:00.05"),
+}
+
+
+def of_times(times, header="timestamp"):
+    """Poses and commands at two times each."""
+    poses = f"{header},x_mm,y_mm,heading_rad\n{times[0]},1,2,0.1\n{times[1]},3,2,0.2\n"
+    return poses, f"{header},direction_rad\n{times[0]},0.5\n{times[1]},0.7\n"
+
+
+@pytest.mark.parametrize("header", ["timestamp", "time_s"])
+@pytest.mark.parametrize("name", DATES)
+def test_times_may_be_dates(tmp_path, name, header):
+    """Regression: "column timestamp states no unit", "name it timestamp_s"."""
+    (track,) = tracks_of(tmp_path, *of_times(DATES[name], header))
+    apart_s = 0.09 if name == "a time of day" else 0.1
+    assert track.time.tolist() == pytest.approx([0.0, apart_s], abs=1e-6)
+    assert track.sent.tolist() == pytest.approx([0.0, apart_s], abs=1e-6)
+
+
+@pytest.mark.parametrize("date", ["04/05/2026 12:00:00", "May 4 12:00:00", "25:00:00"])
+def test_other_dates_are_refused(tmp_path, date):
+    with pytest.raises(UsageError, match=r"p\.csv, line 2: timestamp: .* is no date") as caught:
+        tracks_of(tmp_path, *of_times((date, date)))
+    assert caught.value.hint is not None
+
+
+def test_a_word_among_numbers_is_told_from_an_entry_that_is_empty(tmp_path):
+    with pytest.raises(UsageError, match=r"line 3: x_mm: 'lost' is not a number") as caught:
+        tracks_of(tmp_path, POSES.replace("3,2,0.2", "lost,2,0.2"), COMMANDS)
+    assert caught.value.hint == "where nothing was measured, leave the entry empty"

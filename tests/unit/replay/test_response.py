@@ -9,7 +9,7 @@ import pytest
 from tetractl.core.errors import UsageError
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl.replay.identification.identify import LATE_S
-from tetractl.replay.identification.response import respond, response_table
+from tetractl.replay.identification.response import RobotResponse, respond, response_table
 from tetractl.replay.identification.tracks import Track
 
 TRUE = {
@@ -294,6 +294,32 @@ def test_a_radius_that_is_the_distance_between_the_wheels_is_asked_for():
     assert "the distance between the wheels?" in response_table([response], "", "mm").note
     (response,) = respond([track])
     assert "between the wheels" not in response_table([response], "", "mm").note
+
+
+def response_of(turning_gain, speed_gain):
+    """The response of a robot with some gains."""
+    values = TRUE | {"heading_noise": HEADING_NOISE_RAD, "position_noise": POSITION_NOISE_MM}
+    values |= {"turning_gain": turning_gain, "speed_gain": speed_gain}
+    intervals = {name: SampleInterval(x, 0.9 * x, 1.1 * x) for name, x in values.items()}
+    return RobotResponse("one", **intervals, intervals=300, left_out=0)
+
+
+@pytest.mark.parametrize(
+    ("turning_gain", "speed_gain", "are_asked"),
+    [
+        (1.58, 1.53, True),
+        (0.5, 0.55, True),
+        (0.93, 0.92, False),
+        (0.8, 0.6, False),  # slips as it drives
+        (0.6, 0.9, False),  # slips as it turns
+        (1.9, 1.0, False),  # w of a radius that is the base
+        (1.4, 1.45, False),
+    ],
+)
+def test_gains_of_commands_that_are_no_speeds_are_asked_for(turning_gain, speed_gain, are_asked):
+    """Regression: gains of 1.58 and 1.53 of shares of power, named left_mm_s, without a word."""
+    note = response_table([response_of(turning_gain, speed_gain)], "", "mm").note
+    assert ("are commands speeds in their unit" in note) is are_asked
 
 
 @pytest.mark.long

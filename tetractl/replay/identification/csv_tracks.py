@@ -14,7 +14,12 @@ import numpy as np
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, turn_problem, wrap
 from tetractl.replay.identification.clocks import Span, clock_remark, refuse_sparse
-from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
+from tetractl.replay.identification.measured_motion import (
+    PoseSteps,
+    check_angle,
+    jumps_of,
+    measured,
+)
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
     SentDirections,
@@ -39,6 +44,7 @@ from tetractl.tools.table.quantities import (
     again,
     earlier,
     find_column,
+    find_date,
     find_time,
     name_and_unit,
     refuse_degrees,
@@ -254,8 +260,9 @@ def csv_tracks(
                     f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
     idle = _idle_robots(list(trials.values()))
+    unseen = _unseen_robots(list(trials.values()))
     tracks = [
-        _track(numbers, unit, trial, shortest_s, on_wheels, idle)
+        _track(numbers, unit, trial, shortest_s, on_wheels, idle, unseen)
         for trial, numbers in trials.items()
     ]
     return [replace(track, on_wheels=on_wheels) for track in tracks]
@@ -287,6 +294,16 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
     return idle
 
 
+def _unseen_robots(trials: list[_Numbers]) -> set[str]:
+    """Return the robots of which no trial has a pose."""
+    seen = set[str]()
+    for numbers in trials:
+        rows = np.array(numbers.poses).reshape(-1, 5)
+        known = set(rows[np.isfinite(rows).all(axis=1), 1].tolist())
+        seen.update(robot for robot, number in numbers.robots.items() if number in known)
+    return {robot for numbers in trials for robot in numbers.robots} - seen
+
+
 def _rows(path: Path) -> Iterator[CsvRow]:
     """Return the rows of a file, which Motive may have exported."""
     return motive_rows(path) if is_motive(path) else read_csv(path)
@@ -302,10 +319,11 @@ def _refuse_twice(paths: list[Path]) -> None:
         files.add(file)
 
 
-def _columns(path: Path, headers: Collection[str]) -> _Columns:
-    """Return the columns of a file of poses or of commands; UsageError if it is neither."""
+def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
+    """Return the columns of a file of poses or of commands, of its first row by `headers`;
+    UsageError if it is neither."""
     named = {name_and_unit(header)[0] for header in headers}
-    time = find_time(path, headers)
+    time = find_date(headers) or find_time(path, headers)
     present: dict[str, int] = {}
     for form, columns in FORMS.items():
         names = {name_and_unit(column)[0] for column in columns}
@@ -386,8 +404,9 @@ def _track(
     shortest_s: float,
     on_wheels: bool,
     idle: set[str],
+    unseen: set[str],
 ) -> Track:
-    """Return the track of a trial, its times counted from its first pose."""
+    """Return the track of a trial without some robots, its times counted from its first pose."""
     poses_path = numbers.poses_path
     commands_path = numbers.commands_path
     if poses_path is None or commands_path is None:
@@ -400,10 +419,12 @@ def _track(
     begin = float(rows[:, 0].min())
     rows[:, 0] -= begin
     brief = _brief_robots(numbers, rows, shortest_s)
-    robots = {robot: k for robot, k in numbers.robots.items() if robot not in {*brief, *idle}}
+    absent = {*brief, *idle, *unseen}
+    robots = {robot: k for robot, k in numbers.robots.items() if robot not in absent}
     rows = rows[np.isin(rows[:, 1], list(robots.values()))]
     if not robots:
-        raise UsageError(f"{poses_path}: has no robot that is seen for {shortest_s:g} s")
+        long_s = f" for {shortest_s:g} s" if shortest_s else ""
+        raise UsageError(f"{poses_path}: has no robot that is seen{long_s}")
     names = tuple(robot or ONE_ROBOT for robot in robots)
     time, poses, valid = _frames(poses_path, rows, len(names))
     sent = (
@@ -418,12 +439,16 @@ def _track(
     remarks: list[str] = []
     if on_wheels:
         refuse_sparse(str(poses_path), min(_seen_at(rows), key=_usual_gap))
-        valid, remarks = _measured(poses_path, names, time, poses, valid)
+        valid, remarks = _measured(poses_path, names, begin + time, poses, valid)
     if not numbers.twists:
         _check_angles(poses_path, names, time, poses, valid)
-    unsent = sorted(idle & set(numbers.robots))
-    if unsent:
-        remarks.append(f"{commands_path}: no command is for {', '.join(map(printable, unsent))}")
+    for absent_robots, source, said in (
+        (idle, commands_path, "no command is for"),
+        (unseen - idle, poses_path, "no pose is of"),
+    ):
+        named = sorted(absent_robots & set(numbers.robots))
+        if named:
+            remarks.append(f"{source}: {said} {', '.join(map(printable, named))}")
     until = float(sent.when[-1]) + _usual_gap(sent.when)
     poses_span = Span(str(poses_path), begin, begin + float(time[-1]))
     commands_span = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
@@ -573,9 +598,10 @@ def _measured(
     path: Path, names: tuple[str, ...], time: Floats, poses: Floats, valid: Bools
 ) -> tuple[Bools, list[str]]:
     """Return which poses (M, N, 3) are measurements (M, N), and what to say of robots of which a
-    share above NO_MEASUREMENT is none."""
+    share above NO_MEASUREMENT is none, or that jump."""
     is_measured = np.zeros_like(valid)
     said: list[str] = []
+    jumped: list[str] = []
     for robot, name in enumerate(names):
         rows = np.flatnonzero(valid[:, robot])
         kept = rows[measured(time[rows], poses[rows, robot])]
@@ -583,10 +609,17 @@ def _measured(
         share = 1 - len(kept) / max(len(rows), 1)
         if share > NO_MEASUREMENT:
             said.append(f"{share:.1%} of {printable(name)}")
-    if not said:
-        return is_measured, []
-    text = f"{path}: poses that repeat the one before, or jump away and back, are left out"
-    return is_measured, [f"{text}: {', '.join(said)}"]
+        jumps = jumps_of(time[kept], poses[kept, robot])
+        if len(jumps):
+            jumped.append(f"{printable(name)} at {time[kept[jumps[0]]]:.2f} s")
+    remarks: list[str] = []
+    if said:
+        text = f"{path}: poses that repeat the one before, or jump away and back, are left out"
+        remarks.append(f"{text}: {', '.join(said)}")
+    if jumped:
+        text = f"{path}: poses jump and stay there: {', '.join(jumped)}"
+        remarks.append(f"{text}: is it another robot from then on, or was it carried?")
+    return is_measured, remarks
 
 
 def _check_angles(

@@ -66,11 +66,22 @@ Complex = NDArray[np.complex128]
 
 def measured(times: Floats, poses: Floats) -> Bools:
     """Return which poses (M, 3) of a robot at `times` (M,) [s] are measurements."""
+    if not len(times):
+        return np.zeros(0, dtype=np.bool_)
     kept = np.flatnonzero(~_repeats(poses))
     chain = _longest_chain(times[kept], poses[kept])
     is_measured = np.zeros(len(times), dtype=np.bool_)
     is_measured[kept[chain]] = True
     return is_measured
+
+
+def jumps_of(times: Floats, poses: Floats) -> Integers:
+    """Return the measurements (K,) of those (M, 3) at `times` (M,) [s] after which a robot is
+    suddenly elsewhere, and stays there."""
+    if len(times) < 2:
+        return np.arange(0)
+    before = np.arange(len(times) - 1)
+    return np.flatnonzero(_Jumps.of(times, poses).between(before, before + 1))
 
 
 def _repeats(poses: Floats) -> Bools:

@@ -775,7 +775,17 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
     low, high = GAIN_OF_BASE
     if any(low < robot.turning_gain.value < high for robot in responses):
         note += "\na turning gain near 2: is radius, or that of w, the distance between the wheels?"
+    if any(_is_of_no_unit(robot) for robot in responses):
+        note += (
+            "\ngains far from 1: are commands speeds in their unit, not counts or shares of power?"
+        )
     return Table(title, tuple(columns), note)
+
+
+def _is_of_no_unit(robot: RobotResponse) -> bool:
+    """Return whether a robot both turns and drives as no robot does that obeys."""
+    gains = (robot.turning_gain.value, robot.speed_gain.value)
+    return all(not 1 / UNIT_WITHIN < gain < UNIT_WITHIN for gain in gains)
 
 
 def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:

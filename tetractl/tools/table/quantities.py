@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,8 @@ _UNITS |= SPELLINGS
 _BRACKETS = re.compile(r"(.*?)_*[\[(](.*)[\])]")
 _UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Entries that state no number."""
+NOT_MEASURED = "where nothing was measured, leave the entry empty"
+"""Hint for a word among numbers."""
 _TRUTH = {"true": True, "1": True, "yes": True, "": True, "false": False, "0": False, "no": False}
 NUMBER_MAX = 1e9
 """Largest number but a time, of which only differences matter."""
@@ -95,9 +98,31 @@ class NumberColumn:
             value = math.inf
         if not abs(value) <= self.largest:
             wrong = f"{text[:60]!r} is not a number of at most {self.largest:g}"
-            hint = DECIMAL_COMMA if has_decimal_comma(text) else None
+            hint = DECIMAL_COMMA if has_decimal_comma(text) else NOT_MEASURED
             raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {wrong}", hint)
         return value * self.factor
+
+
+@dataclass(frozen=True, slots=True)
+class DateColumn(NumberColumn):
+    """A column of dates, such as 2026-05-04T12:00:00.5, or times of day, as times since 1970 [s].
+
+    Without a time zone they are of one that does not change.
+    """
+
+    def optional(self, path: Path, row: CsvRow) -> float:
+        """Return the date in a row [s], NaN if it states none."""
+        text = row.cells[self.key]
+        if text.lower() in _UNKNOWN:
+            return math.nan
+        try:
+            date = datetime.fromisoformat(text if "-" in text else f"1970-01-01T{text}")
+        except ValueError:
+            raise UsageError(
+                f"{path}, line {row.line}: {printable(self.key)}: {text[:60]!r} is no date",
+                "write dates as 2026-05-04T12:00:00.5, or times in seconds",
+            ) from None
+        return date.replace(tzinfo=date.tzinfo or UTC).timestamp()
 
 
 def name_and_unit(header: str) -> tuple[str, str]:
@@ -105,8 +130,8 @@ def name_and_unit(header: str) -> tuple[str, str]:
     text = re.sub(r"[ _]+", "_", header.strip().lower()).replace("_per_", "_")
     match = _BRACKETS.fullmatch(text)
     if match:
-        unit = match[2].replace("/", "_")
-        return match[1], _UNITS.get(unit, unit)
+        parts = match[2].replace("/", "_").split("_")
+        return match[1], "_".join(_UNITS.get(part, part) for part in parts)
     for unit in sorted(_UNITS, key=len, reverse=True):
         if text.endswith(f"_{unit}"):
             return text.removesuffix(f"_{unit}"), _UNITS[unit]
@@ -141,6 +166,14 @@ def find_column(
 def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
     """Return the column of times [s], None if there is none."""
     return find_column(path, headers, TIME_NAMES, SECONDS)
+
+
+def find_date(cells: Mapping[str, str]) -> DateColumn | None:
+    """Return the column of times that has a date in a row's `cells`, None if there is none."""
+    for header, entry in cells.items():
+        if name_and_unit(header)[0] in TIME_NAMES and ":" in entry:
+            return DateColumn(header)
+    return None
 
 
 def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angles: Floats) -> None:

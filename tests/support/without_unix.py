@@ -31,10 +31,13 @@ if __name__ == "__main__":
         for name in names:
             if hasattr(module, name):
                 delattr(module, name)
+    from tetractl.cli import main
     from tetractl.cli.app import run_app
 
-    for command in sys.argv[1:]:
-        sys.argv = ["tetractl", *shlex.split(command)]
+    *earlier, last = [["tetractl", *shlex.split(command)] for command in sys.argv[1:]]
+    for sys.argv in earlier:
         code = run_app()
         if code != 0:
             sys.exit(int(code))
+    sys.argv = last
+    main()

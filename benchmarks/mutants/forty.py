@@ -43,7 +43,7 @@ tetractl/model/obstacles.py | return self.distance(x, y) <= 0 | return self.dist
 tetractl/plant/direct.py | np.sin(direction - answered)[reached] | np.sin(answered - direction)[reached] | tests/unit/plant
 tetractl/plant/disturbances/robots.py | min(1.0, time_s / self._section.over) | max(1.0, time_s / self._section.over) | tests/unit/plant
 tetractl/replay/identification/response.py | np.maximum(SETTLED * std, LEAST_CHANGE)).all() | np.maximum(SETTLED * std, LEAST_CHANGE)).any() | tests/unit/replay/test_response.py
-tetractl/replay/lab_result.py | (log.received_ns > first_step_ns) | (log.received_ns < first_step_ns) | packages/tetractl-emulator/tests/unit/test_lab_tampering.py packages/tetractl-emulator/tests/unit/test_lab_forged.py
+tetractl/replay/lab_result.py | (log.received_ns > first_step_ns) | (log.received_ns < first_step_ns) | tests/unit/replay/test_verify.py
 tetractl/report/page.py | max(CARRIED_MIN, CARRIED // groups) | min(CARRIED_MIN, CARRIED // groups) | tests/unit/report tests/cli/test_report_cli.py
 packages/tetractl-papers/tetractl_papers/claim.py | values = values - subtracted | values = values + subtracted | packages/tetractl-papers/tests
 tetractl/results/mean_difference.py | values.mean - values.ci95.low, values.ci95.high - values.mean | values.mean - values.ci95.low, values.mean - values.ci95.low | tests/unit/results tests/unit/study
@@ -54,10 +54,10 @@ tetractl/study/sweep.py | self._between(self.low, self.high + 1, share) | self._
 tetractl/testing/device_checks.py | 0 <= age_ns <= SECOND | 0 <= age_ns | tests/unit/test_testing.py
 tetractl/tools/table/csv_rows.py | if separator == BLANKS: | if separator != BLANKS: | tests/unit/tools
 tetractl/view/figures/curves.py | np.searchsorted(_since(log), time_s, side="right") - 1 | np.searchsorted(_since(log), time_s, side="left") - 1 | tests/unit/view/figures
-packages/tetractl-emulator/tetractl_emulator/pictures/field.py | if reply and not self.trouble.mute: | if reply: | packages/tetractl-emulator/tests
+packages/tetractl-emulator/tetractl_emulator/pictures/field.py | if reply and not self.trouble.mute: | if reply: | packages/tetractl-microscope/tests/unit/coils
 packages/tetractl-microscope/tetractl_microscope/apriltag/floor.py | (shift.ravel() - self.shift.ravel()) | (shift.ravel() + self.shift.ravel()) | packages/tetractl-microscope/tests/unit/apriltag
 packages/tetractl-microscope/tetractl_microscope/cells/match.py | blob_um2 > LARGE * cell.size.area_um2 | blob_um2 < LARGE * cell.size.area_um2 | packages/tetractl-microscope/tests/unit/cells
-packages/tetractl-microscope/tetractl_microscope/choice/choosing.py | max(combinations_of_cells, | min(combinations_of_cells, | packages/tetractl-microscope/tests/unit
+packages/tetractl-microscope/tetractl_microscope/choice/choosing.py | max(combinations_of_cells, | min(combinations_of_cells, | packages/tetractl-microscope/tests/unit/test_ranked.py
 packages/tetractl-microscope/tetractl_microscope/coils/section.py | sin * x + cos * y | sin * x - cos * y | packages/tetractl-microscope/tests/unit/coils
 packages/tetractl-microscope/tetractl_microscope/film/who.py | bisect_left(self.times, seconds - ROUNDING_S) | bisect_left(self.times, seconds + ROUNDING_S) | packages/tetractl-microscope/tests/unit/film
 packages/tetractl-microscope/tetractl_microscope/pictures/multipart.py | [start : start + length] | [start : start + length - 1] | packages/tetractl-microscope/tests/unit/pictures

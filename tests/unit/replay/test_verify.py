@@ -364,6 +364,19 @@ def test_a_pose_that_came_too_late_to_count_as_tracked_is_part_of_the_path(
     assert ("result.edge.0" not in fields) == agrees
 
 
+@pytest.mark.parametrize(("edge_mm", "agrees"), [(490.0, True), (500.0, False)])
+def test_of_frames_that_were_read_the_least_distance_counts(tmp_path, edge_mm, agrees):
+    log = lab_log(tmp_path, lost(0, 100), 0.0, "yes", 0.001)
+    mocap = log.mocap.copy()
+    mocap[:, 0, :2] = (log.start.setup.arena.left + 500, 1000)
+    mocap[60:, 0, 0] -= 10
+    final = replace(log.result.verdict.final, x=mocap[-1, :, 0], y=mocap[-1, :, 1])
+    edges = (edge_mm, *log.result.verdict.edge[1:])
+    verdict = replace(log.result.verdict, final=final, edge=edges)
+    fields = fields_that_differ(replace(log, mocap=mocap), replace(log.result, verdict=verdict))
+    assert ("result.edge.0" not in fields) == agrees
+
+
 @pytest.mark.parametrize(("row", "agrees"), [(-1, True), (-20, False)])
 def test_cells_whose_pictures_ended_before_the_stop_have_the_last_poses(tmp_path, row, agrees):
     """The stop comes 0.8 s after the last frame: 0.5 s until the trial aborts, and repeats."""

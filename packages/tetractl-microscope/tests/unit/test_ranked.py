@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.paths import EXAMPLES
 from tetractl_microscope.choice.candidate import RobotCandidate
+from tetractl_microscope.choice.choosing import chosen_from
 from tetractl_microscope.choice.ranked import RankedChoice, ranked
 
 from tetractl.analysis.closed_loop import Noise
@@ -40,6 +41,12 @@ def test_what_does_not_swim_does_not_respond_to_the_field():
     speck = replace(found_cell(1, 6.04), a_sd=1.71, speed=7.9, speed_sd=5.2)
     assert not speck.magnetised
     assert replace(speck, speed=79.0).magnetised
+
+
+def test_the_cells_of_a_trial_are_those_that_differ_most():
+    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
+    cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
+    assert [cell.number for cell in chosen_from(spec.experiment, cells)] == [2, 0]
 
 
 @pytest.mark.long

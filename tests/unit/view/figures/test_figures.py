@@ -24,6 +24,7 @@ from tetractl.replay.player import Recording, first_seen
 from tetractl.report.trial_data import trial_data
 from tetractl.view import style
 from tetractl.view.figures.axes import separated
+from tetractl.view.figures.curves import errors_at
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.trajectory import trajectory_figure
 
@@ -33,6 +34,13 @@ SEVERAL = ("trajectory", "errors", "batch")  # kinds that show several trials
 ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
 COURSES = tuple(kind for kind in FIGURES.names() if kind != "batch")
 TARGETS = np.array([robot["target"] for robot in THREE_M3PI["robots"]])
+
+
+def test_an_error_at_the_time_of_a_frame_is_that_of_the_frame():
+    log = replace(three_robots(), result=None)
+    time_s = (log.mocap_ns - log.began_ns) / SECOND
+    distances = np.hypot(*(log.mocap[:, :, :2] - TARGETS).T).T
+    assert errors_at(log, time_s[:9]) == pytest.approx(distances[:9])
 
 
 @pytest.fixture(scope="module")

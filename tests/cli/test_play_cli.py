@@ -119,7 +119,7 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
         terminal.press("\x1b[<0;20;10M\x1b[<32;24;8M")
         terminal.expect(r"↗ \+45°")
         terminal.press(" ")
-        terminal.expect(r"You: [\d.]+ mm in \d+ s. All got")
+        terminal.expect(r"You: [\d.]+ mm in \d+ s. All heard")
         terminal.expect("ENTER: the controller  R: again")
         terminal.press("\x1b[A")  # answers nothing
         terminal.press("\r")

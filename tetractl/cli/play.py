@@ -227,7 +227,7 @@ def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
         experiment.units.length,
         live=True,
         hints=LAB_HINTS,
-        aside=task(experiment.setup),
+        aside=task(experiment.setup, experiment.plant.disturbed),
     )
     with StopKey(emergency.set, entered.set, steer=keys.press), keys:
         console.print("; ".join(LAB_HINTS), style="bold", highlight=False)
@@ -260,7 +260,8 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     emergency = threading.Event()
     keys = HandKeys(ended=lambda: interrupt.requested or emergency.is_set())
     hints = HINTS if simulated else LAB_HINTS
-    view = LiveView(console, hints=hints, aside=task(game.experiment.setup), plain=True)
+    aside = task(game.experiment.setup, game.experiment.plant.disturbed)
+    view = LiveView(console, hints=hints, aside=aside, plain=True)
     stop = keys.stop if simulated else emergency.set
 
     def say_at_end(result: "Result") -> None:
@@ -286,7 +287,10 @@ def _controller_steers(game: Game, console: "Console", speed: float) -> str:
 
     you = f"You: {_how_well(game.yours[-1], game.experiment)}."
     keys = HandKeys(ended=lambda: game.interrupt.requested)
-    view = LiveView(console, aside=f"{you} Now the controller, from the same start.")
+    aside = (
+        f"{you} Now the controller, from the same start. Dots: its plan, made anew at each step."
+    )
+    view = LiveView(console, aside=aside, plain=True)
 
     def say_at_end(result: "Result") -> None:
         did = f"The controller: {_how_well(result, game.experiment)}."

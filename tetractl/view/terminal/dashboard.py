@@ -141,8 +141,9 @@ class Dashboard:
     """Shows a trial at one instant, on all the space available.
 
     `heading` names the trial, `notes` are warnings such as a log's damage, and `aside` is text
-    below the notes. A `plain` one, for who steers by hand, leaves out the step's number, events
-    that are no warnings, and how the trial ended unless it was cut short: the aside says it.
+    below the notes. A `plain` one, for who steers by hand, leaves out the numbers of
+    the step and its search, events that are no warnings, and how the trial ended unless it was cut
+    short: the aside says it.
     """
 
     def __init__(
@@ -237,7 +238,7 @@ class Dashboard:
             lines.append(_row(width, "step k", "k", number))
         if step is None:
             return lines
-        if not (step.plan.pauses or _is_given(step)):
+        if not (self._plain or step.plan.pauses or _is_given(step)):
             count = len(step.plan.signals)
             signals = "1 signal" if count == 1 else f"{count} signals"
             lines.append(_row(width, "horizon", "h", signals))
@@ -265,8 +266,8 @@ class Dashboard:
         full = max(float(np.nanmax(at_start)), SMALLEST)
         columns = _RobotColumns.fit(width, setup.names[:listed], distances[:listed], full)
         what = f"to target [{setup.unit}]"
-        how = self._moment.known
-        title = _first_fitting(width, f"distance {what}, {how}", f"{what}, {how}", what)
+        how = "" if self._plain else f", {self._moment.known}"
+        title = _first_fitting(width, f"distance {what}{how}", f"{what}{how}", what)
         lines = [Text(title, "dim", no_wrap=True)]
         lines += [self._robot(glyphs, robot, columns, full) for robot in range(listed)]
         if listed < len(distances):
@@ -315,7 +316,7 @@ class Dashboard:
         step = self._moment.step
         if step is None or step.plan.pauses:
             return []  # robots that stand follow no plan
-        if _is_given(step):
+        if self._plain or _is_given(step):
             return []
         search = step.plan.search
         done = len(search.history) - 1
@@ -342,7 +343,7 @@ class Dashboard:
     def _effort(self, width: int) -> list[Text]:
         """Return how long the newest search took, and its evaluations."""
         step = self._moment.step
-        if step is None or _is_given(step):
+        if step is None or self._plain or _is_given(step):
             return []
         solve = _row(width, "solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
         if step.deadline_missed:

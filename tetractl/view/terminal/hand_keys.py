@@ -37,8 +37,9 @@ LEAVE = "q"
 """Answers to the question at the end of a trial, what comes next. No arrow is one, so that a hand
 that still steers answers nothing."""
 WHY = (
-    "All got the same directions, but each turned at its own rate: so each turn moves them against "
-    "each other. Hard: no robot moves alone; what brings one home takes others away."
+    "All heard the same, but each turns at its own rate, so every turn changes the gaps between "
+    "them: the right turns in the right order bring each home. Hard: no robot moves alone; what "
+    "brings one home takes others away."
 )
 """What a person has felt when the trial has ended, in eight lines of the smallest panel."""
 WAIT_S = 0.01
@@ -144,14 +145,15 @@ class HandKeys:
         sys.stderr.flush()
 
 
-def task(setup: Setup) -> str:
+def task(setup: Setup, disturbed: bool) -> str:
     """Return what a person is to do, and what differs between the robots."""
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
+    dots = "about where they go if you hold it" if disturbed else "where they go if you hold it"
     round_what = f", round the yellow {plural('obstacle', len(setup.obstacles))}"
     return (
         "Press an arrow: all robots turn to it as they drive, each at its own rate"
-        f"{rates}. Bring each to the square of its colour"
+        f"{rates}. Dots: {dots}. Bring each to the square of its colour"
         f"{round_what if setup.obstacles else ''}. SPACE ends it; then the controller can try."
     )
 

@@ -85,11 +85,30 @@ class TrialSoFar:
         self._result = result
 
     def warnings(self) -> tuple[str, ...]:
-        """Return which robots were in an obstacle or outside the arena."""
+        """Return which robots were in an obstacle or outside the arena, and who is outside now."""
+        setup = self.start.setup
         verdict = self._path.verdict(Poses.of(self._poses))
-        names = np.array(self.start.setup.names)
+        names = np.array(setup.names)
         entered = [f"{name} entered an obstacle" for name in names[verdict.in_obstacle()]]
-        return (*entered, *(f"{name} left the arena" for name in names[verdict.over_edge()]))
+        left = [
+            f"{names[robot]} left the arena{self._where_outside(robot)}"
+            for robot in np.flatnonzero(verdict.over_edge()).tolist()
+        ]
+        return (*entered, *left)
+
+    def _where_outside(self, robot: int) -> str:
+        """Return how far and where outside the arena a robot is; "" for one that is inside."""
+        arena = self.start.setup.arena
+        x, y = self._poses[robot, :2]
+        beyond = {
+            "left of it": arena.left - x,
+            "right of it": x - arena.right,
+            "below it": arena.bottom - y,
+            "above it": y - arena.top,
+        }
+        side = max(beyond, key=lambda side: beyond[side])
+        unit = self.start.setup.unit
+        return f": {beyond[side]:.3g} {unit} {side}" if beyond[side] > 0 else ""
 
     def moment(self) -> Moment:
         """Return the newest instant."""
@@ -102,7 +121,7 @@ class TrialSoFar:
         )
         return Moment(
             setup=setup,
-            time_s=seconds(self._now_ns - began_ns),
+            time_s=self._result.duration_s if self._result else seconds(self._now_ns - began_ns),
             end_s=None,
             poses=self._poses,
             trail=np.array(self._trail).reshape(-1, len(setup.names), 2),

@@ -106,13 +106,17 @@ def test_the_task_names_who_turns_fastest_and_slowest():
         "controller": {"type": "mpc"},
     }
     two = parse_contents(contents | {"robots": robots}, "x").experiment.setup
-    assert "(lea fastest, kim slowest)" in task(two)
-    assert "obstacle" not in task(two)
+    assert "(lea fastest, kim slowest)" in task(two, disturbed=False)
+    assert "obstacle" not in task(two, disturbed=False)
+    assert "Dots: where they go" in task(two, disturbed=False)
+    assert "Dots: about where they go" in task(two, disturbed=True)
     obstacle = {"type": "circle", "center": [0.3, 0.3], "radius": 0.01}
     with_one = parse_contents(contents | {"robots": robots, "obstacles": [obstacle]}, "x")
-    assert "colour, round the yellow obstacle. SPACE" in task(with_one.experiment.setup)
+    assert "colour, round the yellow obstacle. SPACE" in task(
+        with_one.experiment.setup, disturbed=False
+    )
     one = parse_contents(contents | {"robots": robots[:1]}, "x").experiment.setup
-    assert "fastest" not in task(one)
+    assert "fastest" not in task(one, disturbed=False)
 
 
 def test_the_terminal_tells_of_its_mouse_inside_the_block_alone(capsys):

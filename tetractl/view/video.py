@@ -33,8 +33,8 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import Moment, Recording, tracked
 from tetractl.tools.children import Child
 from tetractl.view import style
-from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfinished
 from tetractl.view.figures.trajectory import DishGround, draw_scene
+from tetractl.view.figures.trials import NUMBERED, need_steps, robot_labels, unfinished
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
 """Pictures per second by format; a GIF can only state intervals in hundredths of a second."""

@@ -65,8 +65,13 @@ class Track:
 
 
 def track_of(log: TrialLog) -> Track:
-    """Return the track of a log: measured poses and commands, never the true poses."""
-    require_field(log)
+    """Return the track of a log: measured poses and commands, never the true poses; UsageError if
+    its robots drove with the field off at times."""
+    if any(isinstance(command.action, FieldOff) for command in log.commands):
+        raise UsageError(
+            f"{log.log}: its robots drove with the field off at times",
+            "use the log of a controller that sends a direction at every step",
+        )
     setup = log.start.setup
     directed = [command for command in log.commands if command.direction is not None]
     if not directed and log.steps:
@@ -130,15 +135,6 @@ def _paused(log: TrialLog) -> Bools:
             until_ns = again_ns + round(SETTLED_S * SECOND)
             paused |= (log.mocap_ns >= stop_ns) & (log.mocap_ns < until_ns)
     return paused
-
-
-def require_field(log: TrialLog) -> None:
-    """Raise UsageError for a log whose robots drove with the field off at times."""
-    if any(isinstance(command.action, FieldOff) for command in log.commands):
-        raise UsageError(
-            f"{log.log}: its robots drove with the field off at times",
-            "use the log of a controller that sends a direction at every step",
-        )
 
 
 def stopped_ns(log: TrialLog) -> int | None:

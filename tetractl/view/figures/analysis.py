@@ -16,7 +16,7 @@ from tetractl.core.errors import UsageError, unit_of
 from tetractl.core.poses import ellipse
 from tetractl.core.setup import Setup
 from tetractl.view import style
-from tetractl.view.figures.axes import robot_labels
+from tetractl.view.figures.trials import robot_labels
 
 CURVE: dict[str, Any] = {"color": style.WHOLE, "marker": "o", "ms": 3}
 """The look of a curve of predicted errors."""

@@ -1,4 +1,4 @@
-"""Functions shared by figures: selecting trials, names of robots, and axes."""
+"""Axes of figures: logarithmic ones, dots of errors side by side, and names of categories."""
 
 import math
 import re
@@ -15,16 +15,8 @@ from matplotlib.ticker import (
     NullFormatter,
 )
 
-from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
-from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8
-"""Least number of robots that are numbered."""
-NAME_LENGTH = 16
-"""Largest length of a robot's name [characters]."""
-PANELS_MAX = 12
-"""Largest number of panels of a figure with a panel for each folder."""
 LOG_FROM = 30
 """Ratio of the largest error to the least from which their axis is logarithmic."""
 ROWS = 40
@@ -52,119 +44,6 @@ NAMES_MANY = 50
 NAME_PT = 6
 SMALL_NAME_PT = 4
 """Sizes of type of the names of categories [pt]."""
-
-
-def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
-    """Return the only log; UsageError if there are several."""
-    if len(logs) > 1:
-        raise UsageError(
-            f"this figure shows one trial, not {len(logs)}",
-            "give one log, or use --kind trajectory, errors or batch",
-        )
-    return logs[0]
-
-
-def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
-    """Return the trials of each folder, only the `complete` ones or all; the key is the folder's
-    name, or its path if two folders have the same name.
-
-    Raises UsageError if the trials' errors are in different units, LogError if there is no trial.
-    """
-    units = {log.start.setup.unit for log in logs}
-    if len(units) > 1:
-        raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
-    folders: dict[str, list[TrialLog]] = {}
-    for log in logs:
-        if not complete or not unfinished(log):
-            folder, _, _ = log.log.rpartition("/")
-            folders.setdefault(folder, []).append(log)
-    if not folders:
-        raise LogError("no complete trial to plot")
-    names = [folder.rpartition("/")[2] or "trials" for folder in folders]
-    distinct = len(set(names)) == len(names)
-    labels = names if distinct else list(folders)
-    return dict(zip(labels, folders.values(), strict=True))
-
-
-def panels_of(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
-    """Return the trials of each folder, for a panel each; a single folder has the name "".
-
-    Raises UsageError for too many folders, and for trials of unlike robots in a folder.
-    """
-    folders = by_folder(logs, complete=False)
-    if len(folders) > PANELS_MAX:
-        raise UsageError(
-            f"{len(folders)} folders: this figure has a panel for each of at most {PANELS_MAX}",
-            "give fewer folders, or use --kind batch",
-        )
-    for of_folder in folders.values():
-        check_alike(of_folder)
-    return folders if len(folders) > 1 else {"": list(logs)}
-
-
-def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure: shortened, and numbered if there are NUMBERED or
-    more.
-    """
-    short = [name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names]
-    if len(names) < NUMBERED:
-        return short
-    return [f"{number} {name}" for number, name in enumerate(short, start=1)]
-
-
-def unfinished(log: TrialLog) -> str:
-    """Return the outcome and reason of a trial that was not completed, "" for a complete one."""
-    if log.result is None:
-        return "the log breaks off before the end of the trial"
-    if log.result.outcome.complete:
-        return ""
-    return f"{log.result.outcome.value}: {log.result.reason}"
-
-
-def broken_off(logs: Sequence[TrialLog]) -> str:
-    """Return a figure's note on the number of incomplete trials, "" for none."""
-    if len(logs) == 1:
-        return unfinished(logs[0])
-    cut = sum(1 for log in logs if unfinished(log))
-    if not cut:
-        return ""
-    counted = "" if cut == len(logs) else ", not in the means"
-    return f"{cut} of {len(logs)} trials did not run to their end{counted}"
-
-
-def check_alike(logs: Sequence[TrialLog]) -> None:
-    """Raise UsageError for logs of different arenas, obstacles, units or robots; robots that each
-    trial chose by the same rule are not different.
-    """
-
-    def scene(log: TrialLog) -> tuple[object, ...]:
-        spec = log.experiment
-        return spec.asked, spec.arena, spec.obstacles, spec.units
-
-    for log in logs[1:]:
-        if scene(log) != scene(logs[0]):
-            raise UsageError(
-                f"{logs[0].log} and {log.log} are of different experiments",
-                "plot together only trials with the same robots, arena and obstacles",
-            )
-
-
-def final_poses(log: TrialLog) -> Floats:
-    """Return the final poses (N, 3) of the result or, without a result, the last measured poses."""
-    if log.result is not None:
-        return log.result.verdict.final.array()
-    poses = log.start.setup.starts.array()
-    for robot in range(len(poses)):
-        frames = np.flatnonzero(log.valid[:, robot])
-        if len(frames):
-            poses[robot] = log.mocap[frames[-1], robot]
-    return poses
-
-
-def need_steps(log: TrialLog) -> None:
-    """Raise LogError for a log without control steps."""
-    if not log.steps:
-        raise LogError(f"{log.log}: contains no control steps to plot")
 
 
 def positive(values: Floats) -> Floats:
@@ -272,30 +151,3 @@ def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
     figure = axes.get_figure(root=True)
     assert figure is not None
     figure.set_figheight(figure.get_figheight() + below_in)
-
-
-def whole_ticks(axes: Axes) -> None:
-    """Place the ticks of the x axis at whole numbers."""
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-
-
-def separated(wanted: Floats, gap: float) -> Floats:
-    """Return increasing heights from 0 to 1, at least `gap` apart, near the increasing heights
-    `wanted` (n,), of which the last may be NaN: unknown.
-
-    Less i times the gap, heights that are far enough apart do not decrease. Nearest to the wanted
-    ones by least squares are those of the isotonic regression,
-
-        height i = the greatest, over j <= i, of the least, over k >= i, of the means of j to k.
-
-    Then all heights are shifted into the range, as far as they fit.
-    """
-    rise = gap * np.arange(len(wanted))
-    sums = np.concatenate([[0.0], np.cumsum(wanted - rise)])
-    first, last = np.indices((len(wanted), len(wanted)))
-    means = np.full(first.shape, np.inf)
-    np.divide(sums[last + 1] - sums[first], last - first + 1, out=means, where=last >= first)
-    least = np.fmin.accumulate(means[:, ::-1], axis=1)[:, ::-1]
-    base = np.fmax.accumulate(least, axis=0).diagonal()
-    highest = max(1.0 - gap * (len(wanted) - 1), 0.0)
-    return np.asarray(np.clip(base, 0.0, highest) + rise, dtype=np.float64)

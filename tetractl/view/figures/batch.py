@@ -28,7 +28,8 @@ from tetractl.results.estimate import (
 )
 from tetractl.results.open_batch import GIVEN_DIRECTIONS, counts, directions_given
 from tetractl.view import style
-from tetractl.view.figures.axes import ErrorScale, by_folder, log_axis, name_categories
+from tetractl.view.figures.axes import ErrorScale, log_axis, name_categories
+from tetractl.view.figures.trials import by_folder
 
 DOTS_ASIDE = 0.14
 """Shift of dots to the left of their category's centre [categories]."""

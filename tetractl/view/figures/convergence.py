@@ -5,19 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from tetractl.core.errors import unit_of
 from tetractl.core.plan import Search
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import (
-    log_axis,
-    need_steps,
-    one_trial,
-    positive,
-    whole_ticks,
-)
+from tetractl.view.figures.axes import log_axis, positive
+from tetractl.view.figures.trials import need_steps, one_trial
 
 HEIGHT_IN = 2.75
 """Height of the figure [in]."""
@@ -66,7 +62,7 @@ def _first_plan(axes: Axes, step: Step) -> None:
     _mark_stop(axes, chosen, max(len(search.history) for search in step.plan.searches) - 1)
     histories = [positive(search.history) for search in step.plan.searches]
     log_axis(axes, np.concatenate(histories), *FIRST_ROOM)
-    whole_ticks(axes)
+    _tick_at_whole_numbers(axes)
     signs = [style.sign("chosen", color=style.WHOLE, ls="-", marker="*", ms=5, mew=0)]
     count = len(step.plan.searches) - 1
     if count:
@@ -114,4 +110,9 @@ def _iterations(axes: Axes, steps: Sequence[Step], most: int) -> None:
         axes.legend(handles=[limit], loc="upper right", borderaxespad=0.1)
     top = LEGEND_ROOM * max(most, *done)
     axes.set(ylim=(0, top), xlabel="control step k", ylabel="iterations")
-    whole_ticks(axes)
+    _tick_at_whole_numbers(axes)
+
+
+def _tick_at_whole_numbers(axes: Axes) -> None:
+    """Place the ticks of the x axis at whole numbers."""
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))

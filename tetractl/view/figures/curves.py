@@ -11,19 +11,19 @@ from matplotlib.patches import Patch
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
-from tetractl.core.errors import LogError, unit_of
+from tetractl.core.errors import LogError, UsageError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import end_ns, tracked
 from tetractl.tools.table.table import lengths, plural
 from tetractl.view import style
-from tetractl.view.figures.axes import (
+from tetractl.view.figures.trials import (
     NUMBERED,
+    by_folder,
+    check_alike,
     final_poses,
-    panels_of,
     robot_labels,
-    separated,
     unfinished,
 )
 
@@ -40,6 +40,8 @@ LEAST = 1e-9
 """Least of the greatest values [length unit]: the limits of an axis must differ."""
 TIMES = 400
 """Points of a median over time."""
+PANELS_MAX = 12
+"""Largest number of panels of a figure with a panel for each folder."""
 SINCE = "time since the first command [s]"
 
 
@@ -96,6 +98,28 @@ def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
                 "shrinkA": 0, "shrinkB": 0, "relpos": (0.0, 0.5),
             },
         )  # fmt: skip
+
+
+def separated(wanted: Floats, gap: float) -> Floats:
+    """Return increasing heights from 0 to 1, at least `gap` apart, near the increasing heights
+    `wanted` (n,), of which the last may be NaN: unknown.
+
+    Less i times the gap, heights that are far enough apart do not decrease. Nearest to the wanted
+    ones by least squares are those of the isotonic regression,
+
+        height i = the greatest, over j <= i, of the least, over k >= i, of the means of j to k.
+
+    Then all heights are shifted into the range, as far as they fit.
+    """
+    rise = gap * np.arange(len(wanted))
+    sums = np.concatenate([[0.0], np.cumsum(wanted - rise)])
+    first, last = np.indices((len(wanted), len(wanted)))
+    means = np.full(first.shape, np.inf)
+    np.divide(sums[last + 1] - sums[first], last - first + 1, out=means, where=last >= first)
+    least = np.fmin.accumulate(means[:, ::-1], axis=1)[:, ::-1]
+    base = np.fmax.accumulate(least, axis=0).diagonal()
+    highest = max(1.0 - gap * (len(wanted) - 1), 0.0)
+    return np.asarray(np.clip(base, 0.0, highest) + rise, dtype=np.float64)
 
 
 def robot_curves(
@@ -192,7 +216,7 @@ def _of_trials(logs: Sequence[TrialLog]) -> Figure:
     Bands contain the middle half of the trials. After its end, a trial keeps its final error.
     Incomplete trials are drawn, but not counted in medians and bands.
     """
-    arms = panels_of(logs)
+    arms = _by_panel(logs)
     time_s = np.linspace(0, max(map(end_s, logs)), TIMES)  # until the end of the longest trial
     setups = [of_arm[0].start.setup for of_arm in arms.values()]
     figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
@@ -214,6 +238,22 @@ def _of_trials(logs: Sequence[TrialLog]) -> Figure:
     for axes, curves in to_name.items():  # the limits are set
         name_curves(axes, curves)
     return figure
+
+
+def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
+    """Return the trials of each folder, for a panel each; a single folder has the name "".
+
+    Raises UsageError for too many folders, and for trials of unlike robots in a folder.
+    """
+    folders = by_folder(logs, complete=False)
+    if len(folders) > PANELS_MAX:
+        raise UsageError(
+            f"{len(folders)} folders: this figure has a panel for each of at most {PANELS_MAX}",
+            "give fewer folders, or use --kind batch",
+        )
+    for of_folder in folders.values():
+        check_alike(of_folder)
+    return folders if len(folders) > 1 else {"": list(logs)}
 
 
 def _draw_errors(

@@ -26,11 +26,23 @@ def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
 
     Of the built-in figures, only `trajectory`, `errors` and `batch` show several trials.
     """
-    from tetractl.view.figures.axes import broken_off
     from tetractl.view.style import headline
 
     check_kind(kind)
     figure = FIGURES.load(kind)(logs)
     plants = sorted({log.origin.value for log in logs})
-    headline(figure, ", ".join(plants), broken_off(logs))
+    headline(figure, ", ".join(plants), _broken_off(logs))
     return figure
+
+
+def _broken_off(logs: "Sequence[TrialLog]") -> str:
+    """Return a figure's note on the number of incomplete trials, "" for none."""
+    from tetractl.view.figures.trials import unfinished
+
+    if len(logs) == 1:
+        return unfinished(logs[0])
+    cut = sum(1 for log in logs if unfinished(log))
+    if not cut:
+        return ""
+    counted = "" if cut == len(logs) else ", not in the means"
+    return f"{cut} of {len(logs)} trials did not run to their end{counted}"

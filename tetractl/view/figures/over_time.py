@@ -20,7 +20,7 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import NUMBERED, log_axis, need_steps, one_trial, positive
+from tetractl.view.figures.axes import log_axis, positive
 from tetractl.view.figures.curves import (
     NAME_IN,
     SINCE,
@@ -30,6 +30,7 @@ from tetractl.view.figures.curves import (
     name_curves,
     robot_curves,
 )
+from tetractl.view.figures.trials import NUMBERED, need_steps, one_trial
 
 PI_TICKS = {
     "ticks": [-np.pi, -np.pi / 2, 0, np.pi / 2, np.pi],

@@ -15,7 +15,7 @@ from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.swarm_history import SwarmHistory, first_swarm
 from tetractl.view import style
-from tetractl.view.figures.axes import need_steps, one_trial
+from tetractl.view.figures.trials import need_steps, one_trial
 
 SHADES = 10
 """Number of greys of J: each covers the same share of the square. Spread evenly over J, they would

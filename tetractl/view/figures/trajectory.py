@@ -34,7 +34,7 @@ from tetractl.replay.dish_pictures import DishPictures
 from tetractl.replay.player import first_seen, tracked
 from tetractl.tools.table.table import lengths
 from tetractl.view import style
-from tetractl.view.figures.axes import (
+from tetractl.view.figures.trials import (
     NUMBERED,
     check_alike,
     final_poses,

@@ -23,8 +23,7 @@ from tetractl.core.trial import PlantInfo
 from tetractl.replay.player import Recording, first_seen
 from tetractl.report.trial_data import trial_data
 from tetractl.view import style
-from tetractl.view.figures.axes import separated
-from tetractl.view.figures.curves import errors_at
+from tetractl.view.figures.curves import errors_at, separated
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.trajectory import trajectory_figure
 

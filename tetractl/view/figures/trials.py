@@ -1,0 +1,100 @@
+"""The trials of a figure: which it draws, how their robots are called, and where these ended."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.poses import Floats
+from tetractl.log.read.trial_log import TrialLog
+
+NUMBERED = 8
+"""Least number of robots that are numbered."""
+NAME_LENGTH = 16
+"""Largest length of a robot's name [characters]."""
+
+
+def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
+    """Return the only log; UsageError if there are several."""
+    if len(logs) > 1:
+        raise UsageError(
+            f"this figure shows one trial, not {len(logs)}",
+            "give one log, or use --kind trajectory, errors or batch",
+        )
+    return logs[0]
+
+
+def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
+    """Return the trials of each folder, only the `complete` ones or all; the key is the folder's
+    name, or its path if two folders have the same name.
+
+    Raises UsageError if the trials' errors are in different units, LogError if there is no trial.
+    """
+    units = {log.start.setup.unit for log in logs}
+    if len(units) > 1:
+        raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
+    folders: dict[str, list[TrialLog]] = {}
+    for log in logs:
+        if not complete or not unfinished(log):
+            folder, _, _ = log.log.rpartition("/")
+            folders.setdefault(folder, []).append(log)
+    if not folders:
+        raise LogError("no complete trial to plot")
+    names = [folder.rpartition("/")[2] or "trials" for folder in folders]
+    distinct = len(set(names)) == len(names)
+    labels = names if distinct else list(folders)
+    return dict(zip(labels, folders.values(), strict=True))
+
+
+def check_alike(logs: Sequence[TrialLog]) -> None:
+    """Raise UsageError for logs of different arenas, obstacles, units or robots; robots that each
+    trial chose by the same rule are not different.
+    """
+
+    def scene(log: TrialLog) -> tuple[object, ...]:
+        spec = log.experiment
+        return spec.asked, spec.arena, spec.obstacles, spec.units
+
+    for log in logs[1:]:
+        if scene(log) != scene(logs[0]):
+            raise UsageError(
+                f"{logs[0].log} and {log.log} are of different experiments",
+                "plot together only trials with the same robots, arena and obstacles",
+            )
+
+
+def need_steps(log: TrialLog) -> None:
+    """Raise LogError for a log without control steps."""
+    if not log.steps:
+        raise LogError(f"{log.log}: contains no control steps to plot")
+
+
+def unfinished(log: TrialLog) -> str:
+    """Return the outcome and reason of a trial that was not completed, "" for a complete one."""
+    if log.result is None:
+        return "the log breaks off before the end of the trial"
+    if log.result.outcome.complete:
+        return ""
+    return f"{log.result.outcome.value}: {log.result.reason}"
+
+
+def final_poses(log: TrialLog) -> Floats:
+    """Return the final poses (N, 3) of the result or, without a result, the last measured poses."""
+    if log.result is not None:
+        return log.result.verdict.final.array()
+    poses = log.start.setup.starts.array()
+    for robot in range(len(poses)):
+        frames = np.flatnonzero(log.valid[:, robot])
+        if len(frames):
+            poses[robot] = log.mocap[frames[-1], robot]
+    return poses
+
+
+def robot_labels(names: Sequence[str]) -> list[str]:
+    """Return the robots' names for a figure: shortened, and numbered if there are NUMBERED or
+    more.
+    """
+    short = [name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names]
+    if len(names) < NUMBERED:
+        return short
+    return [f"{number} {name}" for number, name in enumerate(short, start=1)]

@@ -14,7 +14,7 @@ from typing import NoReturn
 import numpy as np
 
 from tetractl.control.cost import evaluate
-from tetractl.control.kernels.rollout import costs, lay_out
+from tetractl.control.evaluate import compiled_costs
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso import Pso, Swarm
 from tetractl.control.rng import mix
@@ -45,18 +45,13 @@ class Meter:
     def __init__(self, problem: Problem, length: int, cap_s: float) -> None:
         self.problem = problem
         self.length = length
-        self.course = lay_out(problem, PARTICLES)
         self.best = np.inf
         self.begin = time.process_time()
         self.end = self.begin + cap_s
 
     def of_columns(self, signals: Floats) -> Floats:
         """J of signals (L, P)."""
-        count = signals.shape[1]
-        if count != self.course.scratch.shape[1]:
-            self.course = lay_out(self.problem, count)
-        total = np.empty(count)
-        costs(self.course, np.ascontiguousarray(signals), total)
+        total = compiled_costs(self.problem, signals.shape[1])(signals)
         self.note(float(total.min()))
         return total
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tetractl.control.cost import evaluate
-from tetractl.control.kernels.rollout import costs, lay_out
+from tetractl.control.evaluate import compiled_costs
 from tetractl.control.optimizers.pso import Swarm
 from tetractl.core.plan import Problem
 from tetractl.model.motion.polynomials import horner
@@ -84,11 +84,5 @@ def _pyswarms(cost: Callable) -> Callable[[int], object]:
 
 
 def _by_kernel(problem: Problem) -> Callable:
-    course = lay_out(problem, PARTICLES)
-    total = np.empty(PARTICLES)
-
-    def cost(signals: np.ndarray) -> np.ndarray:
-        costs(course, np.ascontiguousarray(signals.T), total)
-        return total.copy()
-
-    return cost
+    costs = compiled_costs(problem, PARTICLES)
+    return lambda signals: costs(signals.T)

@@ -23,9 +23,10 @@ from pathlib import Path
 import numpy as np
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
-from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.multistart import ITERATIONS, search, workspace
-from tetractl.control.kernels.rollout import lay_out
+from tetractl.control.kernels.levenberg import PolishSettings, room_for
+from tetractl.control.kernels.motion import flatten
+from tetractl.control.kernels.multistart import UNLIMITED, rounds_for, search
+from tetractl.control.kernels.rollout import swarm_of
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
 
@@ -35,11 +36,12 @@ signals = np.random.default_rng(1).uniform(-0.4, 0.4, (200, 24))
 reference = evaluate(problem, signals)
 compiled = compiled_costs(problem, 200)(np.ascontiguousarray(signals.T))
 start = np.zeros(24)
-found = workspace(0, 1, 1, 1, 24, 5, 0)
+found = rounds_for(1, 1, 1, 24, 5, 0)
 found.begin(start[None])
-laid = lay_out_polish(problem, 24), lay_out(problem, 1)
-search(*laid, np.uint64(0), np.empty(0), 0, 1e-3, 0.5, 6, 2**62, 0, found)
-z = int(found.counts[ITERATIONS])
+rooms = swarm_of(1, 1), room_for(problem, 24)
+limits = PolishSettings(1e-3, 0.5, 6), UNLIMITED, UNLIMITED, False
+search(flatten(problem), *rooms, np.uint64(0), np.empty(0), 0, *limits, found)
+z = int(found.polish.iterations)
 best = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
 x, y = predict(problem, best.signals)[..., :2].T
 print(json.dumps({

@@ -16,13 +16,15 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     It agrees with `tetractl.control.cost.evaluate` to 1e-9, and raises ControlError if a cost is
     not finite.
     """
-    from tetractl.control.kernels.rollout import costs, lay_out
+    from tetractl.control.kernels.motion import flatten
+    from tetractl.control.kernels.rollout import costs, swarm_of
 
-    rollout = lay_out(problem, count)
+    flat = flatten(problem)
+    swarm = swarm_of(len(problem.a), count)
 
     def evaluate(signals: Floats) -> Floats:
         total = np.empty(count)
-        costs(rollout, np.ascontiguousarray(signals), total)
+        costs(flat, swarm, np.ascontiguousarray(signals), total)
         require_finite(total)
         return total
 
@@ -36,46 +38,37 @@ def compiled_branches(
 
     Copy b is steered towards towards[b] + turns[j] [rad], each for `seconds`; turns (L,).
     """
-    from tetractl.control.kernels.motion import flat
+    from tetractl.control.kernels.motion import flatten
     from tetractl.control.kernels.prediction import predict
 
     copies = len(towards)
     robots = len(problem.a)
-    motion = flat(problem)
+    flat = flatten(problem)
     path = np.empty((len(turns) + 1, copies * robots, 3))
     path[0] = start.reshape(-1, 3)
     bias = np.zeros(robots) if problem.bias is None else problem.bias
     directions = (towards[:, None] + bias).ravel()
-    drift = np.tile(motion.drift, copies)
-    drift[0] = np.cos(directions)
-    drift[1] = np.sin(directions)
-    parameters = np.tile(motion.parameters, (copies, 1))
-    predict(turns, parameters, drift, seconds, seconds, motion.rest, path)
+    held = flat._replace(
+        robots=np.tile(flat.robots, (copies, 1)),
+        bias_cos=np.cos(directions),
+        bias_sin=np.sin(directions),
+        flow=np.tile(flat.flow, (copies, 1)),
+        first_period=seconds,
+        period=seconds,
+    )
+    predict(turns, held, path)
     return path.reshape(-1, *start.shape)
 
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
-    from tetractl.control.kernels.motion import flat
+    from tetractl.control.kernels.motion import flatten
     from tetractl.control.kernels.prediction import foresee
 
-    motion = flat(problem)
-    path = np.empty((signals.size + 1, problem.a.size, 3))
-    path[0] = motion.start
-    target, obstacle = foresee(
-        np.ascontiguousarray(signals),
-        motion.parameters,
-        motion.drift,
-        problem.first_period,
-        problem.period,
-        motion.rest,
-        path,
-        np.ascontiguousarray(problem.targets),
-        problem.obstacles.rows,
-        problem.obstacles.walls,
-        problem.swept,
-        float(problem.separation),
-    )
+    flat = flatten(problem)
+    path = np.empty((signals.size + 1, len(problem.a), 3))
+    path[0] = flat.poses
+    target, obstacle = foresee(np.ascontiguousarray(signals), flat, path)
     if not math.isfinite(target):
         require_finite(np.array([target]))
     return Foreseen(path, target, obstacle)
@@ -84,10 +77,9 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
 def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats:
     """Return the poses (M, N, 3) of robots that drive for each of `seconds` (M,), each towards its
     own direction (N,) [rad]; a robot stands if that is NaN."""
-    from tetractl.control.kernels.motion import flat
+    from tetractl.control.kernels.motion import flatten
     from tetractl.control.kernels.prediction import drive
 
-    motion = flat(problem)
     path = np.empty((len(seconds), len(towards), 3))
-    drive(motion.start, towards, motion.parameters, motion.drift, motion.rest, seconds, path)
+    drive(towards, seconds, flatten(problem), path)
     return path

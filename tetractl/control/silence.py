@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Self
 
-from tetractl.control.kernels.motion import Flat, flat
+from tetractl.control.kernels.motion import FlatProblem, flatten
 from tetractl.control.kernels.prediction import unheard
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -22,22 +22,23 @@ STEP_MAX_S = 0.15
 @dataclass(frozen=True, slots=True)
 class Silence:
     """A while of `steps` time steps of `step_s` [s] in which robots receive nothing, and are to
-    keep out of the `obstacles` and, their centres, the `separation` from each other [length unit].
-    """
+    keep out of the obstacles of a problem and, their centres, its separation from each other."""
 
-    motion: Flat
+    problem: FlatProblem
     step_s: float
     steps: int
-    obstacles: Obstacles
-    separation: float
 
     @classmethod
     def during(
         cls, seconds: float, problem: Problem, obstacles: Obstacles, separation: float
     ) -> Self:
-        """Return a silence of some seconds of a problem's robots."""
+        """Return a silence of some seconds of a problem's robots, which are to keep out of these
+        obstacles and this separation [length unit]."""
         steps = max(1, math.ceil(seconds / STEP_MAX_S))
-        return cls(flat(problem), seconds / steps, steps, obstacles, separation)
+        keeping_clear = flatten(problem)._replace(
+            rows=obstacles.rows, walls=obstacles.walls, separation=float(separation)
+        )
+        return cls(keeping_clear, seconds / steps, steps)
 
     def keeps_clear(self, path: Floats, signals: Floats) -> bool:
         """Return whether robots keep clear, whichever of the signals (L,) is the last that they
@@ -45,15 +46,4 @@ class Silence:
 
         A robot that is nearer to something at the beginning is not to come nearer still.
         """
-        return unheard(
-            signals,
-            self.motion.parameters,
-            self.motion.drift,
-            self.step_s,
-            self.steps,
-            self.motion.rest,
-            path,
-            self.obstacles.rows,
-            self.obstacles.walls,
-            self.separation,
-        )
+        return unheard(signals, self.problem, self.step_s, self.steps, path)

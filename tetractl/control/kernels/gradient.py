@@ -1,55 +1,83 @@
-"""Predicts the path of a sequence, and each step's derivatives by heading and signal.
+"""Predicts the path of a sequence of signals, and how each signal changes it.
 
-With phi = u - heading, a step moves a robot by d(heading, u) and turns it; `trace` stores, for each
-robot and signal, the partial derivatives of d and of the next heading g:
+A signal turns a robot and moves it by d(heading, u), a step. `trace` stores the partial derivatives
+of each step: of d by the heading and by u, and `keep`, that of the next heading by the heading. As
+a robot's turn depends on u - heading alone, the derivative of the next heading by u is 1 - keep.
+`backward` makes of these the derivatives of one position by all signals before it, by the chain
+rule backwards in time.
 
-    EAST_H, NORTH_H = dd/dheading;  EAST_U, NORTH_U = dd/du;  KEEP = dg/dheading = 1 - dg/du
-
-(the turn depends on phi alone). The derivative of a later position by an earlier signal follows by
-the chain rule backwards in time, in `backward`.
-
-Only the headings depend on the previous step. They are computed first, as cosine and sine; then the
-steps of a robot are independent of each other, and the loop over them is vector code. Arrays over
-the signals are therefore padded to whole vectors, of length `width(L)`; entries beyond the last
-signal are meaningless. Each quantity is a separate array (N, M), because in an array of several
-quantities the compiler could not exclude overlaps and would not vectorise the loop.
+Only the headings depend on the step before. They are computed first; then the steps of a robot are
+independent of each other, and the loop over them is vector code. For its sake, arrays over the L
+signals are padded to M = width(L) entries, of which those beyond the last signal mean nothing, and
+each quantity is an array (N, M) of its own: in a common array the compiler could not exclude that
+they overlap.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.motion import derivatives, parameters_of, turned
+from tetractl.control.kernels.motion import derivatives, robot_of, saturates, turned
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
+from tetractl.model.motion.turn_rate import Robot
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
-# Numbers of `Trace.gradients`.
-EAST_H = 0
-"""dx of a step by the heading [length unit/rad]."""
-NORTH_H = 1
-"""dy of a step by the heading [length unit/rad]."""
-EAST_U = 2
-"""dx of a step by the direction u [length unit/rad]."""
-NORTH_U = 3
-"""dy of a step by the direction u [length unit/rad]."""
-KEEP = 4
-"""The next heading by the heading."""
 VECTOR = 8
 """Number of float64 in the widest vector of any processor, and in a cache line."""
+NEVER_SATURATES = 1.0
+"""The `saturation` of motors that turn a robot by (3) always."""
 
 _sincos = inlined(sincos)
 _wrap = inlined(wrap)
 
 
 class Trace(NamedTuple):
-    """The arrays that `trace` fills, for N robots and L signals, M = width(L)."""
+    """A path of N robots under L signals, and the derivatives of its steps, as `trace` fills them;
+    M = width(L)."""
 
-    cos: Floats  # (N + 1, M) of the headings before each signal; last row: of the signals
-    sin: Floats  # (N + 1, M)
-    path: Floats  # (2, N, M) x and y after each signal
-    gradients: Floats  # (5, N, M)
+    cos_u: Floats
+    """(M,) of the signals."""
+    sin_u: Floats
+    """(M,) of the signals."""
+    cos: Floats
+    """(N, M) of the headings before each signal."""
+    sin: Floats
+    """(N, M) of the headings before each signal."""
+    x: Floats
+    """(N, M) after each signal [length unit]."""
+    y: Floats
+    """(N, M) after each signal [length unit]."""
+    x_by_heading: Floats
+    """(N, M) derivative of dx of each step by the heading before it [length unit/rad]."""
+    y_by_heading: Floats
+    """(N, M) that of dy."""
+    x_by_u: Floats
+    """(N, M) derivative of dx of each step by its direction [length unit/rad]."""
+    y_by_u: Floats
+    """(N, M) that of dy."""
+    keep: Floats
+    """(N, M) derivative of the heading after each step by that before it."""
+
+    @classmethod
+    def room_for(cls, robots: int, length: int) -> "Trace":
+        """Return the arrays for some robots and signals."""
+        across = width(length)
+        shape = (robots, across)
+        return cls(
+            cos_u=np.ones(across),
+            sin_u=np.zeros(across),
+            cos=np.ones(shape),
+            sin=np.zeros(shape),
+            x=np.empty(shape),
+            y=np.empty(shape),
+            x_by_heading=np.empty(shape),
+            y_by_heading=np.empty(shape),
+            x_by_u=np.empty(shape),
+            y_by_u=np.empty(shape),
+            keep=np.empty(shape),
+        )
 
 
 def width(length: int) -> int:
@@ -57,107 +85,111 @@ def width(length: int) -> int:
     return -(-length // VECTOR) * VECTOR
 
 
-def workspace(count: int, length: int) -> Trace:
-    """Return the arrays for `count` robots."""
-    across = width(length)
-    cos = np.ones((count + 1, across))
-    sin = np.zeros((count + 1, across))
-    return Trace(cos, sin, np.empty((2, count, across)), np.empty((5, count, across)))
-
-
 @compiled(**INLINE_FAST)
-def trace(u, start, parameters, drift, first_period, period, first, rest, traced):
-    """Predict under signals u (L,) from start, with the motion's parameters (N, K), drift (4, N).
-
-    start (4, N) are x, y, and cos and sin of the heading.
-
-    `first` and `rest` are the motion's constants for the first signal's period and the others';
-    their class defines how robots move.
-    """
-    cos = traced.cos
-    sin = traced.sin
-    path = traced.path
-    count = len(parameters)
-    across = cos.shape[1]
-    for i in range(count):
-        cos[i, 0] = start[2, i]
-        sin[i, 0] = start[3, i]
+def trace(u, problem, path):
+    """Fill the `Trace` path of a problem's robots under signals u (L,)."""
     for j in range(u.size):
-        sin[count, j], cos[count, j] = _sincos(_wrap(u[j]))
-    for j in range(u.size - 1):
-        cu = cos[count, j]
-        su = sin[count, j]
-        for i in range(count):
+        path.sin_u[j], path.cos_u[j] = _sincos(_wrap(u[j]))
+    _turn(u.size, problem, path)
+    for i in range(len(problem.robots)):
+        robot = robot_of(problem.robots, i)
+        if saturates(robot):
+            _move(i, robot, problem, path)
+        else:  # with a constant, so that the compiler leaves out what it does not need
+            steady = Robot(robot.a, robot.speed, robot.side, NEVER_SATURATES)
+            _move(i, steady, problem, path)
+        _add_up(i, u.size, problem, path)
+
+
+@compiled(**INLINE_FAST)
+def _turn(length, problem, path):
+    """Fill the headings of all robots before each of the signals."""
+    first = problem.first
+    rest = problem.rest
+    robots = problem.robots
+    bias_cos = problem.bias_cos
+    bias_sin = problem.bias_sin
+    cos_u = path.cos_u
+    sin_u = path.sin_u
+    cos = path.cos
+    sin = path.sin
+    for i in range(len(robots)):
+        cos[i, 0] = problem.cos[i]
+        sin[i, 0] = problem.sin[i]
+    for j in range(length - 1):
+        seconds = problem.first_period if j == 0 else problem.period
+        for i in range(len(robots)):
             lanes = first if j == 0 else rest
+            robot = robot_of(robots, i)
+            cu = cos_u[j] * bias_cos[i] - sin_u[j] * bias_sin[i]
+            su = sin_u[j] * bias_cos[i] + cos_u[j] * bias_sin[i]
             cos[i, j + 1], sin[i, j + 1] = turned(
-                lanes,
-                cos[i, j],
-                sin[i, j],
-                cu * drift[0, i] - su * drift[1, i],
-                su * drift[0, i] + cu * drift[1, i],
-                i,
-                parameters_of(parameters[i]),
-                first_period if j == 0 else period,
+                lanes, cos[i, j], sin[i, j], cu, su, i, robot, seconds
             )
-    x = path[0]
-    y = path[1]
-    for i in range(count):
-        robot = parameters_of(parameters[i])
-        for again in range(1 if first_period == period else 2):  # then the first signal's period
-            t, upto = (period, across) if again == 0 else (first_period, 1)
-            if robot[3] < 1:
-                _steps(i, robot, t, upto, drift, rest, traced)
-            else:  # by a constant, so that the compiler leaves out what it does not need
-                _steps(i, (robot[0], robot[1], robot[2], 1.0), t, upto, drift, rest, traced)
-        fx = drift[2, i]
-        fy = drift[3, i]
-        x[i, 0] = start[0, i] + x[i, 0] + fx * first_period
-        y[i, 0] = start[1, i] + y[i, 0] + fy * first_period
-        for j in range(1, u.size):
-            x[i, j] = x[i, j - 1] + x[i, j] + fx * period
-            y[i, j] = y[i, j - 1] + y[i, j] + fy * period
 
 
 @compiled(**INLINE_FAST)
-def _steps(i, robot, t, upto, drift, motion, traced):
-    """Write the displacement of robot i by each of the signals `upto` one, and its derivatives."""
-    count = len(traced.cos) - 1
-    (cos, sin, path, gradients) = traced
-    x = path[0]
-    y = path[1]
-    cu = cos[count]
-    su = sin[count]
-    cb = drift[0, i]
-    sb = drift[1, i]
-    east_h = gradients[EAST_H]
-    north_h = gradients[NORTH_H]
-    east_u = gradients[EAST_U]
-    north_u = gradients[NORTH_U]
-    keep = gradients[KEEP]
-    for j in range(upto):
-        c = cos[i, j]
-        s = sin[i, j]
-        c_u = cu[j]
-        s_u = su[j]
-        towards = c_u * cb - s_u * sb, s_u * cb + c_u * sb
-        step, by_heading, by_u, _ = derivatives(motion, c, s, *towards, robot, t)
-        x[i, j], y[i, j], _ = step
-        east_h[i, j], north_h[i, j], keep[i, j] = by_heading
-        east_u[i, j], north_u[i, j], _ = by_u
+def _move(i, robot, problem, path):
+    """Fill the displacement of robot i by each signal, as x and y, and its derivatives.
+
+    All signals are computed as if each were held for a whole period, as vector code needs it; then
+    the first again, if it is held for another time.
+    """
+    first_again = 0 if problem.first_period == problem.period else 1
+    all_signals = (problem.period, path.cos.shape[1])
+    the_first = (problem.first_period, first_again)
+    cb = problem.bias_cos[i]
+    sb = problem.bias_sin[i]
+    cos_u = path.cos_u
+    sin_u = path.sin_u
+    cos = path.cos[i]
+    sin = path.sin[i]
+    x = path.x[i]
+    y = path.y[i]
+    x_by_heading = path.x_by_heading[i]
+    y_by_heading = path.y_by_heading[i]
+    x_by_u = path.x_by_u[i]
+    y_by_u = path.y_by_u[i]
+    keep = path.keep[i]
+    for seconds, signals in (all_signals, the_first):
+        for j in range(signals):
+            cu = cos_u[j] * cb - sin_u[j] * sb
+            su = sin_u[j] * cb + cos_u[j] * sb
+            step, by_heading, by_u, _ = derivatives(
+                problem.rest, cos[j], sin[j], cu, su, robot, seconds
+            )
+            x[j], y[j], _ = step
+            x_by_heading[j], y_by_heading[j], keep[j] = by_heading
+            x_by_u[j], y_by_u[j], _ = by_u
 
 
 @compiled(**INLINE_FAST)
-def backward(gradients, i, signal, east, north, row):
-    """Add to row (L,) the derivative by u of east * x + north * y of robot i after a signal.
+def _add_up(i, length, problem, path):
+    """Add up the displacements of robot i, which are in x and y, to positions; the flow carries it,
+    too."""
+    x = path.x
+    y = path.y
+    flow_x = problem.flow[i, 0]
+    flow_y = problem.flow[i, 1]
+    x[i, 0] = problem.poses[i, 0] + x[i, 0] + flow_x * problem.first_period
+    y[i, 0] = problem.poses[i, 1] + y[i, 0] + flow_y * problem.first_period
+    for j in range(1, length):
+        x[i, j] = x[i, j - 1] + x[i, j] + flow_x * problem.period
+        y[i, j] = y[i, j - 1] + y[i, j] + flow_y * problem.period
 
-    `by_heading` is the derivative by the heading before signal j + 1. The heading before signal j
-    moves step j, and with KEEP all later ones; signal j moves step j, and with 1 - KEEP all later
-    ones.
+
+@compiled(**INLINE_FAST)
+def backward(path, i, signal, east, north, row):
+    """Add to row (L,) the derivatives by each signal of east x + north y, where x, y is the
+    position of robot i after a signal.
+
+    Signal j moves the robot in its own step. It also turns it, by 1 - keep, and what the heading
+    before step j + 1 changes in all later steps, `by_heading`, is known when j is reached.
     """
     by_heading = 0.0
     for j in range(signal, -1, -1):
-        keep = gradients[KEEP, i, j]
-        step_by_u = east * gradients[EAST_U, i, j] + north * gradients[NORTH_U, i, j]
-        step_by_heading = east * gradients[EAST_H, i, j] + north * gradients[NORTH_H, i, j]
+        keep = path.keep[i, j]
+        step_by_u = east * path.x_by_u[i, j] + north * path.y_by_u[i, j]
+        step_by_heading = east * path.x_by_heading[i, j] + north * path.y_by_heading[i, j]
         row[j] += step_by_u + by_heading * (1 - keep)
         by_heading = step_by_heading + by_heading * keep

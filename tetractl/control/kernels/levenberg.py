@@ -21,19 +21,18 @@ A step that lowers the merit is taken, and lambda falls; else lambda grows, and 
 again (Marquardt, SIAM Journal 11, 1963).
 
 `polish` is that loop. `judge` returns the cost J of (7) of what came out, which counts obstacles
-as the paper does. Both work in the arrays of a `Polish`; `lay_out_polish` makes one for a problem.
+as the paper does. Both take a `FlatProblem`, and work in a `Room` for its robots and obstacles.
 """
 
 import math
 from functools import lru_cache
 from threading import get_ident
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.control.kernels.gradient import Trace, backward, trace, width, workspace
-from tetractl.control.kernels.motion import flat
+from tetractl.control.kernels.gradient import Trace, backward, trace, width
 from tetractl.control.kernels.obstacles import count_hits, find_deepest, outward
 from tetractl.control.kernels.rollout import count_meetings
 from tetractl.core.plan import Problem
@@ -56,6 +55,27 @@ STIFFENED = 5  # lambda is multiplied by this after a step that is not taken
 FLOOR_LEAST = 1e-9  # the factors c are limited as if misses and depths were no less [length unit]
 
 
+class PolishSettings(NamedTuple):
+    """When a polish ends, and how far it keeps from obstacles."""
+
+    tolerance: float
+    """Merit that is good enough [length unit]."""
+    slack: float
+    """Least clearance of a path that is pushed out of an obstacle [length unit]."""
+    patience: int
+    """Number of iterations in which the merit must fall to PROGRESS of itself."""
+
+
+POLISH_STATE = np.dtype(
+    [
+        ("iterations", np.int64),  # that are done
+        ("evaluations", np.int64),  # that they took; 0 before the polish begins
+        ("damping", np.float64),  # lambda of the next step
+    ]
+)
+"""How far a polish has come, which may be interrupted between two steps."""
+
+
 class Pulls(NamedTuple):
     """How residuals depend on positions: entry e says that residual `residual[e]` has the
     derivatives `east[e]` and `north[e]` by x and y of robot `robot[e]` after signal `signal[e]`.
@@ -70,15 +90,15 @@ class Pulls(NamedTuple):
     north: Floats
 
 
-class Scratch(NamedTuple):
+class Room(NamedTuple):
     """The working arrays for polishing one sequence at a time, of N robots, L signals, O obstacles
     and walls, at most R residuals; M = width(L)."""
 
-    traced: Trace
+    path: Trace
     near: Floats  # (M,)
     x_before: Floats  # (L,) positions of one robot before each signal
     y_before: Floats  # (L,)
-    clearance: Floats  # (L,) of one robot
+    gap: Floats  # (L,) of one robot
     hits: Floats  # (N, M) number of obstacles and robots that each robot touches
     depths: Floats  # (N, O) d_io, the depth of each robot's deepest position in each obstacle
     deepest: Integers  # (N, O) number of the signal after which it has that position
@@ -91,68 +111,28 @@ class Scratch(NamedTuple):
     factor: Floats  # (R, R) Cholesky factor of the damped J J', lower triangle
     step: Floats  # (R,) y
     trial: Floats  # (L,) the sequence that is tried
-    damping: Floats  # (1,) with which a polish that was interrupted continues, inf if it has ended
 
 
-class Polish(NamedTuple):
-    """A problem, and room for polishing one sequence at a time."""
-
-    start: Floats  # (N, 3) x, y, heading
-    turned: Floats  # (4, N) x, y, cos and sin of the heading
-    target: Floats  # (N, 2)
-    parameters: Floats  # (N, K) of the motion
-    drift: Floats  # (4, N) cos and sin of the bias, flow
-    first_period: float
-    period: float
-    first: Any  # `Lanes`, constants of the motion for the first signal
-    rest: Any  # `Lanes`, the same for the other signals
-    shapes: Floats  # `Obstacles.rows`
-    walls: Floats  # `Obstacles.walls`
-    separation: float  # least distance of two robots, 0 for robots that may meet
-    weight: float  # of a hit in J
-    swept: bool
-    room: Scratch
-
-
-@lru_cache(maxsize=4)  # lengths searched for one problem
-def lay_out_polish(problem: Problem, length: int) -> Polish:
-    """Return a problem with the scratch arrays for sequences of `length` signals, which other
-    problems of the same shape laid out in this thread use too."""
-    flat_problem = flat(problem)
-    obstacles = problem.obstacles
-    keeps_apart = problem.separation > 0
-    return Polish(
-        start=flat_problem.start,
-        turned=flat_problem.turned,
-        target=np.ascontiguousarray(problem.targets),
-        parameters=flat_problem.parameters,
-        drift=flat_problem.drift,
-        first_period=problem.first_period,
-        period=problem.period,
-        first=flat_problem.first,
-        rest=flat_problem.rest,
-        shapes=obstacles.rows,
-        walls=obstacles.walls,
-        separation=float(problem.separation),
-        weight=float(problem.obstacle_weight),
-        swept=problem.swept,
-        room=_scratch(get_ident(), problem.a.size, obstacles.count, keeps_apart, length),
-    )
+def room_for(problem: Problem, length: int) -> Room:
+    """Return the present thread's arrays for a problem and sequences of `length` signals. Problems
+    of the same shape share them."""
+    robots = len(problem.a)
+    pairs = robots * (robots - 1) // 2 if problem.separation > 0 else 0
+    return _room_for(get_ident(), robots, problem.obstacles.count, pairs, length)
 
 
 @lru_cache(maxsize=64)
-def _scratch(thread: int, robots: int, obstacles: int, keeps_apart: bool, length: int) -> Scratch:
-    """Return the scratch arrays of one thread for robots, obstacles and signals of these numbers;
-    `keeps_apart` if robots keep a separation."""
-    pairs = robots * (robots - 1) // 2 if keeps_apart else 0
+def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int) -> Room:
+    """Return the arrays of one thread for robots, obstacles and signals of these numbers, and
+    `pairs` of robots that keep a separation."""
     residuals = 2 * robots + robots * obstacles + pairs
     across = width(length)
-    return Scratch(
-        traced=workspace(robots, length),
+    return Room(
+        path=Trace.room_for(robots, length),
         near=np.empty(across),
         x_before=np.empty(length),
         y_before=np.empty(length),
-        clearance=np.empty(length),
+        gap=np.empty(length),
         hits=np.empty((robots, across)),
         depths=np.empty((robots, obstacles)),
         deepest=np.empty((robots, obstacles), dtype=np.int64),
@@ -171,158 +151,137 @@ def _scratch(thread: int, robots: int, obstacles: int, keeps_apart: bool, length
         factor=np.empty((residuals, residuals)),
         step=np.empty(residuals),
         trial=np.empty(length),
-        damping=np.empty(1),
     )
 
 
 @compiled(**INLINE_FAST)
-def polish(work, u, tolerance, slack, iterations, patience, budget, history, z, pause):
-    """Improve u (L,) in place; returns (iterations used, evaluations).
+def polish(problem, room, u, settings, budget, merits, state, pause):
+    """Improve u (L,) in place, from the `POLISH_STATE` on; return whether it was interrupted.
 
-    Ends when the merit is at most `tolerance`, when no step helps, when the merit has not fallen to
-    PROGRESS of itself over `patience` iterations, after `iterations`, or before `budget`
-    evaluations are exceeded. An iteration tries one step; history[z] is the merit after z of them,
-    (iterations + 1,). A Jacobian counts as one evaluation for each of its rows.
-
-    A polish may be interrupted when a step was taken and `pause` iterations are done; then
-    `damping` is finite, and the next call continues at iteration `z`. It returns the evaluations
-    of that call alone.
+    Ends when the merit is at most the tolerance, when no step helps, when the merit has not fallen
+    to PROGRESS of itself over `patience` iterations, after as many iterations as there is room for
+    in `merits`, or before `budget` evaluations are exceeded. An iteration tries one step;
+    merits[z] is the merit after z of them. A Jacobian counts as one evaluation for each of its
+    rows. It is interrupted before the next step if `pause` iterations are done.
     """
-    room = work.room
-    damping = DAMPING_FIRST if z == 0 else room.damping[0]
-    evaluations = 1 if z == 0 else 0  # continued: u was evaluated before the interruption
-    room.damping[0] = math.inf
-    most = room.residual.size + 1  # largest number of evaluations for one step that is taken
-    floor = max(tolerance, FLOOR_LEAST)
-    predict_path(work, u)
-    merit = measure(work, slack)
-    history[z] = merit
-    while merit > tolerance and z < iterations and evaluations + most <= budget:
+    if state.evaluations == 0:
+        state.iterations = 0
+        state.evaluations = 1
+        state.damping = DAMPING_FIRST
+    iterations_max = merits.size - 1
+    step_evaluations_max = room.residual.size + 1  # of one step that is taken
+    floor = max(settings.tolerance, FLOOR_LEAST)
+    trace(u, problem, room.path)
+    merit = measure(problem, room, settings.slack)
+    z = state.iterations
+    merits[z] = merit
+    while (
+        merit > settings.tolerance
+        and z < iterations_max
+        and state.evaluations + step_evaluations_max <= budget
+    ):
         if z >= pause:
-            room.damping[0] = damping
-            break
-        residuals = linearise(work, floor, slack)
-        evaluations += residuals
+            return True
+        residuals = linearise(problem, room, floor, settings.slack)
+        state.evaluations += residuals
         mean_square = _square_jacobian(room, residuals)
         lower = merit
-        while z < iterations and damping < DAMPING_MOST and evaluations < budget:
+        while z < iterations_max and state.damping < DAMPING_MOST and state.evaluations < budget:
             z += 1
-            history[z] = merit
-            if _solve(room, residuals, damping * mean_square):
+            state.iterations = z
+            merits[z] = merit
+            if _solve(room, residuals, state.damping * mean_square):
                 _step(room, u, residuals)
-                evaluations += 1
-                predict_path(work, room.trial)
-                lower = measure(work, slack)
+                state.evaluations += 1
+                trace(room.trial, problem, room.path)
+                lower = measure(problem, room, settings.slack)
                 if lower < merit:
                     break
-            damping *= STIFFENED
+            state.damping *= STIFFENED
         if not lower < merit:
             break
         merit = lower
-        history[z] = merit
+        merits[z] = merit
         for j in range(u.size):
             u[j] = room.trial[j]
-        damping = max(EASED * damping, DAMPING_LEAST)
-        if z >= patience and merit > PROGRESS * history[z - patience]:
+        state.damping = max(EASED * state.damping, DAMPING_LEAST)
+        if z >= settings.patience and merit > PROGRESS * merits[z - settings.patience]:
             break
-    return z, evaluations
+    return False
 
 
 @compiled(**INLINE_FAST)
-def predict_path(work, u):
-    """Predict the path under signals u (L,), and its gradients: fill `traced`."""
-    trace(
-        u,
-        work.turned,
-        work.parameters,
-        work.drift,
-        work.first_period,
-        work.period,
-        work.first,
-        work.rest,
-        work.room.traced,
-    )
-
-
-@compiled(**INLINE_FAST)
-def measure(work, slack):
-    """Return the merit m of the path in `traced`; fill `depths` and `meetings` with the d_io and
+def measure(problem, room, slack):
+    """Return the merit m of the path; fill `depths` and `meetings` with the d_io and
     d_ik, which are -slack for robots that come no nearer to an obstacle than that.
     """
-    room = work.room
-    path = room.traced.path
-    length = room.rows.shape[1]
-    robots = len(work.target)
-    find_deepest(
-        work.shapes, work.walls, path, length, -slack, room.near, room.depths, room.deepest
-    )
-    merit = math.sqrt(robots * _squared_misses(work))
+    robots = len(problem.robots)
+    find_deepest(problem, -slack, room)
+    merit = math.sqrt(robots * _squared_misses(problem, room))
     for i in range(robots):
         for o in range(room.depths.shape[1]):
             merit += DEPTH_WEIGHT * max(0.0, room.depths[i, o])
     if room.meetings.size:
-        _find_meetings(work)
+        _find_meetings(problem, room)
         for pair in range(room.meetings.size):
             merit += DEPTH_WEIGHT * max(0.0, room.meetings[pair])
     return merit
 
 
 @compiled(**INLINE_FAST)
-def _squared_misses(work):
+def _squared_misses(problem, room):
     """Return sum_i |s_i - tar_i|^2."""
-    path = work.room.traced.path
-    last = work.room.rows.shape[1] - 1
+    path = room.path
+    last = room.rows.shape[1] - 1
     total = 0.0
-    for i in range(len(work.target)):
-        dx = path[0, i, last] - work.target[i, 0]
-        dy = path[1, i, last] - work.target[i, 1]
+    for i in range(len(problem.robots)):
+        dx = path.x[i, last] - problem.targets[i, 0]
+        dy = path.y[i, last] - problem.targets[i, 1]
         total += dx * dx + dy * dy
     return total
 
 
 @compiled(**INLINE_FAST)
-def _find_meetings(work):
+def _find_meetings(problem, room):
     """Fill `meetings` and `nearest` for each pair of robots."""
-    room = work.room
-    path = room.traced.path
+    path = room.path
     pair = 0
-    for i in range(len(work.target)):
+    for i in range(len(problem.robots)):
         for k in range(i):
             least = math.inf
             signal = 0
             for j in range(room.rows.shape[1]):
-                dx = path[0, i, j] - path[0, k, j]
-                dy = path[1, i, j] - path[1, k, j]
+                dx = path.x[i, j] - path.x[k, j]
+                dy = path.y[i, j] - path.y[k, j]
                 square = dx * dx + dy * dy
                 if square < least:
                     least = square
                     signal = j
-            room.meetings[pair] = work.separation - math.sqrt(least)
+            room.meetings[pair] = problem.separation - math.sqrt(least)
             room.nearest[pair] = signal
             pair += 1
 
 
 @compiled(**INLINE_FAST)
-def linearise(work, floor, slack):
+def linearise(problem, room, floor, slack):
     """Fill `residual` and the Jacobian `rows` for the path of the last `measure`; return the number
     of residuals.
 
     Obstacles are grown by `slack`, so that a path pushed to their edge ends outside. `floor` limits
     the factors c where a miss or a depth is nearly zero.
     """
-    room = work.room
-    _pull_to_targets(work, floor)
-    residuals = 2 * len(work.target)
-    residuals = _push_out_of_obstacles(work, floor, slack, residuals)
+    _pull_to_targets(problem, room, floor)
+    residuals = 2 * len(problem.robots)
+    residuals = _push_out_of_obstacles(problem, room, floor, slack, residuals)
     pulls = residuals  # so far, each residual depends on one position
     if room.meetings.size:
-        pulls, residuals = _push_apart(work, floor, slack, residuals)
+        pulls, residuals = _push_apart(problem, room, floor, slack, residuals)
     for r in range(residuals):
         for j in range(room.rows.shape[1]):
             room.rows[r, j] = 0.0
     for e in range(pulls):
         backward(
-            room.traced.gradients,
+            room.path,
             room.pulls.robot[e],
             room.pulls.signal[e],
             room.pulls.east[e],
@@ -333,34 +292,32 @@ def linearise(work, floor, slack):
 
 
 @compiled(**INLINE_FAST)
-def _pull_to_targets(work, floor):
+def _pull_to_targets(problem, room, floor):
     """Write the 2N residuals of the misses, r = c (s_i - tar_i)."""
-    room = work.room
-    path = room.traced.path
+    path = room.path
     last = room.rows.shape[1] - 1
-    root_mean_square = math.sqrt(_squared_misses(work) / len(work.target))
+    root_mean_square = math.sqrt(_squared_misses(problem, room) / len(problem.robots))
     c = 1 / math.sqrt(max(root_mean_square, floor))
-    for i in range(len(work.target)):
+    for i in range(len(problem.robots)):
         r = 2 * i
-        room.residual[r] = c * (path[0, i, last] - work.target[i, 0])
+        room.residual[r] = c * (path.x[i, last] - problem.targets[i, 0])
         _write_pull(room.pulls, r, r, i, last, c, 0.0)
-        room.residual[r + 1] = c * (path[1, i, last] - work.target[i, 1])
+        room.residual[r + 1] = c * (path.y[i, last] - problem.targets[i, 1])
         _write_pull(room.pulls, r + 1, r + 1, i, last, 0.0, c)
 
 
 @compiled(**INLINE_FAST)
-def _push_out_of_obstacles(work, floor, slack, residuals):
+def _push_out_of_obstacles(problem, room, floor, slack, residuals):
     """Write a residual r = c d for each depth d_io above zero; return the number of residuals."""
-    room = work.room
-    path = room.traced.path
+    path = room.path
     r = residuals
-    for i in range(len(work.target)):
+    for i in range(len(problem.robots)):
         for o in range(room.depths.shape[1]):
             depth = room.depths[i, o] + slack
             if depth > 0:
                 signal = room.deepest[i, o]
                 east, north = outward(
-                    work.shapes, work.walls, o, path[0, i, signal], path[1, i, signal]
+                    problem.rows, problem.walls, o, path.x[i, signal], path.y[i, signal]
                 )
                 c = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 room.residual[r] = c * depth
@@ -370,23 +327,22 @@ def _push_out_of_obstacles(work, floor, slack, residuals):
 
 
 @compiled(**INLINE_FAST)
-def _push_apart(work, floor, slack, residuals):
+def _push_apart(problem, room, floor, slack, residuals):
     """Write a residual r = c d for each d_ik above zero, which depends on two positions; return the
     numbers of pulls and of residuals.
     """
-    room = work.room
-    path = room.traced.path
+    path = room.path
     r = residuals
     e = residuals
     pair = 0
-    for i in range(len(work.target)):
+    for i in range(len(problem.robots)):
         for k in range(i):
             depth = room.meetings[pair] + slack
             signal = room.nearest[pair]
             pair += 1
             if depth > 0:
-                dx = path[0, i, signal] - path[0, k, signal]
-                dy = path[1, i, signal] - path[1, k, signal]
+                dx = path.x[i, signal] - path.x[k, signal]
+                dy = path.y[i, signal] - path.y[k, signal]
                 distance = math.sqrt(dx * dx + dy * dy)
                 c = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 share = c / distance if distance > 0 else 0.0
@@ -486,59 +442,46 @@ def _step(room, u, residuals):
 
 
 @compiled(**INLINE_FAST)
-def judge(work, u):
+def judge(problem, room, u):
     """Wrap u (L,) into [-pi, pi] in place, and return J of (7) of its path."""
     for j in range(u.size):
         u[j] = _wrap(u[j])
-    predict_path(work, u)
-    return _sum_of_distances(work) + work.weight * _sum_of_hits(work)
+    trace(u, problem, room.path)
+    return _sum_of_distances(problem, room) + problem.obstacle_weight * _sum_of_hits(problem, room)
 
 
 @compiled(**INLINE_FAST)
-def _sum_of_distances(work):
-    """Return f of (8) of the path in `traced`."""
-    path = work.room.traced.path
-    last = work.room.rows.shape[1] - 1
+def _sum_of_distances(problem, room):
+    """Return f of (8) of the path."""
+    path = room.path
+    last = room.rows.shape[1] - 1
     total = 0.0
-    for i in range(len(work.target)):
-        dx = path[0, i, last] - work.target[i, 0]
-        dy = path[1, i, last] - work.target[i, 1]
+    for i in range(len(problem.robots)):
+        dx = path.x[i, last] - problem.targets[i, 0]
+        dy = path.y[i, last] - problem.targets[i, 1]
         total += math.sqrt(dx * dx + dy * dy)
     return total
 
 
 @compiled(**INLINE_FAST)
-def _sum_of_hits(work):
-    """Return P of (9) of the path in `traced`."""
-    room = work.room
-    x = room.traced.path[0]
-    y = room.traced.path[1]
+def _sum_of_hits(problem, room):
+    """Return P of (9) of the path."""
+    x = room.path.x
+    y = room.path.y
     length = room.rows.shape[1]
-    for i in range(len(work.target)):
-        room.x_before[0] = work.start[i, 0]
-        room.y_before[0] = work.start[i, 1]
+    for i in range(len(problem.robots)):
+        room.x_before[0] = problem.poses[i, 0]
+        room.y_before[0] = problem.poses[i, 1]
         for j in range(length - 1):
             room.x_before[j + 1] = x[i, j]
             room.y_before[j + 1] = y[i, j]
         for j in range(length):
             room.hits[i, j] = 0.0
-        count_hits(
-            work.shapes,
-            work.walls,
-            room.x_before,
-            room.y_before,
-            x,
-            y,
-            i,
-            work.swept,
-            room.clearance,
-            room.near,
-            room.hits,
-        )
-    if work.separation > 0:
-        count_meetings(x, y, work.separation, room.hits)
+        count_hits(problem, x, y, i, room)
+    if problem.separation > 0:
+        count_meetings(x, y, problem.separation, room.hits)
     total = 0.0
-    for i in range(len(work.target)):
+    for i in range(len(problem.robots)):
         for j in range(length):
             total += room.hits[i, j]
     return total

@@ -1,12 +1,25 @@
-"""A search of `tetractl.control.optimizers.multistart`: random sequences, the best polished."""
+"""A search of `tetractl.control.optimizers.multistart`: random sequences, the best polished.
+
+A search has *starts*, sequences that it polishes one after the other: at first the warm start, if
+there is one; and then *rounds*, in each of which many random sequences are scattered, and the best
+of them become the next starts. `search` goes on with a search as far as it is allowed to, and says
+how it ended:
+
+    PAUSED      not yet: the iterations that were allowed are done
+    GOOD        a start costs at most the tolerance
+    SPENT       the budget allows no further evaluation
+    OVER        all starts of the last round are polished
+    NOT_FINITE  a cost is no finite number
+"""
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from threading import get_ident
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.levenberg import Integers, judge, polish
+from tetractl.control.kernels.levenberg import POLISH_STATE, Integers, judge, polish
 from tetractl.control.kernels.rollout import costs
 from tetractl.control.kernels.update import drawn
 from tetractl.core.poses import Floats
@@ -19,39 +32,30 @@ BETWEEN_LOOKS = 130_000
 """Robot steps between two checks of the deadline: they take less than 1 ms."""
 WARM = 0.5
 """Largest distance of a scattered sequence from the warm start [rad]."""
-"""Greatest signal ub, (12) [rad]."""
 S11 = np.uint64(11)
 """Shift that leaves the 53 bits of a random number that a float64 holds."""
+UNLIMITED = 2**62
+"""A number of evaluations, or of iterations, that no search reaches."""
 
-# How `search` ends.
-UNDER_WAY = 0
-"""It was interrupted, and can be continued."""
+PAUSED = 0
 GOOD = 1
-"""A start costs at most the tolerance."""
 SPENT = 2
-"""The budget allows no further evaluation."""
 OVER = 3
-"""All starts of the last round are polished."""
-
-# Numbers of `Rounds.counts`.
-ROUNDS_BEGUN = 0
-"""Rounds that were scattered."""
-STARTS_NOW = 1
-"""Starts of the present round."""
-STARTS_DONE = 2
-"""Those that are polished."""
-ITERATIONS = 3
-"""Iterations of the polish under way, or of the last one."""
-POLISH_EVALUATIONS = 4
-"""Evaluations of the polish under way; 0 if none is."""
-HISTORY_ENTRIES = 5
-"""Entries of the history."""
-EVALUATIONS = 6
-"""All evaluations but those of the polish under way."""
-COUNTS = 7
-"""Number of them."""
+NOT_FINITE = 4
 
 _wrap = inlined(polynomials.wrap)
+
+SEARCH_STATE = np.dtype(
+    [
+        ("rounds_begun", np.int64),  # that were scattered
+        ("starts", np.int64),  # of the present round
+        ("starts_done", np.int64),  # those of them that are polished
+        ("evaluations", np.int64),  # all but those of the polish under way
+        ("history_entries", np.int64),
+        ("best_cost", np.float64),  # J of the best sequence
+    ]
+)
+"""How far a search has come."""
 
 
 class Rounds(NamedTuple):
@@ -68,29 +72,39 @@ class Rounds(NamedTuple):
     starts: Floats
     """(K, L) sequences to polish, best first."""
     signals: Floats
-    """(L,) the sequence polished last, within [-pi, pi]."""
+    """(L,) the sequence that is polished, or was last; then it is within [-pi, pi]."""
     merits: Floats
     """(steps_max + 1,) its merit at first and after each iteration."""
     best: Floats
     """(L,) the best sequence."""
-    costs: Floats
-    """(2,) J of the best sequence, and of the last one."""
     history: Floats
     """J before and after each polish, and merits on the way to a new best."""
-    counts: Integers
-    """(COUNTS,)"""
+    polish: Any
+    """The `POLISH_STATE` of the polish under way, or of the last one."""
+    state: Any
+    """The `SEARCH_STATE`."""
 
     def begin(self, starts: Floats) -> None:
         """Begin a search with the sequences (S, L), of which there are at most K."""
-        self.counts[:] = 0
-        self.counts[STARTS_NOW] = len(starts)
-        self.costs[0] = math.inf
-        self.costs[1] = 0.0
         self.starts[: len(starts)] = starts
+        self.polish.evaluations = 0
+        self.state.rounds_begun = 0
+        self.state.starts = len(starts)
+        self.state.starts_done = 0
+        self.state.evaluations = 0
+        self.state.history_entries = 0
+        self.state.best_cost = math.inf
+
+
+def rounds_for(
+    count: int, particles: int, knots: int, length: int, steps_max: int, rounds: int
+) -> Rounds:
+    """Return the present thread's arrays for searches of these sizes."""
+    return _rounds_for(get_ident(), count, particles, knots, length, steps_max, rounds)
 
 
 @lru_cache(maxsize=64)
-def workspace(
+def _rounds_for(
     thread: int, count: int, particles: int, knots: int, length: int, steps_max: int, rounds: int
 ) -> Rounds:
     """Return the arrays of one thread."""
@@ -103,112 +117,101 @@ def workspace(
         signals=np.empty(length),
         merits=np.empty(steps_max + 1),
         best=np.empty(length),
-        costs=np.empty(2),
         history=np.empty(1 + (rounds + 1) * (1 + count * (steps_max + 2))),
-        counts=np.zeros(COUNTS, dtype=np.int64),
+        polish=np.recarray(1, POLISH_STATE)[0],
+        state=np.recarray(1, SEARCH_STATE)[0],
     )
 
 
 @compiled(**ENTRY_FAST)
 def search(
-    work, rollout, key, warm, rounds, tolerance, slack, patience, budget, look, search_rounds
+    problem, swarm, room, key, warm, rounds_max, settings, budget, iterations, cut_short, rounds
 ):
-    """Polish the starts of `search_rounds`, then the best scattered ones of each of `rounds`, until
-    one costs at most `tolerance`, within `budget` evaluations; return how the search ended.
+    """Go on with a search, within `budget` evaluations in all; return how it ended.
 
-    `warm` (L,) is the first start if there is a warm start, else empty; its own J comes first.
-
-    A positive `look` is a number of iterations after which the search is interrupted; the next call
-    continues it. A negative one ends the start that is under way as it is; 0 is no limit.
+    `warm` (L,) is the first start if there is a warm start, else empty; its own J comes first, as
+    it is. `rounds_max` rounds are scattered. The search is paused after about so many `iterations`,
+    and at the latest one polish later; or, to be `cut_short`, it ends the start under way as it is.
     """
-    counts = search_rounds.counts
-    u = search_rounds.signals
-    steps_max = search_rounds.merits.size - 1
-    particles = search_rounds.scattered_costs.size
-    used = 0  # iterations of this call
-    while look <= 0 or used < look:
-        if counts[STARTS_DONE] == counts[STARTS_NOW]:
-            if counts[ROUNDS_BEGUN] == rounds:
+    state = rounds.state
+    u = rounds.signals
+    particles = rounds.scattered_costs.size
+    iterations_left = iterations
+    while iterations_left > 0:
+        if state.starts_done == state.starts:
+            if state.rounds_begun == rounds_max:
                 return OVER
-            if counts[EVALUATIONS] > 0 and counts[EVALUATIONS] + particles > budget:
+            if state.evaluations > 0 and state.evaluations + particles > budget:
                 return SPENT
-            if not _scatter(rollout, drawn(key, counts[ROUNDS_BEGUN]), warm, search_rounds):
-                search_rounds.costs[1] = math.nan
+            draws_key = drawn(key, state.rounds_begun)
+            if not _scatter(problem, swarm, draws_key, warm, rounds):
+                return NOT_FINITE
+            iterations_left -= particles // room.residual.size
+        is_begun = rounds.polish.evaluations > 0
+        only_evaluates = warm.size > 0 and state.evaluations == 0
+        if not is_begun:
+            if not only_evaluates and state.evaluations + 2 > budget:
                 return SPENT
-            counts[ROUNDS_BEGUN] += 1
-            used += particles // work.room.residual.size
-        # the warm start is evaluated as it is, before its polish
-        only_evaluates = counts[EVALUATIONS] == 0 and warm.size > 0
-        z = counts[ITERATIONS] if counts[POLISH_EVALUATIONS] > 0 else 0
-        if z == 0:
-            if not only_evaluates and counts[EVALUATIONS] + 2 > budget:
-                return SPENT
-            work.room.damping[0] = 0.0
+            rounds.polish.iterations = 0
             for j in range(u.size):
-                u[j] = search_rounds.starts[counts[STARTS_DONE], j]
-        if only_evaluates or look < 0:
-            pause = z
-        elif look == 0:
-            pause = 2**62
-        else:
-            pause = z + max(1, look - used)  # at z a polish has not begun
-        remaining = budget - counts[EVALUATIONS] - counts[POLISH_EVALUATIONS] - 1
-        iterations, evaluations = polish(
-            work,
-            u,
-            tolerance,
-            slack,
-            steps_max,
-            patience,
-            remaining,
-            search_rounds.merits,
-            z,
-            pause,
-        )
-        used += iterations - z + 1
-        counts[ITERATIONS] = iterations
-        if look > 0 and not only_evaluates and work.room.damping[0] < math.inf:
-            counts[POLISH_EVALUATIONS] += evaluations
-            return UNDER_WAY
-        cost = judge(work, u)
+                u[j] = rounds.starts[state.starts_done, j]
         if only_evaluates:
-            counts[EVALUATIONS] += 1
+            iterations_left -= 1
         else:
-            counts[EVALUATIONS] += counts[POLISH_EVALUATIONS] + evaluations + 1
-            counts[STARTS_DONE] += 1
-        counts[POLISH_EVALUATIONS] = 0
-        search_rounds.costs[1] = cost
-        best_before = search_rounds.costs[0]
-        if cost < best_before:
-            for m in range(iterations):
-                _note(search_rounds, min(max(search_rounds.merits[m], cost), best_before))
-        _keep(search_rounds, u, cost)
-        if cost <= tolerance and not only_evaluates:
+            done = rounds.polish.iterations
+            pause = done if cut_short else done + max(1, iterations_left)  # not before it begins
+            polish_budget = budget - state.evaluations - 1
+            is_paused = polish(
+                problem, room, u, settings, polish_budget, rounds.merits, rounds.polish, pause
+            )
+            iterations_left -= rounds.polish.iterations - done + 1
+            if is_paused and not cut_short:
+                return PAUSED
+        cost = judge(problem, room, u)
+        if not math.isfinite(cost):
+            return NOT_FINITE
+        state.evaluations += rounds.polish.evaluations + 1
+        rounds.polish.evaluations = 0
+        if not only_evaluates:
+            state.starts_done += 1
+            _note_merits(rounds, cost)
+        _keep(rounds, u, cost)
+        if cost <= settings.tolerance and not only_evaluates:
             return GOOD
-        if look < 0 or not math.isfinite(cost):
-            break
-    return UNDER_WAY
+        if cut_short:
+            return PAUSED
+    return PAUSED
 
 
 @compiled(**INLINE_FAST)
-def _note(search_rounds, cost):
+def _note_merits(rounds, cost):
+    """Add the merits of a polish to the history, between the best cost so far and its own, if it
+    has found a better one."""
+    best_cost = rounds.state.best_cost
+    if cost < best_cost:
+        for z in range(rounds.polish.iterations):
+            _note(rounds, min(max(rounds.merits[z], cost), best_cost))
+
+
+@compiled(**INLINE_FAST)
+def _note(rounds, cost):
     """Add an entry to the history."""
-    search_rounds.history[search_rounds.counts[HISTORY_ENTRIES]] = cost
-    search_rounds.counts[HISTORY_ENTRIES] += 1
+    rounds.history[rounds.state.history_entries] = cost
+    rounds.state.history_entries += 1
 
 
 @compiled(**INLINE_FAST)
-def _keep(search_rounds, u, cost):
+def _keep(rounds, u, cost):
     """Keep the sequence u (L,) if it costs least, and add the least cost to the history."""
-    if cost < search_rounds.costs[0]:
-        search_rounds.costs[0] = cost
+    if cost < rounds.state.best_cost:
+        rounds.state.best_cost = cost
         for j in range(u.size):
-            search_rounds.best[j] = u[j]
-    _note(search_rounds, search_rounds.costs[0])
+            rounds.best[j] = u[j]
+    _note(rounds, rounds.state.best_cost)
 
 
 @compiled(**INLINE_FAST)
-def _scatter(rollout, key, warm, search_rounds):
+def _scatter(problem, swarm, key, warm, rounds):
     """Scatter a round's sequences, of which the best become the starts; return whether all their J
     are finite.
 
@@ -216,12 +219,10 @@ def _scatter(rollout, key, warm, search_rounds):
     the targets. With a warm start (L,), every second sequence is the warm start plus such a curve
     within WARM of 0.
     """
-    draws = search_rounds.draws
-    signals = search_rounds.scattered
-    scattered_costs = search_rounds.scattered_costs
-    order = search_rounds.order
+    draws = rounds.draws
+    signals = rounds.scattered
     knots, particles = draws.shape
-    bearing = _bearing(rollout)
+    bearing = _bearing(problem)
     for k in range(knots):
         for n in range(particles):
             draw = drawn(key, k * particles + n) >> S11
@@ -239,27 +240,28 @@ def _scatter(rollout, key, warm, search_rounds):
             near_warm = warmed & ~n  # for even n: vector code needs a number
             u = middle + WARM * curve if near_warm else bearing + UPPER * curve
             signals[j, n] = _wrap(u)
-    if not costs(rollout, signals, scattered_costs):
+    if not costs(problem, swarm, signals, rounds.scattered_costs):
         return False
-    count = _sort(scattered_costs, order)
+    count = _sort(rounds.scattered_costs, rounds.order)
     for k in range(count):
         for j in range(length):
-            search_rounds.starts[k, j] = signals[j, order[k]]
-    search_rounds.counts[STARTS_NOW] = count
-    search_rounds.counts[STARTS_DONE] = 0
-    search_rounds.counts[EVALUATIONS] += particles
-    _keep(search_rounds, search_rounds.starts[0], scattered_costs[order[0]])
+            rounds.starts[k, j] = signals[j, rounds.order[k]]
+    rounds.state.rounds_begun += 1
+    rounds.state.starts = count
+    rounds.state.starts_done = 0
+    rounds.state.evaluations += particles
+    _keep(rounds, rounds.starts[0], rounds.scattered_costs[rounds.order[0]])
     return True
 
 
 @compiled(**INLINE_FAST)
-def _bearing(rollout):
+def _bearing(problem):
     """Return the mean direction from the robots to their targets [rad]."""
     east = 0.0
     north = 0.0
-    for i in range(rollout.target.shape[1]):
-        east += rollout.target[0, i] - rollout.start[0, i]
-        north += rollout.target[1, i] - rollout.start[1, i]
+    for i in range(len(problem.robots)):
+        east += problem.targets[i, 0] - problem.poses[i, 0]
+        north += problem.targets[i, 1] - problem.poses[i, 1]
     return math.atan2(north, east)
 
 

@@ -122,35 +122,42 @@ def nearest(row, x, y):
 
 
 @compiled(**INLINE_FAST)
-def count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits):
-    """Add 1 to hits[i, n] if robot i of particle n has touched an obstacle.
+def count_hits(problem, x, y, i, room):
+    """Add 1 to hits[i, n] of the room if robot i of particle n has touched an obstacle.
 
-    The robot is at x, y (N, P); if `swept`, it came there from x0, y0 (P,). gap and near (P,) are
-    scratch arrays.
+    The robot is at x, y (N, P); if ways are `swept`, it came there from x_before, y_before (P,) of
+    the room. Its gap and near (P,) are scratch.
     """
-    for n in range(gap.size):
+    walls = problem.walls
+    swept = problem.swept
+    x0 = room.x_before
+    y0 = room.y_before
+    gap = room.gap
+    near = room.near
+    particles = gap.size
+    for n in range(particles):
         gap[n] = 1.0
     if walls.size:
         left = walls[0]
         bottom = walls[1]
         right = walls[2]
         top = walls[3]
-        for n in range(gap.size):
+        for n in range(particles):
             across = min(x[i, n] - left, right - x[i, n])
             gap[n] = min(across, min(y[i, n] - bottom, top - y[i, n]))
-        for n in range(gap.size if swept else 0):
+        for n in range(particles if swept else 0):
             across = min(x0[n] - left, right - x0[n])
             gap[n] = min(gap[n], min(across, min(y0[n] - bottom, top - y0[n])))
-    for o in range(rows.shape[0]):
+    for o in range(problem.rows.shape[0]):
         # the box around the shape, tested for all particles at once, leaves few to be tested
-        row = rows[o]
+        row = problem.rows[o]
         in_box = 0.0
         mid_x = (row[LEFT] + row[RIGHT]) / 2.0
         mid_y = (row[BOTTOM] + row[TOP]) / 2.0
         half_x = (row[RIGHT] - row[LEFT]) * HALF_MORE
         half_y = (row[TOP] - row[BOTTOM]) * HALF_MORE
         if swept:
-            for n in range(gap.size):
+            for n in range(particles):
                 hx = (x[i, n] - x0[n]) / 2.0
                 hy = (y[i, n] - y0[n]) / 2.0
                 mx = x0[n] + hx - mid_x
@@ -160,58 +167,58 @@ def count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits):
                 near[n] = max(off_box, across)
                 in_box += 1.0 if near[n] <= 0 else 0.0
         else:
-            for n in range(gap.size):
+            for n in range(particles):
                 near[n] = max(abs(x[i, n] - mid_x) - half_x, abs(y[i, n] - mid_y) - half_y)
                 in_box += 1.0 if near[n] <= 0 else 0.0
         if in_box > 0:
-            for n in range(gap.size):
+            for n in range(particles):
                 if near[n] <= 0 and gap[n] > 0:
                     ax, ay = (x0[n], y0[n]) if swept else (x[i, n], y[i, n])
                     if touches(row, ax, ay, x[i, n], y[i, n]):
                         gap[n] = 0.0
-    for n in range(gap.size):
-        hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
+    for n in range(particles):
+        room.hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
 
 
 @compiled(**INLINE_FAST)
-def find_deepest(rows, walls, path, length, floor, near, depths, where):
-    """Find each robot's deepest position in each obstacle.
+def find_deepest(problem, floor, room):
+    """Find each robot's deepest position in each obstacle, along the room's path of L signals.
 
-    path (2, N, M): only the first `length` positions count. depths (N, O) [length unit] are `floor`
-    if no position is deeper; where (N, O) is the index of the first deepest position. near (M,) is
-    a scratch array.
+    Its depths (N, O) [length unit] are `floor` if no position is deeper; deepest (N, O) is the
+    index of the first deepest position. near (M,) is scratch.
     """
-    shapes = rows.shape[0]
-    for i in range(path.shape[1]):
-        x = path[0, i]
-        y = path[1, i]
+    length = room.trial.size
+    shapes = problem.rows.shape[0]
+    for i in range(len(problem.robots)):
+        x = room.path.x[i]
+        y = room.path.y[i]
         for o in range(shapes):
-            row = rows[o]
-            deepest = floor
-            deepest_j = 0
-            for j in range(near.size):
+            row = problem.rows[o]
+            depth_most = floor
+            deepest = 0
+            for j in range(room.near.size):
                 beside = max(row[LEFT] - x[j], x[j] - row[RIGHT])
-                near[j] = -max(beside, max(row[BOTTOM] - y[j], y[j] - row[TOP]))
+                room.near[j] = -max(beside, max(row[BOTTOM] - y[j], y[j] - row[TOP]))
             for j in range(length):
-                if near[j] > deepest:
+                if room.near[j] > depth_most:
                     depth = -nearest(row, x[j], y[j])[0]
-                    if depth > deepest:
-                        deepest = depth
-                        deepest_j = j
-            depths[i, o] = deepest
-            where[i, o] = deepest_j
-        for w in range(walls.size):
+                    if depth > depth_most:
+                        depth_most = depth
+                        deepest = j
+            room.depths[i, o] = depth_most
+            room.deepest[i, o] = deepest
+        for w in range(problem.walls.size):
             side = -1.0 if w < 2 else 1.0
-            along = path[w % 2, i]
-            deepest = floor
-            deepest_j = 0
+            along = x if w % 2 == 0 else y
+            depth_most = floor
+            deepest = 0
             for j in range(length):
-                depth = side * (along[j] - walls[w])
-                if depth > deepest:
-                    deepest = depth
-                    deepest_j = j
-            depths[i, shapes + w] = deepest
-            where[i, shapes + w] = deepest_j
+                depth = side * (along[j] - problem.walls[w])
+                if depth > depth_most:
+                    depth_most = depth
+                    deepest = j
+            room.depths[i, shapes + w] = depth_most
+            room.deepest[i, shapes + w] = deepest
 
 
 @compiled(**INLINE_FAST)

@@ -1,19 +1,19 @@
-"""The cost (7)-(9) of a whole swarm: `tetractl.control.cost.evaluate`, compiled.
+"""The cost J of (7) of many sequences at once: `tetractl.control.cost.evaluate`, compiled.
 
-All particles are simulated together, signal by signal.
+Each of P sequences, a particle, moves N robots of its own. All particles are simulated together,
+signal by signal, so that the loops over them are vector code.
 """
 
 import math
 from functools import lru_cache
 from threading import get_ident
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tetractl.control.kernels.gradient import VECTOR
-from tetractl.control.kernels.motion import advance, flat, parameters_of
+from tetractl.control.kernels.motion import advance, robot_of
 from tetractl.control.kernels.obstacles import count_hits
-from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos
 from tetractl.tools.kernels.kernel_cache import compiled
@@ -22,122 +22,114 @@ from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlin
 _sincos = inlined(sincos)
 
 
-class Rollout(NamedTuple):
-    """A problem laid out for N robots of P particles, with the scratch arrays of its rollouts."""
+class Swarm(NamedTuple):
+    """The working arrays of a rollout of P particles with N robots each. Where the robots are:"""
 
-    start: Floats  # (4, N): x, y, cos and sin of the heading
-    target: Floats  # (2, N)
-    first: Any  # `Lanes`, constants of the motion for the first signal
-    rest: Any  # `Lanes`, the same for the other signals
-    parameters: Floats  # (N, 4) PARAMETERS and TURNING
-    periods: Floats  # (2,) of the first signal and of the others [s]
-    rows: Floats  # `Obstacles.rows`
-    walls: Floats  # `Obstacles.walls`
-    weight: float
-    swept: bool
-    separation: float
-    drift: Floats  # `Flat.displaced`
-    lanes: Floats  # (5, N, P): x, y, cos, sin, hits
-    # (8, P): cos and sin of the signal; x, y before the step; two for `count_hits`; cos and sin of
-    # the direction that one robot turns towards, the signal plus its bias
-    scratch: Floats
+    x: Floats
+    """(N, P) [length unit]."""
+    y: Floats
+    """(N, P) [length unit]."""
+    cos: Floats
+    """(N, P) of the heading."""
+    sin: Floats
+    """(N, P) of the heading."""
+    hits: Floats
+    """(N, P) how often each robot touched an obstacle or was too near to another robot."""
+    cos_u: Floats
+    """(P,) of the present signal."""
+    sin_u: Floats
+    """(P,) of the present signal."""
+    own_cos: Floats
+    """(P,) of the direction to which one robot turns, the signal plus its bias."""
+    own_sin: Floats
+    """(P,) of that direction."""
+    x_before: Floats
+    """(P,) of one robot before the present step."""
+    y_before: Floats
+    """(P,) of one robot before the present step."""
+    gap: Floats
+    """(P,) for `count_hits`."""
+    near: Floats
+    """(P,) for `count_hits`."""
 
 
-def aligned(shape: tuple[int, ...]) -> Floats:
-    """Return an array aligned to cache lines: a vector across two lines takes twice the time."""
-    size = math.prod(shape)
-    line = VECTOR
-    raw = np.empty(size + line)
-    first = -raw.ctypes.data // raw.itemsize % line
-    return raw[first : first + size].reshape(shape)
-
-
-@lru_cache(maxsize=4)  # the rounds of one control step need the same arrays
-def lay_out(problem: Problem, particles: int) -> Rollout:
-    """Prepare a problem for rollouts of a number of particles at once; every call returns the same
-    arrays. The scratch arrays are those of all problems of this shape in this thread."""
-    flattened = flat(problem)
-    return Rollout(
-        start=flattened.turned,
-        target=np.ascontiguousarray(problem.targets.T),
-        first=flattened.first,
-        rest=flattened.rest,
-        parameters=flattened.parameters,
-        periods=np.array([problem.first_period, problem.period]),
-        rows=problem.obstacles.rows,
-        walls=problem.obstacles.walls,
-        weight=float(problem.obstacle_weight),
-        swept=problem.swept,
-        separation=float(problem.separation),
-        drift=flattened.displaced,
-        **_scratch(get_ident(), problem.a.size, particles),
-    )
+def swarm_of(robots: int, particles: int) -> Swarm:
+    """Return the present thread's arrays for robots and particles of these numbers."""
+    return _swarm_of(get_ident(), robots, particles)
 
 
 @lru_cache(maxsize=64)
-def _scratch(thread: int, count: int, particles: int) -> dict[str, Floats]:
-    """Return the scratch arrays of one thread for robots and particles of these numbers."""
-    return {"lanes": aligned((5, count, particles)), "scratch": aligned((8, particles))}
+def _swarm_of(thread: int, robots: int, particles: int) -> Swarm:
+    """Return the arrays of one thread, each aligned to cache lines."""
+    of_robots = _aligned((5, robots, particles))
+    of_particles = _aligned((8, particles))
+    return Swarm(*of_robots, *of_particles)
+
+
+def _aligned(shape: tuple[int, ...]) -> Floats:
+    """Return an array aligned to cache lines: a vector across two lines takes twice the time."""
+    size = math.prod(shape)
+    raw = np.empty(size + VECTOR)
+    first = -raw.ctypes.data // raw.itemsize % VECTOR
+    return raw[first : first + size].reshape(shape)
 
 
 @compiled(**ENTRY_FAST, forceinline=True)
-def costs(rollout, signals, total):
-    """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
-    lanes = rollout.lanes
-    scratch = rollout.scratch
-    drift = rollout.drift
-    x = lanes[0]
-    y = lanes[1]
-    cos = lanes[2]
-    sin = lanes[3]
-    hits = lanes[4]
-    cos_u = scratch[0]
-    sin_u = scratch[1]
-    x0 = scratch[2]
-    y0 = scratch[3]
-    gap = scratch[4]
-    near = scratch[5]
-    own_cos = scratch[6]
-    own_sin = scratch[7]
-    start = rollout.start
-    drifts = drift.shape[1] > 0
-    towards = (own_cos, own_sin) if drifts else (cos_u, sin_u)
-    for i in range(x.shape[0]):
+def costs(problem, swarm, signals, total):
+    """Write J of each column of signals (L, P) to total (P,); return whether all are finite.
+
+    `problem` is a `FlatProblem`. Arrays are taken out of it, and out of the swarm, before the
+    loops: in these, each look at one of its fields would take as long as a dozen steps.
+    """
+    robots = problem.robots
+    first = problem.first
+    rest = problem.rest
+    x = swarm.x
+    y = swarm.y
+    cos = swarm.cos
+    sin = swarm.sin
+    hits = swarm.hits
+    cos_u = swarm.cos_u
+    sin_u = swarm.sin_u
+    to_cos = swarm.own_cos if problem.drifts else cos_u
+    to_sin = swarm.own_sin if problem.drifts else sin_u
+    x_before = swarm.x_before
+    y_before = swarm.y_before
+    for i in range(len(robots)):
         for n in range(total.size):
-            x[i, n] = start[0, i]
-            y[i, n] = start[1, i]
+            x[i, n] = problem.poses[i, 0]
+            y[i, n] = problem.poses[i, 1]
+            cos[i, n] = problem.cos[i]
+            sin[i, n] = problem.sin[i]
             hits[i, n] = 0.0
-            cos[i, n] = start[2, i]
-            sin[i, n] = start[3, i]
     for j in range(signals.shape[0]):
-        constants, east = (rollout.first, 2) if j == 0 else (rollout.rest, 4)
+        lanes = first if j == 0 else rest
+        seconds = problem.first_period if j == 0 else problem.period
         for n in range(total.size):
             sin_u[n], cos_u[n] = _sincos(signals[j, n])
-        for i in range(x.shape[0]):
-            if rollout.swept:
+        for i in range(len(robots)):
+            if problem.swept:
                 for n in range(total.size):
-                    x0[n] = x[i, n]
-                    y0[n] = y[i, n]
-            if drifts:
-                c = drift[0, i]
-                s = drift[1, i]
+                    x_before[n] = x[i, n]
+                    y_before[n] = y[i, n]
+            robot = robot_of(robots, i)
+            if problem.drifts:
+                c = problem.bias_cos[i]
+                s = problem.bias_sin[i]
                 for n in range(total.size):
-                    own_cos[n] = cos_u[n] * c - sin_u[n] * s
-                    own_sin[n] = sin_u[n] * c + cos_u[n] * s
-            robot = parameters_of(rollout.parameters[i])
-            t = rollout.periods[min(j, 1)]
-            advance(constants, x, y, cos, sin, towards[0], towards[1], i, robot, t)
-            if drifts:
+                    to_cos[n] = cos_u[n] * c - sin_u[n] * s
+                    to_sin[n] = sin_u[n] * c + cos_u[n] * s
+            advance(lanes, x, y, cos, sin, to_cos, to_sin, i, robot, seconds)
+            if problem.drifts:
+                dx = problem.flow[i, 0] * seconds
+                dy = problem.flow[i, 1] * seconds
                 for n in range(total.size):
-                    x[i, n] = x[i, n] + drift[east, i]
-                    y[i, n] = y[i, n] + drift[east + 1, i]
-            rows = rollout.rows
-            walls = rollout.walls
-            swept = rollout.swept
-            count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits)
-        if rollout.separation > 0:
-            count_meetings(x, y, rollout.separation, hits)
-    return add_up(rollout, x, y, hits, total)
+                    x[i, n] = x[i, n] + dx
+                    y[i, n] = y[i, n] + dy
+            count_hits(problem, x, y, i, swarm)
+        if problem.separation > 0:
+            count_meetings(x, y, problem.separation, hits)
+    return _add_up(problem, swarm, total)
 
 
 @compiled(**INLINE_FAST)
@@ -153,16 +145,20 @@ def count_meetings(x, y, separation, hits):
 
 
 @compiled(**INLINE_FAST)
-def add_up(rollout, x, y, hits, total):
+def _add_up(problem, swarm, total):
     """Write (7) of each particle to total (P,); return whether all are finite."""
-    target = rollout.target
-    weight = rollout.weight
+    x = swarm.x
+    y = swarm.y
+    hits = swarm.hits
+    weight = problem.obstacle_weight
     for n in range(total.size):
         total[n] = 0.0
-    for i in range(x.shape[0]):
+    for i in range(len(problem.robots)):
+        target_x = problem.targets[i, 0]
+        target_y = problem.targets[i, 1]
         for n in range(total.size):
-            dx = x[i, n] - target[0, i]
-            dy = y[i, n] - target[1, i]
+            dx = x[i, n] - target_x
+            dy = y[i, n] - target_y
             total[n] += math.sqrt(dx * dx + dy * dy) + weight * hits[i, n]  # (8), (9)
     finite = True
     for n in range(total.size):

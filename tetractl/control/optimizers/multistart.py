@@ -9,24 +9,16 @@ made by random starts and selection: each round draws many smooth sequences, eva
 vectorised rollout and polishes only the best.
 """
 
-import math
-from threading import get_ident
 from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import require_finite
-from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
-
-ENDED = (None, StopReason.TARGET, StopReason.EVALUATIONS, None)
-"""Why a search ended, by what its kernel returns; None if all rounds are done."""
-UNLIMITED = 2**62
-"""Number of evaluations that no search reaches."""
 
 
 class Multistart(OptimizerSection):
@@ -66,7 +58,7 @@ class Multistart(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of Levenberg-Marquardt iterations for one start."""
+        """Largest number of Levenberg-Marquardt iterations for one start, of up to three robots."""
         return self.steps
 
     @property
@@ -92,9 +84,10 @@ class Multistart(OptimizerSection):
         warm start. The history holds J before and after each polish and, in between, the merit of
         its steps: f of the paper's equation (8) plus the depths inside obstacles.
         """
-        progress = _PolishedProgress(self, problem, length, warm, limits)
-        progress.run(key, self._rounds(problem, length) if warm is None else 1)
-        return progress.search()
+        rounds = self._rounds(problem, length) if warm is None else 1
+        polished = _PolishedSearch(self, problem, length, warm, key, rounds, limits)
+        stopped = polished.run()
+        return polished.found(stopped)
 
     def _rounds(self, problem: Problem, length: int) -> int:
         """Return `rounds`, but 1 if the targets are out of reach even along straight lines."""
@@ -104,11 +97,11 @@ class Multistart(OptimizerSection):
         return 1 if beyond > self.tolerance else self.rounds
 
 
-class _PolishedProgress(Progress):
-    """The progress of a search that polishes; `workspace` are the arrays of its kernel.
+class _PolishedSearch:
+    """One search, which the compiled `kernels.multistart.search` does.
 
-    A kernel searches until it ends or, with a deadline, until the next look at the clock; then it
-    is called again and goes on.
+    With a deadline it is called for a few iterations at a time, between looks at the clock. Its
+    `rounds` are arrays that the next search of this thread uses again.
     """
 
     def __init__(
@@ -117,20 +110,29 @@ class _PolishedProgress(Progress):
         problem: Problem,
         length: int,
         warm: Floats | None,
+        key: int,
+        rounds_max: int,
         limits: Limits,
     ) -> None:
-        from tetractl.control.kernels import levenberg, multistart, rollout
+        from tetractl.control.kernels import levenberg, motion, multistart, rollout
 
-        super().__init__(length, limits)
         growth = section.growth(problem)
-        self.section = section
         longest_step = float(problem.speed.max()) * problem.period
-        self.slack = section.slack * longest_step
-        self.patience = round(section.patience * growth)
-        self.polish = levenberg.lay_out_polish(problem, length)
-        self.rollout = rollout.lay_out(problem, section.particles)
-        self.workspace = multistart.workspace(
-            thread=get_ident(),
+        starts = np.empty((0, length)) if warm is None else warm[None]
+        self.limits = limits
+        self.rounds_max = rounds_max
+        self.particles = section.particles
+        self.problem = motion.flatten(problem)
+        self.swarm = rollout.swarm_of(len(problem.a), section.particles)
+        self.room = levenberg.room_for(problem, length)
+        self.key = np.uint64(key)
+        self.warm = np.empty(0) if warm is None else warm
+        self.settings = levenberg.PolishSettings(
+            tolerance=section.tolerance,
+            slack=section.slack * longest_step,
+            patience=round(section.patience * growth),
+        )
+        self.rounds = multistart.rounds_for(
             count=min(section.polished, section.particles),
             particles=section.particles,
             knots=min(round(section.knots * growth), length),
@@ -138,79 +140,86 @@ class _PolishedProgress(Progress):
             steps_max=round(section.steps * growth),
             rounds=section.rounds,
         )
-        robot_steps = len(self.polish.room.residual) * len(problem.a) * length  # of an iteration
-        self.iterations_between_looks = max(1, multistart.BETWEEN_LOOKS // robot_steps)
-        self.warm = np.empty(0) if warm is None else warm
-        self.workspace.begin(np.empty((0, length)) if warm is None else warm[None])
+        self.rounds.begin(starts)
 
-    def run(self, key: int, rounds: int) -> None:
-        """Polish the starts with which the workspace begins, and those of so many rounds that are
-        scattered."""
-        least_evaluations = 1  # of a search that is cut short before it begins
-        if not len(self.warm):
-            least_evaluations = 2 + self.section.particles if rounds > 0 else 2
-        if not self.limits.timed:
-            how = self._call(key, rounds, look=0)
-            self.ended = ENDED[how]
-        elif self.limits.expired(least_evaluations):
-            self._cut_short(key, rounds)
-        else:
-            self._run_to_deadline(key, rounds)
-        self.best = self.workspace.best.copy()
-        self.cost = float(self.workspace.costs[0])
-
-    def _run_to_deadline(self, key: int, rounds: int) -> None:
-        """Search, and look at the clock every few iterations, until the search or time ends."""
+    def run(self) -> StopReason:
+        """Search until the search ends or time does; return why it ended."""
         from tetractl.control.kernels import multistart
 
+        if not self.limits.timed:
+            return self._reason(self._go_on(multistart.UNLIMITED))
+        if self.limits.expired(self._least_evaluations()):
+            return self._cut_short()
+        robot_steps = len(self.room.residual) * self.rounds.signals.size * len(self.problem.robots)
+        iterations = max(1, multistart.BETWEEN_LOOKS // robot_steps)
         while True:
-            how = self._call(key, rounds, look=self.iterations_between_looks)
-            if how != multistart.UNDER_WAY:
-                self.ended = ENDED[how]
-                return
-            begun_evaluations = int(self.workspace.counts[multistart.POLISH_EVALUATIONS])
-            # the evaluations with which the search would end now, so that a rerun of the search can
-            # end at the same look; a polish under way is evaluated once more
-            if self.limits.expired(
-                self.evaluations + begun_evaluations + 1 if begun_evaluations else self.evaluations
-            ):
-                break
-        self.ended = StopReason.DEADLINE
-        if begun_evaluations:
-            self._cut_short(key, rounds)
+            end = self._go_on(iterations)
+            if end != multistart.PAUSED:
+                return self._reason(end)
+            # what the search would have spent if it ended now, so that a rerun of it can end at
+            # the same look
+            evaluations = int(self.rounds.state.evaluations)
+            under_way = int(self.rounds.polish.evaluations)
+            if under_way > 0:
+                evaluations += under_way + 1  # its sequence is evaluated once more
+            if self.limits.expired(evaluations):
+                return self._cut_short() if under_way > 0 else StopReason.DEADLINE
 
-    def _cut_short(self, key: int, rounds: int) -> None:
-        """End the polish under way as it is, or the first one before it improves its start; the
-        reason is the deadline, even if the result is good enough.
-        """
-        self._call(key, rounds, look=-1)
-        self.ended = StopReason.DEADLINE
+    def found(self, stopped: StopReason) -> Search:
+        """Return the record of the search, which stopped for this reason."""
+        state = self.rounds.state
+        history = self.rounds.history[: state.history_entries]
+        return Search(
+            length=self.rounds.best.size,
+            signals=self.rounds.best.copy(),
+            cost=float(state.best_cost),
+            history=np.minimum.accumulate(history),
+            evaluations=int(state.evaluations),
+            stopped=stopped,
+        )
 
-    def _call(self, key: int, rounds: int, look: int) -> int:
-        """Search on by the kernel, take over its history and its evaluations, and return how it
-        ended; for `look`, see `tetractl.control.kernels.multistart.search`.
-        """
+    def _least_evaluations(self) -> int:
+        """Return what a search spends that is cut short before it begins."""
+        if self.warm.size > 0:
+            return 1
+        return 2 if self.rounds_max == 0 else self.particles + 2
+
+    def _cut_short(self) -> StopReason:
+        """End the polish under way as it is, or the first one before it improves its start. The
+        reason is the deadline, even if the result is good enough."""
+        from tetractl.control.kernels import multistart
+
+        self._go_on(multistart.UNLIMITED, cut_short=True)
+        return StopReason.DEADLINE
+
+    def _reason(self, end: int) -> StopReason:
+        """Return why the search stopped, given how the kernel says that it ended."""
+        from tetractl.control.kernels import multistart
+
+        if end == multistart.GOOD:
+            return StopReason.TARGET
+        if end == multistart.SPENT:
+            return StopReason.EVALUATIONS
+        return StopReason.ITERATIONS  # all rounds are done
+
+    def _go_on(self, iterations: int, cut_short: bool = False) -> int:
+        """Search for about so many iterations; return how the search ended, if it did."""
         from tetractl.control.kernels import multistart
 
         limit = self.limits.evaluations
-        budget = UNLIMITED if limit is None else limit
-        how = multistart.search(
-            self.polish,
-            self.rollout,
-            np.uint64(key),
+        end = multistart.search(
+            self.problem,
+            self.swarm,
+            self.room,
+            self.key,
             self.warm,
-            rounds,
-            self.section.tolerance,
-            self.slack,
-            self.patience,
-            budget,
-            look,
-            self.workspace,
+            self.rounds_max,
+            self.settings,
+            multistart.UNLIMITED if limit is None else limit,
+            iterations,
+            cut_short,
+            self.rounds,
         )
-        if not math.isfinite(self.workspace.costs[1]):
-            require_finite(self.workspace.costs[1:])
-        entries = self.workspace.counts[multistart.HISTORY_ENTRIES]
-        self.history += self.workspace.history[:entries].tolist()
-        self.workspace.counts[multistart.HISTORY_ENTRIES] = 0
-        self.evaluations = int(self.workspace.counts[multistart.EVALUATIONS])
-        return how
+        if end == multistart.NOT_FINITE:
+            require_finite(np.array([np.nan]))
+        return end

@@ -10,7 +10,8 @@ from support import problems
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels import gradient
-from tetractl.control.kernels.levenberg import lay_out_polish
+from tetractl.control.kernels.gradient import Trace
+from tetractl.control.kernels.motion import flatten
 from tetractl.tools.kernels.kernel_cache import compiled
 
 pytestmark = pytest.mark.slow
@@ -30,19 +31,9 @@ MODELS = st.sampled_from(["euler", "arc", "exact"])
 
 
 def traced(problem, signals):
-    work = lay_out_polish(problem, len(signals))
-    trace(
-        signals,
-        work.turned,
-        work.parameters,
-        work.drift,
-        work.first_period,
-        work.period,
-        work.first,
-        work.rest,
-        work.room.traced,
-    )
-    return work.room.traced
+    path = Trace.room_for(len(problem.a), len(signals))
+    trace(signals, flatten(problem), path)
+    return path
 
 
 def turning(problem, seed):
@@ -66,7 +57,8 @@ def test_the_path_is_the_predicted_one(seed, robots, length, model, first, drift
     problem = problems.problem(problems.world(seed, robots, model=model), drifts=drifts)
     problem = turning(replace(problem, first_period=first), seed) if turns else problem
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, length)
-    path = traced(problem, signals).path[:, :, :length]
+    found = traced(problem, signals)
+    path = np.stack([found.x, found.y])[:, :, :length]
     expected = predict(problem, signals)[1:, :, :2].transpose(2, 1, 0)
     assert path == pytest.approx(expected, rel=1e-10, abs=1e-10 * abs(expected).max())
 
@@ -89,7 +81,7 @@ def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
     place = int(last * (length - 1))
     east, north = rng.normal(size=2)
     rows = np.zeros((1, length))
-    backward(traced(problem, signals).gradients, robot, place, east, north, rows[0])
+    backward(traced(problem, signals), robot, place, east, north, rows[0])
     ahead = predict(problem, signals + step * toward)[place + 1, robot, :2]
     behind = predict(problem, signals - step * toward)[place + 1, robot, :2]
     numeric = float((ahead - behind) @ [east, north]) / (2 * step)
@@ -102,8 +94,15 @@ def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
 def test_a_robot_along_or_against_the_direction_has_a_finite_gradient(model, heading):
     problem = problems.problem(problems.world(5, 1, model=model))
     poses = replace(problem.poses, heading=np.array([heading]))
-    gradients = traced(replace(problem, poses=poses), np.zeros(10)).gradients
-    assert np.isfinite(gradients).all()
+    found = traced(replace(problem, poses=poses), np.zeros(10))
+    for gradient in (
+        found.x_by_heading,
+        found.y_by_heading,
+        found.x_by_u,
+        found.y_by_u,
+        found.keep,
+    ):
+        assert np.isfinite(gradient).all()
 
 
 def test_costs_of_many_sequences_know_how_robots_turn():

@@ -13,8 +13,16 @@ from support import problems
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.kernels import levenberg
 from tetractl.control.kernels import multistart as kernel
-from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGRESS, lay_out_polish
-from tetractl.control.kernels.rollout import lay_out
+from tetractl.control.kernels.gradient import trace
+from tetractl.control.kernels.levenberg import (
+    DEPTH_WEIGHT,
+    LARGEST_STEP,
+    PROGRESS,
+    PolishSettings,
+    room_for,
+)
+from tetractl.control.kernels.motion import flatten
+from tetractl.control.kernels.rollout import swarm_of
 from tetractl.tools.kernels import kernel_cache as kernels
 
 pytestmark = pytest.mark.slow
@@ -34,13 +42,14 @@ class Polished(NamedTuple):
 
 
 def compiled(problem, start, iterations, budget=2**62):
-    workspace = kernel.workspace.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
-    workspace.begin(start[None])
-    laid = lay_out_polish(problem, len(start)), lay_out(problem, 1)
-    limits = TOLERANCE, SLACK, PATIENCE, max(budget, 1) + 1, 0
-    kernel.search(*laid, np.uint64(0), np.empty(0), 0, *limits, workspace)
-    merits = workspace.merits[: workspace.counts[kernel.ITERATIONS] + 1].copy()
-    return Polished(workspace.signals, merits, workspace.counts[kernel.EVALUATIONS] - 1)
+    rounds = kernel._rounds_for.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
+    rounds.begin(start[None])
+    rooms = swarm_of(len(problem.a), 1), room_for(problem, len(start))
+    settings = PolishSettings(TOLERANCE, SLACK, PATIENCE)
+    limits = settings, max(budget, 1) + 1, kernel.UNLIMITED, False
+    kernel.search(flatten(problem), *rooms, np.uint64(0), np.empty(0), 0, *limits, rounds)
+    merits = rounds.merits[: rounds.polish.iterations + 1].copy()
+    return Polished(rounds.signals, merits, rounds.state.evaluations - 1)
 
 
 def merit(problem, signals, weight=DEPTH_WEIGHT, slack=0.0):
@@ -56,11 +65,11 @@ def merit(problem, signals, weight=DEPTH_WEIGHT, slack=0.0):
 
 
 @kernels.compiled()
-def slopes(work, signals):
-    levenberg.predict_path(work, signals)
-    levenberg.measure(work, SLACK)
-    residuals = levenberg.linearise(work, 1e-9, SLACK)
-    return work.room.rows[:residuals].T @ work.room.residual[:residuals]
+def slopes(problem, room, signals):
+    trace(signals, problem, room.path)
+    levenberg.measure(problem, room, SLACK)
+    residuals = levenberg.linearise(problem, room, 1e-9, SLACK)
+    return room.rows[:residuals].T @ room.residual[:residuals]
 
 
 def random_start(seed, length):
@@ -77,7 +86,7 @@ def test_the_jacobian_and_the_residuals_slope_as_what_they_are_made_of(seed, sep
     signals = random_start(seed, 12)
     step = 1e-5
     toward = np.random.default_rng(seed).normal(size=12)
-    slope = slopes(lay_out_polish(problem, 12), signals) @ toward
+    slope = slopes(flatten(problem), room_for(problem, 12), signals) @ toward
     ahead = merit(problem, signals + step * toward, DEPTH_WEIGHT**2, SLACK)
     behind = merit(problem, signals - step * toward, DEPTH_WEIGHT**2, SLACK)
     assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-4, abs=1e-2)

@@ -10,9 +10,10 @@ from support import problems
 
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels import multistart as kernel
-from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.multistart import WARM
-from tetractl.control.kernels.rollout import lay_out
+from tetractl.control.kernels.levenberg import PolishSettings, room_for
+from tetractl.control.kernels.motion import flatten
+from tetractl.control.kernels.multistart import UNLIMITED, WARM
+from tetractl.control.kernels.rollout import swarm_of
 from tetractl.control.optimizers.sampling import bearing, interpolate
 from tetractl.control.rng import mix, uniform
 from tetractl.core.poses import wrap
@@ -23,7 +24,6 @@ TOLERANCE = 1e-3
 SLACK = 0.5
 PATIENCE = 6
 STEPS = 8
-MUCH = 2**62
 NONE = np.empty(0)
 
 
@@ -31,9 +31,10 @@ def searched(
     problem,
     starts,
     tolerance=TOLERANCE,
-    budget=MUCH,
-    look=0,
+    budget=UNLIMITED,
+    look=UNLIMITED,
     *,
+    cut_short=False,
     warm=NONE,
     rounds=0,
     best=4,
@@ -43,17 +44,19 @@ def searched(
 ):
     """Return how a search ended, and what became of its starts (S, L) and rounds."""
     count, length = starts.shape
-    laid = lay_out_polish(problem, length), lay_out(problem, particles)
+    rooms = swarm_of(len(problem.a), particles), room_for(problem, length)
     sizes = max(count, best), particles, knots, length, STEPS, rounds
-    workspace = kernel.workspace.__wrapped__(0, *sizes)
-    workspace.begin(starts)
-    limits = (tolerance, SLACK, PATIENCE, budget, look)
-    how = kernel.UNDER_WAY
-    while how == kernel.UNDER_WAY:
-        how = kernel.search(*laid, np.uint64(key), warm, rounds, *limits, workspace)
-        if look < 0:
+    found = kernel._rounds_for.__wrapped__(0, *sizes)
+    found.begin(starts)
+    settings = PolishSettings(tolerance, SLACK, PATIENCE)
+    limits = settings, budget, look, cut_short
+    how = kernel.PAUSED
+    while how == kernel.PAUSED:
+        random = np.uint64(key), warm, rounds
+        how = kernel.search(flatten(problem), *rooms, *random, *limits, found)
+        if cut_short:
             break
-    return how, workspace
+    return how, found
 
 
 def starts_of(seed, count, length):
@@ -69,38 +72,36 @@ def test_each_start_is_polished_alike_whatever_the_looks_and_costs_j(model, look
         _, alone = searched(problem, start[None])
         assert how == kernel.OVER
         assert (result.signals == alone.signals).all()
-        assert result.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS]
-        merits = result.merits[: result.counts[kernel.ITERATIONS] + 1]
+        assert result.state.evaluations == alone.state.evaluations
+        merits = result.merits[: result.polish.iterations + 1]
         assert merits[-1] < merits[0]
         cost = evaluate(problem, result.signals[None]).total[0]
-        assert result.costs == pytest.approx([cost, cost], rel=1e-9)
+        assert result.state.best_cost == pytest.approx(cost, rel=1e-9)
 
 
-@pytest.mark.parametrize("look", [0, 1, 3])
+@pytest.mark.parametrize("look", [UNLIMITED, 1, 3])
 def test_the_best_of_all_starts_is_kept_and_the_history_ends_with_its_cost(look):
     problem = problems.problem(problems.world(4, 3, 2, "exact"))
     starts = starts_of(1, 3, 20)
     alone = [searched(problem, start[None])[1] for start in starts]
-    costs = [float(result.costs[0]) for result in alone]
+    costs = [float(result.state.best_cost) for result in alone]
     how, together = searched(problem, starts, look=look)
     assert how == kernel.OVER
-    assert together.costs[0] == pytest.approx(min(costs), rel=1e-6)
+    assert together.state.best_cost == pytest.approx(min(costs), rel=1e-6)
     assert together.best == pytest.approx(alone[int(np.argmin(costs))].signals, abs=1e-6)
-    history = together.history[: together.counts[kernel.HISTORY_ENTRIES]]
-    assert history[-1] == together.costs[0]
+    history = together.history[: together.state.history_entries]
+    assert history[-1] == together.state.best_cost
     assert (np.diff(history[-2:]) <= 0).all()
-    assert together.counts[kernel.EVALUATIONS] == sum(
-        result.counts[kernel.EVALUATIONS] for result in alone
-    )
+    assert together.state.evaluations == sum(result.state.evaluations for result in alone)
 
 
 def test_a_start_is_ended_as_it_is():
     problem = problems.problem(problems.world(4, 3, 2, "exact"))
     starts = starts_of(1, 3, 20)
-    _, result = searched(problem, starts, look=-1)
-    assert result.counts[kernel.STARTS_DONE] == 1
+    _, result = searched(problem, starts, cut_short=True)
+    assert result.state.starts_done == 1
     assert result.signals == pytest.approx(starts[0])
-    assert result.costs[1] == pytest.approx(evaluate(problem, starts[:1]).total[0], rel=1e-9)
+    assert result.state.best_cost == pytest.approx(evaluate(problem, starts[:1]).total[0], rel=1e-9)
 
 
 def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
@@ -109,9 +110,9 @@ def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
     _, alone = searched(problem, starts)
     _, result = searched(problem, starts, tolerance=1e9, warm=starts[0])
     assert result.history[0] == pytest.approx(evaluate(problem, starts).total[0], rel=1e-9)
-    assert result.counts[kernel.EVALUATIONS] == 3  # its cost, then one merit and the cost again
+    assert result.state.evaluations == 3  # its cost, then one merit and the cost again
     _, result = searched(problem, starts, warm=starts[0])
-    assert result.counts[kernel.EVALUATIONS] == alone.counts[kernel.EVALUATIONS] + 1
+    assert result.state.evaluations == alone.state.evaluations + 1
 
 
 @given(
@@ -147,11 +148,11 @@ def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, wa
 def test_the_first_that_is_good_enough_is_the_last():
     problem = problems.problem(problems.world(4, 3, 0, "exact"))
     starts = starts_of(2, 4, 20)
-    costs = [float(searched(problem, start[None])[1].costs[0]) for start in starts]
+    costs = [float(searched(problem, start[None])[1].state.best_cost) for start in starts]
     least = int(np.argmin(costs))
     how, result = searched(problem, starts, costs[least] * (1 + 1e-9))
-    assert (how, result.counts[kernel.STARTS_DONE]) == (kernel.GOOD, least + 1)
-    assert result.costs[0] == pytest.approx(costs[least], rel=1e-6)
+    assert (how, result.state.starts_done) == (kernel.GOOD, least + 1)
+    assert result.state.best_cost == pytest.approx(costs[least], rel=1e-6)
 
 
 @given(st.integers(0, 600))
@@ -159,8 +160,6 @@ def test_a_search_keeps_its_budget(budget):
     problem = problems.problem(problems.world(4, 2, 1, "exact"))
     starts = starts_of(3, 4, 12)
     how, result = searched(problem, starts, budget=budget, rounds=1, particles=40)
-    spent = int(result.counts[kernel.EVALUATIONS])
+    spent = int(result.state.evaluations)
     assert spent <= budget
-    assert how == kernel.OVER or budget - spent < (
-        40 if result.counts[kernel.STARTS_DONE] == 4 else 2
-    )
+    assert how == kernel.OVER or budget - spent < (40 if result.state.starts_done == 4 else 2)

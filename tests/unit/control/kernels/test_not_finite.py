@@ -22,8 +22,9 @@ from tetractl.control.kernels.filter_state import (
     PoseFrames,
     SentCommands,
 )
-from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.rollout import lay_out
+from tetractl.control.kernels.levenberg import PolishSettings, room_for
+from tetractl.control.kernels.motion import flatten
+from tetractl.control.kernels.rollout import swarm_of
 from tetractl.model.motion.motion import PARAMETERS
 
 pytestmark = pytest.mark.slow
@@ -104,9 +105,9 @@ def test_the_polish_ends(odd, place):
         numbers = getattr(problem, place).copy()
         numbers[0] = odd
         problem = replace(problem, **{place: numbers})
-    rounds = multistart.workspace.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
+    rounds = multistart._rounds_for.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
     rounds.begin(start[None])
-    laid = lay_out_polish(problem, len(start)), lay_out(problem, 1)
+    rooms = swarm_of(len(problem.a), 1), room_for(problem, len(start))
     no_draws = np.uint64(0), np.empty(0), 0
-    limits = 1e-3, 0.5, 6, 10_000, 0
-    assert ends(lambda: multistart.search(*laid, *no_draws, *limits, rounds))
+    limits = PolishSettings(1e-3, 0.5, 6), 10_000, multistart.UNLIMITED, False
+    assert ends(lambda: multistart.search(flatten(problem), *rooms, *no_draws, *limits, rounds))

@@ -16,7 +16,7 @@ from tetractl.control.evaluate import (
     compiled_drive,
     compiled_foresee,
 )
-from tetractl.control.kernels.motion import flat
+from tetractl.control.kernels.motion import flatten
 from tetractl.control.kernels.prediction import unheard
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
@@ -121,7 +121,6 @@ def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
     steps = 4
     seconds = 0.4
     path = compiled_foresee(problem, signals).path
-    flattened = flat(problem)
     branches = []
     for j, u in enumerate(signals):
         held = replace(problem, poses=Poses.of(path[j]), first_period=0.1, period=0.1)
@@ -131,8 +130,10 @@ def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
     meets = (np.hypot(x[..., first] - x[..., second], y[..., first] - y[..., second]) < apart).any()
 
     def clear(obstacles):
-        motion = flattened.parameters, flattened.drift, seconds / steps, steps, flattened.rest
-        return unheard(signals, *motion, path, obstacles.rows, obstacles.walls, apart)
+        keeping_clear = flatten(problem)._replace(
+            rows=obstacles.rows, walls=obstacles.walls, separation=float(apart)
+        )
+        return unheard(signals, keeping_clear, seconds / steps, steps, path)
 
     ends = x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]
     grown = region.grown(np.full(region.count, 1e-6))  # a touched corner is a matter of rounding

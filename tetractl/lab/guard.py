@@ -92,7 +92,7 @@ from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.frames import AcceptedFrame, CameraStream, FrameBuffer
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
-from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, REPEATS
+from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEATS
 from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
@@ -250,7 +250,7 @@ class Guard:
         reason = culprit.why(suspect, self.reason) or self.reason
         late_ns = self._pace.late_ns
         is_busy = late_ns is not None and recent[-1].received_ns - late_ns <= COMPARED_NS
-        self.reason = reason + (BUSY if is_busy else self._stream.slow_text)
+        self.reason = _with_cause(reason, BUSY if is_busy else self._stream.slow_text)
 
     def lose_robot(self, i: int, reason: str) -> None:
         """Continue without a robot; abort if the rules forbid that or no other robot is left."""
@@ -259,7 +259,7 @@ class Guard:
             return
         others = [track for track in self._robots if track is not robot and not track.lost]
         if not self.rules.goes_on or not others:
-            self.abort(reason + self._stream.slow_text)
+            self.abort(_with_cause(reason, self._stream.slow_text))
             return
         robot.lost_ns = robot.last_ns
         self._warnings.append(f"{reason}: the run goes on without this robot")
@@ -559,3 +559,9 @@ class Guard:
         if text not in self._warned:
             self._warned.add(text)
             self._warnings.append(text)
+
+
+def _with_cause(reason: str, cause: str) -> str:
+    """Return the reason of an abort with its cause, "" if none is known: then it is asked whether
+    the robot was pushed."""
+    return reason.removesuffix(PUSHED) + cause if cause else reason

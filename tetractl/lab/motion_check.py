@@ -94,10 +94,8 @@ OF_CELLS = {
 }
 """What is said instead of robots without wheels."""
 AS_NO_COMMAND = "as no command does"
-ANOTHER = (
-    f"moves {{}} {AS_NO_COMMAND}: was it pushed, or does the camera track another body as "
-    "this robot?"
-)
+PUSHED = ": was it pushed, or does the camera track another body as this robot?"
+ANOTHER = f"moves {{}} {AS_NO_COMMAND}{PUSHED}"
 """Holds a place for one of KINDS."""
 KINDS = ("along its heading", "sideways", "around")
 """The names of a motion's three parts."""

@@ -24,6 +24,7 @@ from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import BUSY, Guard
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.guard_records import GuardRules, GuardState
+from tetractl.lab.motion_check import PUSHED
 
 pytestmark = pytest.mark.slow
 
@@ -618,19 +619,20 @@ def test_the_computer_is_named_where_its_own_steps_were_late(frames_since, named
 @pytest.mark.parametrize(("hz", "named"), [(14, True), (19, True), (21, False), (120, False)])
 @pytest.mark.parametrize("suspect", [None, 0])
 def test_slow_pictures_are_named_where_a_robot_is_blamed(hz, named, suspect):
-    """Regression: on a slow computer a cell was not tracked, or moved as no command does."""
+    """Regression: on a slow computer a cell was not tracked, or moved as no command does: it was
+    asked whether it was pushed, though slow pictures were the cause."""
     course = begun_with_checks(Finds(), rules=RULES)
     shown = FrameBuffer()
     for _ in range(2 * hz):
         course.frame(step=SECOND // hz)
         shown.append(course.accepted)
     if suspect is None:
-        course.guard.lose_robot(0, "green moves")
+        course.guard.lose_robot(0, f"green moves{PUSHED}")
     else:
-        course.guard.abort("green moves", suspect=suspect)
+        course.guard.abort(f"green moves{PUSHED}", suspect=suspect)
     course.guard.name_culprit(shown)
     slow = f"; only {hz} pictures per second came, 20 or more are needed: is this computer busy?"
-    assert course.guard.reason == "green moves" + slow * named
+    assert course.guard.reason == "green moves" + (slow if named else PUSHED)
 
 
 def test_a_body_in_place_of_a_ghost_is_no_ghost():

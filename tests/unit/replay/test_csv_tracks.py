@@ -387,11 +387,34 @@ def test_a_file_that_is_named_twice_is_refused(tmp_path):
         csv_tracks([poses, tmp_path / "." / poses.name])
 
 
+MILLISECONDS = "".join(f"{k * 10},{k % 3}\n" for k in range(1200))
+MANY_S = {
+    "a command every 0.1 s for an hour": np.arange(0, 3600, 0.1),
+    "a command every 0.5 s, long before": np.arange(-2000, DRIVE_S, 0.5),
+    "rare commands, ten times as long": np.arange(0, 10 * DRIVE_S, 1.0),
+    "rare commands, thirty times as long": np.arange(-9 * DRIVE_S, 21 * DRIVE_S, 2.0),
+    "as many as frames": np.arange(0, DRIVE_S, 1 / FRAME_RATE_HZ),
+}
+
+
+@pytest.mark.parametrize("name", MANY_S)
+def test_commands_that_last_long_are_not_taken_for_another_unit(tmp_path, name):
+    poses, commands = write_drive(tmp_path)
+    rows = "".join(f"{time + 2000},90,{k % 3}\n" for k, time in enumerate(MANY_S[name]))
+    header, *others = poses.read_text().splitlines()
+    later = [f"{float(row.split(',')[0]) + 2000},{row.partition(',')[2]}" for row in others]
+    poses.write_text("\n".join([header, *later, ""]))
+    commands.write_text(f"time_s,v_mm_s,w_rad_s\n{rows}")
+    (track,) = csv_tracks([poses, commands])
+    assert not [text for text in track.remarks if "are they in s" in text]
+
+
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
         ("0,0\n1,1\n", "covers 2 s of the"),
         ("0,0\n1500,1\n3000,2\n", "only 1 of the 3 times .* are they in s"),
+        (MILLISECONDS, "only 2 of the 1200 times .* are they in s"),
     ],
 )
 def test_spans_that_hardly_meet_are_said(tmp_path, rows, says):
@@ -823,6 +846,30 @@ def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
     with_speed = "\n".join([header + ",v_mm_s", *(row + ",90" for row in rows), ""])
     (track,) = tracks_of(tmp_path, with_speed, NO_NAME)
     assert track.names == ("robot",)
+
+
+FOR_EACH = "time_s,robot,direction_rad\n" + "".join(
+    f"{t / 10},{robot},{t / 9}\n" for t in range(8) for robot in "ab"
+)
+BY_ROBOT = "time_s,robot,direction_rad\n" + "".join(
+    f"{t / 10},{robot},{t / 9}\n" for robot in "ab" for t in range(8)
+)
+ONE_OF_THEM = "time_s,robot,direction_rad\n" + "".join(f"{t / 10},a,{t / 9}\n" for t in range(8))
+APART = FOR_EACH.replace("0.7,b,", "0.7,b,1")
+
+
+@pytest.mark.parametrize("commands", [FOR_EACH, BY_ROBOT, ONE_OF_THEM])
+def test_directions_may_name_each_robot(tmp_path, commands):
+    """Regression: in the order of robots, "two robots? name them in a column robot"."""
+    (track,) = tracks_of(tmp_path, TWO_POSES, commands)
+    assert track.sent.tolist() == pytest.approx([t / 10 for t in range(8)])
+    assert track.u.tolist() == pytest.approx([t / 9 for t in range(8)])
+
+
+def test_directions_of_its_own_for_each_robot_are_refused(tmp_path):
+    """Regression: robots were taken to follow each other's directions."""
+    with pytest.raises(UsageError, match="b is sent other directions than others"):
+        tracks_of(tmp_path, TWO_POSES, APART)
 
 
 DATES = {

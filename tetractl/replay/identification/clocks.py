@@ -13,6 +13,9 @@ COVERED = 0.9
 """Share of the robots' way while commands act, below which it is said."""
 WITHIN = 2
 """Number of commands in the time seen, below which it is said: the direction hardly changes."""
+RARE = 20
+LONG = 100
+"""Number of commands in the time seen, below which it is said if all last LONG times as long."""
 
 APART_MAX_S = 0.5
 """Most time between two poses of robots on wheels that are of use [s]."""
@@ -56,9 +59,11 @@ def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> st
     within = int(np.count_nonzero((sent >= poses.begin) & (sent < poses.end)))
     if of_way < COVERED:
         return f"{commands.source} covers {covered:.3g} s of the {length:.3g} s of {poses.source}"
-    if within < WITHIN < len(sent):
+    are_rare = within < RARE and float(np.ptp(sent)) > LONG * length
+    if within < WITHIN < len(sent) or are_rare:
+        are = "is" if within == 1 else "are"
         return (
-            f"only {within} of the {len(sent)} times of {commands.source} is among the "
+            f"only {within} of the {len(sent)} times of {commands.source} {are} among the "
             f"{length:.3g} s of {poses.source}: are they in s, as they say?"
         )
     return None

@@ -99,16 +99,17 @@ Series = tuple[str, str]
 @dataclass(slots=True)
 class _Numbers:
     """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
-    direction, time of observation and line of each command, and the column of directions; the time
-    constant of the wheels [s], 0 if none is stated; time, speed and turning rate of each of the
-    `twists` of a robot, "" for all. NaN is an unknown number. `first` and `newest` are the
-    times [s] of what is in the files, by its column and robot. The paths are of the files.
+    direction, time of observation and line of each of the `commands` of a robot, and the column of
+    directions; the time constant of the wheels [s], 0 if none is stated; time, speed and turning
+    rate of each of the `twists` of a robot. A robot "" stands for all. NaN is an unknown number.
+    `first` and `newest` are the times [s] of what is in the files, by its column and robot. The
+    paths are of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
     poses: "array[float]" = field(default_factory=lambda: array("d"))
     poses_path: Path | None = None
-    commands: "array[float]" = field(default_factory=lambda: array("d"))
+    commands: "dict[str, array[float]]" = field(default_factory=dict)
     direction: NumberColumn | None = None
     lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
@@ -165,11 +166,10 @@ class _DirectionColumns:
         if math.isnan(self.direction.optional(self.path, row)):
             return
         observed = self.observed.optional(self.path, row) if self.observed else math.nan
-        time = numbers.take_time(self.path, row, self.time, ("directions", ""))
-        numbers.commands.append(time)
-        numbers.commands.append(self.direction.number(self.path, row))
-        numbers.commands.append(observed)
-        numbers.commands.append(row.line)
+        robot = row.cells.get("robot", "")
+        time = numbers.take_time(self.path, row, self.time, ("directions", robot))
+        direction = self.direction.number(self.path, row)
+        numbers.commands.setdefault(robot, array("d")).extend((time, direction, observed, row.line))
         numbers.direction = self.direction
         if self.lag is not None:
             numbers.lag_s = self.lag.number(self.path, row)
@@ -669,7 +669,15 @@ class _Sent:
 
 def _directions(numbers: _Numbers, begin: float) -> _Sent:
     """Return the directions in order, their times counted from `begin`."""
-    commands = np.array(numbers.commands).reshape(-1, 4)
+    commands = np.zeros((0, 4))
+    for robot, of_robot in numbers.commands.items():
+        before = commands
+        commands = np.array(of_robot).reshape(-1, 4)
+        if len(before) and not np.array_equal(before[:, 1], commands[:, 1]):
+            raise UsageError(
+                f"{numbers.commands_path}: {printable(robot)} is sent other directions than others",
+                "all robots are sent one direction: identify each by tables of its own",
+            )
     ages = (commands[:, 0] - commands[:, 2])[1:]
     ages = ages[np.isfinite(ages)]
     when, u, _, lines = commands.T  # a table whose times fall is refused

@@ -373,7 +373,8 @@ def _require_enough(name: str, drives: Bools) -> None:
     """Raise UsageError if a robot drives in too few steps (S,)."""
     if drives.sum() < INTERVALS_MIN:
         raise UsageError(
-            f"robot {name} drives in only {drives.sum()} steps of {STEP_S:g} to {LONGEST_S:g} s"
+            f"robot {name} drives in only {drives.sum()} steps of {STEP_S:g} to {LONGEST_S:g} s",
+            "leave it out of the tables, or give longer ones in which it is seen and drives",
         )
 
 

@@ -7,7 +7,7 @@ while a command is planned and while the robots come to rest.
 
     SimPlant             what a host sees of the plant: frames, commands, verdict
       SimCamera          exposes frames of the true poses, which reach the host later
-      CommandSender        sends commands to the robots, again and again
+      CommandSender        sends commands to the robots, the held one again amid the motion
         SimHost          computes the wheel speeds of robots on wheels
       Transit            the commands in flight
       TrueMotion         moves the robots from event to event
@@ -15,7 +15,6 @@ while a command is planned and while the robots come to rest.
         Watchdogs        stop robots that hear nothing
         MotionDisturbances
         PathCheck        checks the true path against obstacles, walls and other robots
-        SimPlant           is called back to send the held command again, amid the motion
 
 `SimSection` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
 spec and seed alone.
@@ -143,9 +142,8 @@ class SimPlant:
             walk_rad=walk_rad,
             walking=generator(seed, RandomStream.HEADINGS),
             check=PathCheck.of(setup),
-            transmit_again=self._transmit_again,
+            sender=self._sender,
         )
-        self._repeated: list[Command | Note] = []  # transmissions that `news` has not returned
         self._stop: Command | None = None
 
     @property
@@ -201,8 +199,8 @@ class SimPlant:
 
     def news(self) -> list[Command | Note]:
         """Return the commands sent under a held direction since the last call, oldest first."""
-        news = self._repeated
-        self._repeated = []
+        news = self._motion.repeated
+        self._motion.repeated = []
         return news
 
     def stop(self) -> Command:
@@ -258,8 +256,3 @@ class SimPlant:
             raise WrongValueError(self, "a disturbance", what)
         self.clock.sleep_until(now_ns + round(planning_s * SECOND))
         self._catch_up()
-
-    def _transmit_again(self, now_ns: int) -> None:
-        """Send the held action again, in answer to the newest frame."""
-        command = self._sender.send(now_ns, self._newest_frame())
-        self._repeated.append(command)

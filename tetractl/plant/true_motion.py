@@ -14,11 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Floats, Poses
-from tetractl.core.trial import Verdict
+from tetractl.core.trial import Note, Verdict
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
+from tetractl.plant.command_sender import CommandSender
 from tetractl.plant.drive import Drive
 from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.timetable import DueTimes, Timetable
@@ -107,8 +109,8 @@ class MotionStep:
 class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames and `check`s the true path.
 
-    Commands for the robots are sent into `transit`. At each time [ns] at which the host transmits
-    again, `transmit_again` is called with that time. The headings of robots that move take a step
+    Commands for the robots are sent into `transit`. When the host transmits again, `sender` does;
+    `repeated` are the commands that it has sent so. The headings of robots that move take a step
     of a random walk at each frame: of the standard deviation `walk_rad` [rad], 0 for none, drawn
     from `walking`.
     """
@@ -125,7 +127,7 @@ class TrueMotion:
         walk_rad: float,
         walking: np.random.Generator,
         check: PathCheck,
-        transmit_again: Callable[[int], None],
+        sender: CommandSender,
     ) -> None:
         self.drive = drive
         self.camera = camera
@@ -137,7 +139,8 @@ class TrueMotion:
         self._walking = walking
         self._check = check
         self._unchecked: list[Floats] = []  # x, y, heading (M, 3, N) of parts of the path
-        self._transmit_again = transmit_again
+        self._sender = sender
+        self.repeated: list[Command | Note] = []
         self._frames_are_events = disturbances.any or walk_rad > 0
         self._now_ns = 0  # the time of the drive's poses
         self._advanced_ns = -1  # the last time to which `advance` was called
@@ -257,4 +260,6 @@ class TrueMotion:
             self.drive.apply(step.command)
             self._watchdogs.hear(step.command)
         elif step.repeats:
-            self._transmit_again(step.end_ns)
+            newest = self.camera.newest
+            assert newest is not None, "a command is sent in answer to a frame"
+            self.repeated.append(self._sender.send(step.end_ns, newest))

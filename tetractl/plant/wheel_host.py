@@ -61,16 +61,13 @@ class SimHost:
         if self._section.rate is not None:  # as the lab's inner loop does
             due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
             self.repeats_ns = next_due_ns(due_ns, now_ns, round(SECOND / self._section.rate))
-        if is_new or self._section.recompute:
-            self._speeds = self._compute(now_ns, action, frame)
-        return self._speeds
-
-    def _compute(self, now_ns: int, action: Steer | Turn | FieldOff, frame: Observation) -> Floats:
+        if not is_new and not self._section.recompute:
+            return self._speeds
         acts_ns = now_ns + self._lead_ns
         # without a lead, the measured headings are taken as those at which the speeds act
         since_ns = acts_ns if self._section.lead is None else frame.sampled_ns
         headings = frame.poses.heading
-        speeds = np.empty((2, *self.trains.shape[1:]))
+        self._speeds = np.empty((2, *self.trains.shape[1:]))
         self._sent = self._sent.with_room()
         self._answer(
             headings.copy(),
@@ -83,9 +80,9 @@ class SimHost:
             self._sent.times_ns,
             self._sent.rates,
             self.trains,
-            speeds,
+            self._speeds,
         )
-        return speeds
+        return self._speeds
 
 
 def true_trains(section: WheelDriveSection, robots: int, random: np.random.Generator) -> Floats:

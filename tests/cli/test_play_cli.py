@@ -45,7 +45,8 @@ def test_a_script_steers_and_the_controller_does_the_same_trial(folder):
     number = r"[\d.]+ mm in \d+ s"
     assert re.fullmatch(rf"you {number}, the controller {number}\n", done.stdout)
     assert done.stderr.splitlines() == [
-        "logs in out; look at them with: tetractl replay out/you out/controller"
+        "logs in out; look at them with:",
+        "  tetractl replay out/you out/controller",
     ]
     yours = package.read_log(folder / "out/you/trial-000.mcap")
     theirs = package.read_log(folder / "out/controller/trial-000.mcap")
@@ -116,6 +117,7 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
         terminal.expect("arrows steer")
         terminal.press("\x1b[A")
         terminal.expect(r"↑ \+90°")
+        terminal.press("p")
         terminal.press("\x1b[<0;20;10M\x1b[<32;24;8M")
         terminal.expect(r"↗ \+45°")
         terminal.press(" ")
@@ -218,7 +220,7 @@ def test_a_trial_that_is_left_before_its_first_key_leaves_no_log(key, code, fold
 def test_an_undisturbed_spec_is_said_to_be_one(folder):
     words = ("--set", "plant={type: sim}", "--script", "keys.txt", "-o", "out")
     done = tetractl(folder, "play", "spec.yaml", *words).ok()
-    assert done.stderr.startswith("nothing is disturbed in this spec")
+    assert done.stderr.startswith("here robots do exactly what the controller expects")
 
 
 def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():

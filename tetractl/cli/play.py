@@ -42,8 +42,8 @@ THEIRS = (
 )
 """What is said when the controller's trial has ended, and its last picture stays."""
 UNDISTURBED = (
-    "nothing is disturbed in this spec, so the controller knows exactly what robots do; try one "
-    "with disturbances, such as experiments/three_m3pi_bench.yaml"
+    "here robots do exactly what the controller expects; where they do not:",
+    "  tetractl play experiments/three_m3pi_bench.yaml",
 )
 
 
@@ -72,7 +72,7 @@ def play(
     """Steer all robots yourself, by one direction; then the spec's controller does.
 
     The first arrow key starts the robots. An arrow, or a drag of the mouse, sets the direction to
-    which all robots turn; dots show where they go if you hold it. Steer round obstacles (yellow).
+    which all robots turn; dots show where that leads. Steer round obstacles (yellow).
     Space stops the robots, which ends the trial. Its error is the sum of the robots' distances to
     their targets.
 
@@ -258,7 +258,7 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     interrupt = game.interrupt
     simulated = game.experiment.plant.simulated
     emergency = threading.Event()
-    keys = HandKeys(ended=lambda: interrupt.requested or emergency.is_set())
+    keys = HandKeys(lambda: interrupt.requested or emergency.is_set(), can_pause=simulated)
     hints = HINTS if simulated else LAB_HINTS
     aside = task(game.experiment.setup, game.experiment.plant.disturbed)
     view = LiveView(console, hints=hints, aside=aside, plain=True)
@@ -288,7 +288,7 @@ def _controller_steers(game: Game, console: "Console", speed: float) -> str:
     you = f"You: {_how_well(game.yours[-1], game.experiment)}."
     keys = HandKeys(ended=lambda: game.interrupt.requested)
     aside = (
-        f"{you} Now the controller, from the same start. Dots: its plan, made anew at each step."
+        f"{you} Now the controller, from the same start. Dots: its plan, made again at each step."
     )
     view = LiveView(console, aside=aside, plain=True)
 
@@ -332,9 +332,9 @@ def _conclude(game: Game) -> int:
     if game.yours:
         print(_line(game), flush=True)
         if game.theirs is not None and not game.experiment.plant.disturbed:
-            ui.tell(UNDISTURBED)
+            ui.tell(*UNDISTURBED)
         folders = " ".join(quote(str(path)) for path in game.folders)
-        ui.tell(f"logs in {game.folder}; look at them with: tetractl replay {folders}")
+        ui.tell(f"logs in {game.folder}; look at them with:", f"  tetractl replay {folders}")
     else:
         game.folder.rmdir()
     if game.error:

@@ -2,7 +2,8 @@
 
     arrows        the robots turn to the right, up, to the left, down
     the mouse     drag anywhere: they turn to the direction of the drag
-    space, q      stop
+    p             a simulation waits for the next of these keys
+    space, q      stop, which ends the trial
 
 A file has a line `SECONDS KEY` for each key, `#` before a comment; the first key starts the robots,
 and times count from it.
@@ -27,9 +28,10 @@ from tetractl.tools.table.table import plural
 ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2}
 """Directions [rad] by key."""
 STOPS = {"space", "q"}
-HINTS = ("arrows steer", "SPACE stops", "drag steers too")
-"""What the keys do, the most important first."""
-LAB_HINTS = ("ESC: EMERGENCY STOP", *HINTS)
+PAUSE = "p"
+HINTS = ("arrows steer", "SPACE ends", "P: pause", "mouse: drag")
+"""What the keys do in a simulation, the most important first."""
+LAB_HINTS = ("ESC: EMERGENCY STOP", "arrows steer", "SPACE ends", "mouse: drag")
 """What they do in a lab."""
 GO_ON = "enter"
 AGAIN = "r"
@@ -57,11 +59,12 @@ MOUSE_OFF = "\x1b[?1006l\x1b[?1002l"
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What the person wants: a direction [rad], None before the first key; whether to stop; and
-    where a drag of the mouse began, as column and row of the screen."""
+    """What the person wants: a direction [rad], None before the first key; whether to stop, or to
+    pause; and where a drag of the mouse began, as column and row of the screen."""
 
     direction: float | None = None
     stops: bool = False
+    pauses: bool = False
     drag_from: tuple[int, int] | None = None
 
     @property
@@ -69,13 +72,20 @@ class Wish:
         """The direction [rad], None to stop."""
         return None if self.stops else self.direction
 
+    @property
+    def waits(self) -> bool:
+        """Whether another key must come before there is an answer."""
+        return not self.stops and (self.pauses or self.direction is None)
+
     def after(self, key: str) -> "Wish":
         """Return what is wanted once a key was pressed or the mouse moved; other keys change
         nothing."""
         if key in ARROWS:
-            return replace(self, direction=ARROWS[key])
+            return replace(self, direction=ARROWS[key], pauses=False)
         if key in STOPS:
             return replace(self, stops=True)
+        if key == PAUSE:
+            return replace(self, pauses=True)
         mouse = _MOUSE.fullmatch(key)
         return self if mouse is None else self._dragged(mouse)
 
@@ -89,27 +99,30 @@ class Wish:
             return self
         right = column - self.drag_from[0]
         up = CELL_HEIGHT * (self.drag_from[1] - row)
-        return replace(self, direction=math.atan2(up, right))
+        return replace(self, direction=math.atan2(up, right), pauses=False)
 
 
 class HandKeys:
     """What the keys of a terminal ask for; a context manager, in which the terminal tells of its
-    mouse.
+    mouse. Only a simulation `can_pause`.
 
     Threads: that of the keys calls `press`, and replaces the wish as a whole; that of the trial
     calls `ask`, which reads it. So it is with the answer and `await_answer`.
     """
 
-    def __init__(self, ended: Callable[[], bool]) -> None:
+    def __init__(self, ended: Callable[[], bool], can_pause: bool = False) -> None:
         self._wish = Wish()
         self._answer = ""
         self._ended = ended
+        self._can_pause = can_pause
 
     def press(self, key: str) -> None:
         """Take a key, by its name."""
-        self._wish = self._wish.after(key)
-        if key.lower() in (GO_ON, AGAIN, LEAVE):
-            self._answer = key.lower()
+        name = key.lower() if len(key) == 1 else key  # P is p
+        if name != PAUSE or self._can_pause:
+            self._wish = self._wish.after(name)
+        if name in (GO_ON, AGAIN, LEAVE):
+            self._answer = name
 
     def stop(self) -> None:
         """Stop, as by the space bar, and leave."""
@@ -128,9 +141,9 @@ class HandKeys:
         return self._answer or LEAVE
 
     def ask(self, time_s: float) -> float | None:
-        """Return the direction that is wanted [rad], None to stop. Before the first key, wait for
-        it, but not longer than until the trial is `ended` for another reason."""
-        while self._wish.direction is None and not (self._wish.stops or self._ended()):
+        """Return the direction that is wanted [rad], None to stop. Before the first key, and in a
+        pause, wait for a key, but not longer than until the trial is `ended` for another reason."""
+        while self._wish.waits and not self._ended():
             time.sleep(WAIT_S)
         return self._wish.answer
 
@@ -149,12 +162,13 @@ def task(setup: Setup, disturbed: bool) -> str:
     """Return what a person is to do, and what differs between the robots."""
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
-    dots = "about where they go if you hold it" if disturbed else "where they go if you hold it"
+    dots = "about where that leads" if disturbed else "where that leads"
     round_what = f", round the yellow {plural('obstacle', len(setup.obstacles))}"
     return (
         "Press an arrow: all robots turn to it as they drive, each at its own rate"
         f"{rates}. Dots: {dots}. Bring each to the square of its colour"
-        f"{round_what if setup.obstacles else ''}. SPACE ends it; then the controller can try."
+        f"{round_what if setup.obstacles else ''}: total error 0. SPACE ends your try; then the "
+        "controller can have one."
     )
 
 

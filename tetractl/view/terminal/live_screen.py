@@ -182,7 +182,7 @@ class LiveView(Observer):
     It draws at most 12 pictures per second; `wall` returns the wall time [s]. While its screen is
     closed, it draws nothing. `hints` say what keys do, if they do more than to stop the robots, and
     `aside` what is shown, in place of the results so far. A `plain` one is for who steers by hand:
-    it also warns of obstacles and edges.
+    it also warns of obstacles and edges, and has no number of the trial.
     """
 
     def __init__(
@@ -267,12 +267,12 @@ class LiveView(Observer):
             return
         self._drawn_s = self._wall()
         start = self._of_trial.start
-        stops = "Ctrl-C stops" if start.plant.virtual else STOP_HINT
+        hints = self._hints or ("Ctrl-C stops" if start.plant.virtual else STOP_HINT,)
         self._screen.show(
             Dashboard(
                 self._of_trial.moment(),
                 heading=f"{start.setup.name}, {start.plant.kind}",
-                footer=self._batch.footer(self._hints or (stops,)),
+                footer=Footer("", 0, "", hints) if self._plain else self._batch.footer(hints),
                 notes=self._of_trial.warnings() if self._plain else (),
                 aside=self._aside or self._batch.summary(start.setup.unit),
                 plain=self._plain,

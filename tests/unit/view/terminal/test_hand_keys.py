@@ -70,6 +70,25 @@ def test_the_first_key_is_waited_for():
         assert steering.ask(0.2) == NORTH
 
 
+def test_a_simulation_waits_in_a_pause_for_the_next_direction():
+    steering = HandKeys(lambda: False, can_pause=True)
+    steering.press("up")
+    steering.press("P")
+    asking = threading.Thread(target=steering.ask, args=(0.0,))
+    asking.start()
+    assert asking.is_alive()  # and would be for ever
+    steering.press("right")
+    asking.join(60)
+    assert steering.ask(0.2) == 0.0
+
+
+def test_the_robots_of_a_lab_do_not_wait():
+    steering = HandKeys(lambda: False)
+    steering.press("up")
+    steering.press("p")
+    assert steering.ask(0.0) == NORTH
+
+
 def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():
     assert HandKeys(lambda: True).ask(0.0) is None
 
@@ -108,11 +127,11 @@ def test_the_task_names_who_turns_fastest_and_slowest():
     two = parse_contents(contents | {"robots": robots}, "x").experiment.setup
     assert "(lea fastest, kim slowest)" in task(two, disturbed=False)
     assert "obstacle" not in task(two, disturbed=False)
-    assert "Dots: where they go" in task(two, disturbed=False)
-    assert "Dots: about where they go" in task(two, disturbed=True)
+    assert "Dots: where that leads" in task(two, disturbed=False)
+    assert "Dots: about where that leads" in task(two, disturbed=True)
     obstacle = {"type": "circle", "center": [0.3, 0.3], "radius": 0.01}
     with_one = parse_contents(contents | {"robots": robots, "obstacles": [obstacle]}, "x")
-    assert "colour, round the yellow obstacle. SPACE" in task(
+    assert "colour, round the yellow obstacle: total error 0. SPACE" in task(
         with_one.experiment.setup, disturbed=False
     )
     one = parse_contents(contents | {"robots": robots[:1]}, "x").experiment.setup

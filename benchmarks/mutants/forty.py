@@ -54,7 +54,7 @@ tetractl/study/sweep.py | self._between(self.low, self.high + 1, share) | self._
 tetractl/testing/device_checks.py | 0 <= age_ns <= SECOND | 0 <= age_ns | tests/unit/test_testing.py
 tetractl/tools/table/csv_rows.py | if separator == BLANKS: | if separator != BLANKS: | tests/unit/tools
 tetractl/view/figures/curves.py | np.searchsorted(_since(log), time_s, side="right") - 1 | np.searchsorted(_since(log), time_s, side="left") - 1 | tests/unit/view/figures
-packages/tetractl-emulator/tetractl_emulator/pictures/field.py | if reply and not self.trouble.mute: | if reply: | packages/tetractl-microscope/tests/unit/coils
+packages/tetractl-emulator/tetractl_emulator/pictures/field.py | if reply and not self.acting.of("mute"): | if reply: | packages/tetractl-microscope/tests/unit/coils
 packages/tetractl-microscope/tetractl_microscope/apriltag/floor.py | (shift.ravel() - self.shift.ravel()) | (shift.ravel() + self.shift.ravel()) | packages/tetractl-microscope/tests/unit/apriltag
 packages/tetractl-microscope/tetractl_microscope/cells/match.py | blob_um2 > LARGE * cell.size.area_um2 | blob_um2 < LARGE * cell.size.area_um2 | packages/tetractl-microscope/tests/unit/cells
 packages/tetractl-microscope/tetractl_microscope/choice/choosing.py | max(combinations_of_cells, | min(combinations_of_cells, | packages/tetractl-microscope/tests/unit/test_ranked.py
@@ -63,7 +63,7 @@ packages/tetractl-microscope/tetractl_microscope/film/who.py | bisect_left(self.
 packages/tetractl-microscope/tetractl_microscope/pictures/multipart.py | [start : start + length] | [start : start + length - 1] | packages/tetractl-microscope/tests/unit/pictures
 packages/tetractl-microscope/tetractl_microscope/results/cell_tables.py | middles = since + weights / 2 | middles = since + weights | packages/tetractl-microscope/tests
 packages/tetractl-motioncapture/tetractl_motioncapture/camera.py | UpAxis.Z if section.up_axis == "z" else UpAxis.Y | UpAxis.Y | packages/tetractl-motioncapture/tests
-packages/tetractl-toio/tetractl_toio/emulated/mat.py | eye.hidden or eye.carried or not printed | eye.hidden or not printed | packages/tetractl-toio/tests
+packages/tetractl-toio/tetractl_toio/emulated/mat.py | eye.carried or self.acting.of("untracked", cube.name) | self.acting.of("untracked", cube.name) | packages/tetractl-toio/tests
 """  # noqa: E501
 
 

@@ -31,7 +31,7 @@ def check_lab(lab: LabSection, setup: Setup) -> None:
         return np.array(bodies)
 
     def hide(name: str) -> None:
-        camera.tracked_body(name).tracking.tracked = False
+        camera.tracked_body(name).carried = True
 
     def moves() -> list[bool]:
         return [not body.standing for body in actuator.bodies]

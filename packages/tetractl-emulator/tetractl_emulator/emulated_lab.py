@@ -79,11 +79,12 @@ class EmulatedLab:
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
         self.loop = make_loop(self.timeline, lambda lag: self.note("late", lag_ms=lag / 1e6))
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
+        acting = self.injector.acting
         note = None if options.record is None else self.note
         reports = note, self._exposed, self.injector.sent, self._client
         self.wires = wires or Wires()
         self._ruling = ("", "")
-        stage = Stage(lab, setup, self.timeline, options, *reports, self.wires)
+        stage = Stage(lab, setup, self.timeline, options, *reports, self.wires, acting)
         sides = Sides.of(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(

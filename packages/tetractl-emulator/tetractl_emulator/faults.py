@@ -2,10 +2,11 @@
 
 A fault becomes visible with the first frame exposed during the fault, with the first frame sent
 during it, or at once; see `Visible`. A table next to each device lists its faults: `fault_kind`
-makes each, with what it does, its fields in a script, and its rows in rehearsals.
+makes each, with its fields in a script and its rows in rehearsals.
 
-What begins a fault is called as `begin(fault, device)` and returns the function that ends it. Such
-functions are made by `settings`, of attributes to be set, and by `switching`, of a switch.
+While a fault acts, it is one of the lab's `ActingFaults`, which its device asks. One that also does
+something when it begins has a function that is called as `begin(fault, device)`; this returns what
+is to be done when the fault ends, None for nothing.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
-from weakref import WeakKeyDictionary
 
 from pydantic import Field, create_model
 
@@ -24,7 +24,7 @@ from tetractl_emulator.loop import Timeline
 
 Undo = Callable[[], None]
 """Ends a fault."""
-Begin = Callable[[Any, Any], Undo]
+Begin = Callable[[Any, Any], Undo | None]
 """Begins a fault on a device: `begin(fault, device)`."""
 NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -44,8 +44,8 @@ class Fault(Model):
     """A scripted fault; `fault_kind` makes a subclass with further fields for each kind."""
 
     visible: ClassVar[Visible]
-    # starts the fault on a device and returns the function that ends it
-    begin: ClassVar[Callable[..., Undo]]
+    # what is done as the fault begins; returns what is to be done when it ends
+    begin: ClassVar[Callable[..., Undo | None]]
     # its variants on rehearsed days; none if it is in no rehearsal
     rows: ClassVar[Sequence[FaultRow]]
     fault: Any  # the name of its kind, as a Literal
@@ -65,13 +65,44 @@ class Fault(Model):
         yield from (fields[key] for key in ("robot", "other") if fields.get(key) is not None)
 
 
-@dataclass(eq=False, slots=True)
-class _Set:
-    before: dict[str, Any]  # the attributes' values before they were set
+class ActingFaults:
+    """The faults that act in a lab now. Devices ask for those that they can have, whenever it
+    matters, by the names of kinds and, if a robot has them, of the robot.
+    """
 
+    def __init__(self) -> None:
+        self._faults: dict[str, list[Any]] = {}  # by kinds, in the order in which they began
 
-_SET: WeakKeyDictionary[Any, list[_Set]] = WeakKeyDictionary()
-"""What faults that go on have set of an object, in the order in which they began."""
+    @property
+    def begun(self) -> bool:
+        """Whether any fault acts, or has acted."""
+        return bool(self._faults)
+
+    def add(self, fault: Fault) -> None:
+        """Let a fault act."""
+        self._faults.setdefault(fault.fault, []).append(fault)
+
+    def remove(self, fault: Fault) -> None:
+        """Let a fault act no more."""
+        self._faults[fault.fault].remove(fault)
+
+    def of(self, name: str, robot: str | None = None) -> Sequence[Any]:
+        """Return the faults of a kind, in the order in which they began."""
+        faults = self._faults.get(name, ())
+        return [f for f in faults if f.robot == robot] if faults and robot else faults
+
+    def newest(self, name: str, robot: str | None = None) -> Any:
+        """Return the newest fault of a kind; None if there is none."""
+        faults = self.of(name, robot)
+        return faults[-1] if faults else None
+
+    def total_by(self, name: str, robot: str | None = None) -> float:
+        """Return the sum of the fields `by` of a kind."""
+        return sum(fault.by for fault in self.of(name, robot))
+
+    def share(self, name: str, robot: str | None = None) -> float:
+        """Return the greatest `share` of a kind; 0 if there is none."""
+        return max((fault.share for fault in self.of(name, robot)), default=0.0)
 
 
 def adding(running: list[Any], entry: object) -> Undo:
@@ -80,61 +111,12 @@ def adding(running: list[Any], entry: object) -> Undo:
     return lambda: running.remove(entry)
 
 
-def setting(target: object, **values: object) -> Undo:
-    """Set attributes of `target`, an object that is compared by identity; return the function that
-    restores the attributes' values. What another fault has set since remains until that one ends.
-    """
-    this = _Set({name: getattr(target, name) for name in values})
-    _SET.setdefault(target, []).append(this)
-    for name, value in values.items():
-        setattr(target, name, value)
-
-    def undo() -> None:
-        running = _SET[target]
-        later = running[running.index(this) + 1 :]
-        running.remove(this)
-        for name, value in this.before.items():
-            set_again = next((fault for fault in later if name in fault.before), None)
-            if set_again is None:
-                setattr(target, name, value)
-            else:
-                set_again.before[name] = value
-
-    return undo
-
-
-def together(undos: Sequence[Undo]) -> Undo:
-    """Return the function that ends several faults at once."""
-
-    def undo() -> None:
-        for end in undos:
-            end()
-
-    return undo
-
-
-def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
-    """Return a function that begins a fault: it sets attributes of `target(fault, device)` to
-    `values`. A value may be a function of the fault.
-    """
-
-    def begin(fault: Fault, device: Any) -> Undo:
-        return setting(target(fault, device), **values_of(fault, values))
-
-    return begin
-
-
-def values_of(fault: Fault, values: Mapping[str, object]) -> dict[str, object]:
-    """Return the values that a fault sets: as they are, or as functions of the fault give them."""
-    return {name: v(fault) if callable(v) else v for name, v in values.items()}
-
-
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
     """Return a function that begins a fault: it gets a switch, `act(fault, device)`, and calls it
     with `on`. The fault ends when the switch is called with `not on`.
     """
 
-    def begin(fault: Fault, device: Any) -> Undo:
+    def begin(fault: Fault, device: Any) -> Undo | None:
         switch = act(fault, device)
         switch(on)
         return lambda: switch(not on)
@@ -145,10 +127,10 @@ def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True
 def fault_kind(
     name: str,
     about: str,
-    begin: Begin,
     visible: Visible = Visible.AT_ONCE,
     fields: Mapping[str, Any] = NO_FIELDS,
     rows: Sequence[FaultRow] = (),
+    begin: Begin = lambda fault, device: None,
 ) -> type[Fault]:
     """Return a kind of fault for a device's table.
 
@@ -176,14 +158,14 @@ def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], typ
         fault_kind(
             "unplug",
             "The actuator's port is unplugged.",
-            switching(lambda f, d: d.plugged, False),
             rows=[FaultRow(f"{what} unplugged", unplugged)],
+            begin=switching(lambda f, d: d.plugged, False),
         ),
         fault_kind(
             "stuck_port",
             "The actuator's port takes no bytes.",
-            switching(lambda f, d: d.port.stall),
             rows=[FaultRow(f"{what} stuck", stuck)],
+            begin=switching(lambda f, d: d.port.stall),
         ),
     )
 
@@ -191,7 +173,6 @@ def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], typ
 MARK = fault_kind(
     "mark",
     "Not a fault: only reports a named time.",
-    lambda f, d: lambda: None,
     fields={"name": Name},
 )
 
@@ -214,6 +195,7 @@ class Injector:
     faults: tuple[Fault, ...]
     device_of: Callable[[Fault], Any]
     report: Callable[[str, Fault], None]
+    acting: ActingFaults = field(default_factory=ActingFaults)
     _pending: list[_Pending] = field(default_factory=list)
     _since: set[str] = field(default_factory=set)
 
@@ -246,17 +228,29 @@ class Injector:
                 self._pending.remove(pending)
                 self.report("start", pending.fault)
 
+    def act(self, fault: Fault) -> Undo:
+        """Let a fault act; return what ends it."""
+        self.acting.add(fault)
+        undo = fault.begin(self.device_of(fault))
+
+        def end() -> None:
+            self.acting.remove(fault)
+            if undo is not None:
+                undo()
+
+        return end
+
     def _begin(self, fault: Fault) -> None:
         if fault.visible is Visible.AT_ONCE:
             self.report("start", fault)  # before it: a killed process reports nothing
-        undo = fault.begin(self.device_of(fault))
+        end = self.act(fault)
         if fault.visible is not Visible.AT_ONCE:
             self._pending.append(_Pending(fault))
         if fault.duration is not None:
-            end = self.timeline.now_ns + round(fault.duration * SECOND)
+            ends_ns = self.timeline.now_ns + round(fault.duration * SECOND)
 
             def finish() -> None:
-                undo()
+                end()
                 self.report("end", fault)
 
-            self.timeline.at(end, finish)
+            self.timeline.at(ends_ns, finish)

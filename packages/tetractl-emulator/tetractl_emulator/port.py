@@ -8,7 +8,6 @@ import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,6 +15,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError, WireError
 from tetractl.lab.actuators.xbee.hardware import BAUDS
 from tetractl.lab.cobs import Splitter
+from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 
 TERMINALS = Path("/dev/pts")
@@ -43,28 +43,30 @@ class OneWay:
 
 
 class SerialLine:
-    """The line between a port and a device, at `baud` bits per second in each direction.
-
-    Faults set `speed`, the baud rate that the device really has, and `noise`, the share of bytes
-    that are changed.
+    """The line between a port and a device, at `baud` bits per second in each direction, with the
+    faults `baud` and `bad_bytes`.
     """
 
-    def __init__(self, timeline: Timeline, baud: int) -> None:
+    def __init__(self, timeline: Timeline, baud: int, acting: ActingFaults) -> None:
         self.baud = baud
-        self.speed = baud
-        self.noise = 0.0
+        self._acting = acting
         self.to_device = OneWay(timeline, baud)
         self.to_port = OneWay(timeline, baud)
         self._chance = random.Random(baud)
 
+    @property
+    def speed(self) -> int:
+        """The baud rate that the device really has."""
+        other = self._acting.newest("baud")
+        return self.baud if other is None else other.baud
+
     def disturbed(self, data: bytes) -> bytes:
         """Return bytes as the line passes them on."""
-        if not self.noise:
+        noise = self._acting.share("bad_bytes")
+        if not noise:
             return data
         chance = self._chance
-        return bytes(
-            chance.randrange(256) if chance.random() < self.noise else byte for byte in data
-        )
+        return bytes(chance.randrange(256) if chance.random() < noise else byte for byte in data)
 
 
 class SerialDevice(ABC):
@@ -75,13 +77,18 @@ class SerialDevice(ABC):
     """
 
     def __init__(
-        self, timeline: Timeline, port: "PseudoPort", baud: int, note: Callable[..., None] | None
+        self,
+        timeline: Timeline,
+        port: "PseudoPort",
+        baud: int,
+        note: Callable[..., None] | None,
+        acting: ActingFaults | None = None,
     ) -> None:
         self.port = port
         self.note = note
-        self.line = SerialLine(timeline, baud)
+        self.acting = acting or ActingFaults()
+        self.line = SerialLine(timeline, baud, self.acting)
         self.garbled = 0
-        self._down = False
         self._timeline = timeline
         self._splitter = Splitter()  # of frames closed by 00
 
@@ -108,11 +115,12 @@ class SerialDevice(ABC):
             return
         passed = self.line.disturbed(data)
         heard_ns = self.line.to_device.send(len(data))
-        self._timeline.at(heard_ns, lambda: None if self._down else self.hear(passed))
+        self._timeline.at(heard_ns, lambda: None if self.is_down else self.hear(passed))
 
-    def restart(self, down: bool) -> None:
-        """Take and give no bytes while it is `down`."""
-        self._down = down
+    @property
+    def is_down(self) -> bool:
+        """Whether it starts again, and takes and gives no bytes."""
+        return bool(self.acting.of("radio_resets"))
 
     def _note_commands(self, frames: Sequence[bytes]) -> None:
         """Record the commands, or the garbage, in frames read from the port."""
@@ -129,33 +137,13 @@ class SerialDevice(ABC):
 
     def _answer(self, data: bytes) -> None:
         come_ns = self.line.to_port.send(len(data))
-        if not self._down and self.line.speed == self.line.baud:
+        if not self.is_down and self.line.speed == self.line.baud:
             passed = self.line.disturbed(data)
             self._timeline.at(come_ns, lambda: self.port.write(passed))
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
-class RadioTrouble:
-    """What is wrong with a radio's transmissions now; faults set the fields, and restore them when
-    they end.
-    """
-
-    loss: float = 0.0
-    """Probability that a robot does not receive a transmission."""
-    late_ns: int = 0
-    """Time by which transmissions are late [ns]."""
-    jitter_ns: int = 0
-    """Greatest random time by which each is later still [ns]."""
-    doubled: bool = False
-    """Whether robots receive each transmission twice."""
-
-    def lateness_ns(self, chance: random.Random) -> int:
-        """Draw by how much a transmission is late [ns]."""
-        return self.late_ns + (round(chance.uniform(0, self.jitter_ns)) if self.jitter_ns else 0)
-
-
 class RobotRadio(SerialDevice):
-    """A radio to robots, which at first loses the share `loss` of its transmissions."""
+    """A radio to robots, which loses at least the share `loss` of its transmissions."""
 
     def __init__(
         self,
@@ -164,9 +152,27 @@ class RobotRadio(SerialDevice):
         baud: int,
         note: Callable[..., None] | None,
         loss: float,
+        acting: ActingFaults | None = None,
     ) -> None:
-        super().__init__(timeline, port, baud, note)
-        self.trouble = RadioTrouble(loss)
+        super().__init__(timeline, port, baud, note, acting)
+        self._loss = loss
+
+    def loss_to(self, robot: str | None = None) -> float:
+        """Return the share of the transmissions that a robot, or the PC, does not receive."""
+        deaf = self.acting.share("deaf", robot) if robot else 0.0
+        return max(self._loss, self.acting.share("loss"), deaf)
+
+    def late_ns(self, chance: random.Random) -> int:
+        """Draw by how much a transmission is late [ns]."""
+        late_s = self.acting.total_by("late_radio")
+        for fault in self.acting.of("overtaken_packets"):
+            late_s += chance.uniform(0, fault.by)
+        return round(late_s * SECOND)
+
+    @property
+    def times(self) -> int:
+        """How often robots receive each transmission."""
+        return 2 if self.acting.of("doubled_packets") else 1
 
     @abstractmethod
     def stop_elsewhere(self, sequence: int) -> None:

@@ -90,7 +90,10 @@ class PoseStream(PoseCamera):
         self.section = section
         chance = random.Random(stage.options.seed)
         noise = PoseNoise(settings.noise_mm, settings.noise_rad, chance)
-        tracked = [TrackedBody(body, Asset(i, body.name), noise) for i, body in enumerate(bodies)]
+        tracked = [
+            TrackedBody(body, Asset(i, body.name), noise, stage.acting)
+            for i, body in enumerate(bodies)
+        ]
         rate = settings.rate or section.sight.rate_hz or RATE_HZ
         latency = section.latency if settings.latency is None else settings.latency
         super().__init__(stage, tracked, rate, latency, View(UpAxis.Z))

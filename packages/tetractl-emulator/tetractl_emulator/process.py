@@ -30,7 +30,7 @@ from tetractl_emulator.fault_rows import (
     between,
     one_of,
 )
-from tetractl_emulator.faults import Begin, Undo, fault_kind, switching
+from tetractl_emulator.faults import Undo, fault_kind, switching
 
 AFTER_NS = SECOND
 """Time for which an emulated lab goes on after the process has ended [ns]: robots come to rest."""
@@ -178,16 +178,6 @@ class ThisProcess(Process):
         self._supervision.emergency.set()
 
 
-def _once(act: Callable[[Any, Process], object]) -> Begin:
-    """Return a function that starts a fault by `act(fault, process)`; nothing ends it."""
-
-    def begin(fault: Any, process: Process) -> Undo:
-        act(fault, process)
-        return lambda: None
-
-    return begin
-
-
 def _busy(fault: Any, process: Process) -> Undo:
     process.plan_for(fault.seconds, fault.every)
     return lambda: process.plan_for(0.0)
@@ -199,7 +189,6 @@ PROCESS_FAULTS = (
     fault_kind(
         "signal",
         "The process that drives the robots gets this signal.",
-        _once(lambda f, p: p.signal(f.signal)),
         fields={"signal": SIGNALS},
         rows=[
             FaultRow("killed", NOTHING, {"signal": "KILL"}, at_once=True),
@@ -210,33 +199,33 @@ PROCESS_FAULTS = (
                 at_once=True,
             ),
         ],
+        begin=lambda f, p: p.signal(f.signal),
     ),
     fault_kind(
         "stopped",
         "That process is suspended, or sleeps.",
-        switching(lambda f, p: p.stop),
         rows=[
             FaultRow("suspended", ASLEEP, {"for": between(0.02, 5)}),
             FaultRow("computer sleeps", ASLEEP, {"for": one_of(3.0, 30.0)}),
         ],
+        begin=switching(lambda f, p: p.stop),
     ),
     fault_kind(
         "disk_full",
         "The disk for the log is full.",
-        _once(lambda f, p: p.fill_disk()),
         rows=[FaultRow("disk full", "cannot write the log", at_once=True)],
+        begin=lambda f, p: p.fill_disk(),
     ),
     fault_kind(
         "host_clock",
         "The computer's monotonic clock jumps by this time [s]; only in virtual time.",
-        _once(lambda f, p: p.set_clock(round(f.by * SECOND))),
         fields={"by": Positive},
         rows=[FaultRow("host's clock jumps", STANDS, {"by": between(0.02, 6)}, at_once=True)],
+        begin=lambda f, p: p.set_clock(round(f.by * SECOND)),
     ),
     fault_kind(
         "busy",
         "Each plan, or one of `every` plans, takes this time [s]; only in virtual time.",
-        _busy,
         fields={"seconds": Positive, "every": (Annotated[int, Field(ge=1)], 1)},
         rows=[
             FaultRow("host busy", f"late|silent|{MOVED}", {"seconds": between(0.01, 6)}),
@@ -247,17 +236,18 @@ PROCESS_FAULTS = (
                 weight=0.5,
             ),
         ],
+        begin=_busy,
     ),
     fault_kind(
         "emergency",
         "The operator presses the emergency stop; only in virtual time.",
-        _once(lambda f, p: p.press_stop()),
         rows=[FaultRow("emergency stop", "emergency stop", at_once=True)],
+        begin=lambda f, p: p.press_stop(),
     ),
     fault_kind(
         "second_run",
         "A second run opens the port.",
-        _once(lambda f, p: p.run_again()),
         rows=[FaultRow("second run", NOTHING, at_once=True, weight=0.5)],
+        begin=lambda f, p: p.run_again(),
     ),
 )

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.lab_section import LabSection
-from tetractl_emulator.faults import Fault
+from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.wires import Wires
 
@@ -50,7 +50,8 @@ class Stage:
     `note(event, **facts)` adds an event to the record; it is None if none is kept. A camera calls
     `exposed(exposure, frame)`, with the numbers of exposure and frame, at each exposure;
     `sent(exposure)` when the exposure's frame is sent or would be sent without a fault; and
-    `client(address)` for each new client. `wires` makes the ends of the connections.
+    `client(address)` for each new client. `wires` makes the ends of the connections; `acting` are
+    the faults that act now.
     """
 
     lab: LabSection
@@ -62,6 +63,7 @@ class Stage:
     sent: Callable[[int], None]
     client: Callable[[str], None]
     wires: Wires = field(default_factory=Wires)
+    acting: ActingFaults = field(default_factory=ActingFaults)
 
     @property
     def mm(self) -> float:

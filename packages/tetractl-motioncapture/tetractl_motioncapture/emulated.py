@@ -2,10 +2,10 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from tetractl_emulator.fault_rows import FaultRow
-from tetractl_emulator.faults import Fault, Undo, fault_kind
+from tetractl_emulator.faults import Fault, fault_kind
 from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
 from tetractl_emulator.sides import Body, Stage
@@ -17,11 +17,6 @@ from tetractl.lab.udp_port import SCHEME
 from tetractl_motioncapture.section import MotionCaptureSection
 
 
-def _end(_: Any, device: Any) -> Undo:
-    device.port.unplug()
-    return lambda: None
-
-
 class EmulatedMotionCapture(PoseStream):
     """Bodies as the library gives them: position [m] and quaternion, in the system's axes."""
 
@@ -30,8 +25,8 @@ class EmulatedMotionCapture(PoseStream):
         fault_kind(
             "process_ends",
             "The library's process ends.",
-            _end,
             rows=[FaultRow("capture ends", "the camera", at_once=True)],
+            begin=lambda fault, device: device.port.unplug(),
         ),
     )
 

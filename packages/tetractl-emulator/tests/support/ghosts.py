@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from support.acting import act
 from support.bench_agreement import lab_spec, lab_trial
 from support.virtual_lab import VirtualLab
 
@@ -64,7 +65,10 @@ class Ghost:
         self._last = {}
         if self.kind == NUMBERS:
             side = lab.emulation.actuator
-            side.swap_numbers(*(side.robots[i] for i in self.who))
+            first, second = (side.robots[i] for i in self.who)
+            index = first.index
+            first.renumber(second.index)
+            second.renumber(index)
         motive = lab.emulation.camera
         motive._expose = self._exposed(motive._expose)
         lab.clock.steps.append(self._watch)
@@ -77,11 +81,13 @@ class Ghost:
             ghost_poses = self._show(true_poses)
             bodies = self.lab.emulation.camera.tracked
             for body, true, ghost in zip(bodies, true_poses, ghost_poses, strict=True):
-                body.displacement.shift = complex(ghost.x - true.x, ghost.y - true.y)
-                body.displacement.turned = ghost.heading - true.heading
+                body.shift = complex(ghost.x - true.x, ghost.y - true.y)
+                body.turned = ghost.heading - true.heading
             if self.kind == "frozen":
-                for i in self._shown:
-                    bodies[i].tracking.repeats = True
+                acting = self.lab.emulation.camera.acting
+                for name in (bodies[i].robot.name for i in self._shown):
+                    if not acting.of("repeat", name):
+                        act(acting, "repeat", robot=name)
             return expose()
 
         return exposed

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from support.acting import act
 from support.device_specs import APRILTAG_SPEC, FIELD_SPEC, TWIST_SPEC
 from support.lab_processes import emulated
 from support.lab_specs import SPEC
@@ -26,7 +27,7 @@ def optitrack(folder):
     with virtual_lab(folder) as lab:
 
         def hide(name):
-            lab.emulation.camera.tracked_body(name).tracking.tracked = False
+            act(lab.emulation.camera.acting, "untracked", robot=name)
 
         scene = SeenRobots(lab.clock, poses(lab.emulation), hide)
         yield lab.spec.experiment.plant.camera, lab.spec.experiment.setup, scene
@@ -54,7 +55,7 @@ def apriltag(folder):
         section = experiment.lab.camera.model_copy(update={"source": source, "connect": 120.0})
 
         def hide(name):
-            lab.camera.renderer.hidden.add(lab.camera.tag(name))
+            act(lab.injector.acting, "untracked", robot=name)
 
         try:
             yield section, experiment.setup, SeenRobots(MonotonicClock(), poses(lab), hide)

@@ -26,6 +26,7 @@ from tetractl.lab.actuators.xbee.api_frames import (
 from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
 from tetractl.lab.cobs import Flag
 from tetractl.model.wheels import Counts
+from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.port import PseudoPort, RobotRadio, uart_ns
@@ -63,8 +64,9 @@ class EmulatedRadio(RobotRadio):
         loss: float,
         seed: int,
         note: Callable[..., None] | None,
+        acting: ActingFaults | None = None,
     ) -> None:
-        super().__init__(timeline, port, baud, note, loss)
+        super().__init__(timeline, port, baud, note, loss, acting)
         self.robots = robots
         self._random = random.Random(seed)
         self._decoder = Decoder()
@@ -127,11 +129,11 @@ class EmulatedRadio(RobotRadio):
     def _transmit(self, payload: bytes) -> None:
         size = len(payload)
         arrives = self._take_air(size) + uart_ns(size, ROBOT_BAUD)
-        arrives += self.trouble.lateness_ns(self._random)
+        arrives += self.late_ns(self._random)
         for robot in self.robots:
-            if self._random.random() >= max(self.trouble.loss, robot.trouble.deaf):
-                heard_ns = arrives + robot.trouble.late_ns
-                for _ in range(1 + self.trouble.doubled):
+            if self._random.random() >= self.loss_to(robot.name):
+                heard_ns = arrives + robot.late_ns
+                for _ in range(self.times):
                     self._timeline.at(heard_ns, lambda robot=robot: self._deliver(robot, payload))
 
     def _deliver(self, robot: EmulatedRobot, payload: bytes) -> None:
@@ -144,6 +146,6 @@ class EmulatedRadio(RobotRadio):
         for _ in range(4):
             arrives = self._take_air(len(payload))
             self._air_ns += ACK_NS
-            if self._random.random() >= self.trouble.loss:
+            if self._random.random() >= self.loss_to():
                 self._timeline.at(arrives, lambda: self._answer(encode(RECEIVED + payload)))
                 return

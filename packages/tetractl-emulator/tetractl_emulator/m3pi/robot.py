@@ -17,6 +17,7 @@ from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.motion.rolling import LAG
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
 from tetractl.plant.wheel_kernel import roll
+from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.firmware import RobotCore
 
 STANDING_MM_S = 1.0
@@ -29,8 +30,10 @@ Speeds = tuple[float, float]
 """The speeds of a robot's left and right wheel [mm/s]."""
 
 
-Held = tuple[Counts, tuple[bool, bool], tuple[float, float]]
-"""What a robot's motors are given, and which wheels are stuck and how weak they are."""
+WHOLE = (1.0, 1.0)
+"""The shares of their speed at which wheels turn without a fault."""
+Held = tuple[Counts, tuple[float, float]]
+"""What a robot's motors are given, and the share of its speed at which each wheel turns."""
 
 
 class RollingWheels(NamedTuple):
@@ -43,7 +46,7 @@ class RollingWheels(NamedTuple):
     lag_s: float
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
+@dataclass(slots=True)
 class EmulatedBattery:
     """A battery of four NiMH cells, whose voltage falls with the load and with the charge drawn."""
 
@@ -80,27 +83,11 @@ class Program(Protocol):
         ...
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
-class RobotTrouble:
-    """What is wrong with a robot now; faults set the fields, and restore them when they end."""
-
-    stuck: tuple[bool, bool] = (False, False)
-    """Whether the left and the right wheel are stuck."""
-    weak: tuple[float, float] = (1.0, 1.0)
-    """The shares of its speed at which the left and the right wheel turn."""
-    deaf: float = 0.0
-    """The share of the transmissions that it does not receive."""
-    late_ns: int = 0
-    """Time by which it obeys late what it receives [ns]."""
-    veer: Counts | None = None
-    """Counts that the motors get in place of any counts other than 0."""
-
-
 class EmulatedRobot:
     """One robot, in a row of `EmulatedRobots`, which moves it.
 
-    `index` is the number in broadcasts that was built into its firmware. Faults set fields of its
-    `trouble` and of its `battery`, and `switch` it off.
+    `index` is the number in broadcasts that was built into its firmware. It has those of the faults
+    that are `acting` which name it; others `switch` it off, or `renumber` it.
     """
 
     robots: "EmulatedRobots"
@@ -112,6 +99,7 @@ class EmulatedRobot:
         index: int,
         battery: EmulatedBattery | None = None,
         make_core: Callable[[int], Program] = RobotCore,
+        acting: ActingFaults | None = None,
     ) -> None:
         self.name = name
         self.core = make_core(index)
@@ -119,7 +107,7 @@ class EmulatedRobot:
         self._make_core = make_core
         self.battery = battery or EmulatedBattery()
         self.powered = True
-        self.trouble = RobotTrouble()
+        self.acting = acting or ActingFaults()
 
     @property
     def x(self) -> float:
@@ -149,10 +137,21 @@ class EmulatedRobot:
     def hear(self, data: bytes) -> None:
         """Take bytes from the robot's radio module."""
         if self.powered:
-            load = min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
-            battery = self.battery
-            self.core.set_battery(max(0, round(battery.open_mv - battery.sag_mv * load)))
+            self.core.set_battery(self._battery_mv())
             self.core.push(data, self.robots.now_ms)
+
+    def _battery_mv(self) -> int:
+        """Return the battery's voltage under the present load [mV]."""
+        low = self.acting.newest("low_battery", self.name)
+        if low is not None:
+            return low.millivolts
+        load = min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
+        return max(0, round(self.battery.open_mv - self.battery.sag_mv * load))
+
+    @property
+    def late_ns(self) -> int:
+        """By how much it obeys late what it receives [ns]."""
+        return round(self.acting.total_by("reboots", self.name) * SECOND)
 
     def answer(self) -> bytes:
         """Return the bytes that the robot now sends to its radio module."""
@@ -163,14 +162,29 @@ class EmulatedRobot:
         if not self.powered:
             return 0, 0
         counts = self.core.wheels(self.robots.now_ms)
-        veer = self.trouble.veer
-        return veer if veer is not None and any(counts) else counts
+        veer = self.acting.newest("veer", self.name) if any(counts) else None
+        return counts if veer is None else veer.counts
+
+    def wheel_shares(self) -> tuple[float, float]:
+        """Return the shares of their speed at which the left and the right wheel turn."""
+        return self._share("left"), self._share("right")
+
+    def _share(self, wheel: str) -> float:
+        if any(f.wheel in (wheel, "both") for f in self.acting.of("wheel_stuck", self.name)):
+            return 0.0
+        weak = self.acting.of("weak_wheel", self.name)
+        return min((fault.share for fault in weak if fault.wheel in (wheel, "both")), default=1.0)
 
     def switch(self, on: bool) -> None:
         """Switch the robot on or off; switching it on restarts its firmware."""
         self.powered = on
         if on:
             self.core = self._make_core(self.index)
+
+    def renumber(self, index: int) -> None:
+        """Give the robot a firmware with another number."""
+        self.index = index
+        self.core = self._make_core(index)
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the robot, at rest, at a pose [mm, rad]."""
@@ -252,17 +266,17 @@ class EmulatedRobots:
         steps = self._steps
         while steps.now_ns < until_ns:
             held: list[Held] = [
-                (robot.counts(), robot.trouble.stuck, robot.trouble.weak) for robot in self.robots
+                (robot.counts(), robot.wheel_shares() if robot.acting.begun else WHOLE)
+                for robot in self.robots
             ]
             if len(steps.ends_ns) == STEPS_MAX:
                 self._settled()
             if held != self._held:
                 wheeled = self._settled()
                 self._held = held
-                counts, stuck, weak = (np.array(values).T for values in zip(*held, strict=True))
-                speeds = weak * self._drivetrains.speeds(counts)
-                wheeled.targets[:] = np.where(stuck, 0.0, speeds)
-                wheeled.wheels[stuck] = 0.0
+                counts, shares = (np.array(values).T for values in zip(*held, strict=True))
+                wheeled.targets[:] = shares * self._drivetrains.speeds(counts)
+                wheeled.wheels[shares == 0] = 0.0  # a stuck wheel stands at once
             steps.now_ns = min(steps.now_ns + MILLISECOND, until_ns)
             steps.ends_ns.append(steps.now_ns)
 

@@ -1,7 +1,7 @@
 """The emulated actuator of type `m3pi-xbee`: its settings and faults, a radio, and robots."""
 
 from collections.abc import Sequence
-from operator import attrgetter
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
@@ -18,16 +18,13 @@ from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
 from tetractl.model.wheels import Counts
 from tetractl_emulator.fault_rows import MOTION, OUR_HZ, PLACE, FaultRow, pair, signed
-from tetractl_emulator.faults import Fault, Share, Undo, fault_kind, settings
-from tetractl_emulator.firmware import RobotCore
+from tetractl_emulator.faults import Fault, Share, Undo, fault_kind
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
 from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     WheeledSide,
-    robot_of,
     robots_of_day,
-    trouble_of,
 )
 from tetractl_emulator.port import PluggedDevice
 from tetractl_emulator.sides import Stage
@@ -71,24 +68,29 @@ class M3piSettings(Model):
     """The robots whose true properties differ from the spec."""
 
 
+def _renumber(fault: Any, device: Any) -> Undo:
+    robot = device.robot(fault.robot)
+    undo = partial(robot.renumber, robot.index)
+    robot.renumber(fault.id)
+    return undo
+
+
 ELSEWHERE = f"only an emergency stop|{MOTION}|{PLACE}"
 FAULTS = (
     fault_kind(
         "veer",
         "A robot's motors get these counts in place of every count other than 0.",
-        settings(trouble_of, veer=attrgetter("counts")),
         fields={"robot": Name, "counts": tuple[Count, Count]},
     ),
     fault_kind(
         "wrong_id",
         "A robot's firmware was built with this broadcast number.",
-        settings(robot_of, index=attrgetter("id"), core=lambda f: RobotCore(f.id)),
         fields={"robot": Name, "id": Annotated[int, Field(ge=0, le=31)]},
+        begin=_renumber,
     ),
     fault_kind(
         "driven_elsewhere",
         "Another program on the radio sends all robots these counts, at this rate [Hz].",
-        lambda fault, device: device.drive_elsewhere(fault.counts, round(SECOND / fault.rate)),
         fields={"counts": tuple[Count, Count], "rate": (Positive, 100.0)},
         rows=[
             FaultRow("second sender", ELSEWHERE, {"counts": pair(signed(3, 60)), "rate": 100.0}),
@@ -96,6 +98,9 @@ FAULTS = (
                 "sender at our rate", ELSEWHERE, {"counts": pair(signed(3, 60)), "rate": OUR_HZ}
             ),
         ],
+        begin=lambda fault, device: device.drive_elsewhere(
+            fault.counts, round(SECOND / fault.rate)
+        ),
     ),
     *WHEELED_FAULTS,
 )
@@ -124,7 +129,10 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
         trues = [truths.get(name) or TrueRobot(name=name) for name in stage.setup.names]
         self.robots = [
             EmulatedRobot(
-                true.name, section.index(true.name), EmulatedBattery(float(true.battery_mv))
+                true.name,
+                section.index(true.name),
+                EmulatedBattery(float(true.battery_mv)),
+                acting=stage.acting,
             )
             for true in trues
         ]
@@ -141,6 +149,7 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
             settings.loss,
             stage.options.seed,
             stage.note,
+            stage.acting,
         )
         self.radios = [self.radio]
 

@@ -5,7 +5,6 @@ A side of your own derives from `OwnLines` if each robot takes lines at a port o
 """
 
 from collections.abc import Callable, Sequence
-from operator import attrgetter
 from random import Random
 from typing import Annotated, Any, Literal, Protocol
 
@@ -32,20 +31,9 @@ from tetractl_emulator.fault_rows import (
     signed,
     whole,
 )
-from tetractl_emulator.faults import (
-    Begin,
-    Share,
-    Undo,
-    fault_kind,
-    port_faults,
-    setting,
-    settings,
-    switching,
-    together,
-    values_of,
-)
+from tetractl_emulator.faults import Share, Undo, fault_kind, port_faults, switching
 from tetractl_emulator.loop import Loop, Timeline
-from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots, RobotTrouble
+from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
 from tetractl_emulator.port import RobotRadio
 from tetractl_emulator.sides import Stage
 
@@ -103,7 +91,7 @@ class WheeledSide:
         """Return the robot with this name."""
         return next(robot for robot in self.robots if robot.name == name)
 
-    def push(self, fault: Any) -> Undo:
+    def push(self, fault: Any) -> None:
         """Move a robot as a fault says."""
         row = self.robot(fault.robot).row
         parts = 1 if fault.at_once else PUSH_PARTS
@@ -111,25 +99,13 @@ class WheeledSide:
         for part in range(parts):
             at_ns = self.timeline.now_ns + part * PUSH_NS // PUSH_PARTS
             self.timeline.at(at_ns, lambda: self.wheels.shift(row, x, y, turn))
-        return lambda: None
 
-    def swap_numbers(self, first: EmulatedRobot, second: EmulatedRobot) -> Undo:
-        """Let each of two robots obey, and answer as, the other."""
-        swapped = [(first, second.index, second.core), (second, first.index, first.core)]
-        return together([setting(robot, index=i, core=core) for robot, i, core in swapped])
-
-    def stop_elsewhere(self) -> Undo:
+    def stop_elsewhere(self) -> None:
         """Let robots hear ten emergency stops of another sender."""
         for k in range(STOPS):
             for radio in self.radios:
                 at_ns = self.timeline.now_ns + k * STOP_GAP_NS
                 self.timeline.at(at_ns, lambda k=k, radio=radio: radio.stop_elsewhere(k))
-        return lambda: None
-
-    def restart(self, down: bool) -> None:
-        """Let the radios take and give no bytes while they are `down`."""
-        for radio in self.radios:
-            radio.restart(down)
 
 
 class TrueWheels(Model):
@@ -261,48 +237,22 @@ def gains_of_day(random: Random, setup: Setup, robots: Sequence[Geared]) -> dict
     return drawn
 
 
-def robot_of(fault: Any, device: Any) -> EmulatedRobot:
-    """Return the robot that a fault names."""
-    return device.robot(fault.robot)
+def _swap_numbers(fault: Any, device: Any) -> Undo:
+    def swap() -> None:
+        first = device.robot(fault.robot)
+        second = device.robot(fault.other)
+        index = first.index
+        first.renumber(second.index)
+        second.renumber(index)
+
+    swap()
+    return swap
 
 
-def trouble_of(fault: Any, device: Any) -> RobotTrouble:
-    """Return what is wrong with the robot that a fault names."""
-    return robot_of(fault, device).trouble
-
-
-# parts of a `RobotRadio`
-TROUBLE = attrgetter("trouble")
-LINE = attrgetter("line")
-
-
-def _radios(part: Callable[[RobotRadio], object], **values: Any) -> Begin:
-    """Return a function that begins a fault: it sets attributes of a part of all radios."""
-
-    def begin(fault: Any, device: Any) -> Undo:
-        present = values_of(fault, values)
-        return together([setting(part(radio), **present) for radio in device.radios])
-
-    return begin
-
-
-def _weak(fault: Any) -> tuple[float, float]:
-    left_share = fault.share if fault.wheel in ("left", "both") else 1.0
-    right_share = fault.share if fault.wheel in ("right", "both") else 1.0
-    return left_share, right_share
-
-
-def _reboot(fault: Any, device: Any) -> Undo:
-    robot_of(fault, device).switch(True)
-    return setting(trouble_of(fault, device), late_ns=round(fault.by * SECOND))
-
-
-STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}
 WHEELED_FAULTS = (
     fault_kind(
         "wheel_stuck",
         "One or both wheels no longer turn.",
-        settings(trouble_of, stuck=lambda f: STUCK[f.wheel]),
         fields={"robot": Name, "wheel": Wheel},
         rows=[FaultRow("wheel stuck", MOVED, {"wheel": WHEEL})],
     ),
@@ -310,74 +260,65 @@ WHEELED_FAULTS = (
     fault_kind(
         "loss",
         "Robots do not receive this fraction of the transmissions.",
-        _radios(TROUBLE, loss=attrgetter("share")),
         fields={"share": Share},
         rows=[FaultRow("radio silent", LINK, {"share": lost})],
     ),
     fault_kind(
         "deaf",
         "A robot does not receive this fraction of the transmissions.",
-        settings(trouble_of, deaf=attrgetter("share")),
         fields={"robot": Name, "share": Share},
         rows=[FaultRow("robot deaf", LINK, {"share": lost})],
     ),
     fault_kind(
         "swapped_numbers",
         "Two robots have exchanged numbers: each obeys what is sent to the other.",
-        lambda f, d: d.swap_numbers(d.robot(f.robot), d.robot(f.other)),
         fields={"robot": Name, "other": Name},
         rows=[FaultRow("numbers swapped", MOVED, at_once=True, start=1.0)],
+        begin=_swap_numbers,
     ),
     fault_kind(
         "late_radio",
         "Transmissions arrive late [s].",
-        _radios(TROUBLE, late_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
         rows=[FaultRow("radio late", LINK, {"by": between(0.005, 1)})],
     ),
     fault_kind(
         "stopped_elsewhere",
         "Robots hear `tetractl lab stop` by another radio: ten emergency stops.",
-        lambda f, d: d.stop_elsewhere(),
         rows=[FaultRow("stopped elsewhere", f"emergency-stopped|{LINK}", at_once=True)],
+        begin=lambda f, d: d.stop_elsewhere(),
     ),
     fault_kind(
         "overtaken_packets",
         "Transmissions are late by a random time up to this one [s], so that some overtake others.",
-        _radios(TROUBLE, jitter_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
         rows=[FaultRow("packets overtaken", LINK, {"by": between(0.005, 0.3)})],
     ),
     fault_kind(
         "doubled_packets",
         "Robots receive each transmission twice.",
-        _radios(TROUBLE, doubled=True),
         rows=[FaultRow("packets doubled", NOTHING, weight=0.5)],
     ),
     fault_kind(
         "radio_resets",
         "The radio's module restarts: it takes and gives no bytes until it is up again.",
-        switching(lambda f, d: d.restart),
         rows=[FaultRow("radio resets", LINK)],
     ),
     fault_kind(
         "baud",
         "The radio's module has another baud rate.",
-        _radios(LINE, speed=attrgetter("baud")),
         fields={"baud": Literal[9600, 19200, 38400, 115200]},
         rows=[FaultRow("other baud rate", LINK, {"baud": 9600})],
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the wire to the radio is changed, both ways.",
-        _radios(LINE, noise=attrgetter("share")),
         fields={"share": Share},
         rows=[FaultRow("bad bytes", LINK, {"share": between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_wheel",
         "A wheel turns at this share of its speed.",
-        settings(trouble_of, weak=_weak),
         fields={"robot": Name, "wheel": Wheel, "share": Share},
         rows=[FaultRow("wheel weak", MOVED, {"wheel": WHEEL, "share": less(0.02, 1.2)})],
     ),
@@ -385,7 +326,6 @@ WHEELED_FAULTS = (
         "pushed",
         "Somebody moves a robot on the floor: by this distance [mm] and angle [rad], within 0.2 s, "
         "or at once if it is put elsewhere.",
-        lambda f, d: d.push(f),
         fields={"robot": Name, "by": Point, "turn": (Finite, 0.0), "at_once": (bool, False)},
         rows=[
             FaultRow("pushed", MOVED, {"by": off(3, 200), "turn": signed(0.01, 2)}, at_once=True),
@@ -396,27 +336,25 @@ WHEELED_FAULTS = (
                 at_once=True,
             ),
         ],
+        begin=lambda f, d: d.push(f),
     ),
     fault_kind(
         "off",
         "A robot is switched off.",
-        switching(lambda f, d: robot_of(f, d).switch, False),
         fields={"robot": Name},
         rows=[FaultRow("brown-out", LINK)],
+        begin=switching(lambda f, d: d.robot(f.robot).switch, False),
     ),
     fault_kind(
         "reboots",
         "A robot starts again, and from then on obeys by this time [s] late.",
-        _reboot,
         fields={"robot": Name, "by": Positive},
         rows=[FaultRow("late after a reboot", LINK, {"by": between(0.05, 3)})],
+        begin=lambda f, d: d.robot(f.robot).switch(True),
     ),
     fault_kind(
         "low_battery",
         "A robot's battery has this voltage [mV].",
-        settings(
-            lambda f, d: robot_of(f, d).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
-        ),
         fields={"robot": Name, "millivolts": Annotated[int, Field(ge=0, le=9000)]},
         rows=[FaultRow("battery low", "battery", {"millivolts": whole(4700, 3500)}, start=0.9)],
     ),

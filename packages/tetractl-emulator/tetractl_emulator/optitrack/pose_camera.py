@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl_emulator.optitrack.scripted import Trouble
+from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, has_a_pose
 from tetractl_emulator.sides import Stage
 
@@ -37,12 +37,12 @@ class Exposure:
 
 @dataclass(slots=True)
 class Outlet:
-    """Sends frames by `stream(frame)`, unless the server's trouble forbids it.
+    """Sends frames by `stream(frame)`, unless a fault forbids it.
 
     `left_ns` is the exposure of the last frame sent [ns], and `last` what was last to be sent.
     """
 
-    trouble: Trouble
+    acting: ActingFaults
     stream: Callable[[Any], None]
     left_ns: int = 0
     last: Exposure | None = None
@@ -51,13 +51,14 @@ class Outlet:
         """Send a frame, or in place of it the last one if frames are frozen; return what was sent,
         None if nothing was.
         """
-        trouble = self.trouble
-        slow = self.left_ns < exposure.at_ns < self.left_ns + SECOND / trouble.hz
+        acting = self.acting
+        periods_ns = (SECOND / fault.rate for fault in acting.of("slow_frames"))
+        slow = self.left_ns < exposure.at_ns < self.left_ns + max(periods_ns, default=0)
         to_send = exposure
-        if trouble.frozen and self.last is not None:
+        if acting.of("freeze") and self.last is not None:
             to_send = self.last
         self.last = to_send
-        if trouble.silent or trouble.no_frames or slow:
+        if acting.of("no_server") or acting.of("no_frames") or slow:
             return None
         self.left_ns = exposure.at_ns
         self.stream(to_send.frame)
@@ -68,7 +69,8 @@ class PoseCamera(ABC):
     """Exposes bodies `rate` times a second, each frame to be sent `latency_s` [s] later.
 
     Exposures are numbered from 1, without gaps. `shown_ns` is when each robot was exposed in the
-    newest frame sent in which it is tracked.
+    newest frame sent in which it is tracked; `outdated` frames to come have times that are too
+    early.
     """
 
     numbered: ClassVar[bool] = True
@@ -79,14 +81,15 @@ class PoseCamera(ABC):
     ) -> None:
         self.tracked = tracked
         self.view = view
-        self.trouble = Trouble()
+        self.acting = stage.acting
+        self.outdated = 0
         self.shown_ns = [0] * len(tracked)
         self.timeline = stage.timeline
         self._stage = stage
         self._rate = rate
         self._planned = 0  # exposures
         self._start_ns = 0
-        self._outlet = Outlet(self.trouble, lambda frame: self._stream(frame, self.timeline.now_ns))
+        self._outlet = Outlet(self.acting, lambda frame: self._stream(frame, self.timeline.now_ns))
         self._latency_s = latency_s
         self._random = random.Random(stage.options.seed)
 
@@ -107,15 +110,11 @@ class PoseCamera(ABC):
         """If `hidden`, track no body; otherwise track all bodies again, but for those that a fault
         hides."""
         for body in self.tracked:
-            body.tracking.carried = hidden
+            body.carried = hidden
 
     def tracked_body(self, name: str) -> TrackedBody:
         """Return the rigid body of the robot with this name."""
-        return self.tracked[self.place_of(name)]
-
-    def place_of(self, name: str) -> int:
-        """Return the index of the robot with this name."""
-        return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
+        return next(body for body in self.tracked if body.robot.name == name)
 
     def _plan(self) -> None:
         due_ns = self._start_ns + round(self._planned * SECOND / self._rate)
@@ -127,17 +126,17 @@ class PoseCamera(ABC):
         now = self.timeline.now_ns
         exposed = now
         exposure_number = self._planned
-        trouble = self.trouble
-        frame_number = exposure_number - trouble.counter
+        acting = self.acting
+        frame_number = exposure_number - sum(fault.frames for fault in acting.of("counter_back"))
         self._stage.exposed(exposure_number, frame_number if self.numbered else 0)
         delay = self._delay_s()
-        self.view.creep()
-        if trouble.outdated:
-            trouble.outdated -= 1
-            exposed = max(0, now - round(trouble.outdated_s * SECOND))
+        self.view.creep(acting.of("picture"))
+        if self.outdated:
+            self.outdated -= 1
+            exposed = max(0, now - round(acting.newest("outdated").by * SECOND))
         frame = self._shot(frame_number, exposed, self._expose())
         leaves = now + round(delay * SECOND)
-        times = 2 if trouble.doubled else 1
+        times = 2 if acting.of("doubled_frames") else 1
         for _ in range(times):
             self.timeline.at(leaves, partial(self._leave, exposure_number, Exposure(frame, now)))
         self._plan()
@@ -149,14 +148,13 @@ class PoseCamera(ABC):
         delay_s = self._latency_s + min(max(normal_s, -4 * JITTER_S), 4 * JITTER_S)
         if jitter.random() < DELAYED_SHARE:
             delay_s += jitter.uniform(0, DELAYED_PERIODS / self._rate)
-        trouble = self.trouble
-        delay_s += trouble.late_s
-        if trouble.jitter_s:
-            delay_s += jitter.uniform(0, trouble.jitter_s)
+        delay_s += self.acting.total_by("late_frames")
+        for fault in self.acting.of("reordered"):
+            delay_s += jitter.uniform(0, fault.by)
         return delay_s
 
     def _leave(self, exposure_number: int, exposure: Exposure) -> None:
-        """Send an exposure unless the server's trouble forbids it, and remember when each robot was
+        """Send an exposure unless a fault forbids it, and remember when each robot was
         last shown as tracked."""
         sent = self._outlet.send(exposure)
         if sent is not None:
@@ -169,15 +167,17 @@ class PoseCamera(ABC):
 
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
-        bodies = [body.expose(self.view) for body in self.tracked]
-        if self.trouble.swapped is not None:
-            i, j = self.trouble.swapped
-            first = bodies[i]
-            second = bodies[j]
-            bodies[i] = replace(second, id=first.id)
-            bodies[j] = replace(first, id=second.id)
+        bodies = {body.robot.name: body.expose(self.view) for body in self.tracked}
+        for fault in self.acting.of("twin_id"):
+            number = self.tracked_body(fault.other).asset.number
+            bodies[fault.robot] = replace(bodies[fault.robot], id=number)
+        for fault in self.acting.of("swap"):
+            first = bodies[fault.robot]
+            second = bodies[fault.other]
+            bodies[fault.robot] = replace(second, id=first.id)
+            bodies[fault.other] = replace(first, id=second.id)
         streamed = {body.asset.number for body in self.tracked if body.asset.streamed}
-        return tuple(body for body in bodies if body.id in streamed)
+        return tuple(body for body in bodies.values() if body.id in streamed)
 
 
 def noise_of_day(chance: random.Random, scale: float) -> dict[str, Any]:

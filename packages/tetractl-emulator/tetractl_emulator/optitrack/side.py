@@ -21,7 +21,7 @@ from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl_emulator.fault_rows import scale_of
-from tetractl_emulator.faults import Fault
+from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.natnet_server import mangle, pack_answer, parse_request
 from tetractl_emulator.optitrack.pose_camera import PoseCamera, noise_of_day
@@ -29,7 +29,6 @@ from tetractl_emulator.optitrack.scripted import (
     CLOCK_HZ,
     CLOCK_START,
     FAULTS,
-    ClockError,
     OptitrackSettings,
     TrueBody,
 )
@@ -53,13 +52,15 @@ class Client:
 
 @dataclass(eq=False, slots=True)
 class ServerClock:
-    """The server's clock, with the errors that faults have added and not yet taken back."""
+    """The server's clock, with the errors that faults have added and not yet taken back: what it
+    has gained [ns] by a time on the host's clock [ns].
+    """
 
-    errors: list[ClockError] = field(default_factory=list)
+    errors: list[Callable[[int], int]] = field(default_factory=list)
 
     def ticks(self, when_ns: int) -> int:
         """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
-        gained_ns = sum(error.gained_ns(when_ns) for error in self.errors)
+        gained_ns = sum(gained_ns(when_ns) for gained_ns in self.errors)
         return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
 
@@ -117,7 +118,7 @@ class EmulatedOptitrack(PoseCamera):
         section = stage.lab.camera
         options = stage.options
         assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
-        tracked = _tracked(section, settings, bodies, random.Random(options.seed))
+        tracked = _tracked(section, settings, bodies, random.Random(options.seed), stage.acting)
         self.names = tuple((body.asset.name, body.asset.number) for body in tracked)
         x, y = section.origin
         up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
@@ -168,7 +169,7 @@ class EmulatedOptitrack(PoseCamera):
                 return
             except OSError:  # a client has gone: its host answered port unreachable
                 continue
-            if self.trouble.silent:
+            if self.acting.of("no_server"):
                 continue
             catch_up()  # otherwise an echo could report a time before its request
             try:
@@ -238,17 +239,19 @@ class EmulatedOptitrack(PoseCamera):
         self, number: int, exposed_ns: int, bodies: tuple[natnet.RigidBody, ...]
     ) -> natnet.NatNetFrame:
         # as natnet reads them
-        params = 2 * self.settings.models_changed | 4 * self.trouble.edit_mode
+        params = 2 * self.settings.models_changed | 4 * bool(self.acting.of("edit_mode"))
         return natnet.NatNetFrame(number, bodies, params, self.clock.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
-        trouble = self.trouble
+        damaged = self.acting.share("bad_datagrams")
+        other = self.acting.newest("other_version")
         packed: dict[natnet.Version, bytes] = {}
         for address, version in self._receivers(now_ns):
             if version not in packed:
-                packed[version] = pack_answer(frame, trouble.version or version)
+                sent_as = version if other is None else natnet.Version.of(other.version)
+                packed[version] = pack_answer(frame, sent_as)
             message = packed[version]
-            if trouble.damaged and self._random.random() < trouble.damaged:
+            if damaged and self._random.random() < damaged:
                 message = mangle(message, self._random)
             self._send(self.ports.data, message, address)
         self.counts["frames"] += 1
@@ -267,6 +270,7 @@ def _tracked(
     settings: OptitrackSettings,
     bodies: Sequence[Body],
     chance: random.Random,
+    acting: ActingFaults,
 ) -> list[TrackedBody]:
     noise = PoseNoise(settings.noise_mm, settings.noise_rad, chance)
     truths = {robot.name: robot for robot in settings.robots}
@@ -281,5 +285,5 @@ def _tracked(
         offset = truth.heading_offset
         offset = robot.heading_offset if offset is None else offset
         asset = Asset(number, named, offset, truth.streamed)
-        tracked.append(TrackedBody(body, asset, noise))
+        tracked.append(TrackedBody(body, asset, noise, acting))
     return tracked

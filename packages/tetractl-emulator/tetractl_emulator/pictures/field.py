@@ -7,8 +7,7 @@ field of these currents.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from operator import attrgetter
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
@@ -35,14 +34,13 @@ from tetractl_emulator.fault_rows import (
     whole,
 )
 from tetractl_emulator.faults import (
+    ActingFaults,
     Begin,
     Fault,
     Share,
     Undo,
     fault_kind,
     port_faults,
-    setting,
-    settings,
     switching,
 )
 from tetractl_emulator.loop import Timeline
@@ -51,29 +49,15 @@ from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
 from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
 from tetractl_emulator.sides import Stage
 
-
-@dataclass(eq=False, slots=True, weakref_slot=True)
-class DriverTrouble:
-    """What is wrong with a driver now, and what it measures apart from its currents; faults set the
-    fields, and restore them when they end."""
-
-    supply_mv: int = 12_000
-    """The supply's voltage [mV]."""
-    temperature_dc: int = 250
-    """The coils' temperature [tenths of a degree Celsius]."""
-    mute: bool = False
-    """Whether it receives but does not reply."""
-    late_ns: int = 0
-    """Time by which it receives bytes late [ns]."""
-    doubled: bool = False
-    """Whether it receives them twice."""
+COOL_DC = 250
+"""The coils' temperature without a fault [tenths of a degree Celsius]."""
 
 
 class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
-    `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set fields of
-    its `trouble` and `line`, or call `switch`.
+    `currents` [A] are the true currents; `lag_s` is their time constant [s], and `supply_mv` the
+    voltage of its supply without a fault.
     """
 
     def __init__(
@@ -84,10 +68,12 @@ class CurrentDriver(SerialDevice):
         baud: int = 115_200,
         lag_s: float = 0.004,  # 20 mH over 5 ohm
         note: Callable[..., None] | None = lambda event, **facts: None,
+        supply_mv: int = 12_000,
+        acting: ActingFaults | None = None,
     ) -> None:
-        super().__init__(timeline, port, baud, note)
+        super().__init__(timeline, port, baud, note, acting)
         self.currents: Pair = (0.0, 0.0)
-        self.trouble = DriverTrouble()
+        self.supply_mv = supply_mv
         self.powered = True
         self._due_ns = 0
         self._limits = limits
@@ -109,7 +95,7 @@ class CurrentDriver(SerialDevice):
         """Take bytes received over the line, one by one, and reply to polls, as a real driver
         does.
         """
-        late_ns = self.trouble.late_ns
+        late_ns = round(self.acting.total_by("late_driver") * SECOND)
         if not late_ns and self._due_ns <= self._timeline.now_ns:
             self._receive(data)
             return
@@ -119,10 +105,10 @@ class CurrentDriver(SerialDevice):
     def _receive(self, data: bytes) -> None:
         if not self.powered:
             return
-        for byte in data * (1 + self.trouble.doubled):
+        for byte in data * (2 if self.acting.of("doubled_commands") else 1):
             self._core.push(bytes([byte]), self._now_ms)
             reply = self._core.take_reply(self._now_ms)
-            if reply and not self.trouble.mute:
+            if reply and not self.acting.of("mute"):
                 self._answer(reply)
 
     def advance(self, until_ns: int) -> None:
@@ -153,8 +139,11 @@ class CurrentDriver(SerialDevice):
             for wish, before in zip(wished, self.currents, strict=True)
         )
         self.currents = x, y
-        now = self.trouble
-        self._core.measured(round(1000 * x), round(1000 * y), now.supply_mv, now.temperature_dc)
+        low = self.acting.newest("low_supply")
+        hot = self.acting.newest("hot")
+        supply_mv = self.supply_mv if low is None else low.millivolts
+        temperature_dc = COOL_DC if hot is None else round(10 * hot.celsius)
+        self._core.measured(round(1000 * x), round(1000 * y), supply_mv, temperature_dc)
 
     @property
     def _now_ms(self) -> int:
@@ -177,22 +166,11 @@ class FieldSettings(Model):
     """The driver's supply voltage [mV]."""
 
 
-# parts of a `CurrentDriver`
-TROUBLE = attrgetter("trouble")
-LINE = attrgetter("line")
-
-
-def _driver(part: Callable[[CurrentDriver], object], **values: Any) -> Begin:
-    """Return a function that begins a fault: it sets attributes of a part of the driver."""
-    return settings(lambda fault, device: part(device.driver), **values)
-
-
 def _coils(change: Callable[[Any, CoilsSection], CoilsSection]) -> Begin:
     """Return a function that starts a fault by a change of the true coils."""
 
     def begin(fault: Any, device: Any) -> Undo:
-        field = device.dish.field
-        return setting(field, coils=change(fault, field.coils))
+        return device.dish.field.change(partial(change, fault))
 
     return begin
 
@@ -214,14 +192,8 @@ def _row(fault: Any, device: Any) -> int:
     return names.index(fault.cell)
 
 
-def _divides(fault: Any, device: Any) -> Undo:
-    device.dish.divide(_row(fault, device))
-    return lambda: None
-
-
-def _dives(fault: Any, device: Any) -> Undo:
+def _dives(fault: Any, device: Any) -> None:
     device.dish.cells.depth[_row(fault, device)] += fault.by_um
-    return lambda: None
 
 
 def _rests(fault: Any, device: Any) -> Callable[[bool], None]:
@@ -235,88 +207,80 @@ FAULTS = (
     fault_kind(
         "off",
         "The driver is switched off.",
-        switching(lambda f, d: d.driver.switch, False),
         rows=[
             FaultRow("driver off", FIELD),
             FaultRow("driver resets", FIELD, {"for": between(0.01, 1)}),
         ],
+        begin=switching(lambda f, d: d.driver.switch, False),
     ),
     fault_kind(
         "low_supply",
         "The driver's supply has this voltage [mV].",
-        _driver(TROUBLE, supply_mv=attrgetter("millivolts")),
         fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
         rows=[FaultRow("supply low", FIELD, {"millivolts": whole(12_000, 5_000)})],
     ),
     fault_kind(
         "hot",
         "The coils have this temperature [degrees Celsius].",
-        _driver(TROUBLE, temperature_dc=lambda f: round(10 * f.celsius)),
         fields={"celsius": Annotated[float, Field(ge=0, le=200)]},
         rows=[FaultRow("coils hot", f"°C|{FIELD}", {"celsius": between(30, 150)})],
     ),
     fault_kind(
         "divides",
         "A cell divides into two.",
-        _divides,
         fields={"cell": Name},
         rows=[FaultRow("cell divides", SEEN, at_once=True)],
+        begin=lambda f, d: d.dish.divide(_row(f, d)),
     ),
     fault_kind(
         "rests",
         "A cell stops swimming.",
-        switching(_rests),
         fields={"cell": Name},
         rows=[FaultRow("cell rests", SEEN)],
+        begin=switching(_rests),
     ),
     fault_kind(
         "dives",
         "A cell leaves the focal plane by this height [um], and returns within seconds.",
-        _dives,
         fields={"cell": Name, "by_um": (Finite, 300.0)},
         rows=[FaultRow("cell dives", SEEN, {"by_um": signed(20, 600)}, at_once=True)],
+        begin=_dives,
     ),
     fault_kind(
         "late_driver",
         "What the driver receives arrives late [s].",
-        _driver(TROUBLE, late_ns=lambda f: round(f.by * SECOND)),
         fields={"by": Positive},
         rows=[FaultRow("driver late", FIELD, {"by": between(0.005, 1)})],
     ),
     fault_kind(
         "doubled_commands",
         "The driver receives each command twice.",
-        _driver(TROUBLE, doubled=True),
         rows=[FaultRow("commands doubled", NOTHING, weight=0.5)],
     ),
     fault_kind(
         "bad_bytes",
         "This fraction of the bytes on the driver's wire is changed, both ways.",
-        _driver(LINE, noise=attrgetter("share")),
         fields={"share": Share},
         rows=[FaultRow("bad bytes", FIELD, {"share": between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_coils",
         "A coil pair makes this share of its field: less than 0, the other way.",
-        _coils(_weak),
         fields={"axis": Literal["x", "y"], "share": Annotated[float, Field(ge=-1, le=1)]},
         rows=[
             FaultRow("coils weak", SEEN, {"axis": one_of("x", "y"), "share": less(0.02, 2, -1.0)})
         ],
+        begin=_coils(_weak),
     ),
     fault_kind(
         "turned_coils",
         "The coils are turned by this angle [rad].",
-        _coils(_turned),
         fields={"by": Finite},
         rows=[FaultRow("coils turned", SEEN, {"by": signed(0.02, 3.1)})],
+        begin=_coils(_turned),
     ),
     fault_kind(
-        "mute",
-        "The driver receives but does not reply.",
-        _driver(TROUBLE, mute=True),
-        rows=[FaultRow("driver silent", DRIVER)],
+        "mute", "The driver receives but does not reply.", rows=[FaultRow("driver silent", DRIVER)]
     ),
 )
 
@@ -337,9 +301,14 @@ class EmulatedField(PluggedDevice):
         start_ns = stage.timeline.now_ns
         self.port = stage.wires.port(stage.options.link or Path(section.port))
         self.driver = self.wired = CurrentDriver(
-            stage.timeline, self.port, _limits(section), section.baud, note=stage.note
+            stage.timeline,
+            self.port,
+            _limits(section),
+            section.baud,
+            note=stage.note,
+            supply_mv=settings.supply_mv,
+            acting=stage.acting,
         )
-        self.driver.trouble.supply_mv = settings.supply_mv
         seed = stage.options.seed
         walk = settings.heading_noise
         names = setup.names

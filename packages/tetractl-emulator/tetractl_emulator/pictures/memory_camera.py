@@ -68,13 +68,13 @@ class MemoryCamera(EmulatedNetworkCamera):
         exposed = self._start + self.timing.middle_ns(self._number)
         if now >= exposed + self.timing.half_ns:
             self._number += 1
-            if self.watched and not self.trouble.withholds(self._number):
+            if self.watched and not self.withholds(self._number):
                 jpeg = coded(self._draw(exposed))
                 self._sent.append((exposed + self._latency_ns, exposed, jpeg))
         while self._sent and self._sent[0][0] <= now:
             _, exposed, jpeg = self._sent.popleft()
             sent_part = part(jpeg)
-            body = self.trouble.changed(sent_part)
+            body = self.changed(sent_part)
             if self._take is not None:
                 if body.startswith(sent_part):
                     self.on_shown(exposed)

@@ -4,7 +4,7 @@ import queue
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Self
 
@@ -15,6 +15,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl.tools.worker import LOOK_S
+from tetractl_emulator.faults import ActingFaults
 
 BOUNDARY = "emulated-by-tetractl"
 
@@ -45,39 +46,14 @@ class PictureTiming:
         return round(self.latency_s * SECOND)
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
-class StreamTrouble:
-    """What is wrong with a stream now. Faults set `every` and restore it when they end; to the
-    lists they add, and remove again what they added.
-    """
-
-    every: int = 1
-    """Only pictures whose numbers are multiples of this one are sent."""
-    freezes: list[object] = field(default_factory=list)
-    """What stops exposures."""
-    delays_ns: list[int] = field(default_factory=list)
-    """Times by which pictures are sent late, which add up [ns]."""
-    changes: list[Callable[[bytes], bytes]] = field(default_factory=list)
-    """Each changes the bytes of a part before they are sent, in this order."""
-
-    def withholds(self, number: int) -> bool:
-        """Return whether the picture with this number is not exposed or not sent."""
-        return bool(self.freezes) or number % self.every != 0
-
-    def changed(self, part: bytes) -> bytes:
-        """Return a part as it is sent."""
-        for change in self.changes:
-            part = change(part)
-        return part
-
-
 class EmulatedNetworkCamera:
     """Serves pictures at http://127.0.0.1:`port`/; a context manager.
 
     `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. A
     picture is sent when its `timing` says so, or as soon as it is drawn; a busy host skips some
-    exposures. Faults change the `trouble`. A camera that `drips` sends an endless header byte by
-    byte. TetractlError if the port is in use.
+    exposures. Each of the `changes` changes the bytes of a part before they are sent, in this
+    order. A camera that `drips` sends an endless header byte by byte. TetractlError if the port is
+    in use.
     """
 
     def __init__(
@@ -87,9 +63,11 @@ class EmulatedNetworkCamera:
         timing: PictureTiming,
         port: int = 0,
         drips: bool = False,
+        acting: ActingFaults | None = None,
     ) -> None:
         self.timing = timing
-        self.trouble = StreamTrouble()
+        self.changes: list[Callable[[bytes], bytes]] = []
+        self.acting = acting or ActingFaults()
         self._drips = drips
         self._draw = draw
         self._clock = clock
@@ -156,7 +134,7 @@ class EmulatedNetworkCamera:
             number = max(number + 1, due)  # a busy host skips some exposures
             exposed = start + self.timing.middle_ns(number)
             self._clock.sleep_until(exposed + half)
-            if self.trouble.withholds(number) or not self._clients:
+            if self.withholds(number) or not self._clients:
                 continue
             jpeg = coded(self._draw(exposed))
             for client in list(self._clients):
@@ -166,7 +144,18 @@ class EmulatedNetworkCamera:
     @property
     def _latency_ns(self) -> int:
         """Time from the middle of an exposure to the sending of its picture, at present [ns]."""
-        return self.timing.latency_ns + sum(self.trouble.delays_ns)
+        return self.timing.latency_ns + round(self.acting.total_by("late_pictures") * SECOND)
+
+    def withholds(self, number: int) -> bool:
+        """Return whether the picture with this number is not exposed or not sent."""
+        slow = any(number % fault.every for fault in self.acting.of("half_rate"))
+        return slow or bool(self.acting.of("no_frames"))
+
+    def changed(self, part: bytes) -> bytes:
+        """Return a part as it is sent."""
+        for change in self.changes:
+            part = change(part)
+        return part
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
         # further pictures are dropped, for a client that reads slowly
@@ -185,7 +174,7 @@ class EmulatedNetworkCamera:
                 with suppress(queue.Empty):
                     due, jpeg = mine.get(timeout=LOOK_S)
                     self._clock.sleep_until(due)
-                    answer.wfile.write(self.trouble.changed(part(jpeg)))
+                    answer.wfile.write(self.changed(part(jpeg)))
         except OSError:
             pass  # the client has gone
         finally:

@@ -6,14 +6,12 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from operator import attrgetter
 from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
 
 from pydantic import Field
 from tetractl_microscope.pictures.picture_section import DeviceSource, MjpegSource, PictureSection
 
-from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Grey
 from tetractl.experiment.base import Model, NonNegative, Positive
@@ -26,13 +24,12 @@ from tetractl_emulator.fault_rows import (
     part,
     whole,
 )
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, adding, fault_kind, settings
+from tetractl_emulator.faults import Fault, Share, Undo, Visible, adding, fault_kind
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
 from tetractl_emulator.pictures.network_camera import (
     EmulatedNetworkCamera,
     PictureTiming,
-    StreamTrouble,
 )
 from tetractl_emulator.pictures.network_camera import part as part_of
 from tetractl_emulator.sides import Facts, Stage
@@ -76,14 +73,6 @@ class StreamSettings(Model):
     """Whether the camera sends an endless answer byte by byte."""
 
 
-def _trouble_of(fault: Any, device: Any) -> StreamTrouble:
-    return device.camera.trouble
-
-
-def _freeze(fault: Any, device: Any) -> Undo:
-    return adding(_trouble_of(fault, device).freezes, fault)
-
-
 WAYS: dict[str, Callable[[bytes], bytes]] = {
     "cut": cut_short,
     "cut_ended": cut_before_its_end,
@@ -100,7 +89,7 @@ def _spoil(fault: Any, device: Any) -> Undo:
     def spoilt(part: bytes) -> bytes:
         return way(part) if chance.random() < fault.share else part
 
-    return adding(_trouble_of(fault, device).changes, spoilt)
+    return adding(device.camera.changes, spoilt)
 
 
 def _repeat(fault: Any, device: Any) -> Undo:
@@ -109,32 +98,23 @@ def _repeat(fault: Any, device: Any) -> Undo:
     def first(part: bytes) -> bytes:
         return sent.setdefault("first", part)
 
-    return adding(_trouble_of(fault, device).changes, first)
-
-
-def _late(fault: Any, device: Any) -> Undo:
-    return adding(_trouble_of(fault, device).delays_ns, round(fault.by * SECOND))
+    return adding(device.camera.changes, first)
 
 
 STREAM_FAULTS = (
     fault_kind(
-        "no_frames",
-        "No pictures are exposed.",
-        _freeze,
-        Visible.SENT,
-        rows=[FaultRow("no pictures", SEEN)],
+        "no_frames", "No pictures are exposed.", Visible.SENT, rows=[FaultRow("no pictures", SEEN)]
     ),
     fault_kind(
         "repeat",
         "The same picture is sent repeatedly, at the camera's rate.",
-        _repeat,
         Visible.SENT,
         rows=[FaultRow("picture frozen", SEEN)],
+        begin=_repeat,
     ),
     fault_kind(
         "half_rate",
         "Only every second picture, or every n-th, is sent.",
-        settings(_trouble_of, every=attrgetter("every")),
         Visible.SENT,
         fields={"every": (Annotated[int, Field(ge=2, le=1000)], 2)},
         rows=[FaultRow("pictures slow", SEEN, {"every": whole(2, 60)})],
@@ -142,7 +122,6 @@ STREAM_FAULTS = (
     fault_kind(
         "late_pictures",
         "Pictures come later by this time [s].",
-        _late,
         fields={"by": Positive},
         rows=[FaultRow("pictures late", SEEN, {"by": between(0.01, 1)})],
     ),
@@ -150,7 +129,6 @@ STREAM_FAULTS = (
         "bad_pictures",
         "A fraction of the pictures is cut short, with or without an end marker, has a header that "
         "states 32767 x 32767 pixels, is lost or is sent twice.",
-        _spoil,
         Visible.SENT,
         fields={
             "share": Share,
@@ -170,6 +148,7 @@ STREAM_FAULTS = (
                 {"share": part(0.02, 1.3), "how": one_of("cut", "cut_ended", "oversized")},
             ),
         ],
+        begin=_spoil,
     ),
 )
 
@@ -255,6 +234,7 @@ class StreamedCamera(ABC):
             timing=PictureTiming(settings.rate, settings.exposure, section.latency),
             port=named if port is None else port,
             drips=settings.drips,
+            acting=stage.acting,
         )
         self._history = SceneHistory()
         self._shown: ShownBodies | None = None  # over HTTP, where it is not known what has come

@@ -20,7 +20,7 @@ from tetractl.lab.actuators.wheel_commands import Status, radii_mm
 from tetractl.lab.serial_port import UNREADABLE
 from tetractl.lab.udp_port import SCHEME
 from tetractl.model.wheels import Counts
-from tetractl_emulator.faults import Fault
+from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
@@ -129,7 +129,7 @@ class OwnLines(PortedSide):
         trues = settings.trues(names)
         self.radii = radii_mm(stage.setup, [robot.radius_mm for robot in self.own])
         self._watchdog_s = section.watchdog_s
-        self.robots = [self._robot(row, true) for row, true in enumerate(trues)]
+        self.robots = [self._robot(row, true, stage.acting) for row, true in enumerate(trues)]
         gains = gains_of(section.robots, names)
         limit = section.speed_max_mm_s / section.unit_mm, section.unit_mm
         self.roll(stage, trues, gains, self.radii, limit)
@@ -143,8 +143,9 @@ class OwnLines(PortedSide):
         """Return the wheel speeds left, right [unit_mm mm/s] that a message asks of the robot in a
         row of the setup; any of UNREADABLE, such as ValueError, if it cannot be read."""
 
-    def _robot(self, row: int, true: TrueWheels) -> EmulatedRobot:
+    def _robot(self, row: int, true: TrueWheels, acting: ActingFaults) -> EmulatedRobot:
         def program(index: int) -> OwnProgram:
             return OwnProgram(lambda message: self.read(message, index), self._watchdog_s)
 
-        return EmulatedRobot(true.name, row, EmulatedBattery(float(true.battery_mv)), program)
+        battery = EmulatedBattery(float(true.battery_mv))
+        return EmulatedRobot(true.name, row, battery, program, acting)

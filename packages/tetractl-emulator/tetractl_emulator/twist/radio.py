@@ -31,7 +31,7 @@ class LineRadio(RobotRadio):
         loss: float,
         seed: int,
     ) -> None:
-        super().__init__(stage.timeline, port, baud, stage.note, loss)
+        super().__init__(stage.timeline, port, baud, stage.note, loss, stage.acting)
         self.robots = robots
         self._indices = indices
         self._random = random.Random(seed)
@@ -42,12 +42,12 @@ class LineRadio(RobotRadio):
         """Take bytes that have come over the line; robots hear whole lines or none."""
         *lines, self._line = self._split(self._line + data)
         for line in lines:
-            arrives = self._timeline.now_ns + DELAY_NS + self.trouble.lateness_ns(self._random)
+            arrives = self._timeline.now_ns + DELAY_NS + self.late_ns(self._random)
             for robot in self.robots:
-                if self._random.random() >= max(self.trouble.loss, robot.trouble.deaf):
+                if self._random.random() >= self.loss_to(robot.name):
                     heard = partial(robot.hear, line + self.end)
-                    for _ in range(1 + self.trouble.doubled):
-                        self._timeline.at(arrives + robot.trouble.late_ns, heard)
+                    for _ in range(self.times):
+                        self._timeline.at(arrives + robot.late_ns, heard)
 
     def _split(self, data: bytes) -> list[bytes]:
         """Return the messages in data, and what is left."""

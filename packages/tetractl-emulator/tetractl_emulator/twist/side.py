@@ -51,6 +51,7 @@ class EmulatedTwist(PortedSide):
                 section.index(name),
                 EmulatedBattery(float(true.battery_mv)),
                 partial(TwistCore, radius_mm=round(radius)),
+                stage.acting,
             )
             for name, true, radius in zip(names, trues, radii.tolist(), strict=True)
         ]

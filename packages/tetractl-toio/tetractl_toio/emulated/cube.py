@@ -120,7 +120,7 @@ class Connection(RobotRadio):
         loss: float,
         seed: int,
     ) -> None:
-        super().__init__(stage.timeline, port, SPEED, stage.note, loss)
+        super().__init__(stage.timeline, port, SPEED, stage.note, loss, stage.acting)
         self.robot = robot
         self._robots = robots
         self._random = random.Random(seed)
@@ -133,8 +133,7 @@ class Connection(RobotRadio):
 
     def hear(self, data: bytes) -> None:
         """Take bytes that a program has written; the cube hears them at the next event."""
-        times = 2 if self.trouble.doubled else 1
-        self._written += [data] * times
+        self._written += [data] * self.times
 
     def notify(self, message: bytes, passed: Any) -> None:
         """Pass on a reading of the cube at the next event; `passed` is called then, if it is the
@@ -156,13 +155,13 @@ class Connection(RobotRadio):
         chance = self._random
         now_ns = self._timeline.now_ns
         for data in written:
-            if chance.random() >= max(self.trouble.loss, self.robot.trouble.deaf):
+            if chance.random() >= self.loss_to(self.robot.name):
                 # a connection keeps the order of what it passes on
-                late_ns = self.trouble.late_ns + self.robot.trouble.late_ns
+                late_ns = self.late_ns(chance) + self.robot.late_ns
                 self._heard_ns = max(self._heard_ns, now_ns + late_ns)
                 self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
-        if self.port.fd >= 0 and not self._down and self.robot.powered:
-            passed = [note for note in noted if chance.random() >= self.trouble.loss]
+        if self.port.fd >= 0 and not self.is_down and self.robot.powered:
+            passed = [note for note in noted if chance.random() >= self.loss_to()]
             data = b"".join(message for message, _ in passed) + self.robot.answer()
             if data:
                 self.port.write(data)

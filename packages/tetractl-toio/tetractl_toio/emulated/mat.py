@@ -1,13 +1,12 @@
 """The emulated camera of type `toio`: cubes that read the mat and report over their connections."""
 
 from collections.abc import Sequence
-from operator import attrgetter
 from random import Random
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 from tetractl_emulator.fault_rows import MOVED, SIGHT, FaultRow, off
-from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind, setting, settings, together
+from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.sides import Body, Facts, Stage
 
@@ -34,45 +33,25 @@ class MatSettings(Model):
 
 
 class Eye:
-    """What one cube reads: nothing while `hidden`, the last reading while `frozen`, another place
-    while `shift` [mm] is not 0."""
+    """What one cube has read last, and whether it is carried."""
 
-    hidden = False
-    frozen = False
     carried = False
-    shift: tuple[float, float] = (0.0, 0.0)
     last: CubeReading | None = None
-
-
-def _eye(fault: Any, device: Any) -> Eye:
-    return device.eyes[fault.robot]
-
-
-def _freeze(_: Any, device: Any) -> Undo:
-    return together([setting(eye, frozen=True) for eye in device.eyes.values()])
 
 
 SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
 FAULTS = (
-    fault_kind(
-        "no_frames",
-        "No cube reports.",
-        settings(lambda f, d: d, silent=True),
-        SENT,
-        rows=[FaultRow("frames lost", SIGHT)],
-    ),
+    fault_kind("no_frames", "No cube reports.", SENT, rows=[FaultRow("frames lost", SIGHT)]),
     fault_kind(
         "freeze",
         "All cubes report the same again and again.",
-        _freeze,
         SENT,
         rows=[FaultRow("frames frozen", SIGHT)],
     ),
     fault_kind(
         "untracked",
         "A cube does not see the mat.",
-        settings(_eye, hidden=True),
         EXPOSED,
         fields={"robot": Name},
         rows=[FaultRow("untracked", SIGHT)],
@@ -80,7 +59,6 @@ FAULTS = (
     fault_kind(
         "jump",
         "A cube reads another place, away by this distance [mm].",
-        settings(_eye, shift=attrgetter("by")),
         EXPOSED,
         fields={"robot": Name, "by": Point},
         rows=[FaultRow("pose jumps", MOVED, {"by": off(5, 500)})],
@@ -103,7 +81,7 @@ class EmulatedMat:
             raise SpecError("a camera of type toio is emulated with an actuator of type toio only")
         self.eyes = {cube.name: Eye() for cube in self.cubes}
         self.join = stage.wires.ports
-        self.silent = False
+        self.acting = stage.acting
         self.shown_ns = [0] * len(bodies)
         self._stage = stage
         self._section = section
@@ -134,13 +112,13 @@ class EmulatedMat:
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
         program = cube.program
         last = eye.last
-        if self.silent:
+        if self.acting.of("no_frames"):
             self._stage.sent(self._exposures)  # so that the fault is recorded without a report
             return
         if not (program.notifies or program.asked):
             return
         present = self._reading(cube, eye)
-        if not eye.frozen:
+        if not self.acting.of("freeze"):
             eye.last = present
         if eye.last is None and last is None and not program.asked:
             return  # that it sees no mat it says once, and when it is asked
@@ -152,13 +130,17 @@ class EmulatedMat:
         cube.connection.notify(message, lambda: self._passed(i, shows_place, at_ns))
 
     def _reading(self, cube: ConnectedCube, eye: Eye) -> CubeReading | None:
-        x = cube.x + eye.shift[0]
-        y = cube.y + eye.shift[1]
+        x = cube.x
+        y = cube.y
+        for jump in self.acting.of("jump", cube.name):
+            x += jump.by[0]
+            y += jump.by[1]
         origin = self._section.origin
         unit = self._section.unit_mm
         reading = placed((x, y, cube.heading), origin, unit)
         printed = LEFT <= reading.x <= RIGHT and TOP <= reading.y <= BOTTOM
-        return None if eye.hidden or eye.carried or not printed else reading
+        hidden = eye.carried or self.acting.of("untracked", cube.name)
+        return None if hidden or not printed else reading
 
     def _passed(self, i: int, shows_place: bool, at_ns: int) -> None:
         """Record a report that has been passed on, and whether it shows where the cube was."""

@@ -1,23 +1,24 @@
 """What each fault does to its device and takes back; what a run makes of it is in `tests/plays`."""
 
 import gc
-import itertools
 import json
 import math
 import weakref
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
 from typing import Any, get_args
 
 import pytest
+from support.acting import act
 from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
 from support.lab_processes import emulated, turn_until
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES, SCRIPTS
 from support.virtual_lab import virtual_lab
-from tetractl_emulator.faults import Injector, Visible, fault_kind, setting
+from tetractl_emulator.faults import Injector, Visible, fault_kind
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.optitrack.scripted import FAULTS
 from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
@@ -79,39 +80,22 @@ def undone_faults():
     return [*cases, *of_field]
 
 
-def fields(thing):
-    return {name: getattr(thing, name) for name in type(thing).__dataclass_fields__}
-
-
-def body_state(body):
-    state = fields(body)
-    del state["robot"]
-    return state
-
-
 def robot_state(robot):
-    return {**vars(robot), "core": 0, "robots": 0}
+    return {**vars(robot), "core": 0, "robots": 0, "acting": 0}
 
 
-def line_state(device):
-    return device.line.speed, device.line.noise
-
-
-def state(lab):
-    """All that a fault may change: of the camera's side, of the radio or the driver, of robots."""
+def state(lab, name):
+    """All that a fault of this name may change: what acts; of the camera's side, of the driver, of
+    robots."""
     camera = lab.camera
     actuator = lab.actuator
-    parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else []
-    if hasattr(camera, "trouble"):
-        parts += [camera.trouble, camera.clock, camera.view]
-        parts += [body_state(body) for body in camera.tracked]
+    parts = [*lab.injector.acting.of(name)]
+    if hasattr(camera, "view"):
+        parts += [camera.view, camera.clock, camera.outdated]
     if hasattr(actuator, "radio"):
-        parts += [actuator.radio.trouble, actuator.radio._down, *line_state(actuator.radio)]
-        parts += [robot_state(robot) for robot in actuator.robots]
+        parts += map(robot_state, actuator.robots)
     else:
-        driver = actuator.driver
-        parts += [driver.powered, driver.trouble, *line_state(driver)]
-        parts += [actuator.dish.field]
+        parts += [actuator.driver.powered, actuator.dish.field.coils]
     return repr(parts)
 
 
@@ -125,7 +109,7 @@ class FaultyLab:
 
     def begin(self):
         """Begin the fault; return what ends it."""
-        return self.fault.begin(self.device)
+        return self.lab.injector.act(self.fault)
 
 
 def faulty_lab(folder, fault, spec=SPEC):
@@ -139,11 +123,12 @@ def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault):
     if spec == APRILTAG_SPEC:
         pytest.importorskip("cv2")
     faulty = faulty_lab(tmp_path, fault, spec)
-    before = state(faulty.lab)
+    name = faulty.fault.fault
+    before = state(faulty.lab, name)
     end = faulty.begin()
-    assert state(faulty.lab) != before
+    assert state(faulty.lab, name) != before
     end()
-    assert state(faulty.lab) == before
+    assert state(faulty.lab, name) == before
 
 
 @pytest.mark.parametrize("text", MICROSCOPE)
@@ -157,10 +142,11 @@ def test_a_fault_of_pictures_is_taken_back(tmp_path, text):
         (fault,) = lab.emulation.injector.faults
 
         def picture_state():
-            return repr([stream.trouble, camera.painter.look, camera.hidden])
+            acting = [*lab.emulation.injector.acting.of(fault.fault)]
+            return repr([acting, stream.changes, camera.painter.look])
 
         before = picture_state()
-        end = fault.begin(camera)
+        end = lab.emulation.injector.act(fault)
         assert picture_state() != before
         end()
         assert picture_state() == before
@@ -249,9 +235,9 @@ def test_faults_of_the_servers_clock_add_up_and_each_takes_its_own_back(tmp_path
         return (clock.ticks(then_ns) - right) / TICKS_PER_S
 
     end_first_jump = jump.begin()
-    end_first_rate = fast.begin(jump.device)
+    end_first_rate = jump.lab.injector.act(fast)
     end_second_jump = jump.begin()
-    end_second_rate = fast.begin(jump.device)
+    end_second_rate = jump.lab.injector.act(fast)
     assert gained_s() == pytest.approx(2 * 1 + 2 * (3 - 1))
     end_first_jump()
     assert gained_s() == pytest.approx(1 + 2 * (3 - 1))
@@ -271,9 +257,9 @@ def test_a_change_of_the_picture_takes_only_itself_back(tmp_path):
     creeping = kind(fault="picture", by=(1, 0), turn=0.25, creeps=True)
     view = knock.lab.camera.view
     end_knock = knock.begin()
-    end_shift = shift.begin(knock.device)
-    end_creeping = creeping.begin(knock.device)
-    view.creep()
+    end_shift = knock.lab.injector.act(shift)
+    end_creeping = knock.lab.injector.act(creeping)
+    view.creep(knock.lab.injector.acting.of("picture"))
     assert view.shift == 40 + 10j + 1
     assert view.grown == 2.0
     assert view.turned == 0.5 + 0.25
@@ -295,12 +281,12 @@ def test_a_picture_creeps_by_all_changes_and_stays_where_they_brought_it(tmp_pat
     turning = type(sliding.fault)(fault="picture", turn=0.25, creeps=True)
     view = sliding.lab.camera.view
     end_sliding = sliding.begin()
-    end_turning = turning.begin(sliding.device)
-    view.creep()
+    end_turning = sliding.lab.injector.act(turning)
+    view.creep(sliding.lab.injector.acting.of("picture"))
     end_sliding()
-    view.creep()
+    view.creep(sliding.lab.injector.acting.of("picture"))
     end_turning()
-    view.creep()
+    view.creep(sliding.lab.injector.acting.of("picture"))
     assert view.shift == 3
     assert view.turned == 2 * 0.25
 
@@ -313,9 +299,10 @@ def body_at_origin():
 
 def begin_on(body, name, **fields):
     """Begin a fault of this name on a body; return what ends it."""
-    kinds = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in FAULTS}
-    fault = kinds[name](fault=name, robot="green", **fields)
-    return fault.begin(SimpleNamespace(tracked_body=lambda name: body))
+    kind = next(kind for kind in FAULTS if kind.__name__ == name)
+    fault = kind(fault=name, robot="green", **fields)
+    body.acting.add(fault)
+    return partial(body.acting.remove, fault)
 
 
 def test_a_jump_of_a_body_that_moves_away_does_not_hold_it_up():
@@ -334,13 +321,13 @@ def test_a_jump_of_a_body_that_moves_away_does_not_hold_it_up():
 def test_a_body_that_repeats_its_pose_has_the_number_of_its_twin_at_once(tmp_path):
     """Regression: it was reported with the number that it had had in its last new pose."""
     faulty = faulty_lab(tmp_path, "{fault: twin_id, robot: green, other: blue}")
-    green = faulty.lab.camera.tracked_body("green")
-    number = green.expose(View()).id
-    green.tracking.repeats = True
+    camera = faulty.lab.camera
+    green, blue = (body.id for body in camera._expose())
+    act(camera.acting, "repeat", robot="green")
     end = faulty.begin()
-    assert green.expose(View()).id == faulty.lab.camera.tracked_body("blue").asset.number != number
+    assert [body.id for body in camera._expose()] == [blue, blue]
     end()
-    assert green.expose(View()).id == number
+    assert [body.id for body in camera._expose()] == [green, blue]
 
 
 @pytest.mark.parametrize("carried_first", [False, True])
@@ -364,16 +351,14 @@ def test_a_body_that_a_fault_hides_remains_hidden_when_robots_are_put_down(tmp_p
 def test_a_tag_that_a_fault_covers_remains_covered_when_robots_are_put_down(tmp_path):
     pytest.importorskip("cv2")
     faulty = faulty_lab(tmp_path, "{fault: untracked, robot: green}", APRILTAG_SPEC)
-    renderer = faulty.lab.camera.renderer
-    green, *others = renderer.robots
+    camera = faulty.lab.camera
     end_fault = faulty.begin()
-    faulty.lab.camera.hide(True)
-    assert not any(renderer.shows(robot) for robot in renderer.robots)
-    faulty.lab.camera.hide(False)
-    assert not renderer.shows(green)
-    assert all(renderer.shows(robot) for robot in others)
+    camera.hide(True)
+    assert camera._visible_now() == [False, False]
+    camera.hide(False)
+    assert camera._visible_now() == [False, True]
     end_fault()
-    assert renderer.shows(green)
+    assert camera._visible_now() == [True, True]
 
 
 def test_a_robot_with_another_number_obeys_that_one(tmp_path):
@@ -393,7 +378,7 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
         turn_until(lab, lambda: robot.x > 510)
         robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
-        turn_until(lab, lambda: lab.camera.tracked[0].tracking.carried)
+        turn_until(lab, lambda: lab.camera.tracked[0].carried)
         assert not robot.powered
         turn_until(lab, lambda: "placed" in reports)
         assert robot.x == 500
@@ -410,18 +395,18 @@ def open_files():
 def test_a_fault_is_over_after_its_time(tmp_path):
     script = "faults: [{fault: untracked, robot: green, since: start, at: 0.1, for: 0.2}]"
     with virtual_lab(tmp_path, script=script) as lab:
-        body = lab.emulation.camera.tracked_body("green")
-        tracked = []
+        acting = lab.emulation.injector.acting
+        untracked = []
         for tenth in range(5):
             lab.clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
-            tracked.append(body.tracking.tracked)
-    assert tracked == [True, False, False, True, True]
+            untracked.append(len(acting.of("untracked", "green")))
+    assert untracked == [0, 1, 1, 0, 0]
 
 
 def test_a_fault_is_told_with_the_first_frame_that_was_exposed_during_it():
     reports = []
     timeline = Timeline(lambda until_ns: None)
-    hidden = fault_kind("hidden", "A fault.", lambda *_: lambda: None, Visible.EXPOSED)
+    hidden = fault_kind("hidden", "A fault.", Visible.EXPOSED)
     faults = (hidden(fault="hidden", since="start"),)
     injector = Injector(timeline, faults, lambda _: None, lambda phase, _: reports.append(phase))
     injector.happened("start")
@@ -441,35 +426,6 @@ def test_nothing_is_left_open(tmp_path):
             lab.actuator.plugged(True)
     assert open_files() == before
     assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]
-
-
-class Lamp:
-    """Stands for a device with two settings that faults may change."""
-
-    brightness = 0
-    blinks = 0
-
-
-@pytest.mark.parametrize("order", list(itertools.permutations((1, 2, 3))))
-def test_what_faults_set_remains_until_each_has_ended(order):
-    """Regression: a body that was tipped for a second hid for that second that it was untracked."""
-    lamp = Lamp()
-    ends = {brightness: setting(lamp, brightness=brightness) for brightness in (1, 2, 3)}
-    for brightness in order:
-        end = ends.pop(brightness)
-        end()
-        assert lamp.brightness == max(ends, default=0)
-
-
-def test_faults_that_set_different_values_do_not_meet():
-    lamp = Lamp()
-    end_bright = setting(lamp, brightness=1)
-    end_blinking = setting(lamp, blinks=2)
-    end_bright()
-    assert lamp.brightness == 0
-    assert lamp.blinks == 2
-    end_blinking()
-    assert lamp.blinks == 0
 
 
 def test_faults_of_one_body_act_together():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.acting import act
 from support.wheels import train
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
 
@@ -79,7 +80,10 @@ def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, count_left):
     for k, gap in enumerate(gaps):
         for robot in (watched, alone):
             robot.hear(frame(k + 1, (count_left, 60)))
-            robot.trouble.stuck = (k == 2, False)
+            if k == 2:
+                stuck = act(robot.acting, "wheel_stuck", robot=robot.name, wheel="left")
+            elif k == 3:
+                robot.acting.remove(stuck)
         for step in range(now + MS, now + gap, MS):
             watched.robots.advance(step)
             assert watched.standing == stands(watched)
@@ -97,7 +101,7 @@ def test_a_wheel_that_sticks_stands_at_once():
     robot = robot_at_start()
     robot.hear(frame(1, (40, 40)))
     robot.robots.advance(200 * MS)
-    robot.trouble.stuck = (True, False)
+    act(robot.acting, "wheel_stuck", robot=robot.name, wheel="left")
     robot.robots.advance(202 * MS)
     assert robot.wheels[0] == 0
     assert robot.wheels[1] > 0

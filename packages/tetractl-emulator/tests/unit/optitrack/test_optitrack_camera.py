@@ -4,6 +4,7 @@ import re
 from contextlib import contextmanager
 
 import pytest
+from support.acting import act
 from support.lab_specs import SPEC
 from support.virtual_lab import Joined, virtual_lab
 from tetractl_emulator.optitrack.natnet_server import pack_answer
@@ -158,7 +159,7 @@ def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, s
 
 def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
-        lab.camera.trouble.version = natnet.Version(3, 0)
+        act(lab.camera.acting, "other_version", version="3.0")
         with pytest.raises(
             AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
         ) as e:
@@ -170,7 +171,7 @@ def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
 def test_a_server_that_answers_from_another_address_is_named(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         second = stranger_of("127.0.0.3")
-        lab.camera.trouble.silent = True
+        act(lab.camera.acting, "no_server")
         info = natnet.ServerInfo("Motive", V41, 10**7, 1511)
         camera.open()
         second.sendto(pack_answer(info), own_address(camera))

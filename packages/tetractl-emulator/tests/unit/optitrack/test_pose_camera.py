@@ -1,7 +1,8 @@
 """What leaves an emulated camera of poses, while its server is in trouble."""
 
+from support.acting import act
+from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.optitrack.pose_camera import Exposure, Outlet
-from tetractl_emulator.optitrack.scripted import Trouble
 
 from tetractl.core.clock import SECOND
 
@@ -10,11 +11,12 @@ def test_a_picture_that_froze_while_the_server_was_silent_is_shown_when_it_speak
     """Regression: robots were said to be unseen since before the silence, though the first frame
     after it showed them as they were at its end."""
     sent = []
-    trouble = Trouble(silent=True)
-    outlet = Outlet(trouble, sent.append)
+    acting = ActingFaults()
+    silent = act(acting, "no_server")
+    outlet = Outlet(acting, sent.append)
     assert outlet.send(Exposure("before", 1 * SECOND)) is None
-    trouble.frozen = True
-    trouble.silent = False
+    act(acting, "freeze")
+    acting.remove(silent)
     shown = outlet.send(Exposure("after", 2 * SECOND))
     assert shown == Exposure("before", 1 * SECOND)
     assert sent == ["before"]

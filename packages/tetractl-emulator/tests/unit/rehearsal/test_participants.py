@@ -100,7 +100,6 @@ def test_a_side_of_its_own_takes_part_with_its_faults(monkeypatch):
             fault_kind(
                 "flood",
                 "Water.",
-                lambda fault, device: lambda: None,
                 rows=[FaultRow("flood", "wet"), FaultRow("drip", "damp", weight=2.0)],
             ),
         )

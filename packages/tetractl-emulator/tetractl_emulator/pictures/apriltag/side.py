@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from tetractl.core.setup import MM
 from tetractl.experiment.base import Model, Name, NonNegative
 from tetractl.experiment.lab_section import entry
 from tetractl_emulator.fault_rows import SIGHT, FaultRow
-from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind
+from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.pictures.stream_side import (
     SPARE_PX,
     STREAM_FAULTS,
@@ -279,12 +279,6 @@ class AprilTagSettings(StreamSettings):
     """Gaussian blur of the lens [px]."""
 
 
-def _cover(fault: Any, device: Any) -> Undo:
-    tag = device.tag(fault.robot)
-    device.renderer.hidden.add(tag)
-    return lambda: device.renderer.hidden.discard(tag)
-
-
 class EmulatedAprilTag(StreamedCamera):
     """A network camera above robots with tags."""
 
@@ -294,7 +288,6 @@ class EmulatedAprilTag(StreamedCamera):
         fault_kind(
             "untracked",
             "A robot's tag is covered.",
-            _cover,
             Visible.EXPOSED,
             fields={"robot": Name},
             rows=[FaultRow("untracked", SIGHT)],
@@ -327,11 +320,19 @@ class EmulatedAprilTag(StreamedCamera):
         return entry(self._section.robots, name).tag
 
     def _visible_now(self) -> Sequence[bool]:
-        return [self.renderer.shows(robot) for robot in self.renderer.robots]
+        covered = self._covered()
+        return [
+            not self.renderer.carried and robot.tag not in covered for robot in self.renderer.robots
+        ]
+
+    def _covered(self) -> set[int]:
+        """Return the tags that faults cover."""
+        return {self.tag(fault.robot) for fault in self._stage.acting.of("untracked")}
 
     def _scene(self) -> Floats:
         mm = self._stage.mm
         return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
 
     def _draw(self, exposed_ns: int) -> Grey:
+        self.renderer.hidden = self._covered()
         return self.renderer.picture(lambda t: Poses.of(self._scene_at(t)), exposed_ns)

@@ -1,7 +1,6 @@
 """Cells that swim between the coils of an emulated driver, in real or virtual time."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -34,14 +33,32 @@ class FieldDriver(Protocol):
         ...
 
 
-@dataclass(eq=False, slots=True, weakref_slot=True)
 class CoilField:
-    """The field of the true coils, which faults change. At the strength `reference_mt` [mT], the
+    """The field of the true `coils`, which faults change. At the strength `reference_mt` [mT], the
     cells' turning rates are their a of equation (3) of the paper.
     """
 
-    coils: CoilsSection
-    reference_mt: float
+    def __init__(self, coils: CoilsSection, reference_mt: float) -> None:
+        self.coils = coils
+        self._unchanged = coils
+        self._reference_mt = reference_mt
+        self._changes: list[Callable[[CoilsSection], CoilsSection]] = []
+
+    def change(self, change: Callable[[CoilsSection], CoilsSection]) -> Callable[[], None]:
+        """Change the coils; return what takes it back."""
+        self._changes.append(change)
+        self._apply()
+
+        def take_back() -> None:
+            self._changes.remove(change)
+            self._apply()
+
+        return take_back
+
+    def _apply(self) -> None:
+        self.coils = self._unchanged
+        for change in self._changes:
+            self.coils = change(self.coils)
 
     def field_mt(self, currents: Pair) -> Pair:
         """Return the field of currents [A] at the cells, in the spec's axes [mT]."""
@@ -50,7 +67,7 @@ class CoilField:
     def relative(self, currents: Pair) -> Pair:
         """Return the field of currents [A] in units of the reference."""
         x_mt, y_mt = self.field_mt(currents)
-        return x_mt / self.reference_mt, y_mt / self.reference_mt
+        return x_mt / self._reference_mt, y_mt / self._reference_mt
 
 
 class Dish:

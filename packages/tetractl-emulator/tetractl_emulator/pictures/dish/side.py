@@ -81,11 +81,6 @@ def _first_of(moment: Bodies, count: int) -> Bodies:
     return Bodies(*(part[:count] for part in astuple(moment)))
 
 
-def _hide(fault: Any, device: Any) -> Undo:
-    device.hidden.add(fault.cell)
-    return lambda: device.hidden.discard(fault.cell)
-
-
 class EmulatedMicroscope(StreamedCamera):
     """A microscope's network camera above cells; every picture is synthetic.
 
@@ -98,11 +93,6 @@ class EmulatedMicroscope(StreamedCamera):
         fault_kind(
             "light",
             "The light is multiplied by a factor, and flickers by a fraction of itself at 100 Hz.",
-            _changes(
-                light=lambda f, look: look.light * f.share,
-                contrast=lambda f, look: look.contrast * f.share,
-                flicker=lambda f, look: f.flicker,
-            ),
             Visible.EXPOSED,
             fields={
                 "share": (Annotated[float, Field(ge=0, le=10)], 1.0),
@@ -113,35 +103,39 @@ class EmulatedMicroscope(StreamedCamera):
                 FaultRow("bright", SEEN, {"share": between(1.05, 6)}),
                 FaultRow("flicker", SEEN, {"flicker": between(0.02, 1)}),
             ],
+            begin=_changes(
+                light=lambda f, look: look.light * f.share,
+                contrast=lambda f, look: look.contrast * f.share,
+                flicker=lambda f, look: f.flicker,
+            ),
         ),
         fault_kind(
             "focus",
             "The focus is off by this height [um].",
-            _changes(focus_um=lambda f, look: f.by_um),
             Visible.EXPOSED,
             fields={"by_um": Finite},
             rows=[FaultRow("blurred", SEEN, {"by_um": signed(5, 300)})],
+            begin=_changes(focus_um=lambda f, look: f.by_um),
         ),
         fault_kind(
             "knocked",
             "The stage was moved by this displacement [um].",
-            _changes(corner_um=_knocked),
             Visible.EXPOSED,
             fields={"by_um": tuple[Finite, Finite]},
             rows=[FaultRow("knocked", SEEN, {"by_um": way(3, 800)})],
+            begin=_changes(corner_um=_knocked),
         ),
         fault_kind(
             "bubble",
             "A bubble of this diameter [um] is in the middle of the picture.",
-            _changes(specks=_bubble),
             Visible.EXPOSED,
             fields={"size_um": (Positive, 200.0)},
             rows=[FaultRow("bubble", SEEN, {"size_um": between(20, 600)})],
+            begin=_changes(specks=_bubble),
         ),
         fault_kind(
             "untracked",
             "A cell is not in the pictures.",
-            _hide,
             Visible.EXPOSED,
             fields={"cell": Name},
             rows=[FaultRow("cell covered", SEEN)],
@@ -185,7 +179,6 @@ class EmulatedMicroscope(StreamedCamera):
             self.seed,
         )
         self._bodies = cells
-        self.hidden = set[str]()  # names of cells that faults cover
         self._carried = False
         self._mirrored = settings.mirrored
 
@@ -205,7 +198,8 @@ class EmulatedMicroscope(StreamedCamera):
         self._dish.drop()
 
     def _visible_now(self) -> Sequence[bool]:
-        return [not self._carried and body.name not in self.hidden for body in self._bodies]
+        covered = {fault.cell for fault in self._stage.acting.of("untracked")}
+        return [not self._carried and body.name not in covered for body in self._bodies]
 
     def _scene(self) -> Floats:
         scene = bodies(self._dish.cells)

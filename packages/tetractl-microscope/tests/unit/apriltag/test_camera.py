@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.acting import act
 from support.needs_opencv import finds_small_tags
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
@@ -299,7 +300,7 @@ def test_exposure_times_are_right_to_a_few_milliseconds():
 def test_a_camera_that_stops_sending_is_told():
     with Served(connect=0.7) as it:
         it.woken.wait(lambda: it.woken.count >= 3)
-        it.server.trouble.freezes.append("this test")
+        act(it.server.acting, "no_frames")
         problems = it.camera.check().problems
         assert problems == (f"no picture comes from {it.server.url} any more",)
 
@@ -307,7 +308,7 @@ def test_a_camera_that_stops_sending_is_told():
 def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
     """Regression: on a busy computer "no picture comes, URL closed the stream"."""
     it = Served(connect=0.1)
-    it.server.trouble.freezes.append("this test")
+    act(it.server.acting, "no_frames")
     monkeypatch.setattr(it.camera, "_see", lambda picture, exposed_ns: None)
     it.camera._search(1, Picture(np.zeros((9, 9), np.uint8), 0))
     with pytest.raises(AbortError, match=r"pictures come .* 0.1 s no search") as told:
@@ -321,7 +322,7 @@ def test_a_camera_without_pictures_is_no_camera():
     with EmulatedNetworkCamera(
         partial(rendered().picture, standing), clock, PictureTiming()
     ) as server:
-        server.trouble.freezes.append("this test")
+        act(server.acting, "no_frames")
         camera, _ = built({"type": "mjpeg", "url": server.url}, clock, connect=0.3)
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
             camera.__enter__()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.acting import act
 from support.field_bench import LIMITS, Bench, Wire, section
 from tetractl_emulator import firmware
 from tetractl_emulator.pictures.driver_core import DriverLimits
@@ -256,7 +257,7 @@ def test_an_emergency_stop_latches_until_the_driver_is_switched_off():
 def test_heat_ends_a_run():
     stage = Bench()
     with stage.opened(SETUP) as actuator:
-        stage.driver.trouble.temperature_dc = 850
+        act(stage.driver.acting, "hot", celsius=85)
 
         assert stage.clock.wait(lambda: fails(actuator))
         assert actuator.failure == "the current driver stopped: it is 85 °C hot"
@@ -267,7 +268,7 @@ def test_heat_ends_a_run():
 @pytest.mark.parametrize(("celsius", "problems"), [(59.9, 0), (60, 1)])
 def test_a_run_does_not_start_with_hot_coils(celsius, problems):
     stage = Bench()
-    stage.driver.trouble.temperature_dc = round(10 * celsius)
+    act(stage.driver.acting, "hot", celsius=celsius)
     with stage.opened(SETUP) as actuator:
         stage.clock.sleep_until(stage.clock.now() + SECOND // 100)  # it has measured
         health = actuator.check().problems
@@ -279,7 +280,7 @@ def test_a_driver_that_falls_silent_is_noticed():
     stage = Bench()
     with stage.opened(SETUP) as actuator:
         assert actuator.check().problems == ()
-        stage.driver.trouble.mute = True
+        act(stage.driver.acting, "mute")
 
         assert stage.clock.wait(lambda: fails(actuator))
         assert actuator.failure == "the current driver does not answer any more"
@@ -317,7 +318,8 @@ def test_lab_stop_says_that_no_driver_replies_that_it_is_stopped(stop_coils, bau
     """Regression: it said `sent 10 stops`, as if the field were off, though no reply came: the
     driver had no power or another speed, or was at another port."""
     stage = Bench(baud=baud)
-    stage.driver.trouble.mute = mute
+    if mute:
+        act(stage.driver.acting, "mute")
     with pytest.raises(AbortError, match="sent 10 stops, but no current driver replies") as raised:
         stop_coils(stage)
     assert raised.value.hint == "switch the driver's supply off"

@@ -20,6 +20,7 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND, SECOND, MonotonicClock, next_due_ns
 from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.trial import HALTS, Result
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, UNTRACKED_STOP_S, LabSection
 from tetractl.log.read.trial_log import TrialLog
@@ -95,51 +96,57 @@ def _actions(log: TrialLog, sent: list[Command], result: Result) -> Iterator[Dif
 
 
 def _wheels(log: TrialLog, sent: list[Command]) -> Iterator[Difference]:
-    """Yield each command whose wheel speeds are not those of its action. The guard may have refused
-    a robot's poses for up to UNTRACKED_STOP_S, so that an earlier heading was used."""
+    """Yield each command whose wheel speeds are not those of its action."""
     setup = log.start.setup
-    radius = setup.wheel_radius
-    if radius is None:
+    if setup.wheel_radius is None:
         return
-    ahead = np.linspace(-1, 1, 9)[:, None] * setup.a * (AHEAD_S + setup.lag_s)
-    wheels = {
-        command.sent_ns: np.array([command.left, command.right])
-        for command in sent
-        if command.left is not None and command.right is not None
-    }
-    fastest = np.max([np.abs(speeds) for speeds in wheels.values()], axis=(0, 1), initial=0.0)
-    for command in sent:
-        if command.sent_ns not in wheels:
-            continue
-        speeds = wheels[command.sent_ns]
-        is_wrong = (speeds != 0).any(axis=0)
+    commands = [command for command in sent if command.left is not None]
+    wheels = np.array([[command.left, command.right] for command in commands], dtype=np.float64)
+    wheels = wheels.reshape(-1, 2, len(setup.names))  # the left and the right one of each robot
+    fastest = np.abs(wheels).max(axis=(0, 1), initial=0.0)
+    for command, speeds in zip(commands, wheels, strict=True):
+        is_wrong = (speeds != 0).any(axis=0)  # of robots that stand
         if isinstance(command.action, Steer | Turn):
-            speed, turning = body_velocity(*speeds, radius)
-            if isinstance(command.action, Steer):
-                towards = command.action.direction
-                asked_speed = setup.speed
-                is_scaled = np.abs(speeds).max(axis=0) >= FASTEST_SHARE * fastest
-                scale = np.where(is_scaled, np.clip(speed / setup.speed, 0, 1), 1)
-            else:
-                towards = command.action.facing
-                asked_speed = np.zeros_like(setup.speed)
-                scale = np.ones_like(setup.speed)
-            is_off = np.abs(speed - asked_speed * scale) > SPEED_SHARE * setup.speed
-            since_ns = command.sent_ns - round(UNTRACKED_STOP_S * SECOND)
-            is_used = (log.received_ns >= since_ns) & (log.received_ns <= command.sent_ns)
-            headings = (log.mocap[is_used][:, None, :, 2] + ahead).reshape(-1, len(setup.names))
-            if len(headings):
-                sine = np.sin(towards - headings)
-                left_asked, right_asked = wheel_speeds(sine, setup.a, asked_speed, radius)
-                _, rates = body_velocity(left_asked, right_asked, radius)
-                rates *= scale
-                is_off |= turning < rates.min(axis=0) - TURN_SHARE * setup.a
-                is_off |= turning > rates.max(axis=0) + TURN_SHARE * setup.a
+            is_off = _do_not_follow(log, command.sent_ns, command.action, speeds, fastest)
             is_wrong = np.where(command.delivered, is_off, is_wrong)
         if is_wrong.any():
             name = setup.names[int(np.argmax(is_wrong))]
             text = f"wheels of {name} do not follow what is sent at {command.sent_ns} ns"
             yield Difference(None, "commands", text)
+
+
+def _do_not_follow(
+    log: TrialLog, sent_ns: int, action: Steer | Turn, wheels: Floats, fastest: Floats
+) -> Bools:
+    """Return of which robots (N,) the wheels (2, N) do not do what an action asks; `fastest` (N,)
+    are the greatest speeds of their wheels in the log. The guard may have refused a robot's poses
+    for up to UNTRACKED_STOP_S, so that an earlier heading was used.
+    """
+    setup = log.start.setup
+    radius = setup.wheel_radius
+    assert radius is not None, "the robots have wheels"
+    speed, turning = body_velocity(wheels[0], wheels[1], radius)
+    if isinstance(action, Steer):
+        towards = action.direction
+        asked_speed = setup.speed
+        is_scaled = np.abs(wheels).max(axis=0) >= FASTEST_SHARE * fastest
+        scale = np.where(is_scaled, np.clip(speed / setup.speed, 0, 1), 1)
+    else:
+        towards = action.facing
+        asked_speed = np.zeros_like(setup.speed)
+        scale = np.ones_like(setup.speed)
+    is_off = np.asarray(np.abs(speed - asked_speed * scale) > SPEED_SHARE * setup.speed)
+    since_ns = sent_ns - round(UNTRACKED_STOP_S * SECOND)
+    is_used = (log.received_ns >= since_ns) & (log.received_ns <= sent_ns)
+    if is_used.any():
+        ahead = np.linspace(-1, 1, 9)[:, None] * setup.a * (AHEAD_S + setup.lag_s)
+        headings = (log.mocap[is_used][:, None, :, 2] + ahead).reshape(-1, len(setup.names))
+        left, right = wheel_speeds(np.sin(towards - headings), setup.a, asked_speed, radius)
+        _, rates = body_velocity(left, right, radius)
+        rates *= scale
+        is_off |= turning < rates.min(axis=0) - TURN_SHARE * setup.a
+        is_off |= turning > rates.max(axis=0) + TURN_SHARE * setup.a
+    return is_off
 
 
 def _times(

@@ -80,9 +80,10 @@ def _final_poses(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Dif
     """
     frames = log.mocap[-1:]
     if log.start.plant.facts.get(HALTS) == "no":
-        before_ns = log.mocap_ns[log.mocap_ns <= stop.sent_ns]
-        since_ns = min(stop.sent_ns - STOP_REPEATED_NS, int(before_ns.max(initial=0)))
-        frames = log.mocap[log.mocap_ns >= since_ns]
+        is_before = log.mocap_ns <= stop.sent_ns
+        last_before_ns = int(log.mocap_ns[is_before].max(initial=0))
+        is_late = log.mocap_ns >= min(stop.sent_ns - STOP_REPEATED_NS, last_before_ns)
+        frames = log.mocap[is_late]
     final = verdict.final.array()
     if len(log.mocap) and not any(np.array_equal(frame, final, equal_nan=True) for frame in frames):
         yield Difference(None, "result.final", "differs from the robots' last poses")
@@ -116,8 +117,7 @@ def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Differenc
         possible = np.minimum(read, np.array([read, *open_frames]))
         for i, distance in enumerate(stated):
             if distance not in possible[:, i]:
-                shown = f"{possible[:, i].min()} to {read[i]}"
-                text = f"states {distance}, the frames show {shown}"
+                text = f"states {distance}, the frames show {possible[:, i].min()} to {read[i]}"
                 yield Difference(None, f"result.{name}.{i}", text)
     for i, (stated, again) in enumerate(zip(verdict.entered, entered, strict=True)):
         if stated != again:

@@ -85,8 +85,8 @@ def encoding_differences(raw: RawLog, log: TrialLog, result: Result) -> Iterator
             encoder.on_stop(command, result)
         elif step is not None:
             row = rows.get(step.observation.sampled_ns)
-            seen = step.observation if row is None else log.sample(row).observation
-            encoder.on_step(replace(step, observation=seen))
+            observation = step.observation if row is None else log.sample(row).observation
+            encoder.on_step(replace(step, observation=observation))
         else:
             encoder.on_command(command)
     again = RawLog(raw.path, records=sink.records, library=WRITER)

@@ -40,15 +40,16 @@ UNSEEN_S = 0.3
 AT_REST_S = 0.3
 """Time before it drives at which a robot with lagging wheels certainly stands."""
 WANDER_S = 1.0
+"""Duration of the blocks whose speeds are compared [s]."""
 INNER = (0.3, 0.7)
 """Quantiles between which the speeds of blocks are compared: a speed that changes amid a trial is
 beyond both, one that a radio stops in less than a third of its seconds beyond none."""
-STANDS = 0.5
-"""Share of its usual speed below which a robot nearly stands."""
 INNER_STDS = 1.049
 """How far these are apart for a normal distribution [standard deviations]."""
+STANDS = 0.5
+"""Share of its usual speed below which a robot nearly stands."""
 FULL = 0.6
-"""Duration of the blocks whose speeds are compared [s], and the share in which a robot is seen."""
+"""Share of a block for which a robot is measured at least."""
 IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
 """The filter's states of a `Belief`."""
 NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
@@ -173,34 +174,39 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
 
 def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
     """Return the standard deviation of the speed of each robot (N,) between blocks of WANDER_S,
-    over its median: 0 if it is seen in one block only. It is that of a normal distribution with
-    the same quantiles INNER of its blocks. Intervals in which it nearly STANDS are left out: lost
-    commands may stop a robot.
+    over its median: 0 if it is measured in one block only. It is that of a normal distribution with
+    the same quantiles INNER of its blocks.
     """
-    wanders = []
+    wanders: list[float] = []
     for robot in range(tracks[0].used.shape[1]):
         paces: list[float] = []
         for track in tracks:
-            x, y, heading = track.poses[:, robot].T
-            turned = np.asarray(wrap(np.diff(heading)))
-            way = np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))
-            apart_s = np.diff(track.time[:, robot])
-            seen = track.used[1:, robot] & track.used[:-1, robot]
-            block = ((track.time[1:, robot] - track.time[0, robot]) / WANDER_S).astype(np.int64)
-            if not seen.any():
-                continue
-            pace = way.real / np.where(apart_s > 0, apart_s, np.inf)
-            goes = seen & (pace > STANDS * np.median(pace[seen]))
-            ways = np.bincount(block[goes], way.real[goes])
-            durations_s = np.bincount(block[goes], apart_s[goes])
-            is_full = durations_s > FULL * WANDER_S
-            paces += (ways[is_full] / durations_s[is_full]).tolist()
+            paces += _paces_of_blocks(track, robot)
+        wander = 0.0
         if len(paces) > 1:
             low, median, high = np.quantile(paces, (INNER[0], 0.5, INNER[1]))
-            wanders.append((high - low) / (INNER_STDS * abs(median)))
-        else:
-            wanders.append(0.0)
+            wander = (high - low) / (INNER_STDS * abs(median))
+        wanders.append(wander)
     return np.array(wanders)
+
+
+def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
+    """Return the speed of a robot along its heading in each block in which it is measured for long
+    enough. Intervals in which it nearly STANDS are left out: lost commands may stop a robot."""
+    is_measured = track.used[1:, robot] & track.used[:-1, robot]
+    if not is_measured.any():
+        return []
+    x, y, heading = track.poses[:, robot].T
+    turned = np.asarray(wrap(np.diff(heading)))
+    way = np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))
+    apart_s = np.diff(track.time[:, robot])
+    pace = way.real / np.where(apart_s > 0, apart_s, np.inf)
+    drives = is_measured & (pace > STANDS * np.median(pace[is_measured]))
+    block = ((track.time[1:, robot] - track.time[0, robot]) / WANDER_S).astype(np.int64)
+    ways = np.bincount(block[drives], way.real[drives])
+    durations_s = np.bincount(block[drives], apart_s[drives])
+    is_full = durations_s > FULL * WANDER_S
+    return (ways[is_full] / durations_s[is_full]).tolist()
 
 
 def _usual(pace: Floats) -> Floats:

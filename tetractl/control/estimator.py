@@ -17,9 +17,9 @@ from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
 from tetractl.core.errors import ControlError
+from tetractl.core.losses import Losses, LossRule
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Bools, Floats, Observation
-from tetractl.core.tour import Losses, LossRule
 
 
 class StateEstimator:
@@ -76,7 +76,7 @@ class StateEstimator:
             self.sent(last_command)
         self._newest_ns = observation.sampled_ns
         changes_before = self.losses.changes
-        replaced = [i for frame in (*earlier, observation) for i in self.losses.see(frame)]
+        replaced = [i for frame in (*earlier, observation) for i in self.losses.add_frame(frame)]
         self.robots_changed = self.losses.changes > changes_before
         if self.robots_changed and not self.left.any():
             raise ControlError("every robot is lost")

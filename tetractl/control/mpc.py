@@ -98,6 +98,7 @@ from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import ControlError
+from tetractl.core.losses import told_dead
 from tetractl.core.plan import (
     End,
     Estimate,
@@ -111,7 +112,6 @@ from tetractl.core.plan import (
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
-from tetractl.core.tour import told_dead
 from tetractl.experiment.controller import Host
 from tetractl.experiment.lab_section import REACTION_S
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tetractl.core.losses import LossRule
 from tetractl.core.poses import UNSTATED, Floats, Poses, Sight
 from tetractl.core.shape import Shape
-from tetractl.core.tour import HoldTask, LossRule
+from tetractl.core.tour import HoldTask
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """The length of each unit that a spec may declare [m]."""

@@ -16,11 +16,12 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
+from tetractl.core.losses import LossRule
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES, SPEC_REGISTRIES, TRIAL_ROBOTS
 from tetractl.core.registry import Registry
 from tetractl.core.setup import METRES, Bounds, Setup
-from tetractl.core.tour import HoldTask, LossRule
+from tetractl.core.tour import HoldTask
 from tetractl.experiment.base import (
     Finite,
     Length,

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import compress
 
+from tetractl.core.losses import STOOD
 from tetractl.core.plan import Outcome
-from tetractl.core.tour import STOOD
 from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import Batch, counts, errors_known

@@ -72,10 +72,11 @@ from typing import NamedTuple
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import TetractlError, text_of
+from tetractl.core.losses import told_dead
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.poses import Observation, Sample
 from tetractl.core.protocols import Controller, Observer, Plant
-from tetractl.core.tour import TourMeasure, told_dead
+from tetractl.core.tour import TourMeasure
 from tetractl.core.trial import Note, Result, Start, Step, Verdict
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.news import ModelNews, RestNews, StatedModel

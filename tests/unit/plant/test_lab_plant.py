@@ -11,9 +11,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.guard_findings import Lose
+from tetractl.core.losses import LossRule
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.protocols import Health
-from tetractl.core.tour import LossRule
 from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import STOPS, LabLimits
 from tetractl.lab.guard_checks import robot_checks

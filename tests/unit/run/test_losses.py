@@ -9,9 +9,9 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
+from tetractl.core.losses import Losses, LossRule
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
-from tetractl.core.tour import Losses, LossRule
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
@@ -71,7 +71,7 @@ def test_a_robot_is_lost_after_a_while_for_good_or_until_another_is_there(
     losses = Losses(rule, np.ones(2))
     replaced = []
     for t, valid in VALID.items():
-        replaced += [(t, robot) for robot in losses.see(seen(t, valid))]
+        replaced += [(t, robot) for robot in losses.add_frame(seen(t, valid))]
     assert replaced == others
     assert losses.lost.tolist() == lost
     assert losses.times.tolist() == times
@@ -88,7 +88,7 @@ def driven(way_s, until_s=20.0, rule=GOES_ON):
         way = 100 * np.array(way_s(t)) + random.normal(0, 0.3, robots)
         poses = Poses(way, 0 * way, 0 * way)
         present = np.ones(robots, dtype=bool)
-        losses.see(Observation(k, round(t * SECOND), 0, poses, present))
+        losses.add_frame(Observation(k, round(t * SECOND), 0, poses, present))
     return losses
 
 

@@ -95,14 +95,14 @@ def test_a_robot_along_or_against_the_direction_has_a_finite_gradient(model, hea
     problem = problems.problem(problems.world(5, 1, model=model))
     poses = replace(problem.poses, heading=np.array([heading]))
     found = traced(replace(problem, poses=poses), np.zeros(10))
-    for gradient in (
+    for slope in (
         found.x_by_heading,
         found.y_by_heading,
         found.x_by_u,
         found.y_by_u,
         found.keep,
     ):
-        assert np.isfinite(gradient).all()
+        assert np.isfinite(slope).all()
 
 
 def test_costs_of_many_sequences_know_how_robots_turn():

@@ -1,0 +1,165 @@
+"""Which robots are lost in a trial: those not tracked for too long, and those that are dead.
+
+A robot that is not tracked may have swum away. One on wheels that stands while others drive is
+dead, as its battery may be empty: who stands is decided here for all plants, from frames alone.
+What follows is a matter of the spec's `LossRule`.
+
+    losses = Losses(rule, speed)
+    replaced = losses.add_frame(frame)      for each frame, in order
+    losses.left, losses.dead
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Bools, Floats, Integers, Observation
+
+LOSS_LOOK_NS = SECOND // 10  # time between two frames in which standing robots are looked for
+STRIDE_S = 0.05  # least way by which a robot has moved, as a time of driving
+STRIDE_MOST_S = 0.2  # greatest way that counts between two such frames: a pose may jump
+DEAD_S = 5.0  # way, as a time of driving, that one robot drives until another one counts as dead
+
+
+@dataclass(frozen=True, slots=True)
+class LossRule:
+    """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
+
+    If `replaced`, a body that is tracked again under the robot's name counts as another robot,
+    which takes over the lost robot's target. If `dead`, a robot that is seen but dead (see
+    `Standing`) is lost too; a trial that `ends` ends then, and its robots are never lost.
+    """
+
+    after_s: float
+    replaced: bool
+    dead: bool = False
+    ends: bool = False
+
+
+class Standing:
+    """Finds out which of N robots stand while another one drives.
+
+    All robots receive the same commands, so that one that stands for long while another drives is
+    dead. The frames alone tell: if all robots stand, commanded or not, none is dead. Ways are
+    counted in seconds of driving at the spec's speed; a robot of speed 0 is never dead.
+    """
+
+    def __init__(self, speed: Floats) -> None:
+        count = len(speed)
+        self.due_ns = 0
+        """Time of the next frame to look at [ns]."""
+        self._can_drive = speed > 0
+        self._speed = np.where(self._can_drive, speed, np.inf)
+        self._moved_at = np.full((count, 2), np.nan)
+        """Where each robot was when it last moved (N, 2), NaN before it was seen."""
+        self._way_s = np.zeros(count)
+        """The way of each robot so far (N,) [s]."""
+        self._way_when_moved_s = np.zeros((count, count))
+        """Row i: the ways of all robots when robot i last moved (N, N) [s]."""
+
+    def add_frame(self, frame: Observation) -> Bools | None:
+        """Look at the robots of a frame; return which (N,) have stood while one drove for DEAD_S,
+        None if none moved."""
+        self.due_ns = (frame.sampled_ns // LOSS_LOOK_NS + 1) * LOSS_LOOK_NS
+        xy = frame.poses.xy
+        since_s = np.hypot(*(xy - self._moved_at).T) / self._speed
+        has_moved = frame.valid & ~(since_s < STRIDE_S)  # one seen for the first time has
+        if not has_moved.any():
+            return None
+        self._way_s[has_moved] += np.fmin(since_s, STRIDE_MOST_S)[has_moved]
+        self._moved_at[has_moved] = xy[has_moved]
+        self._way_when_moved_s[has_moved | ~frame.valid] = self._way_s
+        others_drove_s = (self._way_s - self._way_when_moved_s).max(axis=1)
+        return self._can_drive & (others_drove_s >= DEAD_S)
+
+
+class Losses:
+    """Which of N robots are lost, as the frames of a trial show one after the other.
+
+    The controller, the log's reader and `verify` all pass every camera frame to `add_frame`, in
+    order, and so get the same result. Without a rule no robot is ever lost; which are dead is found
+    all the same. Robots have the given speeds (N,).
+    """
+
+    def __init__(self, rule: LossRule | None, speed: Floats) -> None:
+        count = len(speed)
+        self.dead: Bools = np.zeros(count, dtype=np.bool_)
+        """Which robots are dead (N,)."""
+        self.lost: Bools = np.zeros(count, dtype=np.bool_)
+        """Which robots are lost (N,)."""
+        self.changes = 0
+        """How often this has changed."""
+        self.times: Integers = np.zeros(count, dtype=np.int64)
+        """How often each robot has been lost (N,)."""
+        self._rule = rule
+        self._standing = Standing(speed)
+        self._tracked_ns: Integers | None = None
+        """Time of the last frame in which each robot was tracked (N,); None before the first."""
+        self._waiting = list[Observation]()
+        """Frames that are not counted yet, as no robot can be lost or back in them."""
+        self._due_ns = 0
+        """Earliest time at which a robot can be lost or back [ns]."""
+
+    @property
+    def left(self) -> Bools:
+        """Which robots (N,) are not lost."""
+        return ~self.lost
+
+    def add_frame(self, frame: Observation) -> list[int]:
+        """Add the next frame; return the indices of the robots that are replaced in it."""
+        if frame.sampled_ns >= self._standing.due_ns:
+            self._add_dead(self._standing.add_frame(frame))
+        if self._rule is None or self._rule.ends:
+            return []
+        self._waiting.append(frame)
+        if frame.sampled_ns < self._due_ns:
+            return []
+        return self._count_waiting(self._rule)
+
+    def _add_dead(self, dead: Bools | None) -> None:
+        """Take it that some robots (N,) are dead, too; they are lost if the rule says so."""
+        if dead is None or not (dead & ~self.dead).any():
+            return
+        self.dead = self.dead | dead
+        if self._rule and self._rule.dead and not self._rule.ends:
+            newly_lost = dead & self.left
+            self._change(newly_lost, self.lost | newly_lost)
+
+    def _count_waiting(self, rule: LossRule) -> list[int]:
+        """Count the frames that wait; return which robots are back in the last of them."""
+        after_ns = round(rule.after_s * SECOND)
+        tracked_ns = self._tracked_ns
+        if tracked_ns is None:
+            tracked_ns = np.full(len(self.lost), self._waiting[-1].sampled_ns)
+        is_back = np.zeros_like(self.lost)
+        for frame in self._waiting:
+            newly_lost = self.left & (frame.sampled_ns - tracked_ns >= after_ns)
+            tracked_ns[frame.valid] = frame.sampled_ns
+            lost = self.lost | newly_lost
+            is_back = lost & frame.valid & rule.replaced
+            if newly_lost.any() or is_back.any():
+                self._change(newly_lost, lost & ~is_back)
+        self._tracked_ns = tracked_ns
+        self._due_ns = int(tracked_ns.min()) + after_ns if self.left.all() else 0
+        self._waiting.clear()
+        return np.flatnonzero(is_back).tolist()
+
+    def _change(self, newly_lost: Bools, lost: Bools) -> None:
+        """Count the robots that are newly lost (N,), and take which are from now on (N,)."""
+        self.times = self.times + newly_lost
+        self.lost = lost
+        self.changes += 1
+
+
+STOOD = "while others drive", "though commanded to move"
+"""How the reason in the result of a trial ends in which a robot stood: now, and in earlier logs."""
+
+
+def told_dead(names: Sequence[str], dead: Bools) -> str:
+    """Return the text that some of the robots `names` are dead, "" for none."""
+    who = [name for name, is_dead in zip(names, dead.tolist(), strict=True) if is_dead]
+    if not who:
+        return ""
+    return f"{', '.join(who)} {'do' if len(who) > 1 else 'does'} not move {STOOD[0]}"

@@ -218,7 +218,7 @@ def _check(path: Path, sets: list[str] | None) -> _Checked:
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return _Checked({"path": file, "ok": False, "problems": problems}, error.lines())
-    return _valid(file, loaded, ui.warn(loaded, sets))
+    return _valid(file, loaded, ui.warn(loaded))
 
 
 def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]") -> _Checked:
@@ -262,11 +262,7 @@ def _check_study(path: Path, file: str) -> _Checked:
     name = loaded.study.name
     arms = len(loaded.arms)
     trials = loaded.study.trials.count
-    warnings = {
-        str(warning): warning
-        for arm in loaded.arms
-        for warning in find_warnings(arm.spec, arm.sets)
-    }
+    warnings = {str(warning): warning for arm in loaded.arms for warning in find_warnings(arm.spec)}
     ui.tell(*(f"warning: {text}" for text in warnings))
     fields = {
         "path": file,

@@ -66,7 +66,7 @@ def load_to_run(
     if seed is not None:
         settings.append(FieldValue("trials.seed", seed, "--seed"))
     loaded = load_document(document, settings)
-    ui.warn(loaded, settings, strict)
+    ui.warn(loaded, strict)
     return loaded
 
 

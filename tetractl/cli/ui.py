@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.loaded_spec import LoadedSpec
-    from tetractl.experiment.yaml.document import SpecSetting
     from tetractl.lab.rig import Rig
     from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.plant.lab_plant import RigSection
@@ -48,16 +47,12 @@ def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
         print_tables(tables)
 
 
-def warn(
-    loaded: "LoadedSpec", settings: "Sequence[SpecSetting] | None", strict: bool = False
-) -> "tuple[PlacedWarning, ...]":
-    """Print the warnings of a spec that was loaded with `settings`, and return them.
-
-    With `strict`, raise UsageError if there are any.
-    """
+def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ...]":
+    """Print the warnings of a spec, and return them; with `strict`, raise UsageError if there are
+    any."""
     from tetractl.run.plausibility import find_warnings
 
-    warnings = find_warnings(loaded, settings or [])
+    warnings = find_warnings(loaded)
     tell(*(f"warning: {warning}" for warning in warnings))
     if strict and warnings:
         count = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"

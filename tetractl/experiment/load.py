@@ -58,7 +58,7 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
     if document.path is None:
         _refuse_named_files(settled)
         experiment = validated_experiment(settled, written=False)
-        return LoadedSpec(experiment, document.text, document.origin)
+        return LoadedSpec(experiment, document.text, document.origin, document=settled)
     folder = document.path.parent
     attached: Attached = ()
     identified_file = _named_file(settled, IDENTIFIED)
@@ -80,7 +80,7 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
         attached = attach(attached, path, text)
     experiment = validated_experiment(settled, written=False)
     name = printable(document.path.name)
-    return LoadedSpec(experiment, document.text, name, document.path, attached)
+    return LoadedSpec(experiment, document.text, name, document.path, attached, document=settled)
 
 
 def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:

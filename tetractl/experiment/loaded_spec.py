@@ -15,6 +15,7 @@ from tetractl.core.trial import OWN_FILES, PlantInfo, Start
 from tetractl.experiment.controller import ControllerSection, with_logged_keys
 from tetractl.experiment.experiment import Experiment, Trials, packages
 from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.experiment.yaml.document import Document
 
 Attached = tuple[tuple[str, str], ...]
 """Names and texts of the files that a spec names, which the log stores with it."""
@@ -25,7 +26,8 @@ class LoadedSpec(Shown):
     """A valid spec: the experiment with `--set` applied, and the spec's original text.
 
     `resolved`, its YAML with every field, and `hash` are computed once, for all trials. `logged` is
-    the data of a resolved spec that tetractl has written into a log.
+    the data of a resolved spec that tetractl has written into a log. `document` says which file,
+    line or option states each value; None for a spec that was not read from a text.
     """
 
     experiment: Experiment
@@ -34,6 +36,7 @@ class LoadedSpec(Shown):
     path: Path | None = None
     attached: Attached = field(default=(), repr=False)
     logged: Any = field(default=None, repr=False)
+    document: Document | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def resolved(self) -> str:

@@ -31,7 +31,7 @@ from tetractl.experiment.section_abilities import (
     Modelled,
     PlansSignals,
 )
-from tetractl.experiment.yaml.document import SpecSetting, parse_document, with_settings
+from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
@@ -530,23 +530,16 @@ class PlacedWarning(SpecProblem):
 
 
 @np.errstate(all="ignore")  # very large values may overflow
-def find_warnings(
-    loaded: LoadedSpec, settings: Sequence[SpecSetting] = ()
-) -> tuple[PlacedWarning, ...]:
-    """Return the warnings of a spec that was loaded with `settings`, in the order of its lines."""
+def find_warnings(loaded: LoadedSpec) -> tuple[PlacedWarning, ...]:
+    """Return the warnings of a spec, in the order of its lines."""
     if loaded.experiment.open:  # its robots are placeholders
         return ()
     context = CheckContext.of(loaded.experiment)
-    findings: list[SpecFinding] = []
-    for rule in RULES:
-        findings += rule(context)
-    if not findings:
-        return ()
-    origin = str(loaded.path or loaded.name)
-    document = with_settings(parse_document(loaded.text, origin), settings)
+    document = loaded.document or Document(loaded.name)
     warnings: list[PlacedWarning] = []
-    for finding in findings:
-        place = document.place(finding.where)
-        problem = place.problem(finding.where, finding.text, place.text)
-        warnings.append(PlacedWarning(**asdict(problem), hint=finding.hint))
+    for rule in RULES:
+        for finding in rule(context):
+            place = document.place(finding.where)
+            problem = place.problem(finding.where, finding.text, place.text)
+            warnings.append(PlacedWarning(**asdict(problem), hint=finding.hint))
     return tuple(sorted(warnings, key=lambda w: (w.line is None, w.line or 0, w.column or 0)))

@@ -30,7 +30,7 @@ NAMED = {
 def found(path, *sets):
     """Warnings by field; three_m3pi.yaml is controlled at 5 Hz unless `sets` say otherwise."""
     slow = ("controller.period=0.2", "controller.signal_periods=1") if path == THREE else ()
-    return {w.field: w for w in find_warnings(load_spec(path, (*slow, *sets)), sets)}
+    return {w.field: w for w in find_warnings(load_spec(path, (*slow, *sets)))}
 
 
 PARALLEL = ["robots.blue.a=6", "robots.blue.target=[1700, 900.5]", "robots.blue.speed=180"]
@@ -140,6 +140,20 @@ def test_a_warning_stands_at_its_line_or_at_its_setting():
     assert ": robots.2.heading: 90: is more than" in str(warning)
     (set_,) = found(THREE, "robots.red.heading=90").values()
     assert str(set_).startswith("--set robots.red.heading=90: robots.2.heading: 90: ")
+
+
+def test_a_warning_of_an_identified_value_names_the_file_that_states_it(tmp_path):
+    """Regression: it quoted the spec's value, which the file replaces."""
+    values = ("speed", "heading_bias", "position_noise", "heading_noise", "heading_walk")
+    robot = ", ".join(f"{name}: {{value: 180}}" for name in values)
+    (tmp_path / "m.yaml").write_text(
+        "identified: now\norigin: lab\nunit: mm\ndead_time: {value: 0.1}\n"
+        f"robots: {{green: {{a: {{value: 90}}, {robot}}}}}\n"
+    )
+    spec = tmp_path / "s.yaml"
+    spec.write_text(f"{THREE.read_text('utf-8')}\nidentified: m.yaml\n")
+    (warning,) = [w for w in find_warnings(load_spec(spec)) if w.field == "robots.0.a"]
+    assert str(warning).startswith(f"{tmp_path / 'm.yaml'}: robots.0.a: is 90 rad/s")
 
 
 def test_warnings_come_in_the_order_of_their_lines():

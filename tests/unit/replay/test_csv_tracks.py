@@ -51,6 +51,11 @@ def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
     (track,) = tracks_of(tmp_path, POSES, with_lag)
     assert track.lag == pytest.approx(0.04)
     assert track.on_wheels
+    assert track.rates_unstated
+    log = "".join(f"{line},one.mcap\n" for line in with_lag.split())
+    of_export = log.replace("ms,one.mcap", "ms,log", 1), POSES.replace("\n", ",one.mcap\n")
+    (track,) = tracks_of(tmp_path, of_export[1].replace("one.mcap", "log", 1), of_export[0])
+    assert not track.rates_unstated  # by tetractl's host
 
 
 def test_a_lag_below_0_is_refused(tmp_path):
@@ -526,6 +531,13 @@ def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path)
         file.write("11.5,\n")
     (track,) = csv_tracks([poses, commands])
     assert track.sent.tolist() == drive().commands[:, 0].tolist()
+
+
+@pytest.mark.parametrize("entries", ["nan,nan", ",", "90,", "NULL,0.5"])
+def test_a_row_without_a_speed_is_a_step_at_which_nothing_was_sent(tmp_path, entries):
+    commands = f"time_s,v_mm_s,w_rad_s\n0,90,0.1\n0.1,{entries}\n0.2,90,0.3\n"
+    (track,) = tracks_of(tmp_path, POSES, commands)
+    assert track.sent.tolist() == pytest.approx([0.0, 0.2])
 
 
 # ---- Units, names, one robot, two recordings ----

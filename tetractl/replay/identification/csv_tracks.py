@@ -187,8 +187,11 @@ class _TwistColumns:
     rate: NumberColumn
 
     def add(self, numbers: _Numbers, row: CsvRow) -> None:
-        """Add the speed and turning rate in a row."""
+        """Add the speed and turning rate in a row; one without is a step at which nothing was
+        sent."""
         numbers.commands_path = self.path
+        if math.isnan(self.speed.optional(self.path, row) + self.rate.optional(self.path, row)):
+            return
         robot = row.cells.get("robot", "")
         time = numbers.take_time(self.path, row, self.time, ("twists", robot))
         speed = self.speed.number(self.path, row)
@@ -433,7 +436,7 @@ def _track(
         else _directions(numbers, begin)
     )
     if not len(sent.when):
-        raise UsageError(f"{commands_path}: states no direction")
+        raise UsageError(f"{commands_path}: states no direction or speed")
     _check_degrees(poses_path, poses, valid)
     _refuse_copies(poses_path, names, time, poses, sent)
     remarks: list[str] = []
@@ -475,6 +478,7 @@ def _track(
         left_out=tuple(brief),
         lag=numbers.lag_s,
         all_commands=numbers.lag_s == 0,
+        rates_unstated=numbers.lag_s > 0 and not name[0],
         twists=sent.twists,
         remarks=tuple(remarks),
     )

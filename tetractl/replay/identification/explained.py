@@ -39,5 +39,5 @@ def check_explained(
     if share < least:
         raise UsageError(
             f"{source}: the commands explain {max(share, 0.0):.0%} of the {what}",
-            "are they another robot's, or of another recording, or 10 s off; or does it stand?",
+            "are they another robot's, of another recording, or 10 s off? does it turn and drive?",
         )

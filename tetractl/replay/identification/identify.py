@@ -25,9 +25,8 @@ LAG_UNSTATED = (
     "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
 )
 RATES_UNSTATED = (
-    "a, heading bias and dead time have no intervals, as directions that turn smoothly do not show "
-    "whether robots with a lag steer themselves or keep the rates of a host: send directions that "
-    "jump"
+    "a, heading bias and dead time have no intervals, as it is assumed that a host foresees the "
+    "lag, as it does in logs and exports: a of robots that steer themselves may be 20 % off"
 )
 NO_JUMP = "or send directions that jump, which show it"
 UNIFORM = (
@@ -44,8 +43,8 @@ class IdentifiedRobots:
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
     `lag_unstated` says that robots are on wheels whose lag nothing states, `turns_smoothly` that
-    no direction jumps, `turns_uniformly` that all turn at one rate, `rates_unstated` that wheels
-    lag and nothing states whether robots steer themselves or keep the rates of a host.
+    no direction jumps, `turns_uniformly` that all turn at one rate, `rates_unstated` is
+    as in `Track`.
     """
 
     origin: str
@@ -69,7 +68,7 @@ class IdentifiedRobots:
         there unseen if directions turn so smoothly that it would fit."""
         if self.turns_uniformly:
             return UNIFORM
-        if self.rates_unstated and self.turns_smoothly:
+        if self.rates_unstated:
             return RATES_UNSTATED
         if self.lag_unstated and self.turns_smoothly:
             return f"{LAG_UNSTATED}; {NO_JUMP}"
@@ -118,7 +117,7 @@ def identify(
         lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
         turns_smoothly=turn_smoothly(tracks),
         turns_uniformly=turn_uniformly(tracks),
-        rates_unstated=not all_commands,
+        rates_unstated=any(track.rates_unstated for track in tracks),
     )
 
 

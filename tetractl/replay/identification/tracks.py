@@ -30,7 +30,9 @@ class Track:
     of the field in `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are
     speed [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent
     none; without any, C is 0. `own_times` (M, N) are those of robots' poses [s], `time` for all if
-    it is empty. `all_commands` is False of lagging wheels that were sent others between these.
+    it is empty. `all_commands` is False of lagging wheels that were sent others between these, and
+    `rates_unstated` True of those of which nothing states whether they steer themselves, or a host
+    sends them rates that foresee their lag.
     `remarks` are lines for the user on the data.
     """
 
@@ -54,6 +56,7 @@ class Track:
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     own_times: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     all_commands: bool = True
+    rates_unstated: bool = False
     remarks: tuple[str, ...] = ()
 
     @property

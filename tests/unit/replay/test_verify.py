@@ -28,6 +28,7 @@ from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage
+from tetractl.replay.lab_commands import command_differences
 from tetractl.replay.lab_result import lab_differences
 from tetractl.replay.recompute import first_steps, recompute
 from tetractl.replay.verify import Method, verify
@@ -335,6 +336,14 @@ def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     torn = {entry: entry._replace(data=entry.data[:-3])}
     (problem,) = verify(rewrite(contents, tmp_path / "changed.mcap", torn)).problems
     assert str(problem) == "trial: /tf[0]: not a valid message of its channel"
+
+
+def test_a_lab_of_robots_on_wheels_without_a_speed_of_any_is_compared(tmp_path):
+    """Regression: it ended in a traceback, as no greatest speed could be found."""
+    log = lab_log(tmp_path, lost(0, 100), 0.0, "yes", 0.001)
+    still = [replace(command, left=None, right=None) for command in log.commands]
+    differences = command_differences(replace(log, commands=still), log.result)
+    assert [difference.field for difference in differences if "wheels" in difference.message] == []
 
 
 def fields_that_differ(log, result):

@@ -69,7 +69,7 @@ def run(*words: str) -> str:
 
 
 ON_BENCH = ("--bench", "three_m3pi_bench.yaml", "--dead-time", "0.06")
-ROWS = [  # of one script: two worlds show what the others would
+ROWS = [  # of one script: two rows show what the others would
     ("ablation", "whole", (*ON_BENCH, "--part", "ablation", "--seed", "59301")),
     pytest.param(
         "knowledge 20",

@@ -149,19 +149,24 @@ def _drawn(
     _distributions(distributions_panel, drawn)
     if scale.logarithmic:
         log_axis(dots, totals, ROOM, ROOM)
-        distributions_panel.set_xscale("log")
-        low, _ = dots.get_ylim()
-        _, end = distributions_panel.get_xlim()
-        ticks = [tick for tick in dots.get_yticks() if low <= tick <= end]
-        distributions_panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        distributions_panel.set_xticks([], minor=True)
-        distributions_panel.set_xlim(left=low)
+        _share_log_axis(distributions_panel, dots)
     else:
         dots.set_ylim(bottom=0)
     style.grid_of_heights(dots)
     curves, _ = distributions_panel.get_legend_handles_labels()
     _legend(figure, curves if len(drawn) > 1 else [], 2 if narrow else 4)
     return figure
+
+
+def _share_log_axis(panel: Axes, dots: Axes) -> None:
+    """Make the x axis of the distributions logarithmic, with the ticks of the dots' y axis."""
+    panel.set_xscale("log")
+    low, _ = dots.get_ylim()
+    _, end = panel.get_xlim()
+    ticks = [tick for tick in dots.get_yticks() if low <= tick <= end]
+    panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.set_xticks([], minor=True)
+    panel.set_xlim(left=low)
 
 
 def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:

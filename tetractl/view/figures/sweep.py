@@ -139,18 +139,16 @@ def _trials(
 ) -> None:
     """Draw a dot for each trial, in columns about a place aside of its arm's mean; together they
     are at most `width_in` wide."""
-    dots = [
-        (column, place, error)
-        for place, arm in zip(curve.x, curve.arms, strict=True)
-        for error, column in zip(arm.errors, scale.columns(np.array(arm.errors)), strict=True)
-    ]
-    columns = sorted({column for column, _, _ in dots})
-    step_in = min(COLUMN_IN, width_in / (2 * columns[-1] + 1))
-    for column in columns:
-        x = [place for of, place, _ in dots if of == column]
-        errors = [error for of, _, error in dots if of == column]
+    errors = np.concatenate([arm.errors for arm in curve.arms])
+    places = np.repeat(curve.x, [len(arm.errors) for arm in curve.arms])
+    columns = np.concatenate([scale.columns(arm.errors) for arm in curve.arms])
+    step_in = min(COLUMN_IN, width_in / (2 * columns.max() + 1))
+    for column in np.unique(columns):
+        is_in_column = columns == column
+        x = places[is_in_column]
+        y = errors[is_in_column]
         look = _look(axes, color, aside_in + column * step_in)
-        axes.plot(x, errors, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **look)
+        axes.plot(x, y, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **look)
 
 
 def _show_all(axes: Axes, curve: SweptCurve) -> None:

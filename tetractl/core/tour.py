@@ -95,11 +95,6 @@ class TourMeasure:
         return self.losses.dead & self.losses.left
 
     @property
-    def gone(self) -> tuple[bool, ...]:
-        """Whether each robot is lost at the end, (N,)."""
-        return tuple(self.losses.lost.tolist())
-
-    @property
     def lost(self) -> tuple[int, ...]:
         """How often each robot was lost, (N,); empty if none ever was."""
         times = self.losses.times

@@ -91,7 +91,6 @@ class LabFrames:
         self._heading = rig.setup.starts.heading  # not wrapped, of the last poses
         self.path_check = PathCheck.of(rig.setup)
         self._read_count = 0  # of the rig's accepted frames
-        self._samples: list[Sample] = []  # not yet handed over, oldest first
         self._additions: dict[int, FrameAddition] = {}  # by the time of exposure [ns]
         self._recent: deque[Observation] = deque(maxlen=RECENT)
 
@@ -99,18 +98,19 @@ class LabFrames:
         """Begin with the newest frame, which `observe` may return; leave out those before it."""
         self._read_count = self._rig.loop.frames.count - 1
 
-    def read(self) -> list[Observation]:
-        """Read the frames since the last call, oldest first."""
+    def read(self) -> list[Sample]:
+        """Return the frames since the last call, oldest first."""
         frames, self._read_count = self._rig.loop.frames.since(self._read_count)
         if self._adds is not None:
             for addition in self._adds.additions():
                 self._additions[addition.sampled_ns] = addition
         observations = [self._observation(frame) for frame in frames]
+        samples: list[Sample] = []
         for observation in observations:
             addition = self._additions.get(observation.sampled_ns)
             messages = addition.messages if addition else ()
             self._recent.append(observation)
-            self._samples.append(Sample(observation, None, messages))
+            samples.append(Sample(observation, None, messages))
         if observations:
             self.newest = observations[-1]
             xy = np.array([observation.poses.xy for observation in observations])
@@ -122,12 +122,6 @@ class LabFrames:
             for sampled_ns in list(self._additions):
                 if sampled_ns <= self.newest.sampled_ns:
                     del self._additions[sampled_ns]
-        return observations
-
-    def hand_over(self) -> list[Sample]:
-        """Return the samples of the frames read since the last call, oldest first."""
-        samples = self._samples
-        self._samples = []
         return samples
 
     def nearest(self, t_ns: int) -> Observation:
@@ -170,6 +164,7 @@ class LabPlant:
         self._kind = kind
         self._supervision = supervision
         self._frames = LabFrames(rig)
+        self._samples: list[Sample] = []  # not yet returned, oldest first
         self._notes: deque[Note] = deque(maxlen=WAITING_MAX)  # not yet read
         self._returned: set[int] = set()  # send times of commands that a call has returned
         self._observed_ns: int | None = None  # when the frame of this control step was observed
@@ -236,7 +231,9 @@ class LabPlant:
         if not self._settled:
             self._take_frames()
         self._settled = False
-        return self._frames.hand_over()
+        samples = self._samples
+        self._samples = []
+        return samples
 
     def news(self) -> list[Command | Note]:
         """Return every transmission not returned by `send`, and every warning, since the last
@@ -292,9 +289,11 @@ class LabPlant:
     def _take_frames(self) -> None:
         """Read the frames that the guard has accepted since the last call, and report the robots
         that are lost by them."""
-        for observation in self._frames.read():
-            if self._watch is not None:
-                self._notes.extend(self._watch.see(observation.sampled_ns))
+        samples = self._frames.read()
+        self._samples += samples
+        if self._watch is not None:
+            for sample in samples:
+                self._notes.extend(self._watch.see(sample.observation.sampled_ns))
         newest = self._frames.newest
         if newest is not None and self._watch is not None:
             self._take_losses(self._watch, newest.sampled_ns)

@@ -23,10 +23,9 @@ from pathlib import Path
 from tetractl.core.clock import MonotonicClock
 from tetractl.control.build import warm_up
 from tetractl.run.checked_controller import build_controller
-from tetractl.core.trial import EPOCH_NS, Start
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Start
 from tetractl.log.write.writer import LogWriter
 from tetractl.core.protocols import LabSupervision
-from tetractl.core.commands import PlantInfo
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.run.control_loop import Trial

@@ -321,8 +321,8 @@ def contrast(
 def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
     """Return whether a difference is tested: between plants that are alike, and controllers that
     decided."""
-    given = directions_given(first.experiment) or directions_given(second.experiment)
-    return first.origin is second.origin and not given
+    no_controller = directions_given(first.experiment) or directions_given(second.experiment)
+    return first.origin is second.origin and not no_controller
 
 
 def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:

@@ -408,10 +408,10 @@ def _explained_after(
 def _check_clock_rate(source: str, track: _DrivenTrack, delay_s: float) -> None:
     """Raise UsageError if commands act later and later, whose delay is some [s] in all."""
     steps = track.steps
-    seen = steps.duration_s < LONGEST_S
+    is_seen = steps.duration_s < LONGEST_S
     third_s = float(np.ptp(track.pose_s)) / 3
     third = (track.pose_s[:-1] - track.pose_s[0]) // max(third_s, STEP_S)
-    thirds = [seen & (third == number) for number in range(3)]
+    thirds = [is_seen & (third == number) for number in range(3)]
     if min(part.sum() for part in thirds) < THIRD_LEAST:
         return
     delays = delay_s + CLOCKS_S
@@ -611,6 +611,32 @@ def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
     units = ResponseParameters.of_units(steps.dead_time, steps.speed)
     vector = _search(name, steps, units)
     likeliest = units.at(vector)
+    _check_commands(source, name, steps, likeliest)
+    turn_gains = _turns(steps, likeliest).gains()
+    way_gains = _ways(steps, likeliest).gains()
+    std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
+    of_search = ResponseParameters(*std[:SEARCHED].tolist())  # in the units of the search
+    veer_std, turning_std, speed_std = std[SEARCHED : SEARCHED + 3].tolist()
+    return RobotResponse(
+        name=name,
+        dead_time=_normal(likeliest.dead_time, DEAD_TIME_UNIT_S * of_search.dead_time),
+        turning_lag=_log_normal(likeliest.turning_lag, of_search.turning_lag),
+        speed_lag=_log_normal(likeliest.speed_lag, of_search.speed_lag),
+        turning_gain=_normal(turn_gains[1], turning_std),
+        speed_gain=_normal(way_gains[0], speed_std),
+        veer=_normal(turn_gains[0], veer_std),
+        heading_walk=_log_normal(likeliest.heading_walk, of_search.heading_walk),
+        heading_noise=_log_normal(likeliest.heading_noise, of_search.heading_noise),
+        way_walk=_log_normal(likeliest.way_walk, of_search.way_walk),
+        position_noise=_log_normal(likeliest.position_noise, of_search.position_noise),
+        intervals=len(steps.rows),
+        left_out=steps.left_out,
+    )
+
+
+def _check_commands(source: str, name: str, steps: _Steps, likeliest: ResponseParameters) -> None:
+    """Raise UsageError if the commands do not explain turns and ways as they are stated: v and w
+    exchanged, turns reversed, in other units, or not at all."""
     turn_gains = _turns(steps, likeliest).gains()
     way_gains = _ways(steps, likeliest).gains()
     driven = steps.integrals(likeliest)
@@ -631,28 +657,10 @@ def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
         f"{source}: {name} turns right where it is sent left",
         "reverse w; or y and the headings, if the picture is mirrored",
     )
-    in_units = turning.readings(f"{source}: the turning gain of {name}", TURN_UNITS)
-    turning.check(source, f"turns of {name}", [mirrored, *in_units])
-    in_units = driving.readings(f"{source}: the speed gain of {name}", SPEED_UNITS)
-    driving.check(source, f"way of {name}", [exchanged, *in_units])
-    std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
-    of_search = ResponseParameters(*std[:SEARCHED].tolist())  # in the units of the search
-    veer_std, turning_std, speed_std = std[SEARCHED : SEARCHED + 3].tolist()
-    return RobotResponse(
-        name=name,
-        dead_time=_normal(likeliest.dead_time, DEAD_TIME_UNIT_S * of_search.dead_time),
-        turning_lag=_log_normal(likeliest.turning_lag, of_search.turning_lag),
-        speed_lag=_log_normal(likeliest.speed_lag, of_search.speed_lag),
-        turning_gain=_normal(turn_gains[1], turning_std),
-        speed_gain=_normal(way_gains[0], speed_std),
-        veer=_normal(turn_gains[0], veer_std),
-        heading_walk=_log_normal(likeliest.heading_walk, of_search.heading_walk),
-        heading_noise=_log_normal(likeliest.heading_noise, of_search.heading_noise),
-        way_walk=_log_normal(likeliest.way_walk, of_search.way_walk),
-        position_noise=_log_normal(likeliest.position_noise, of_search.position_noise),
-        intervals=len(steps.rows),
-        left_out=steps.left_out,
-    )
+    turn_units = turning.readings(f"{source}: the turning gain of {name}", TURN_UNITS)
+    turning.check(source, f"turns of {name}", [mirrored, *turn_units])
+    speed_units = driving.readings(f"{source}: the speed gain of {name}", SPEED_UNITS)
+    driving.check(source, f"way of {name}", [exchanged, *speed_units])
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,11 +25,12 @@ from tetractl.tools.table.terminal_table import open_console
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from tetractl.core.plan import Plan
     from tetractl.core.protocols import LabSupervision, Observer
     from tetractl.core.trial import Result
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.loaded_spec import LoadedSpec
-    from tetractl.run.hand import Ask
+    from tetractl.run.hand import Ask, Pause
     from tetractl.run.interrupt import Interrupt
     from tetractl.view.terminal.hand_keys import HandKeys, KeyScript
     from tetractl.view.terminal.live_screen import LiveView
@@ -150,12 +151,13 @@ class Game:
         ask: "Ask",
         observers: "Sequence[Observer]" = (),
         supervision: "LabSupervision | None" = None,
+        pause: "Pause | None" = None,
     ) -> None:
-        """Run a trial of the person, who is asked for each direction."""
-        from tetractl.run.hand import HandController, run_by_hand
+        """Run a trial of the person, who is asked for each direction and may pause."""
+        from tetractl.run.hand import HandController, go_on, run_by_hand
 
         folder = self._folder(len(self.yours) + 1)
-        hand = HandController(self._directed, TRIAL, ask)
+        hand = HandController(self._directed, TRIAL, ask, pause or go_on)
         result = run_by_hand(self._directed, folder, hand, observers, self.interrupt, supervision)
         if hand.directions:
             self.yours.append(result)
@@ -252,7 +254,7 @@ def _on_terminal(game: Game, console: "Console", speed: float) -> None:
 def _you_steer(game: Game, console: "Console", speed: float) -> str:
     """Show a trial that the person steers; return the key that was pressed at its end."""
     from tetractl.core.protocols import LabSupervision
-    from tetractl.view.terminal.hand_keys import HINTS, LAB_HINTS, WHY, HandKeys, task
+    from tetractl.view.terminal.hand_keys import HINTS, LAB_HINTS, PAUSED, WHY, HandKeys, task
     from tetractl.view.terminal.live_screen import LiveView
 
     interrupt = game.interrupt
@@ -263,6 +265,12 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     aside = task(game.experiment.setup, game.experiment.plant.disturbed)
     view = LiveView(console, hints=hints, aside=aside, plain=True)
     stop = keys.stop if simulated else emergency.set
+
+    def pause(plan_of: "Callable[[float], Plan]") -> None:
+        if keys.pauses:
+            view.say(PAUSED, "arrows: try", "P: go on")
+            keys.await_end_of_pause(lambda direction: view.preview(plan_of(direction), direction))
+            view.say(aside, *hints)
 
     def say_at_end(result: "Result") -> None:
         you = f"You: {_error(result, game.experiment)}"
@@ -276,7 +284,7 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     )
     with _keyed_screen(keys, view, stop):
         observers = _paced(view, keys, speed, say_at_end)
-        game.steer(keys.ask, observers, supervision)
+        game.steer(keys.ask, observers, supervision, pause)
         return "" if game.over else keys.await_answer()
 
 

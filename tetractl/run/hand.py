@@ -38,6 +38,12 @@ from tetractl.tools.worker import Relay
 
 Ask = Callable[[float], float | None]
 """Returns the direction [rad] of a step, or None to stop, by the step's time from the first [s]."""
+Pause = Callable[[Callable[[float], Plan]], None]
+"""Called before each step with what plans a direction [rad]; returns once the person goes on."""
+
+
+def go_on(plan_of: Callable[[float], Plan]) -> None:
+    """Do not pause."""
 
 
 class HandController(PlainController):
@@ -47,7 +53,7 @@ class HandController(PlainController):
     A plan while the robots drive shows where they go if the direction is held.
     """
 
-    def __init__(self, spec: LoadedSpec, trial: int, ask: Ask) -> None:
+    def __init__(self, spec: LoadedSpec, trial: int, ask: Ask, pause: Pause = go_on) -> None:
         self.trial = trial
         experiment = spec.experiment
         section = experiment.controller
@@ -57,16 +63,22 @@ class HandController(PlainController):
         self.directions: list[float] = []
         self._section = section
         self._ask = ask
+        self._pause = pause
         self._problems: list[Problem] = []
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
         """Return the plan of the direction that the person wants, or the end of the trial."""
+
+        def plan_of(direction: float) -> Plan:
+            return given_plan(problem, np.full(self._section.ahead, direction), step_key)
+
+        self._pause(plan_of)
         direction = self._ask(self.k * self._section.period)
         if direction is None:
             return Outcome.SEQUENCE_COMPLETED
         self.directions.append(direction)
         self._problems.append(problem)
-        return given_plan(problem, np.full(self._section.ahead, direction), step_key)
+        return plan_of(direction)
 
     @property
     def given(self) -> SequenceSection:

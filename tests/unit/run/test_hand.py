@@ -76,6 +76,18 @@ def test_a_step_is_asked_for_by_its_time(tmp_path):
     assert asked == pytest.approx([0.0, 0.05, 0.10, 0.15])
 
 
+def test_a_plan_is_shown_of_a_direction_that_is_not_sent(tmp_path):
+    directed = directed_spec(SPEC)
+    tried = []
+    hand = HandController(
+        directed, 1, chosen([0.5]), lambda plan_of: tried.append(plan_of(1.0).path)
+    )
+    run_by_hand(directed, tmp_path, hand)
+    assert hand.directions == [0.5]
+    assert len(tried) == 2  # before the direction, and before the end
+    assert (tried[0][-1, :, 1] > tried[0][0, :, 1]).all()  # 1 rad leads up
+
+
 def test_an_interruption_ends_it_and_its_log_is_whole(tmp_path):
     interrupt = Interrupt()
 

@@ -2,7 +2,7 @@
 
     arrows        the robots turn to the right, up, to the left, down
     the mouse     drag anywhere: they turn to the direction of the drag
-    p             a simulation waits for the next of these keys
+    p             a simulation pauses, and shows where each arrow leads; p again goes on
     space, q      stop, which ends the trial
 
 A file has a line `SECONDS KEY` for each key, `#` before a comment; the first key starts the robots,
@@ -44,6 +44,8 @@ WHY = (
     "brings one home takes others away."
 )
 """What a person has felt when the trial has ended, in eight lines of the smallest panel."""
+PAUSED = "PAUSED. Try arrows: dots show where each leads. Nothing moves until you press P."
+"""What is said in a pause."""
 WAIT_S = 0.01
 """Time between two questions whether the first key has been pressed [s]."""
 CELL_HEIGHT = 2.0
@@ -59,8 +61,8 @@ MOUSE_OFF = "\x1b[?1006l\x1b[?1002l"
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What the person wants: a direction [rad], None before the first key; whether to stop, or to
-    pause; and where a drag of the mouse began, as column and row of the screen."""
+    """What the person wants: a direction [rad], None before the first key; whether to stop;
+    whether to pause; and where a drag of the mouse began, as column and row of the screen."""
 
     direction: float | None = None
     stops: bool = False
@@ -72,20 +74,15 @@ class Wish:
         """The direction [rad], None to stop."""
         return None if self.stops else self.direction
 
-    @property
-    def waits(self) -> bool:
-        """Whether another key must come before there is an answer."""
-        return not self.stops and (self.pauses or self.direction is None)
-
     def after(self, key: str) -> "Wish":
         """Return what is wanted once a key was pressed or the mouse moved; other keys change
         nothing."""
         if key in ARROWS:
-            return replace(self, direction=ARROWS[key], pauses=False)
+            return replace(self, direction=ARROWS[key])
         if key in STOPS:
             return replace(self, stops=True)
-        if key == PAUSE:
-            return replace(self, pauses=True)
+        if key == PAUSE and self.direction is not None:
+            return replace(self, pauses=not self.pauses)
         mouse = _MOUSE.fullmatch(key)
         return self if mouse is None else self._dragged(mouse)
 
@@ -99,7 +96,7 @@ class Wish:
             return self
         right = column - self.drag_from[0]
         up = CELL_HEIGHT * (self.drag_from[1] - row)
-        return replace(self, direction=math.atan2(up, right), pauses=False)
+        return replace(self, direction=math.atan2(up, right))
 
 
 class HandKeys:
@@ -141,11 +138,26 @@ class HandKeys:
         return self._answer or LEAVE
 
     def ask(self, time_s: float) -> float | None:
-        """Return the direction that is wanted [rad], None to stop. Before the first key, and in a
-        pause, wait for a key, but not longer than until the trial is `ended` for another reason."""
-        while self._wish.waits and not self._ended():
+        """Return the direction that is wanted [rad], None to stop. Before the first key, wait for
+        it, but not longer than until the trial is `ended` for another reason."""
+        while self._wish.direction is None and not (self._wish.stops or self._ended()):
             time.sleep(WAIT_S)
         return self._wish.answer
+
+    @property
+    def pauses(self) -> bool:
+        """Whether a pause is wanted."""
+        return self._wish.pauses and not (self._wish.stops or self._ended())
+
+    def await_end_of_pause(self, show: Callable[[float], None]) -> None:
+        """Return once no pause is wanted; until then `show` each direction that is tried [rad]."""
+        shown: float | None = None
+        while self.pauses:
+            direction = self._wish.direction
+            if direction is not None and direction != shown:
+                show(direction)
+                shown = direction
+            time.sleep(WAIT_S)
 
     def __enter__(self) -> Self:
         sys.stderr.write(MOUSE_ON)

@@ -10,13 +10,15 @@ In the lab it also prints notes, a line per trial, and where to place robots.
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
 from rich.console import Console
 
 from tetractl.core.clock import seconds
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Steer
+from tetractl.core.plan import Plan
 from tetractl.core.poses import Floats, Poses, Sample
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Note, Result, Start, Step
@@ -75,6 +77,12 @@ class TrialSoFar:
         """Store the time of the first direction; the command's effect shows in the trails."""
         if self._first_direction_ns is None and not command.stops:
             self._first_direction_ns = command.sent_ns
+
+    def preview(self, plan: Plan, direction: float) -> None:
+        """Show a direction that is not sent, and its plan, in place of the newest step's."""
+        if self._step is not None:
+            command = replace(self._step.command, action=Steer(direction))
+            self._step = replace(self._step, plan=plan, command=command)
 
     def on_note(self, note: Note) -> None:
         """Store the note."""
@@ -251,6 +259,11 @@ class LiveView(Observer):
         self._aside = aside
         self._hints = hints
         self._plain = True
+        self._draw()
+
+    def preview(self, plan: Plan, direction: float) -> None:
+        """Show where a direction [rad] leads that is not sent."""
+        self._of_trial.preview(plan, direction)
         self._draw()
 
     @property

@@ -70,15 +70,20 @@ def test_the_first_key_is_waited_for():
         assert steering.ask(0.2) == NORTH
 
 
-def test_a_simulation_waits_in_a_pause_for_the_next_direction():
+def test_in_a_pause_each_direction_that_is_tried_is_shown_until_it_ends():
     steering = HandKeys(lambda: False, can_pause=True)
+    steering.press("p")
+    assert not steering.pauses  # nothing drives yet
     steering.press("up")
     steering.press("P")
-    asking = threading.Thread(target=steering.ask, args=(0.0,))
-    asking.start()
-    assert asking.is_alive()  # and would be for ever
-    steering.press("right")
-    asking.join(60)
+    shown = []
+
+    def show(direction):
+        shown.append(direction)
+        steering.press("right" if len(shown) == 1 else "p")
+
+    steering.await_end_of_pause(show)
+    assert shown == [NORTH, 0.0]
     assert steering.ask(0.2) == 0.0
 
 
@@ -86,7 +91,7 @@ def test_the_robots_of_a_lab_do_not_wait():
     steering = HandKeys(lambda: False)
     steering.press("up")
     steering.press("p")
-    assert steering.ask(0.0) == NORTH
+    assert not steering.pauses
 
 
 def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():

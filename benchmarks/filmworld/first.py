@@ -161,7 +161,8 @@ class WideFilm(SyntheticFilm):
             if t > self.knock_s and not knocked:
                 knocked = True
                 dx, dy = self.knock_um
-                painter.change(corner_um=(-dx, -dy))  # everything seems to move by dx, dy
+                # everything seems to move by dx, dy
+                painter.change(replace(painter.look, corner_um=(-dx, -dy)))
             painter.look = replace(painter.look, focus_um=focus)
             moments = [self._bodies(t + part * self.look.exposure_s) for part in spread]
             yield painter.picture(self.cells, moments, self._alive(t), float(t))

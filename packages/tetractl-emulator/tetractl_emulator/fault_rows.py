@@ -124,12 +124,7 @@ def first_robot(d: Draw) -> str:
     return d.names[0]
 
 
-def second_robot(d: Draw) -> str:
-    """Return another robot."""
-    return d.names[1]
-
-
-NAMES = {"robot": first_robot, "cell": first_robot, "other": second_robot}
+NAMES = {"robot": first_robot, "cell": first_robot, "other": lambda d: d.names[1]}
 """The draws of fields that name robots; each row has those that its kind cannot do without."""
 WHEEL = one_of("left", "right", "both")
 

@@ -107,11 +107,13 @@ def rehearse(
                 show(done, len(waiting))
                 if not sys.stderr.isatty():
                     left_s = (time.monotonic() - began_s) / done * (len(waiting) - done)
-                    ui.tell(_line_of(row, done, len(waiting), left_s))
+                    remaining = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
+                    more = f", about {remaining} more" if done < len(waiting) else ""
+                    ui.tell(f"{done} of {len(waiting)}{more}: day {row['day']}: {row['ended']}")
                 for name, at_s, finding in row["violations"]:
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
                 if row["violations"]:
-                    script = folder / script_name(seed, row["day"])
+                    script = folder / f"seed-{seed}-day-{row['day']}.yaml"
                     smaller = shrunk_day(spec, tuple(sets or ()), seed, script, row, bad=faults)
                     store.add(row["day"], smaller)
     except KeyboardInterrupt:
@@ -129,22 +131,10 @@ def rehearse(
     return Exit.INTERRUPTED if interrupted else Exit.DONE
 
 
-def _line_of(row: "DayRow", done: int, count: int, left_s: float) -> str:
-    """Return a line about a day for a pipe, with the wall time that the others will take [s]."""
-    remaining = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
-    more = f", about {remaining} more" if done < count else ""
-    return f"{done} of {count}{more}: day {row['day']}: {row['ended']}"
-
-
 def _known(experiment: "Experiment", **wanted: float) -> list[str]:
     """Return the settings of a controller that the spec's has."""
     fields = type(experiment.controller).model_fields
     return [f"controller.{name}={value}" for name, value in wanted.items() if name in fields]
-
-
-def script_name(seed: int, day: int) -> str:
-    """Return the name of the file with the script of a day that broke an invariant."""
-    return f"seed-{seed}-day-{day}.yaml"
 
 
 def rehearsed(spec: Path, sets: Sequence[str], seed: int, day: int, bad: bool = True) -> "DayRow":

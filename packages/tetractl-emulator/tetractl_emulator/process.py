@@ -1,7 +1,7 @@
 """Faults of the process that drives the robots: signals, a full disk, a busy host, a second run.
 
-In virtual time they act inside this process, at their tick; in real time on the process that has
-locked the actuator's port, as far as another process can.
+In virtual time they act inside this process, at their tick, and its clock and its plant ask which
+do; in real time on the process that has locked the actuator's port, as far as another process can.
 """
 
 import os
@@ -10,8 +10,7 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from errno import ENOSPC
-from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
@@ -30,35 +29,14 @@ from tetractl_emulator.fault_rows import (
     between,
     one_of,
 )
-from tetractl_emulator.faults import Undo, fault_kind, switching
+from tetractl_emulator.faults import fault_kind, switching
+
+if TYPE_CHECKING:
+    from tetractl_emulator.emulated_lab import EmulatedLab
 
 AFTER_NS = SECOND
 """Time for which an emulated lab goes on after the process has ended [ns]: robots come to rest."""
 SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
-
-
-class HostClock(Clock, Protocol):
-    """The clock of our side in virtual time: `ahead_ns` of true time; it goes on while the
-    process is `stopped`. Of `plan_every` plans one takes `plan_s` [s].
-    """
-
-    ahead_ns: int
-    stopped: bool
-    plan_s: float
-    plan_every: int
-
-
-class DrivenLab(Protocol):
-    """The emulated lab whose robots a process drives."""
-
-    @property
-    def port(self) -> Path:
-        """The name of the actuator's port; "" if it has none."""
-        ...
-
-    def note(self, event: str, **facts: Any) -> None:
-        """Record an event."""
-        ...
 
 
 class Process:
@@ -66,7 +44,7 @@ class Process:
     `ports`; what cannot be done to it does nothing.
     """
 
-    def __init__(self, lab: DrivenLab, ports: Ports, clock: Clock) -> None:
+    def __init__(self, lab: "EmulatedLab", ports: Ports, clock: Clock) -> None:
         self._lab = lab
         self._ports = ports
         self._clock = clock
@@ -79,12 +57,6 @@ class Process:
 
     def fill_disk(self) -> None:
         """Let every further write of the log fail."""
-
-    def set_clock(self, by_ns: int) -> None:
-        """Set the host's monotonic clock forward [ns]."""
-
-    def plan_for(self, seconds: float, one_of: int = 1) -> None:
-        """Let one of so many plans, from now on, take a time [s]."""
 
     def press_stop(self) -> None:
         """Press the key of the emergency stop."""
@@ -107,7 +79,7 @@ class Process:
 class PortHolder(Process):
     """The process that has locked a port of this computer."""
 
-    def __init__(self, lab: DrivenLab, clock: Clock) -> None:
+    def __init__(self, lab: "EmulatedLab", clock: Clock) -> None:
         super().__init__(lab, SerialPort, clock)
 
     def signal(self, name: str) -> None:
@@ -137,14 +109,13 @@ class ThisProcess(Process):
 
     def __init__(
         self,
-        lab: DrivenLab,
+        lab: "EmulatedLab",
         ports: Ports,
-        clock: HostClock,
+        clock: Clock,
         supervision: LabSupervision,
         outlive: Callable[[], None],
     ) -> None:
         super().__init__(lab, ports, clock)
-        self._host = clock
         self._supervision = supervision
         self._outlive = outlive
 
@@ -156,31 +127,13 @@ class ThisProcess(Process):
         self._outlive()
         os.kill(os.getpid(), signal.SIGKILL)
 
-    def stop(self, on: bool) -> None:
-        """Let our side stand still."""
-        self._host.stopped = on
-
     def fill_disk(self) -> None:
         """Let the log's next write fail."""
         self._supervision.fail_log(OSError(ENOSPC, os.strerror(ENOSPC)))
 
-    def set_clock(self, by_ns: int) -> None:
-        """Set our side's clock forward."""
-        self._host.ahead_ns += by_ns
-
-    def plan_for(self, seconds: float, one_of: int = 1) -> None:
-        """Let plans take a time [s] of our side's clock."""
-        self._host.plan_s = seconds
-        self._host.plan_every = one_of
-
     def press_stop(self) -> None:
         """Set the event of the key."""
         self._supervision.emergency.set()
-
-
-def _busy(fault: Any, process: Process) -> Undo:
-    process.plan_for(fault.seconds, fault.every)
-    return lambda: process.plan_for(0.0)
 
 
 STANDS = f"stood still|late|{CELLS}|{LATE}"  # cells seem to stand still meanwhile
@@ -221,7 +174,6 @@ PROCESS_FAULTS = (
         "The computer's monotonic clock jumps by this time [s]; only in virtual time.",
         fields={"by": Positive},
         rows=[FaultRow("host's clock jumps", STANDS, {"by": between(0.02, 6)}, at_once=True)],
-        begin=lambda f, p: p.set_clock(round(f.by * SECOND)),
     ),
     fault_kind(
         "busy",
@@ -236,7 +188,6 @@ PROCESS_FAULTS = (
                 weight=0.5,
             ),
         ],
-        begin=_busy,
     ),
     fault_kind(
         "emergency",

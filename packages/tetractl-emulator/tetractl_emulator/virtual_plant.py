@@ -168,7 +168,7 @@ class EmulatedPlantSection(RigSection):
 
 class BusyPlant(LabPlant):
     """A `LabPlant` in virtual time: between a frame and the action that is planned from it, the
-    clock's `plan_s` [s] passes, at one of `plan_every` plans. `halves` says what is real, for the
+    time of a computer that is busy passes. `halves` says what is real, for the
     log.
     """
 
@@ -190,9 +190,9 @@ class BusyPlant(LabPlant):
 
         assert isinstance(self.clock, LabClock), "the section returned it"
         self._plans += 1
-        due = self._observed_ns is not None and self._plans % self.clock.plan_every == 0
-        if due and self.clock.plan_s:
-            self.clock.sleep_until(self.clock.now() + round(self.clock.plan_s * SECOND))
+        for busy in tuple(self.clock.acting.of("busy")):
+            if self._observed_ns is not None and self._plans % busy.every == 0:
+                self.clock.sleep_until(self.clock.now() + round(busy.seconds * SECOND))
         command = super().send(action)
         self.clock.note_action()
         return command

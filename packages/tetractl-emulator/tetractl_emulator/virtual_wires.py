@@ -18,6 +18,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.serial_port import PortHeldError, SerialPort, missing_port
 from tetractl.lab.udp_port import SCHEME
 from tetractl_emulator.emulated_lab import EmulatedLab
+from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.process import AFTER_NS, ThisProcess
@@ -42,14 +43,16 @@ class LabClock(VirtualClock):
         self.receivers: list[Callable[[], None]] = []
         self.steps: list[Callable[[], None]] = []
         self.watchers: list[Callable[[], None]] = []
-        self.ahead_ns = 0  # of true time, which is the timeline's
-        self.stopped = False  # the process stands still
-        self.plan_s = 0.0  # time that a slow plan takes [s]
-        self.plan_every = 1  # of so many plans one is slow
+        self.acting = ActingFaults()  # those of the emulated lab
 
     def now(self) -> int:
-        """Return the time on the host's clock [ns]."""
-        return self._now + self.ahead_ns
+        """Return the time on the host's clock [ns], which a fault may have set forward."""
+        return self._now + round(self.acting.total_by("host_clock") * SECOND)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the process stands still."""
+        return bool(self.acting.of("stopped"))
 
     @property
     def true_ns(self) -> int:
@@ -168,6 +171,7 @@ def started(
     )
     emulation.open()
     assert isinstance(emulation.loop, VirtualLoop)
+    clock.acting = emulation.injector.acting
     clock.timeline = emulation.timeline
     clock.read_wires = emulation.loop.poll
     return emulation

@@ -30,8 +30,6 @@ Speeds = tuple[float, float]
 """The speeds of a robot's left and right wheel [mm/s]."""
 
 
-WHOLE = (1.0, 1.0)
-"""The shares of their speed at which wheels turn without a fault."""
 Held = tuple[Counts, tuple[float, float]]
 """What a robot's motors are given, and the share of its speed at which each wheel turns."""
 
@@ -165,11 +163,10 @@ class EmulatedRobot:
         veer = self.acting.newest("veer", self.name) if any(counts) else None
         return counts if veer is None else veer.counts
 
-    def wheel_shares(self) -> tuple[float, float]:
-        """Return the shares of their speed at which the left and the right wheel turn."""
-        return self._share("left"), self._share("right")
-
-    def _share(self, wheel: str) -> float:
+    def share(self, wheel: str) -> float:
+        """Return the share of its speed at which the left or the right wheel turns."""
+        if not self.acting.begun:
+            return 1.0
         if any(f.wheel in (wheel, "both") for f in self.acting.of("wheel_stuck", self.name)):
             return 0.0
         weak = self.acting.of("weak_wheel", self.name)
@@ -266,7 +263,7 @@ class EmulatedRobots:
         steps = self._steps
         while steps.now_ns < until_ns:
             held: list[Held] = [
-                (robot.counts(), robot.wheel_shares() if robot.acting.begun else WHOLE)
+                (robot.counts(), (robot.share("left"), robot.share("right")))
                 for robot in self.robots
             ]
             if len(steps.ends_ns) == STEPS_MAX:

@@ -170,12 +170,6 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
         return end
 
 
-def _of_wheels(true: TrueRobot) -> dict[str, Any]:
-    """Return what a true robot states of its wheels."""
-    names = ("left", "right", "swap", "radius_mm")
-    return {name: value for name, value in true if name in names and value is not None}
-
-
 def _wheels(
     stage: Stage,
     section: M3piSection,
@@ -183,7 +177,11 @@ def _wheels(
     robots: Sequence[EmulatedRobot],
 ) -> EmulatedRobots:
     """Return the robots on wheels as they truly are."""
-    parts = [section.robot(true.name).model_copy(update=_of_wheels(true)) for true in trues]
+    parts = []
+    for true in trues:
+        names = ("left", "right", "swap", "radius_mm")
+        wheels = {name: value for name, value in true if name in names and value is not None}
+        parts.append(section.robot(true.name).model_copy(update=wheels))
     radii = radii_mm(stage.setup, [part.radius_mm for part in parts])
     lags = np.array([true.lag for true in trues])
     return EmulatedRobots(robots, drivetrains(parts), radii, lags, stage.timeline.now_ns)

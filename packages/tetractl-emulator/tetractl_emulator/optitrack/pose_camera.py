@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
@@ -16,15 +16,6 @@ from tetractl_emulator.sides import Stage
 JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
 DELAYED_SHARE = 1 / 250  # of the frames are delayed further
 DELAYED_PERIODS = 0.45  # greatest delay of those [frame periods]
-
-
-class BodyFrame(Protocol):
-    """A frame: its bodies, those tracked and others."""
-
-    @property
-    def bodies(self) -> tuple[RigidBody, ...]:
-        """The bodies that it shows."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +85,8 @@ class PoseCamera(ABC):
         self._random = random.Random(stage.options.seed)
 
     @abstractmethod
-    def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> BodyFrame:
-        """Return the frame of an exposure."""
+    def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> Any:
+        """Return the frame of an exposure, whose `bodies` are those that it shows."""
 
     @abstractmethod
     def _stream(self, frame: Any, now_ns: int) -> None:

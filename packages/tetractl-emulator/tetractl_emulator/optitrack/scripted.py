@@ -102,7 +102,7 @@ def _outdate(fault: Any, device: Any) -> Undo:
 
 def _set_clock(fault: Any, device: Any) -> Undo:
     ahead_ns = round(fault.by * SECOND)
-    return adding(device.clock.errors, lambda when_ns: ahead_ns)
+    return adding(device.clock_errors, lambda when_ns: ahead_ns)
 
 
 def _run_clock(fault: Any, device: Any) -> Undo:
@@ -111,7 +111,7 @@ def _run_clock(fault: Any, device: Any) -> Undo:
     def gained_ns(when_ns: int) -> int:
         return round((fault.rate - 1.0) * max(0, when_ns - since_ns))
 
-    return adding(device.clock.errors, gained_ns)
+    return adding(device.clock_errors, gained_ns)
 
 
 def _change_picture(fault: Any, device: Any) -> Undo | None:

@@ -8,7 +8,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
@@ -50,20 +50,6 @@ class Client:
     heard_ns: int
 
 
-@dataclass(eq=False, slots=True)
-class ServerClock:
-    """The server's clock, with the errors that faults have added and not yet taken back: what it
-    has gained [ns] by a time on the host's clock [ns].
-    """
-
-    errors: list[Callable[[int], int]] = field(default_factory=list)
-
-    def ticks(self, when_ns: int) -> int:
-        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
-        gained_ns = sum(gained_ns(when_ns) for gained_ns in self.errors)
-        return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
-
-
 class ServerPorts:
     """The UDP ports of the server: `command_port`, that of messages, and `data_port`, from which
     frames are sent or, in multicast, to which they are sent. `command` and `data` are the ends of
@@ -103,7 +89,8 @@ class ServerPorts:
 class EmulatedOptitrack(PoseCamera):
     """An emulated Motive server, and the rigid bodies on the robots; `names` are the names and
     numbers of bodies that it reports. It serves `clients` by unicast, and has `greeted` addresses.
-    It `counts` what is RECORDED, and how often it was asked for its models.
+    It `counts` what is RECORDED, and how often it was asked for its models. `clock_errors`, of
+    faults, say what its clock has gained [ns] by a time on the host's clock [ns].
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -129,7 +116,7 @@ class EmulatedOptitrack(PoseCamera):
         self.multicast = section.transport == "multicast"
         self.own_version = natnet.Version.of(settings.version)
         self.ports = ServerPorts(section, options)
-        self.clock = ServerClock()
+        self.clock_errors: list[Callable[[int], int]] = []
         self.clients: dict[Address, Client] = {}
         self.greeted: set[Address] = set()
         self.counts = Counter[str]()
@@ -159,6 +146,11 @@ class EmulatedOptitrack(PoseCamera):
         """Close the UDP ports; return counts to be recorded."""
         self.ports.close()
         return {name: self.counts[name] for name in RECORDED}
+
+    def ticks(self, when_ns: int) -> int:
+        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
+        gained_ns = sum(gained_ns(when_ns) for gained_ns in self.clock_errors)
+        return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
     def _readable(self, catch_up: Callable[[], None]) -> None:
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
@@ -195,7 +187,7 @@ class EmulatedOptitrack(PoseCamera):
                 name = f"Motive ({EMULATED_NAME})"
                 return natnet.ServerInfo(name, self.own_version, CLOCK_HZ, self.ports.data_port)
             case natnet.EchoRequest(client):
-                return natnet.EchoResponse(client, self.clock.ticks(now_ns))
+                return natnet.EchoResponse(client, self.ticks(now_ns))
             case natnet.NatNetRequest("UnitsToMillimeters"):
                 return natnet.Response(struct.pack("<f", self.settings.unit_mm))
             case natnet.NatNetRequest("UpAxis") if self.settings.knows_up_axis:
@@ -240,7 +232,7 @@ class EmulatedOptitrack(PoseCamera):
     ) -> natnet.NatNetFrame:
         # as natnet reads them
         params = 2 * self.settings.models_changed | 4 * bool(self.acting.of("edit_mode"))
-        return natnet.NatNetFrame(number, bodies, params, self.clock.ticks(exposed_ns))
+        return natnet.NatNetFrame(number, bodies, params, self.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
         damaged = self.acting.share("bad_datagrams")

@@ -175,18 +175,15 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
     if not reason:
         return
     at_s = min(truth.abort_s, NO_ABORT_S)
-    if not truth.day.plan.faults or not _is_right(reason, _right_patterns(truth)):
+    right = [PLACE, *(str(fault.fields["right"]) for fault in truth.faults)]
+    if truth.froze_as_rest:
+        right.append(MOTION)
+    if not truth.day.plan.faults or not _is_right(reason, right):
         yield Violation("reason", at_s, reason[:200])
         return
     robot = _robot_not_named(truth)
     if robot:
         yield Violation("reason", at_s, f"{reason[:200]}: it was {robot}")
-
-
-def _right_patterns(truth: Truth) -> list[str]:
-    """Return the regular expressions of right reasons, as of `reason_names_a_fault`."""
-    right = [str(fault.fields["right"]) for fault in truth.faults]
-    return [*right, PLACE, *([MOTION] if truth.froze_as_rest else [])]
 
 
 def _is_right(reason: str, patterns: list[str]) -> bool:

@@ -91,7 +91,7 @@ def state(lab, name):
     actuator = lab.actuator
     parts = [*lab.injector.acting.of(name)]
     if hasattr(camera, "view"):
-        parts += [camera.view, camera.clock, camera.outdated]
+        parts += [camera.view, [*camera.clock_errors], camera.outdated]
     if hasattr(actuator, "radio"):
         parts += map(robot_state, actuator.robots)
     else:
@@ -143,7 +143,7 @@ def test_a_fault_of_pictures_is_taken_back(tmp_path, text):
 
         def picture_state():
             acting = [*lab.emulation.injector.acting.of(fault.fault)]
-            return repr([acting, stream.changes, camera.painter.look])
+            return repr([acting, stream.changes, camera._look()])
 
         before = picture_state()
         end = lab.emulation.injector.act(fault)
@@ -215,7 +215,7 @@ TICKS_PER_S = 1e7
 def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained_s):
     """What it has gained a second later."""
     faulty = faulty_lab(tmp_path, fault)
-    clock = faulty.lab.camera.clock
+    clock = faulty.lab.camera
     then_ns = faulty.lab.timeline.now_ns + SECOND
     before = clock.ticks(then_ns)
     faulty.begin()
@@ -227,7 +227,7 @@ def test_faults_of_the_servers_clock_add_up_and_each_takes_its_own_back(tmp_path
     took back what the one before had gained."""
     jump = faulty_lab(tmp_path, "{fault: clock_jump, by: 1}")
     fast = faulty_lab(tmp_path, "{fault: clock_rate, rate: 3}").fault
-    clock = jump.lab.camera.clock
+    clock = jump.lab.camera
     then_ns = jump.lab.timeline.now_ns + SECOND
     right = clock.ticks(then_ns)
 

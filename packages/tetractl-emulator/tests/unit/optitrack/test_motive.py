@@ -8,7 +8,7 @@ from support.lab_specs import SPEC
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.optitrack.scripted import OptitrackSettings
-from tetractl_emulator.optitrack.side import EmulatedOptitrack, ServerClock
+from tetractl_emulator.optitrack.side import EmulatedOptitrack
 from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.sides import Options, Stage
 
@@ -96,7 +96,7 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
         timeline.run_to(60 * SECOND)
     finally:
         motive.close()
-    sent_ticks = [ServerClock().ticks(now) for now in sent_ns]
+    sent_ticks = [motive.ticks(now) for now in sent_ns]
     delays_ms = (np.array(sent_ticks) - exposures) / TICKS_PER_MS
     gaps_ms = np.diff(sent_ns) / 1e6
     assert len(sent_ns) == pytest.approx(60 * 120, abs=2)

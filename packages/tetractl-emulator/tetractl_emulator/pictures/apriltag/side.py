@@ -133,7 +133,7 @@ Shades = NDArray[np.float32]
 class Renderer:
     """Draws the robots' tags and the floor tags as seen through the optics; the same seed gives the
     same pictures. `metres` is the spec's length unit [m]. Tags whose numbers are in `hidden` are
-    not drawn, nor robots that are `carried`; the tags in `strays` are also drawn on the floor.
+    not drawn; the tags in `strays` are also drawn on the floor.
     """
 
     robots: Sequence[RobotTag]
@@ -142,7 +142,6 @@ class Renderer:
     optics: Optics
     seed: int = 0
     hidden: set[int] = field(default_factory=set)
-    carried: bool = False
     strays: list[FloorTag] = field(default_factory=list)
     _empty: tuple[frozenset[int], Shades] | None = None
     _pictures: int = 0
@@ -157,7 +156,7 @@ class Renderer:
         moments = half * (2 * np.arange(SUB_EXPOSURES) + 1 - SUB_EXPOSURES) / SUB_EXPOSURES
         poses = [poses_at(exposed_ns + round(moment)) for moment in moments]
         for i, robot in enumerate(self.robots):
-            if not self.shows(robot):
+            if robot.tag in self.hidden:
                 continue
             corners = [self.card(robot, moment_poses, i) for moment_poses in poses]
             still = np.ptp(corners, axis=0).max() < 0.05
@@ -165,10 +164,6 @@ class Renderer:
         for stray in self.strays:
             self._lay(canvas, stray)
         return self._finished(canvas)
-
-    def shows(self, robot: RobotTag) -> bool:
-        """Return whether a robot's tag is drawn."""
-        return not self.carried and robot.tag not in self.hidden
 
     def card(self, robot: RobotTag, poses: Poses, i: int) -> Floats:
         """Return the pixels (4, 2), before distortion, of the corners of robot i's card.
@@ -300,6 +295,7 @@ class EmulatedAprilTag(StreamedCamera):
         assert isinstance(section, AprilTagSection), "the camera's section has the type apriltag"
         self._bodies = bodies
         self._section = section
+        self._carried = False
         metres = stage.setup.metres
         optics = replace(
             Optics.facing(section.floor, metres, settings.width, settings.height),
@@ -313,7 +309,7 @@ class EmulatedAprilTag(StreamedCamera):
     def hide(self, hidden: bool) -> None:
         """If `hidden`, leave all robots' tags out of the pictures; otherwise draw them again, but
         for those that a fault covers."""
-        self.renderer.carried = hidden
+        self._carried = hidden
 
     def tag(self, name: str) -> int:
         """Return the number of a robot's tag."""
@@ -321,12 +317,12 @@ class EmulatedAprilTag(StreamedCamera):
 
     def _visible_now(self) -> Sequence[bool]:
         covered = self._covered()
-        return [
-            not self.renderer.carried and robot.tag not in covered for robot in self.renderer.robots
-        ]
+        return [robot.tag not in covered for robot in self.renderer.robots]
 
     def _covered(self) -> set[int]:
-        """Return the tags that faults cover."""
+        """Return the tags of robots that are carried, or that faults cover."""
+        if self._carried:
+            return {robot.tag for robot in self.renderer.robots}
         return {self.tag(fault.robot) for fault in self._stage.acting.of("untracked")}
 
     def _scene(self) -> Floats:

@@ -1,7 +1,7 @@
 """Cells that swim between the coils of an emulated driver, in real or virtual time."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from tetractl_microscope.coils.section import CoilsSection, Pair
@@ -10,27 +10,12 @@ from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.setup import Bounds, Setup
 from tetractl.model.swimmers import Swimmers
 
+if TYPE_CHECKING:
+    from tetractl_emulator.pictures.field import CurrentDriver
+
 SWIM_NS = 2 * MILLISECOND  # time step of the cells' motion
 UM_MM = 1000.0
 DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in widths of the dish
-
-
-class FieldDriver(Protocol):
-    """The source of the field: a current driver, or a substitute in a test."""
-
-    @property
-    def currents(self) -> Pair:
-        """The currents that flow [A]."""
-        ...
-
-    @property
-    def running(self) -> bool:
-        """Whether the driver makes a field."""
-        ...
-
-    def advance(self, until_ns: int) -> None:
-        """Advance the driver to a time [ns]."""
-        ...
 
 
 class CoilField:
@@ -80,7 +65,7 @@ class Dish:
 
     def __init__(
         self,
-        driver: FieldDriver,
+        driver: "CurrentDriver",
         field: CoilField,
         cells: Swimmers,
         start_ns: int,

@@ -8,7 +8,7 @@ up.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import numpy as np
@@ -127,11 +127,12 @@ class DishPainter:
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
 
-    def change(self, **values: Any) -> None:
-        """Give the named fields of `look` new values."""
-        self.look = replace(self.look, **values)
-        self._still = None
-        self._shade = None
+    def change(self, look: PictureLook) -> None:
+        """Draw pictures with these properties from now on."""
+        if look != self.look:
+            self.look = look
+            self._still = None
+            self._shade = None
 
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], is_shown: Bools, seconds: float

@@ -1,8 +1,8 @@
 """The emulated camera of type `cells`: a microscope above the emulated dish."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import astuple
+from collections.abc import Sequence
+from dataclasses import astuple, replace
 from random import Random
 from typing import Annotated, Any, ClassVar
 
@@ -18,7 +18,7 @@ from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import Bodies, bodies
 from tetractl_emulator.fault_rows import SEEN, FaultRow, between, signed, way
-from tetractl_emulator.faults import Fault, Undo, Visible, fault_kind
+from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.pictures.dish.live_dish import CellBody
 from tetractl_emulator.pictures.dish.picture import (
     SUB_EXPOSURES,
@@ -51,31 +51,6 @@ class MicroscopeSettings(StreamSettings):
     """Number of debris particles."""
 
 
-def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
-    """Return a function that starts a fault by changing values of the pictures' look, and that
-    returns the function that undoes the change.
-    """
-
-    def begin(fault: Any, device: Any) -> Undo:
-        painter: DishPainter = device.painter
-        before = painter.look
-        painter.change(**{name: value(fault, before) for name, value in values.items()})
-        old = {name: getattr(before, name) for name in values}
-        return lambda: painter.change(**old)
-
-    return begin
-
-
-def _bubble(fault: Any, look: PictureLook) -> tuple[RenderedSpeck, ...]:
-    x, y = look.corner_um
-    middle = x + look.width * look.um_px / 2, y + look.height * look.um_px / 2
-    return (*look.specks, RenderedSpeck(*middle, fault.size_um, 1.0, 0.0, 0.1, rim=True))
-
-
-def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
-    return look.corner_um[0] + fault.by_um[0], look.corner_um[1] + fault.by_um[1]
-
-
 def _first_of(moment: Bodies, count: int) -> Bodies:
     """Return the first `count` of some bodies."""
     return Bodies(*(part[:count] for part in astuple(moment)))
@@ -103,11 +78,6 @@ class EmulatedMicroscope(StreamedCamera):
                 FaultRow("bright", SEEN, {"share": between(1.05, 6)}),
                 FaultRow("flicker", SEEN, {"flicker": between(0.02, 1)}),
             ],
-            begin=_changes(
-                light=lambda f, look: look.light * f.share,
-                contrast=lambda f, look: look.contrast * f.share,
-                flicker=lambda f, look: f.flicker,
-            ),
         ),
         fault_kind(
             "focus",
@@ -115,7 +85,6 @@ class EmulatedMicroscope(StreamedCamera):
             Visible.EXPOSED,
             fields={"by_um": Finite},
             rows=[FaultRow("blurred", SEEN, {"by_um": signed(5, 300)})],
-            begin=_changes(focus_um=lambda f, look: f.by_um),
         ),
         fault_kind(
             "knocked",
@@ -123,7 +92,6 @@ class EmulatedMicroscope(StreamedCamera):
             Visible.EXPOSED,
             fields={"by_um": tuple[Finite, Finite]},
             rows=[FaultRow("knocked", SEEN, {"by_um": way(3, 800)})],
-            begin=_changes(corner_um=_knocked),
         ),
         fault_kind(
             "bubble",
@@ -131,7 +99,6 @@ class EmulatedMicroscope(StreamedCamera):
             Visible.EXPOSED,
             fields={"size_um": (Positive, 200.0)},
             rows=[FaultRow("bubble", SEEN, {"size_um": between(20, 600)})],
-            begin=_changes(specks=_bubble),
         ),
         fault_kind(
             "untracked",
@@ -178,6 +145,7 @@ class EmulatedMicroscope(StreamedCamera):
             ),
             self.seed,
         )
+        self._plain_look = self.painter.look
         self._bodies = cells
         self._carried = False
         self._mirrored = settings.mirrored
@@ -205,7 +173,27 @@ class EmulatedMicroscope(StreamedCamera):
         scene = bodies(self._dish.cells)
         return np.array([scene.x, scene.y, scene.height, scene.axis, scene.tilt])
 
+    def _look(self) -> PictureLook:
+        """Return how pictures look now."""
+        acting = self._stage.acting
+        look = self._plain_look
+        for light in acting.of("light"):
+            lit = {"light": look.light * light.share, "contrast": look.contrast * light.share}
+            look = replace(look, **lit, flicker=light.flicker)
+        for focus in acting.of("focus"):
+            look = replace(look, focus_um=focus.by_um)
+        for knock in acting.of("knocked"):
+            corner = look.corner_um[0] + knock.by_um[0], look.corner_um[1] + knock.by_um[1]
+            look = replace(look, corner_um=corner)
+        for bubble in acting.of("bubble"):
+            x = look.corner_um[0] + look.width * look.um_px / 2
+            y = look.corner_um[1] + look.height * look.um_px / 2
+            rim = RenderedSpeck(x, y, bubble.size_um, 1.0, 0.0, 0.1, rim=True)
+            look = replace(look, specks=(*look.specks, rim))
+        return look
+
     def _draw(self, exposed_ns: int) -> Grey:
+        self.painter.change(self._look())
         span = self.painter.look.exposure_s * SECOND
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]

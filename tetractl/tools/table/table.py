@@ -104,11 +104,6 @@ class Column:
         return cls(key, [record.get(key) for record in records])
 
     @property
-    def is_empty(self) -> bool:
-        """Whether no text says anything."""
-        return all(text in ("", NONE) for text in self.texts)
-
-    @property
     def listed(self) -> Sequence[Any]:
         """The values as Python's."""
         values = self.values  # `isinstance(given, Array)` takes as long as a hundred values
@@ -134,7 +129,7 @@ class Table:
         columns = [
             Column(name, entries, words=True) for name, entries in zip(header, values, strict=True)
         ]
-        filled = [column for column in columns[1:] if not column.is_empty]
+        filled = [column for column in columns[1:] if set(column.texts) - {"", NONE}]
         return cls(title, (columns[0], *filled))
 
     @classmethod

@@ -50,6 +50,9 @@ def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+PositiveIfStated = Annotated[Positive | None, Field(exclude_if=lambda value: value is None)]
+"""A number that specs leave out, also where they are written again with every field, if it is not
+stated."""
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 """A length in a published result, bounded so that squares do not overflow."""

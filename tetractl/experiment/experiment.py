@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import (
     Field,
-    SerializerFunctionWrapHandler,
     field_validator,
-    model_serializer,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -30,6 +28,7 @@ from tetractl.experiment.base import (
     NonNegative,
     Point,
     Positive,
+    PositiveIfStated,
     inconsistent,
 )
 from tetractl.experiment.controller import ControllerSection
@@ -172,7 +171,7 @@ class Experiment(Model):
     """The robots, all steered by the one direction u; or a mapping with `choose`: then each trial
     finds its robots.
     """
-    strength: Positive | None = None
+    strength: PositiveIfStated = None
     """Strength B of the field: in V/cm if robots have `a: {per_V_cm: ...}`, otherwise in mT, as
     coils need it. Turning rates a in rad/s are those at this strength.
     """
@@ -282,12 +281,6 @@ class Experiment(Model):
         if self.strength is None and any(isinstance(a, PerStrength) for a in rates):
             raise inconsistent("strength", f"is missing; a of robots is per {unit}: add it")
         return self
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_stated(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a strength that is not stated: specs without one are dumped as ever."""
-        fields = inner(self)
-        return {k: v for k, v in fields.items() if k != "strength" or v is not None}
 
     @property
     def open(self) -> bool:

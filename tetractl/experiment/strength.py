@@ -2,9 +2,9 @@
 
 from typing import Annotated
 
-from pydantic import Field, model_serializer, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from tetractl.experiment.base import Model, Positive, inconsistent
+from tetractl.experiment.base import Model, Positive, PositiveIfStated, inconsistent
 from tetractl.experiment.registry_fields import OrMapping
 
 UNITS = {"per_mT": "mT", "per_V_cm": "V/cm"}
@@ -14,9 +14,11 @@ UNITS = {"per_mT": "mT", "per_V_cm": "V/cm"}
 class PerStrength(Model):
     """A turning rate in proportion to the field: a = alpha B, at the spec's `strength` B."""
 
-    per_mt: Positive | None = Field(default=None, alias="per_mT")
+    model_config = ConfigDict(serialize_by_alias=True)
+
+    per_mt: PositiveIfStated = Field(default=None, alias="per_mT")
     """alpha of magnetic cells [rad/s per mT]."""
-    per_v_cm: Positive | None = Field(default=None, alias="per_V_cm")
+    per_v_cm: PositiveIfStated = Field(default=None, alias="per_V_cm")
     """alpha of cells in an electric field [rad/s per V/cm]."""
 
     @model_validator(mode="after")
@@ -24,10 +26,6 @@ class PerStrength(Model):
         if (self.per_mt is None) == (self.per_v_cm is None):
             raise inconsistent("per_mT", "give either per_mT or per_V_cm")
         return self
-
-    @model_serializer
-    def _given(self) -> dict[str, float]:
-        return {self.key: self.alpha}
 
     @property
     def key(self) -> str:

@@ -32,6 +32,20 @@ STRAIGHT = 0.7
 TURNS_ABOUT = 0.5
 """Share of their way that cells which go with a flow come on at least; and the greatest mean of a
 field's directions, as vectors of length 1, of one that turns about."""
+STRAIGHTER = 0.9
+"""Share of its VSL below which a speed along a helix cannot be: the cell turns by itself."""
+OF_THE_HELIX = (
+    "speed_um_s",
+    "speed_sd_um_s",
+    "path_um",
+    "sway_rad",
+    "helix_hz",
+    "helix_um",
+    "a_rad_s",
+    "bias_rad",
+    "magnetised",
+)
+"""Values of a cell that are then none."""
 SPEED_S = 1.0
 """Time over which a speed is measured by which the organism is chosen [s]."""
 
@@ -171,16 +185,29 @@ def track_record(
     note = f"cells are followed as {organism.name}; --organism names another"
     if cells.timing.nominal_hz < RATE_MIN:
         note = f"at fewer than {math.ceil(RATE_MIN)} pictures/s, cells have no speed along a helix"
+    notes = [note]
+    items = [
+        cell_items(cell, path, False) for cell, path in zip(summaries, cells.paths, strict=True)
+    ]
+    turning = [item for item in items if _is_slower_than_its_way(item)]
+    for item in turning:
+        item.update(dict.fromkeys(OF_THE_HELIX))
+    if turning:
+        names = _cells([str(item["cell"]) for item in turning])
+        notes.append(f"without speed and a, as they turn by themselves, as no helix does: {names}")
     return plain(
         {
             "film": source.name,
             "rate_hz": cells.timing.rate_hz,
             "organism": organism.name,
-            "cells": [
-                cell_items(cell, path, False)
-                for cell, path in zip(summaries, cells.paths, strict=True)
-            ],
-            "notes": [note],
+            "cells": items,
+            "notes": notes,
             "field": field and {"time_s": field.times, "x": field.acts.real, "y": field.acts.imag},
         }
     )
+
+
+def _is_slower_than_its_way(item: dict) -> bool:
+    """Return whether the speed of a cell along a helix is below the velocity along its way."""
+    speed = item["speed_um_s"]
+    return speed is not None and speed["ci95"][1] < STRAIGHTER * item["vsl_um_s"]

@@ -9,7 +9,12 @@ from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.fit_cell import fit_tracks
 from tetractl_microscope.foreign_tracks import SpotTrack
 from tetractl_microscope.organisms import named
-from tetractl_microscope.track_cells import organism_by_speed, stage_remarks, swimming_tracks
+from tetractl_microscope.track_cells import (
+    organism_by_speed,
+    stage_remarks,
+    swimming_tracks,
+    track_record,
+)
 
 from tetractl.core.errors import TetractlError
 
@@ -149,3 +154,57 @@ def test_a_of_a_perfect_swimmer_is_within_its_interval(helix_um, hz):
     assert summary.a.low < a < summary.a.high
     assert summary.a.value == pytest.approx(a, rel=0.03)
     assert summary.speed.low < speed < summary.speed.high
+
+
+def wandering(number, speed=100.0, hz=25.0):
+    """A cell that swims on, while its heading walks by 0.3 rad/sqrt(s); places are noisy."""
+    rng = np.random.default_rng(number)
+    when = times(15.0, hz)
+    heading = np.cumsum(rng.normal(0.0, 0.3 / math.sqrt(hz), len(when)))
+    way = np.cumsum(speed / hz * np.exp(1j * heading))
+    return track(number, when, way.real, way.imag, noise_um=0.4)
+
+
+def test_noise_of_places_makes_no_flow_past_a_swimmer():
+    """Regression: speeds of 78 (72 to 83) and 87 (83 to 91) for 100, by flows of up to 23 um/s."""
+    cells = swimming_tracks(SOURCE, [wandering(number) for number in (3, 5)], False)
+    for summary in fit_tracks(cells.paths, named("euglena"), None, cells.timing):
+        assert summary.speed.value == pytest.approx(100.0, rel=0.03)
+        assert summary.speed.low < 101.0 and summary.speed.high > 99.0
+
+
+TURNING_ABOUT = FieldRecord(np.arange(0.0, 10.0, 2.0), np.array([0.0, 1.5, -1.2, 2.5, 0.4]))
+
+
+def record(cells, field=TURNING_ABOUT):
+    tracks = swimming_tracks(SOURCE, cells, field is not None)
+    return track_record(SOURCE, tracks, named("euglena"), field)
+
+
+@pytest.mark.parametrize("turns", [2.2, -2.2])
+def test_cells_that_turn_by_themselves_in_a_field_have_no_speed_along_a_helix(turns):
+    """Regression: speeds of 46 (39 to 52) and 51 (45 to 56) for 100, without a word."""
+    result = record([turning(number, turns, speed=100.0, noise_um=0.25) for number in range(3)])
+    (_, note) = result["notes"]
+    for cell in result["cells"]:
+        speed = cell["speed_um_s"]
+        assert (speed is None) == (f"cell {cell['cell']}" in note)
+        assert speed is None or speed["value"] == pytest.approx(100.0, rel=0.05)
+        assert (cell["a_rad_s"] is None) == (cell["sway_rad"] is None) == (speed is None)
+
+
+@pytest.mark.parametrize(
+    ("cell", "field"),
+    [
+        (steered(1, TURNING_ABOUT, speed=100.0), TURNING_ABOUT),
+        (turning(1, 0.0, speed=100.0, noise_um=0.25), TURNING_ABOUT),
+        (turning(1, 1.6, speed=100.0, noise_um=0.25), None),
+        (turning(1, 0.1, speed=100.0, helix_um=5.0), TURNING_ABOUT),
+        (wandering(1), None),
+    ],
+    ids=["follows the field", "goes straight on", "turns without a field", "helix", "wanders"],
+)
+def test_other_cells_keep_their_speed(cell, field):
+    result = record([cell], field)
+    assert len(result["notes"]) == 1
+    assert result["cells"][0]["speed_um_s"]["value"] == pytest.approx(100.0, rel=0.05)

@@ -71,6 +71,7 @@ FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know
 ORDER = 6  # differences of so many successive places leave little of a path but its noise
 DIFFERENCED = math.comb(2 * ORDER, ORDER)  # their variance, over that of independent places
 MEDIAN_OF_NORMAL = 0.6745  # median absolute deviation of a normal distribution [sd]
+NO_FLOW_UM_S = 1e-3  # deviation of a flow, which places alone do not tell from swimming [um/s]
 RATE_MIN = 6.9  # rate of pictures of tracks below which a turn of a helix is too short [Hz]
 EXACTEST = 1e-3  # least deviation of a place in a table [lengths of the cell]: it is rounded
 BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]
@@ -215,7 +216,10 @@ class _Measured:
         count = len(path.times)
         deviations = np.tile((places_sd, places_sd, NO_AXIS), (count, 1))
         measured = np.column_stack([path.places, np.zeros(count), deviations])
-        return cls._of_values(path.times, measured, np.ones(count, bool), organism, field)
+        table = cls._of_values(path.times, measured, np.ones(count, bool), organism, field)
+        if table is not None:
+            table.covariance[[FLOW_X, FLOW_Y], [FLOW_X, FLOW_Y]] = NO_FLOW_UM_S**2
+        return table
 
     @classmethod
     def _of_values(

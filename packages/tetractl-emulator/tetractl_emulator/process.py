@@ -10,7 +10,7 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from errno import ENOSPC
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -31,20 +31,17 @@ from tetractl_emulator.fault_rows import (
 )
 from tetractl_emulator.faults import fault_kind, switching
 
-if TYPE_CHECKING:
-    from tetractl_emulator.emulated_lab import EmulatedLab
-
 AFTER_NS = SECOND
 """Time for which an emulated lab goes on after the process has ended [ns]: robots come to rest."""
 SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 
 class Process:
-    """The process that drives the robots of `lab` through its actuator's port, which it opens with
-    `ports`; what cannot be done to it does nothing.
+    """The process that drives the robots of `lab`, an `EmulatedLab`, through its actuator's port,
+    which it opens with `ports`; what cannot be done to it does nothing.
     """
 
-    def __init__(self, lab: "EmulatedLab", ports: Ports, clock: Clock) -> None:
+    def __init__(self, lab: Any, ports: Ports, clock: Clock) -> None:
         self._lab = lab
         self._ports = ports
         self._clock = clock
@@ -79,7 +76,7 @@ class Process:
 class PortHolder(Process):
     """The process that has locked a port of this computer."""
 
-    def __init__(self, lab: "EmulatedLab", clock: Clock) -> None:
+    def __init__(self, lab: Any, clock: Clock) -> None:
         super().__init__(lab, SerialPort, clock)
 
     def signal(self, name: str) -> None:
@@ -109,7 +106,7 @@ class ThisProcess(Process):
 
     def __init__(
         self,
-        lab: "EmulatedLab",
+        lab: Any,
         ports: Ports,
         clock: Clock,
         supervision: LabSupervision,

@@ -1,7 +1,7 @@
 """Cells that swim between the coils of an emulated driver, in real or virtual time."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from tetractl_microscope.coils.section import CoilsSection, Pair
@@ -9,9 +9,6 @@ from tetractl_microscope.coils.section import CoilsSection, Pair
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.setup import Bounds, Setup
 from tetractl.model.swimmers import Swimmers
-
-if TYPE_CHECKING:
-    from tetractl_emulator.pictures.field import CurrentDriver
 
 SWIM_NS = 2 * MILLISECOND  # time step of the cells' motion
 UM_MM = 1000.0
@@ -56,7 +53,8 @@ class CoilField:
 
 
 class Dish:
-    """Cells between the coils of a driver.
+    """Cells between the coils of a `driver`: a `CurrentDriver`, or what has its `currents` and
+    `running`, and can `advance`.
 
     `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
     placed cell stays at its place until the driver makes a field, as if a helper held it with a
@@ -65,7 +63,7 @@ class Dish:
 
     def __init__(
         self,
-        driver: "CurrentDriver",
+        driver: Any,
         field: CoilField,
         cells: Swimmers,
         start_ns: int,

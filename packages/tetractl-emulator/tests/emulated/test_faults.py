@@ -18,6 +18,7 @@ PROCESS = ("disk_full", "second_run", *SIGNALS, *AGAIN)
 SHOWN_ELSEWHERE = (  # in virtual time
     *("hung_up", "quit", "terminated"),  # and at `tetractl run` alone
     *("cut_ended", "oversized"),  # of pictures over HTTP, as `cut` and `drips` are
+    *("no_server", "stream_stops"),  # of silent sockets: test_udp_port.py
 )
 CHOSEN = [
     pytest.param(

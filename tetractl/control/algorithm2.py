@@ -47,12 +47,12 @@ class Algorithm2:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Decide u_(opt) of one control step, or end the trial."""
-        problem = self.estimator.seen(observation, last_command, earlier)  # 12: feedback
+        problem = self.estimator.add_step(observation, last_command, earlier)  # 12: feedback
         if self.section.arrived(problem.poses.distances(problem.targets)):  # 13-15
             return Outcome.ARRIVED
         if self.k > self.section.steps_max:  # 9: for k = 1 ... k_max
             return Outcome.STEPS_MAX
-        self.time.seen(observation, last_command)
+        self.time.add_step(observation, last_command)
         if self.time.over:
             return Outcome.TIME_LIMIT
         if self.warm is not None and not len(self.warm):
@@ -66,7 +66,7 @@ class Algorithm2:
         plan = make_plan(searches, best, key, compiled_foresee(problem, searches[best].signals))
         self.warm = plan.signals[1:]  # 6, 24
         self.k += 1
-        return plan.of_all(self.estimator.left, observation.poses)  # 7, 25: exert u_(opt)(1)
+        return plan.of_all(self.estimator.present, observation.poses)  # 7, 25: exert u_(opt)(1)
 
     def _candidates(self) -> Iterator[tuple[int, Floats | None]]:
         """Yield each length to search, counted in signals, with its u_gb^0."""

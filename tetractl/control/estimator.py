@@ -49,9 +49,9 @@ class StateEstimator:
         self.dead_time_s = prior.dead_time  # the identified one, or the spec's if none is [s]
 
     @property
-    def left(self) -> Bools:
+    def present(self) -> Bools:
         """True for each robot that is not lost, (N,)."""
-        return self.losses.left
+        return self.losses.present
 
     @property
     def is_radio_sparse(self) -> bool:
@@ -61,9 +61,9 @@ class StateEstimator:
     @property
     def known(self) -> Estimate | None:
         """The latest estimate for the robots that are not lost; None if nothing is identified."""
-        return self.estimate and self.estimate.only(self.left)
+        return self.estimate and self.estimate.only(self.present)
 
-    def seen(
+    def add_step(
         self,
         observation: Observation,
         last_command: Command | None = None,
@@ -73,20 +73,20 @@ class StateEstimator:
         at which the next direction acts.
         """
         if last_command is not None:
-            self.sent(last_command)
+            self.add_command(last_command)
         self._newest_ns = observation.sampled_ns
         changes_before = self.losses.changes
         replaced = [i for frame in (*earlier, observation) for i in self.losses.add_frame(frame)]
         self.robots_changed = self.losses.changes > changes_before
-        if self.robots_changed and not self.left.any():
+        if self.robots_changed and not self.present.any():
             raise ControlError("every robot is lost")
         self.filter.add_frames(observation, earlier)
         self.filter.restart(replaced)
-        forecast = self.filter.forecast(self.sends(observation))
+        forecast = self.filter.forecast(self.sending_ns(observation))
         self._held = forecast.directions
         self.dead_time_s = forecast.dead_time_s
         if self.estimate is None:
-            return replace(self.problem, poses=forecast.poses).only(self.left)
+            return replace(self.problem, poses=forecast.poses).only(self.present)
         estimate = forecast.estimate
         self.estimate = estimate
         problem = replace(
@@ -99,9 +99,9 @@ class StateEstimator:
             side=estimate.side,
             saturation=estimate.saturation,
         )
-        return problem.only(self.left)
+        return problem.only(self.present)
 
-    def sent(self, command: Command) -> None:
+    def add_command(self, command: Command) -> None:
         """Add a direction with the time at which it was sent.
 
         If the radio lets few directions through, robots hardly hear one again that is sent again
@@ -126,7 +126,7 @@ class StateEstimator:
         is_same = command.direction == sent.directions[-1]
         return bool(is_same and since_s < self.problem.period)
 
-    def sends(self, observation: Observation) -> int:
+    def sending_ns(self, observation: Observation) -> int:
         """Return the time to which the dead time of a direction decided on a frame is added [ns].
 
         The spec's dead time counts from the exposure of the frame. An identified dead time counts
@@ -147,4 +147,4 @@ class StateEstimator:
     def held_at_action(self) -> Floats:
         """The direction [rad] that each robot that is not lost follows at the moment when the next
         direction begins to act, NaN for a robot that stands still."""
-        return self._held[self.left]
+        return self._held[self.present]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from threading import get_ident
 
 import numpy as np
 
@@ -20,7 +21,7 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     from tetractl.control.kernels.rollout import costs, swarm_of
 
     flat = flatten(problem)
-    swarm = swarm_of(len(problem.a), count)
+    swarm = swarm_of(get_ident(), len(problem.a), count)
 
     def evaluate(signals: Floats) -> Floats:
         total = np.empty(count)

@@ -279,8 +279,8 @@ class Mpc:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Decide what the robots do in one step, or end the trial."""
-        self.time.seen(observation, last_command)
-        motion = self.estimator.seen(observation, last_command, earlier)
+        self.time.add_step(observation, last_command)
+        motion = self.estimator.add_step(observation, last_command, earlier)
         dead = self.estimator.losses.dead
         if dead.any() and self.setup.loss and self.setup.loss.ends:
             raise ControlError(told_dead(self.setup.names, dead))
@@ -319,7 +319,7 @@ class Mpc:
 
     def _course(self, index: int, poses: Poses) -> Course:
         """Return the course of a leg. Lost robots on wheels, at `poses`, are obstacles."""
-        present = self.estimator.left
+        present = self.estimator.present
         collision = self.section.collision
         stated = self.legs[min(index, len(self.legs) - 1), present]  # a hold is at the targets
         least = kept_apart(collision, self.setup.speed[present], self.section.period)

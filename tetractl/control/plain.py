@@ -85,7 +85,7 @@ class PlainController:
     def step(self, observation: Observation, last_command: Command | None) -> Problem | Outcome:
         """Return the problem of one step, with the poses at which the next direction acts, or the
         outcome if the trial is over."""
-        self._time.seen(observation, last_command)
+        self._time.add_step(observation, last_command)
         problem = self.predicted(observation, last_command)
         if self._ends.arrived(problem.poses.distances(problem.targets)):
             return Outcome.ARRIVED
@@ -95,7 +95,7 @@ class PlainController:
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
         """Return the problem with the poses at which the next direction acts."""
-        return self.estimator.seen(observation, last_command)
+        return self.estimator.add_step(observation, last_command)
 
     @abstractmethod
     def decided(

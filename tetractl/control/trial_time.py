@@ -22,7 +22,7 @@ class TrialTime:
         self._began_ns: int | None = None
         self._passed_ns = 0
 
-    def seen(self, observation: Observation, last_command: Command | None) -> None:
+    def add_step(self, observation: Observation, last_command: Command | None) -> None:
         """Take the time of a control step from its frame and the command before it; the first
         command begins the trial."""
         now_ns = observation.sampled_ns

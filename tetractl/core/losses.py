@@ -6,7 +6,7 @@ What follows is a matter of the spec's `LossRule`.
 
     losses = Losses(rule, speed)
     replaced = losses.add_frame(frame)      for each frame, in order
-    losses.left, losses.dead
+    losses.present, losses.dead
 """
 
 from collections.abc import Sequence
@@ -103,7 +103,7 @@ class Losses:
         """Earliest time at which a robot can be lost or back [ns]."""
 
     @property
-    def left(self) -> Bools:
+    def present(self) -> Bools:
         """Which robots (N,) are not lost."""
         return ~self.lost
 
@@ -124,7 +124,7 @@ class Losses:
             return
         self.dead = self.dead | dead
         if self._rule and self._rule.dead and not self._rule.ends:
-            newly_lost = dead & self.left
+            newly_lost = dead & self.present
             self._change(newly_lost, self.lost | newly_lost)
 
     def _count_waiting(self, rule: LossRule) -> list[int]:
@@ -135,14 +135,14 @@ class Losses:
             tracked_ns = np.full(len(self.lost), self._waiting[-1].sampled_ns)
         is_back = np.zeros_like(self.lost)
         for frame in self._waiting:
-            newly_lost = self.left & (frame.sampled_ns - tracked_ns >= after_ns)
+            newly_lost = self.present & (frame.sampled_ns - tracked_ns >= after_ns)
             tracked_ns[frame.valid] = frame.sampled_ns
             lost = self.lost | newly_lost
             is_back = lost & frame.valid & rule.replaced
             if newly_lost.any() or is_back.any():
                 self._change(newly_lost, lost & ~is_back)
         self._tracked_ns = tracked_ns
-        self._due_ns = int(tracked_ns.min()) + after_ns if self.left.all() else 0
+        self._due_ns = int(tracked_ns.min()) + after_ns if self.present.all() else 0
         self._waiting.clear()
         return np.flatnonzero(is_back).tolist()
 

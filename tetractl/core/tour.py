@@ -66,13 +66,11 @@ class TourMeasure:
             if until_ns and sample.observation.sampled_ns > until_ns:
                 continue
             self.losses.add_frame(sample.observation)
-            if self._hold is not None and self._is_in_hold(sample.observation.sampled_ns):
+            if self._hold is None or self._hold_began_ns is None:
+                continue
+            if sample.observation.sampled_ns >= self._hold_began_ns:
                 self._hold_frames += 1
                 self._frames_inside += self._are_inside(sample, self._hold.radius)
-
-    def _is_in_hold(self, sampled_ns: int) -> bool:
-        """Return whether robots held at a time."""
-        return self._hold_began_ns is not None and sampled_ns >= self._hold_began_ns
 
     def _are_inside(self, sample: Sample, radius: float) -> Bools:
         """Return which robots (N,) are within a radius of their targets, by their true poses if
@@ -92,7 +90,7 @@ class TourMeasure:
     @property
     def stood(self) -> Bools:
         """Which robots (N,) are dead and were not lost for it."""
-        return self.losses.dead & self.losses.left
+        return self.losses.dead & self.losses.present
 
     @property
     def lost(self) -> tuple[int, ...]:

@@ -160,7 +160,7 @@ def drive(
         if altered:
             earlier = [altered(frame) for frame in earlier]
             newest = altered(newest)
-        estimator.seen(newest, command, earlier)
+        estimator.add_step(newest, command, earlier)
         if watch:
             watch(k, estimator, plant)
         command = plant.send(Steer(direction) if k < stop_s * rate else Stop())
@@ -384,10 +384,10 @@ def test_a_signal_that_is_sent_again_is_reported_once_where_few_get_through():
     estimator.filter.reception.times_shown = 2
     before = estimator.filter.commands.number
     for since_s in (0.0, 0.05, 0.1, 0.15, signal_s):
-        estimator.sent(Command(Steer(0.7), round((2 + since_s) * SECOND), (True,) * 3))
+        estimator.add_command(Command(Steer(0.7), round((2 + since_s) * SECOND), (True,) * 3))
     assert estimator.filter.commands.number == before + 2
     estimator.filter.reception.times_shown = 0
-    estimator.sent(Command(Steer(0.7), round(2.25 * SECOND), (True,) * 3))
+    estimator.add_command(Command(Steer(0.7), round(2.25 * SECOND), (True,) * 3))
     assert estimator.filter.commands.number == before + 3
 
 

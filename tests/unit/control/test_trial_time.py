@@ -23,20 +23,20 @@ def sent(seconds):
 def test_a_trial_of_two_seconds_has_ten_periods_after_its_first_command(latency_s):
     """However old its frames are."""
     time = TrialTime(2.0, 0.2)
-    time.seen(seen(1.0), None)  # the first plan takes 4 s
+    time.add_step(seen(1.0), None)  # the first plan takes 4 s
     steps = 0
     while not time.over:
         steps += 1
-        time.seen(seen(5.0 + 0.2 * steps - latency_s), sent(4.8 + 0.2 * steps))
+        time.add_step(seen(5.0 + 0.2 * steps - latency_s), sent(4.8 + 0.2 * steps))
         assert int(time.periods_left) == 10 - steps
     assert steps == 10
 
 
 def test_a_rest_takes_its_time():
     time = TrialTime(2.0, 0.2)
-    time.seen(seen(0.0), None)
-    time.seen(seen(0.2), sent(0.0))
-    time.seen(seen(1.1), sent(0.4))
+    time.add_step(seen(0.0), None)
+    time.add_step(seen(0.2), sent(0.0))
+    time.add_step(seen(1.1), sent(0.4))
     assert time.passed_s == pytest.approx(1.1)
 
 
@@ -47,11 +47,11 @@ def test_after_a_rest_of_three_and_a_half_periods_each_step_takes_one_of_those_l
     The rest begins with the first command and ends at 0.7 s. Of 20 s, 96.5 periods are left then.
     """
     time = TrialTime(20.0, 0.2)
-    time.seen(seen(0.0), None)
+    time.add_step(seen(0.0), None)
     periods_left = []
     for step in range(97):
         end_of_rest_s = 0.7
         last_sent_s = end_of_rest_s - 0.2 + 0.2 * step if step else 0.0
-        time.seen(seen(end_of_rest_s + 0.2 * step), sent(last_sent_s))
+        time.add_step(seen(end_of_rest_s + 0.2 * step), sent(last_sent_s))
         periods_left.append(int(time.periods_left))
     assert periods_left == list(range(97, 0, -1))

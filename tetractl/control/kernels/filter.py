@@ -306,7 +306,13 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
     no slot is left, the other branches are dropped.
     """
     driving = hypotheses.ln_weight.size - 1
-    parents = _copied(hypotheses, driving)
+    parents = Hypotheses(
+        state=hypotheses.state[:driving].copy(),
+        cov=hypotheses.cov[:driving].copy(),
+        direction=hypotheses.direction[:driving].copy(),
+        until_s=hypotheses.until_s[:driving].copy(),
+        ln_weight=hypotheses.ln_weight[:driving].copy(),
+    )
     ln_branches = _ln_branches(parents, u)
     parent_of = np.empty(driving, np.int64)  # the parent of the branch in each slot taken
     for s in range(driving):
@@ -628,18 +634,6 @@ def _hypotheses(bank, b, i):
         direction=bank.direction[b, i],
         until_s=bank.until_s[b, i],
         ln_weight=bank.ln_weight[b, i],
-    )
-
-
-@compiled(**INLINE_FAST)
-def _copied(hypotheses, count):
-    """Return a copy of the first `count` hypotheses."""
-    return Hypotheses(
-        state=hypotheses.state[:count].copy(),
-        cov=hypotheses.cov[:count].copy(),
-        direction=hypotheses.direction[:count].copy(),
-        until_s=hypotheses.until_s[:count].copy(),
-        ln_weight=hypotheses.ln_weight[:count].copy(),
     )
 
 

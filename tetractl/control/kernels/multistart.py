@@ -14,7 +14,6 @@ how it ended:
 
 import math
 from functools import lru_cache
-from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,18 +95,11 @@ class Rounds(NamedTuple):
         self.state.best_cost = math.inf
 
 
-def rounds_for(
-    count: int, particles: int, knots: int, length: int, steps_max: int, rounds: int
-) -> Rounds:
-    """Return the present thread's arrays for searches of these sizes."""
-    return _rounds_for(get_ident(), count, particles, knots, length, steps_max, rounds)
-
-
 @lru_cache(maxsize=64)
-def _rounds_for(
+def rounds_for(
     thread: int, count: int, particles: int, knots: int, length: int, steps_max: int, rounds: int
 ) -> Rounds:
-    """Return the arrays of one thread."""
+    """Return the arrays of a thread for searches of these sizes."""
     return Rounds(
         scattered=np.empty((length, particles)),
         scattered_costs=np.empty(particles),

@@ -6,7 +6,6 @@ signal by signal, so that the loops over them are vector code.
 
 import math
 from functools import lru_cache
-from threading import get_ident
 from typing import NamedTuple
 
 import numpy as np
@@ -53,14 +52,9 @@ class Swarm(NamedTuple):
     """(P,) for `count_hits`."""
 
 
-def swarm_of(robots: int, particles: int) -> Swarm:
-    """Return the present thread's arrays for robots and particles of these numbers."""
-    return _swarm_of(get_ident(), robots, particles)
-
-
 @lru_cache(maxsize=64)
-def _swarm_of(thread: int, robots: int, particles: int) -> Swarm:
-    """Return the arrays of one thread, each aligned to cache lines."""
+def swarm_of(thread: int, robots: int, particles: int) -> Swarm:
+    """Return the arrays of a thread for robots and particles of these numbers."""
     of_robots = _aligned((5, robots, particles))
     of_particles = _aligned((8, particles))
     return Swarm(*of_robots, *of_particles)

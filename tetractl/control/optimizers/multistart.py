@@ -9,6 +9,7 @@ made by random starts and selection: each round draws many smooth sequences, eva
 vectorised rollout and polishes only the best.
 """
 
+from threading import get_ident
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -123,7 +124,7 @@ class _PolishedSearch:
         self.rounds_max = rounds_max
         self.particles = section.particles
         self.problem = motion.flatten(problem)
-        self.swarm = rollout.swarm_of(len(problem.a), section.particles)
+        self.swarm = rollout.swarm_of(get_ident(), len(problem.a), section.particles)
         self.room = levenberg.room_for(problem, length)
         self.key = np.uint64(key)
         self.warm = np.empty(0) if warm is None else warm
@@ -133,6 +134,7 @@ class _PolishedSearch:
             patience=round(section.patience * growth),
         )
         self.rounds = multistart.rounds_for(
+            thread=get_ident(),
             count=min(section.polished, section.particles),
             particles=section.particles,
             knots=min(round(section.knots * growth), length),

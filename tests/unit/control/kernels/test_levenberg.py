@@ -42,9 +42,9 @@ class Polished(NamedTuple):
 
 
 def compiled(problem, start, iterations, budget=2**62):
-    rounds = kernel._rounds_for.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
+    rounds = kernel.rounds_for.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
     rounds.begin(start[None])
-    rooms = swarm_of(len(problem.a), 1), room_for(problem, len(start))
+    rooms = swarm_of(0, len(problem.a), 1), room_for(problem, len(start))
     settings = PolishSettings(TOLERANCE, SLACK, PATIENCE)
     limits = settings, max(budget, 1) + 1, kernel.UNLIMITED, False
     kernel.search(flatten(problem), *rooms, np.uint64(0), np.empty(0), 0, *limits, rounds)

@@ -44,9 +44,9 @@ def searched(
 ):
     """Return how a search ended, and what became of its starts (S, L) and rounds."""
     count, length = starts.shape
-    rooms = swarm_of(len(problem.a), particles), room_for(problem, length)
+    rooms = swarm_of(0, len(problem.a), particles), room_for(problem, length)
     sizes = max(count, best), particles, knots, length, STEPS, rounds
-    found = kernel._rounds_for.__wrapped__(0, *sizes)
+    found = kernel.rounds_for.__wrapped__(0, *sizes)
     found.begin(starts)
     settings = PolishSettings(tolerance, SLACK, PATIENCE)
     limits = settings, budget, look, cut_short

@@ -105,9 +105,9 @@ def test_the_polish_ends(odd, place):
         numbers = getattr(problem, place).copy()
         numbers[0] = odd
         problem = replace(problem, **{place: numbers})
-    rounds = multistart._rounds_for.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
+    rounds = multistart.rounds_for.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
     rounds.begin(start[None])
-    rooms = swarm_of(len(problem.a), 1), room_for(problem, len(start))
+    rooms = swarm_of(0, len(problem.a), 1), room_for(problem, len(start))
     no_draws = np.uint64(0), np.empty(0), 0
     limits = PolishSettings(1e-3, 0.5, 6), 10_000, multistart.UNLIMITED, False
     assert ends(lambda: multistart.search(flatten(problem), *rooms, *no_draws, *limits, rounds))

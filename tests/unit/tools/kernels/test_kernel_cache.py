@@ -57,7 +57,7 @@ for k, u in enumerate(np.random.default_rng(1).uniform(-2, 2, 40)):
     clock.sleep_until(k * SECOND // 5)
     seen = plant.observe()
     frames = [one.observation for one in plant.samples()]
-    digest.update(known.seen(seen, command, frames[:-1]).poses.array().tobytes())
+    digest.update(known.add_step(seen, command, frames[:-1]).poses.array().tobytes())
     command = plant.send(Steer(float(u)))
     digest.update(b"".join(np.asarray(value).tobytes() for value in astuple(known.estimate)))
 hits = [sum(kernel.stats.cache_hits.values()) for kernel in (follow, place)]

@@ -638,6 +638,22 @@ def test_a_robot_that_is_never_tracked_is_left_out(tmp_path, commands):
     assert f"{tmp_path / 'p.csv'}: no pose is of b" in track.remarks
 
 
+def test_a_robot_may_be_seen_in_one_of_two_trials(tmp_path):
+    poses = LOST.replace("heading_rad", "heading_rad,trial").replace(",,,", ",,,,1")
+    poses = poses.replace("0.1\n", "0.1,1\n") + "".join(
+        f"{t / 10},{robot},{t * 9},{y},0.1,2\n"
+        for t in range(8)
+        for robot, y in (("a", 0), ("b", 9))
+    )
+    commands = "time_s,v_mm_s,w_rad_s,trial\n" + "".join(
+        f"{t / 10},90,{t},{trial}\n" for trial in (1, 2) for t in range(8)
+    )
+    first, second = tracks_of(tmp_path, poses, commands)
+    assert first.names == second.names == ("a", "b")
+    assert first.valid.sum(axis=0).tolist() == [8, 0]
+    assert second.valid.sum(axis=0).tolist() == [8, 8]
+
+
 def test_a_table_without_a_pose_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"has no robot that is seen$"):
         tracks_of(tmp_path, LOST.replace(",a,", ",b,").replace("0.1\n", "\n"), COMMANDS)
@@ -921,3 +937,21 @@ def test_a_word_among_numbers_is_told_from_an_entry_that_is_empty(tmp_path):
     with pytest.raises(UsageError, match=r"line 3: x_mm: 'lost' is not a number") as caught:
         tracks_of(tmp_path, POSES.replace("3,2,0.2", "lost,2,0.2"), COMMANDS)
     assert caught.value.hint == "where nothing was measured, leave the entry empty"
+
+
+@pytest.mark.parametrize(
+    ("header", "hint"),
+    [
+        ("frame,x_m,y_m,heading_rad", "time_s is the number of the frame over"),
+        ("time_s,x_m,y_m,theta_rad", "name theta heading_rad"),
+        ("time_s,x_m,y_m,yaw", "name yaw heading_rad"),
+        ("time_s,x_m,y_m,qx,qy,qz,qw", "heading_rad is 2 atan2(qz, qw)"),
+        ("frame,x_m,y_m,yaw", "pictures per second; name yaw"),
+        ("frame,time_s,x_m,y_m", "poses have the columns"),
+    ],
+)
+def test_what_a_table_has_instead_of_a_column_is_told(tmp_path, header, hint):
+    row = ",".join("0" for _ in header.split(","))
+    with pytest.raises(UsageError, match="contains poses without") as caught:
+        tracks_of(tmp_path, f"{header}\n{row}\n", COMMANDS)
+    assert hint in (caught.value.hint or "")

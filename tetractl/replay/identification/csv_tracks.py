@@ -65,6 +65,13 @@ FORMS = {
     "speeds of wheels": ("left_mm_s", "right_mm_s", "radius_mm"),
 }
 """The columns of each kind of table, besides the time."""
+INSTEAD = {
+    ("time_s", "frame"): "time_s is the number of the frame over the pictures per second",
+    ("heading_rad", "theta"): "name theta heading_rad, or heading_deg",
+    ("heading_rad", "yaw"): "name yaw heading_rad, or heading_deg",
+    ("heading_rad", "qz"): "heading_rad is 2 atan2(qz, qw)",
+}
+"""What to do if a table lacks a column, and has another instead."""
 AGAIN = 0.1
 """Share of the time so far, from its begin, within which a time that falls starts again."""
 ALONG = 0.5
@@ -279,7 +286,7 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
     sent_to = {robot for numbers in trials for robot in numbers.twists}
     if "" in sent_to or not sent_to or not seen:
         return set()
-    receivers = ", ".join(printable(robot) for robot in sorted(sent_to))
+    receivers = _names(sent_to)
     if seen == {""}:
         if len(sent_to) == 1:
             return set()
@@ -289,12 +296,17 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
         )
     idle = seen - sent_to
     if idle == seen:
-        names = ", ".join(printable(robot) for robot in sorted(seen))
         raise UsageError(
-            f"{paths.commands_path}: no command is for {names}; commands are for {receivers}",
+            f"{paths.commands_path}: no command is for {_names(seen)}; commands are for "
+            f"{receivers}",
             "name robots alike in both files",
         )
     return idle
+
+
+def _names(robots: Collection[str]) -> str:
+    """Return the names of robots as text."""
+    return ", ".join(printable(robot) for robot in sorted(robots))
 
 
 def _unseen_robots(trials: list[_Numbers]) -> set[str]:
@@ -346,16 +358,22 @@ def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -
     has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SAID])
     likeliest = max(present, key=lambda form: present[form])
     said = "contains neither poses nor commands"
+    hint = (
+        "poses have the columns time_s, robot, x_mm, y_mm, heading_rad; commands time_s and "
+        "direction_rad, or time_s, v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm"
+    )
     if present[likeliest]:
         named = {name_and_unit(header)[0] for header in headers}
         lacks = [] if named & set(TIME_NAMES) else ["time_s"]
         lacks += [column for column in FORMS[likeliest] if name_and_unit(column)[0] not in named]
         said = f"contains {likeliest} without {' and '.join(lacks)}"
-    return UsageError(
-        f"{path}: {said}: its columns are {has}",
-        "poses have the columns time_s, robot, x_mm, y_mm, heading_rad; commands time_s and "
-        "direction_rad, or time_s, v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm",
-    )
+        remedies = [
+            remedy
+            for (lacked, instead), remedy in INSTEAD.items()
+            if lacked in lacks and instead in named
+        ]
+        hint = "; ".join(remedies) or hint
+    return UsageError(f"{path}: {said}: its columns are {has}", hint)
 
 
 def _command_columns(
@@ -445,13 +463,12 @@ def _track(
         valid, remarks = _measured(poses_path, names, begin + time, poses, valid)
     if not numbers.twists:
         _check_angles(poses_path, names, time, poses, valid)
-    for absent_robots, source, said in (
-        (idle, commands_path, "no command is for"),
-        (unseen - idle, poses_path, "no pose is of"),
-    ):
-        named = sorted(absent_robots & set(numbers.robots))
-        if named:
-            remarks.append(f"{source}: {said} {', '.join(map(printable, named))}")
+    unsent = idle & set(numbers.robots)
+    if unsent:
+        remarks.append(f"{commands_path}: no command is for {_names(unsent)}")
+    never_seen = (unseen - idle) & set(numbers.robots)
+    if never_seen:
+        remarks.append(f"{poses_path}: no pose is of {_names(never_seen)}")
     until = float(sent.when[-1]) + _usual_gap(sent.when)
     poses_span = Span(str(poses_path), begin, begin + float(time[-1]))
     commands_span = Span(str(commands_path), begin + float(sent.when[0]), begin + until)

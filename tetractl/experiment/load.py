@@ -113,11 +113,14 @@ def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) ->
 def parse_contents(
     contents: Mapping[str, Any], name: str, settings: Sequence[SpecSetting] = ()
 ) -> LoadedSpec:
-    """Check a spec given as its contents, as `parse_spec` does; problems name fields, but no lines,
-    which no file has."""
+    """Check a spec given as its contents, as `parse_spec` does; problems and warnings name fields,
+    but no lines, which no file has."""
     text = as_text(contents, name)
     with without_lines():
-        return parse_spec(text, name, settings)
+        document = parse_document(text, name)
+        for loc, place in document.places.items():
+            document.places[loc] = replace(place, line=None, column=None)
+        return load_document(document, settings)
 
 
 @contextmanager

@@ -4,11 +4,12 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 from support.bounded import best_plan, spec
 from support.paths import ROOT
 
 from tetractl.experiment.consistency import same_names
-from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.load import load_spec, parse_contents, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 
@@ -140,6 +141,14 @@ def test_a_warning_stands_at_its_line_or_at_its_setting():
     assert ": robots.2.heading: 90: is more than" in str(warning)
     (set_,) = found(THREE, "robots.red.heading=90").values()
     assert str(set_).startswith("--set robots.red.heading=90: robots.2.heading: 90: ")
+
+
+def test_a_warning_of_contents_names_no_line():
+    """Regression: it named a line and a column of a file that there is not."""
+    contents = yaml.safe_load(THREE.read_text("utf-8"))
+    contents["robots"][2]["heading"] = 90
+    (warning,) = find_warnings(parse_contents(contents, "spec"))
+    assert str(warning).startswith("spec: robots.2.heading: 90: is more than")
 
 
 def test_a_warning_of_an_identified_value_names_the_file_that_states_it(tmp_path):

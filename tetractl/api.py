@@ -49,15 +49,22 @@ def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
     Raises SpecError with one line per problem.
     """
     demand(path, str | Path, "load_spec reads a file, parse_spec a dict")
+    _demand_texts(sets)
     return load.load_spec(Path(path), sets)
 
 
 def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
     """Check a spec given as YAML text or as a mapping; `sets` and errors are as in `load_spec`."""
+    _demand_texts(sets)
     if isinstance(text, Mapping):
         return load.parse_contents(text, "spec", sets)
     demand(text, str, "the contents of a spec are a text or a dict")
     return load.parse_spec(text, "spec", sets)
+
+
+def _demand_texts(sets: Sequence[str]) -> None:
+    for setting in sets:
+        demand(setting, str, 'a setting is a text such as "trials.count=5"')
 
 
 def experiment_schema() -> dict[str, Any]:

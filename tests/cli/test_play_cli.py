@@ -12,7 +12,7 @@ from support.terminal import Terminal
 from support.trials import three_robots
 
 import tetractl as package
-from tetractl.cli.play import _error
+from tetractl.cli.play import _best, _error
 from tetractl.experiment.section_abilities import GivenDirections
 
 pytestmark = pytest.mark.slow
@@ -130,7 +130,7 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
         terminal.expect("ENTER: the controller  R: again")
         terminal.press("\x1b[A")  # answers nothing
         terminal.press("\r")
-        terminal.expect(r"You: [\d.]+ mm in \d+ s. Now the")
+        terminal.expect(r"Your best: [\d.]+ mm in \d+ s. Now the")
         terminal.expect("ENTER: end")
         terminal.press("\r")
         terminal.expect(r"you [\d.]+ mm in \d+ s.*, the controller [\d.]+ mm in \d+ s")
@@ -235,3 +235,14 @@ def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():
     result = replace(log.result, total_error=0.000519)
     assert _error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
     assert _error(replace(result, total_error=6.9), log.experiment).startswith("6.90 mm in")
+
+
+def test_the_best_try_is_one_that_is_not_lost():
+    result = three_robots().result
+    assert result
+    outside = replace(result.verdict, edge=(-1.0, 100.0, 100.0))
+    lost = replace(result, total_error=1.0, verdict=outside)
+    kept = replace(result, total_error=9.0)
+    assert lost.left_arena
+    assert _best([lost, kept]) is kept
+    assert _best([lost]) is lost

@@ -200,6 +200,12 @@ def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("load", [tetractl.load_spec, tetractl.parse_spec])
+def test_settings_in_a_dict_are_refused_in_one_line(load):
+    with pytest.raises(tetractl.UsageError, match=r'a setting is a text such as "trials.count=5"'):
+        load("name: x", {"trials.count": 2})
+
+
 def test_a_study_is_run_from_its_contents(tmp_path):
     """Also its base is what a script has in hand."""
     study = {

@@ -293,7 +293,7 @@ def _controller_steers(game: Game, console: "Console", speed: float) -> str:
     from tetractl.view.terminal.hand_keys import HandKeys
     from tetractl.view.terminal.live_screen import LiveView
 
-    you = f"You: {_how_well(game.yours[-1], game.experiment)}."
+    you = f"Your best: {_how_well(_best(game.yours), game.experiment)}."
     keys = HandKeys(ended=lambda: game.interrupt.requested)
     aside = (
         f"{you} Now the controller, from the same start. Dots: its plan, made again at each step."
@@ -363,6 +363,12 @@ def _line(game: Game) -> str:
     if game.theirs is not None:
         parts.append(f"the controller {_how_well(game.theirs, game.experiment)}")
     return ", ".join(parts)
+
+
+def _best(results: "Sequence[Result]") -> "Result":
+    """Return the result of the least error, of those that are not lost if there are any."""
+    kept = [r for r in results if not (r.entered_obstacle or r.left_arena)]
+    return min(kept or results, key=lambda result: result.total_error)
 
 
 def _how_well(result: "Result", experiment: "Experiment") -> str:

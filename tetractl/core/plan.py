@@ -36,7 +36,7 @@ class Outcome(StrEnum):
         return {
             Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
             Outcome.SEQUENCE_COMPLETED: "every signal was sent",
-            Outcome.NO_BETTER_PLAN: "stopped, as no plan found was worth its time",
+            Outcome.NO_BETTER_PLAN: "stopped where driving on would gain too little",
             Outcome.STEPS_MAX: "the largest number of control steps was reached",
             Outcome.TIME_LIMIT: "the trial's time was over",
             Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",

@@ -93,13 +93,14 @@ class TrialSoFar:
         self._result = result
 
     def warnings(self) -> tuple[str, ...]:
-        """Return which robots were in an obstacle or outside the arena, and who is outside now."""
+        """Return by which robots the trial is lost, who were in an obstacle or outside the arena, and
+        where those are that are outside now."""
         setup = self.start.setup
         verdict = self._path.verdict(Poses.of(self._poses))
         names = np.array(setup.names)
-        entered = [f"{name} entered an obstacle" for name in names[verdict.in_obstacle()]]
+        entered = [f"{name} entered an obstacle: lost" for name in names[verdict.in_obstacle()]]
         left = [
-            f"{names[robot]} left the arena{self._where_outside(robot)}"
+            f"{names[robot]} left the arena: lost{self._where_outside(robot)}"
             for robot in np.flatnonzero(verdict.over_edge()).tolist()
         ]
         return (*entered, *left)
@@ -109,14 +110,14 @@ class TrialSoFar:
         arena = self.start.setup.arena
         x, y = self._poses[robot, :2]
         beyond = {
-            "left of it": arena.left - x,
-            "right of it": x - arena.right,
-            "below it": arena.bottom - y,
-            "above it": y - arena.top,
+            "left": arena.left - x,
+            "right": x - arena.right,
+            "below": arena.bottom - y,
+            "above": y - arena.top,
         }
         side = max(beyond, key=lambda side: beyond[side])
         unit = self.start.setup.unit
-        return f": {beyond[side]:.3g} {unit} {side}" if beyond[side] > 0 else ""
+        return f", {beyond[side]:.4g} {unit} {side}" if beyond[side] > 0 else ""
 
     def moment(self) -> Moment:
         """Return the newest instant."""

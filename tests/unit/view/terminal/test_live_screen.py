@@ -241,8 +241,8 @@ def test_a_plain_view_names_who_entered_an_obstacle_and_no_steps(tmp_path):
         view.on_samples([Sample(observation, None)])
         view.say("words", "Any key ends")
     last = pictures(console)[-1]
-    assert "blue entered an obstacle" in last
-    assert "red left the arena: 1 mm left of it" in last
+    assert "blue entered an obstacle: lost" in last
+    assert "red left the arena: lost, 1 mm left" in last
     assert "green left" not in last
     assert "step k" not in last
     assert "Any key ends" in last

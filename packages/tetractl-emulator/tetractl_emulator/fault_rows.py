@@ -63,44 +63,52 @@ def between(low: float, high: float) -> DrawValue:
     return lambda d: float(f"{low * (high / low) ** d.strength:.4g}")
 
 
-def whole(low: float, high: float) -> DrawValue:
+def whole_number(low: float, high: float) -> DrawValue:
     """Return the draw of a whole number as `between`."""
-    return lambda d: round(between(low, high)(d))
+    value = between(low, high)
+    return lambda d: round(value(d))
 
 
 def part(low: float, high: float) -> DrawValue:
     """Return the draw of a share as `between`, 1 at most."""
-    return lambda d: min(1.0, between(low, high)(d))
+    value = between(low, high)
+    return lambda d: min(1.0, value(d))
 
 
 def less(low: float, high: float, least: float = 0.0) -> DrawValue:
     """Return the draw of what is left of 1, at least `least`."""
-    return lambda d: max(least, round(1 - between(low, high)(d), 4))
+    lacking = between(low, high)
+    return lambda d: max(least, round(1 - lacking(d), 4))
 
 
 def signed(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
     """Return the draw of a value as `between`, of either sign; times `a_frame`."""
-    return lambda d: round(d.random.choice((-1, 1)) * between(low, high)(d) * a_frame, 7)
+    size = between(low, high)
+    return lambda d: round(d.random.choice((-1, 1)) * size(d) * a_frame, 7)
 
 
 def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
     """Return the draw of a factor that is off from 1 as `signed`."""
-    return lambda d: 1 + signed(low, high, a_frame)(d)
+    change = signed(low, high, a_frame)
+    return lambda d: 1 + change(d)
 
 
 def way(low: float, high: float) -> DrawValue:
     """Return the draw of a vector of a length between two, in any direction."""
-    return lambda d: _vector(between(low, high)(d), d.random.uniform(-math.pi, math.pi))
+    length = between(low, high)
+    return lambda d: _vector(length(d), d.random.uniform(-math.pi, math.pi))
 
 
 def off(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
     """Return the draw of a vector as `way`, in robots' scale; times `a_frame`."""
-    return lambda d: [round(value * d.scale * a_frame, 6) for value in way(low, high)(d)]
+    vector = way(low, high)
+    return lambda d: [round(value * d.scale * a_frame, 6) for value in vector(d)]
 
 
 def along(low: float, high: float, angle: float) -> DrawValue:
     """Return the draw of the way in a frame at a speed, to and fro along a direction."""
-    return lambda d: _vector(signed(low, high, d.scale * FRAME_S)(d), angle)
+    speed = signed(low, high)
+    return lambda d: _vector(speed(d) * d.scale * FRAME_S, angle)
 
 
 def one_of(*values: Any) -> DrawValue:
@@ -130,7 +138,9 @@ WHEEL = one_of("left", "right", "both")
 
 
 def _vector(length: float, angle: float) -> list[float]:
-    return [round(length * math.cos(angle), 6), round(length * math.sin(angle), 6)]
+    x = length * math.cos(angle)
+    y = length * math.sin(angle)
+    return [round(x, 6), round(y, 6)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ class ActingFaults:
         self._faults: dict[str, list[Any]] = {}  # by kinds, in the order in which they began
 
     @property
-    def begun(self) -> bool:
+    def any_yet(self) -> bool:
         """Whether any fault acts, or has acted."""
         return bool(self._faults)
 

@@ -57,8 +57,8 @@ class SerialLine:
     @property
     def speed(self) -> int:
         """The baud rate that the device really has."""
-        other = self._acting.newest("baud")
-        return self.baud if other is None else other.baud
+        wrong_baud = self._acting.newest("baud")
+        return self.baud if wrong_baud is None else wrong_baud.baud
 
     def disturbed(self, data: bytes) -> bytes:
         """Return bytes as the line passes them on."""

@@ -165,7 +165,7 @@ class EmulatedRobot:
 
     def share(self, wheel: str) -> float:
         """Return the share of its speed at which the left or the right wheel turns."""
-        if not self.acting.begun:
+        if not self.acting.any_yet:
             return 1.0
         if any(f.wheel in (wheel, "both") for f in self.acting.of("wheel_stuck", self.name)):
             return 0.0
@@ -273,7 +273,8 @@ class EmulatedRobots:
                 self._held = held
                 counts, shares = (np.array(values).T for values in zip(*held, strict=True))
                 wheeled.targets[:] = shares * self._drivetrains.speeds(counts)
-                wheeled.wheels[shares == 0] = 0.0  # a stuck wheel stands at once
+                is_stuck = shares == 0
+                wheeled.wheels[is_stuck] = 0.0  # it stands at once
             steps.now_ns = min(steps.now_ns + MILLISECOND, until_ns)
             steps.ends_ns.append(steps.now_ns)
 

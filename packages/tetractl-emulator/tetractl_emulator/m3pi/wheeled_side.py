@@ -29,7 +29,7 @@ from tetractl_emulator.fault_rows import (
     lost,
     off,
     signed,
-    whole,
+    whole_number,
 )
 from tetractl_emulator.faults import Share, Undo, fault_kind, port_faults, switching
 from tetractl_emulator.loop import Loop, Timeline
@@ -356,7 +356,9 @@ WHEELED_FAULTS = (
         "low_battery",
         "A robot's battery has this voltage [mV].",
         fields={"robot": Name, "millivolts": Annotated[int, Field(ge=0, le=9000)]},
-        rows=[FaultRow("battery low", "battery", {"millivolts": whole(4700, 3500)}, start=0.9)],
+        rows=[
+            FaultRow("battery low", "battery", {"millivolts": whole_number(4700, 3500)}, start=0.9)
+        ],
     ),
 )
 """The faults of a `WheeledSide`."""

@@ -236,11 +236,13 @@ class EmulatedOptitrack(PoseCamera):
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
         damaged = self.acting.share("bad_datagrams")
-        other = self.acting.newest("other_version")
+        wrong_version = self.acting.newest("other_version")
         packed: dict[natnet.Version, bytes] = {}
         for address, version in self._receivers(now_ns):
             if version not in packed:
-                sent_as = version if other is None else natnet.Version.of(other.version)
+                sent_as = (
+                    version if wrong_version is None else natnet.Version.of(wrong_version.version)
+                )
                 packed[version] = pack_answer(frame, sent_as)
             message = packed[version]
             if damaged and self._random.random() < damaged:

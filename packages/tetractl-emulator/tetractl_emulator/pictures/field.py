@@ -31,7 +31,7 @@ from tetractl_emulator.fault_rows import (
     less,
     one_of,
     signed,
-    whole,
+    whole_number,
 )
 from tetractl_emulator.faults import (
     ActingFaults,
@@ -217,7 +217,7 @@ FAULTS = (
         "low_supply",
         "The driver's supply has this voltage [mV].",
         fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
-        rows=[FaultRow("supply low", FIELD, {"millivolts": whole(12_000, 5_000)})],
+        rows=[FaultRow("supply low", FIELD, {"millivolts": whole_number(12_000, 5_000)})],
     ),
     fault_kind(
         "hot",

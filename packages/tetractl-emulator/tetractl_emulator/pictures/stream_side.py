@@ -22,7 +22,7 @@ from tetractl_emulator.fault_rows import (
     between,
     one_of,
     part,
-    whole,
+    whole_number,
 )
 from tetractl_emulator.faults import Fault, Share, Undo, Visible, adding, fault_kind
 from tetractl_emulator.loop import Loop
@@ -117,7 +117,7 @@ STREAM_FAULTS = (
         "Only every second picture, or every n-th, is sent.",
         Visible.SENT,
         fields={"every": (Annotated[int, Field(ge=2, le=1000)], 2)},
-        rows=[FaultRow("pictures slow", SEEN, {"every": whole(2, 60)})],
+        rows=[FaultRow("pictures slow", SEEN, {"every": whole_number(2, 60)})],
     ),
     fault_kind(
         "late_pictures",

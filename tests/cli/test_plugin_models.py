@@ -26,7 +26,7 @@ from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels.levenberg import PolishSettings, room_for
 from tetractl.control.kernels.motion import flatten
 from tetractl.control.kernels.multistart import UNLIMITED, rounds_for, search
-from tetractl.control.kernels.rollout import swarm_of
+from tetractl.control.kernels.rollout import rollouts_of
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
 
@@ -38,7 +38,7 @@ compiled = compiled_costs(problem, 200)(np.ascontiguousarray(signals.T))
 start = np.zeros(24)
 found = rounds_for(0, 1, 1, 1, 24, 5, 0)
 found.begin(start[None])
-rooms = swarm_of(0, 1, 1), room_for(problem, 24)
+rooms = rollouts_of(0, 1, 1), room_for(problem, 24)
 limits = PolishSettings(1e-3, 0.5, 6), UNLIMITED, UNLIMITED, False
 search(flatten(problem), *rooms, np.uint64(0), np.empty(0), 0, *limits, found)
 z = int(found.polish.iterations)

@@ -18,14 +18,14 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     not finite.
     """
     from tetractl.control.kernels.motion import flatten
-    from tetractl.control.kernels.rollout import costs, swarm_of
+    from tetractl.control.kernels.rollout import costs, rollouts_of
 
     flat = flatten(problem)
-    swarm = swarm_of(get_ident(), len(problem.a), count)
+    rollouts = rollouts_of(get_ident(), len(problem.a), count)
 
     def evaluate(signals: Floats) -> Floats:
         total = np.empty(count)
-        costs(flat, swarm, np.ascontiguousarray(signals), total)
+        costs(flat, rollouts, np.ascontiguousarray(signals), total)
         require_finite(total)
         return total
 

@@ -20,7 +20,7 @@ import numpy as np
 from tetractl.control.kernels.motion import derivatives, robot_of, saturates, turned
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
-from tetractl.model.motion.turn_rate import Robot
+from tetractl.model.motion.turn_rate import RobotParameters
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
@@ -96,7 +96,7 @@ def trace(u, problem, path):
         if saturates(robot):
             _move(i, robot, problem, path)
         else:  # with a constant, so that the compiler leaves out what it does not need
-            steady = Robot(robot.a, robot.speed, robot.side, NEVER_SATURATES)
+            steady = RobotParameters(robot.a, robot.speed, robot.side, NEVER_SATURATES)
             _move(i, steady, problem, path)
         _add_up(i, u.size, problem, path)
 

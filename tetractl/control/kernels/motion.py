@@ -18,7 +18,13 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.polynomials import onwards
-from tetractl.model.motion.turn_rate import Robot, all_in_rows, by_turning, is_left, turning
+from tetractl.model.motion.turn_rate import (
+    RobotParameters,
+    all_in_rows,
+    by_turning,
+    is_left,
+    turning,
+)
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, entries, inlined, one_of
 
@@ -39,7 +45,7 @@ class FlatProblem(NamedTuple):
     targets: Floats
     """(N, 2)"""
     robots: Floats
-    """(N, 4) rows of `Robot`."""
+    """(N, 4) rows of `RobotParameters`."""
     drifts: bool
     """Whether there is any bias or flow."""
     bias_cos: Floats
@@ -109,8 +115,8 @@ def flatten(problem: Problem) -> FlatProblem:
 
 @compiled(**INLINE_FAST)
 def robot_of(robots, i):
-    """Return a `Robot`, row i of those of a problem (N, 4)."""
-    return Robot(robots[i, 0], robots[i, 1], robots[i, 2], robots[i, 3])
+    """Return a `RobotParameters`, row i of those of a problem (N, 4)."""
+    return RobotParameters(robots[i, 0], robots[i, 1], robots[i, 2], robots[i, 3])
 
 
 @compiled(**INLINE_FAST)

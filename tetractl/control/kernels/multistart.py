@@ -117,7 +117,7 @@ def rounds_for(
 
 @compiled(**ENTRY_FAST)
 def search(
-    problem, swarm, room, key, warm, rounds_max, settings, budget, iterations, cut_short, rounds
+    problem, rollouts, room, key, warm, rounds_max, settings, budget, iterations, cut_short, rounds
 ):
     """Go on with a search, within `budget` evaluations in all; return how it ended.
 
@@ -136,7 +136,7 @@ def search(
             if state.evaluations > 0 and state.evaluations + particles > budget:
                 return SPENT
             draws_key = drawn(key, state.rounds_begun)
-            if not _scatter(problem, swarm, draws_key, warm, rounds):
+            if not _scatter(problem, rollouts, draws_key, warm, rounds):
                 return NOT_FINITE
             iterations_left -= particles // room.residual.size
         is_begun = rounds.polish.evaluations > 0
@@ -203,7 +203,7 @@ def _keep(rounds, u, cost):
 
 
 @compiled(**INLINE_FAST)
-def _scatter(problem, swarm, key, warm, rounds):
+def _scatter(problem, rollouts, key, warm, rounds):
     """Scatter a round's sequences, of which the best become the starts; return whether all their J
     are finite.
 
@@ -232,7 +232,7 @@ def _scatter(problem, swarm, key, warm, rounds):
             near_warm = warmed & ~n  # for even n: vector code needs a number
             u = middle + WARM * curve if near_warm else bearing + UPPER * curve
             signals[j, n] = _wrap(u)
-    if not costs(problem, swarm, signals, rounds.scattered_costs):
+    if not costs(problem, rollouts, signals, rounds.scattered_costs):
         return False
     count = _sort(rounds.scattered_costs, rounds.order)
     for k in range(count):

@@ -21,8 +21,8 @@ from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlin
 _sincos = inlined(sincos)
 
 
-class Swarm(NamedTuple):
-    """The working arrays of a rollout of P particles with N robots each. Where the robots are:"""
+class Rollouts(NamedTuple):
+    """The working arrays of the rollouts of P particles with N robots each."""
 
     x: Floats
     """(N, P) [length unit]."""
@@ -53,11 +53,11 @@ class Swarm(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def swarm_of(thread: int, robots: int, particles: int) -> Swarm:
+def rollouts_of(thread: int, robots: int, particles: int) -> Rollouts:
     """Return the arrays of a thread for robots and particles of these numbers."""
     of_robots = _aligned((5, robots, particles))
     of_particles = _aligned((8, particles))
-    return Swarm(*of_robots, *of_particles)
+    return Rollouts(*of_robots, *of_particles)
 
 
 def _aligned(shape: tuple[int, ...]) -> Floats:
@@ -69,26 +69,26 @@ def _aligned(shape: tuple[int, ...]) -> Floats:
 
 
 @compiled(**ENTRY_FAST, forceinline=True)
-def costs(problem, swarm, signals, total):
+def costs(problem, rollouts, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite.
 
-    `problem` is a `FlatProblem`. Arrays are taken out of it, and out of the swarm, before the
+    `problem` is a `FlatProblem`. Arrays are taken out of it, and out of the rollouts, before the
     loops: in these, each look at one of its fields would take as long as a dozen steps.
     """
     robots = problem.robots
     first = problem.first
     rest = problem.rest
-    x = swarm.x
-    y = swarm.y
-    cos = swarm.cos
-    sin = swarm.sin
-    hits = swarm.hits
-    cos_u = swarm.cos_u
-    sin_u = swarm.sin_u
-    to_cos = swarm.own_cos if problem.drifts else cos_u
-    to_sin = swarm.own_sin if problem.drifts else sin_u
-    x_before = swarm.x_before
-    y_before = swarm.y_before
+    x = rollouts.x
+    y = rollouts.y
+    cos = rollouts.cos
+    sin = rollouts.sin
+    hits = rollouts.hits
+    cos_u = rollouts.cos_u
+    sin_u = rollouts.sin_u
+    to_cos = rollouts.own_cos if problem.drifts else cos_u
+    to_sin = rollouts.own_sin if problem.drifts else sin_u
+    x_before = rollouts.x_before
+    y_before = rollouts.y_before
     for i in range(len(robots)):
         for n in range(total.size):
             x[i, n] = problem.poses[i, 0]
@@ -120,10 +120,10 @@ def costs(problem, swarm, signals, total):
                 for n in range(total.size):
                     x[i, n] = x[i, n] + dx
                     y[i, n] = y[i, n] + dy
-            count_hits(problem, x, y, i, swarm)
+            count_hits(problem, x, y, i, rollouts)
         if problem.separation > 0:
             count_meetings(x, y, problem.separation, hits)
-    return _add_up(problem, swarm, total)
+    return _add_up(problem, rollouts, total)
 
 
 @compiled(**INLINE_FAST)
@@ -139,11 +139,11 @@ def count_meetings(x, y, separation, hits):
 
 
 @compiled(**INLINE_FAST)
-def _add_up(problem, swarm, total):
+def _add_up(problem, rollouts, total):
     """Write (7) of each particle to total (P,); return whether all are finite."""
-    x = swarm.x
-    y = swarm.y
-    hits = swarm.hits
+    x = rollouts.x
+    y = rollouts.y
+    hits = rollouts.hits
     weight = problem.obstacle_weight
     for n in range(total.size):
         total[n] = 0.0

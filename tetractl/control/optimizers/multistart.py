@@ -124,7 +124,7 @@ class _PolishedSearch:
         self.rounds_max = rounds_max
         self.particles = section.particles
         self.problem = motion.flatten(problem)
-        self.swarm = rollout.swarm_of(get_ident(), len(problem.a), section.particles)
+        self.rollouts = rollout.rollouts_of(get_ident(), len(problem.a), section.particles)
         self.room = levenberg.room_for(problem, length)
         self.key = np.uint64(key)
         self.warm = np.empty(0) if warm is None else warm
@@ -211,7 +211,7 @@ class _PolishedSearch:
         limit = self.limits.evaluations
         end = multistart.search(
             self.problem,
-            self.swarm,
+            self.rollouts,
             self.room,
             self.key,
             self.warm,

@@ -21,7 +21,7 @@ TURNING = Parameter("side", False, 0.005), Parameter("saturation", True, 0.02)
 """The parameters of how robots turn, behind the PARAMETERS of all motions."""
 
 
-class Robot(NamedTuple):
+class RobotParameters(NamedTuple):
     """PARAMETERS and TURNING of one robot."""
 
     a: float
@@ -31,7 +31,7 @@ class Robot(NamedTuple):
 
 
 def all_in_rows(robots: Any) -> Floats:
-    """Return a row for each `Robot` (N, 4), from the fields of a problem."""
+    """Return a row for each `RobotParameters` (N, 4), from the fields of a problem."""
     rows = np.empty((len(robots.a), 4))
     rows[:, 0] = robots.a
     rows[:, 1] = robots.speed
@@ -48,7 +48,7 @@ def is_left(c: float, s: float, cu: float, su: float) -> bool:
 def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Any:
     """Return the a [rad/s] of a step of t [s] under a direction, and the derivatives of its
     logarithm by phi = u - heading, by `side` and by ln `saturation`; c, s and cu, su are cos and
-    sin of heading and u, and `robot` is a `Robot`."""
+    sin of heading and u, and `robot` is a `RobotParameters`."""
     a, _, side, saturation = robot
     sine = su * c - cu * s
     factor = math.exp(side)

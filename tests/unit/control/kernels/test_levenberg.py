@@ -22,7 +22,7 @@ from tetractl.control.kernels.levenberg import (
     room_for,
 )
 from tetractl.control.kernels.motion import flatten
-from tetractl.control.kernels.rollout import swarm_of
+from tetractl.control.kernels.rollout import rollouts_of
 from tetractl.tools.kernels import kernel_cache as kernels
 
 pytestmark = pytest.mark.slow
@@ -44,7 +44,7 @@ class Polished(NamedTuple):
 def compiled(problem, start, iterations, budget=2**62):
     rounds = kernel.rounds_for.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
     rounds.begin(start[None])
-    rooms = swarm_of(0, len(problem.a), 1), room_for(problem, len(start))
+    rooms = rollouts_of(0, len(problem.a), 1), room_for(problem, len(start))
     settings = PolishSettings(TOLERANCE, SLACK, PATIENCE)
     limits = settings, max(budget, 1) + 1, kernel.UNLIMITED, False
     kernel.search(flatten(problem), *rooms, np.uint64(0), np.empty(0), 0, *limits, rounds)

@@ -13,7 +13,7 @@ from tetractl.control.kernels import multistart as kernel
 from tetractl.control.kernels.levenberg import PolishSettings, room_for
 from tetractl.control.kernels.motion import flatten
 from tetractl.control.kernels.multistart import UNLIMITED, WARM
-from tetractl.control.kernels.rollout import swarm_of
+from tetractl.control.kernels.rollout import rollouts_of
 from tetractl.control.optimizers.sampling import bearing, interpolate
 from tetractl.control.rng import mix, uniform
 from tetractl.core.poses import wrap
@@ -44,7 +44,7 @@ def searched(
 ):
     """Return how a search ended, and what became of its starts (S, L) and rounds."""
     count, length = starts.shape
-    rooms = swarm_of(0, len(problem.a), particles), room_for(problem, length)
+    rooms = rollouts_of(0, len(problem.a), particles), room_for(problem, length)
     sizes = max(count, best), particles, knots, length, STEPS, rounds
     found = kernel.rounds_for.__wrapped__(0, *sizes)
     found.begin(starts)

@@ -24,7 +24,7 @@ from tetractl.control.kernels.filter_state import (
 )
 from tetractl.control.kernels.levenberg import PolishSettings, room_for
 from tetractl.control.kernels.motion import flatten
-from tetractl.control.kernels.rollout import swarm_of
+from tetractl.control.kernels.rollout import rollouts_of
 from tetractl.model.motion.motion import PARAMETERS
 
 pytestmark = pytest.mark.slow
@@ -107,7 +107,7 @@ def test_the_polish_ends(odd, place):
         problem = replace(problem, **{place: numbers})
     rounds = multistart.rounds_for.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
     rounds.begin(start[None])
-    rooms = swarm_of(0, len(problem.a), 1), room_for(problem, len(start))
+    rooms = rollouts_of(0, len(problem.a), 1), room_for(problem, len(start))
     no_draws = np.uint64(0), np.empty(0), 0
     limits = PolishSettings(1e-3, 0.5, 6), 10_000, multistart.UNLIMITED, False
     assert ends(lambda: multistart.search(flatten(problem), *rooms, *no_draws, *limits, rounds))

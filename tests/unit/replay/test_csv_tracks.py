@@ -538,6 +538,10 @@ def test_a_row_without_a_speed_is_a_step_at_which_nothing_was_sent(tmp_path, ent
     commands = f"time_s,v_mm_s,w_rad_s\n0,90,0.1\n0.1,{entries}\n0.2,90,0.3\n"
     (track,) = tracks_of(tmp_path, POSES, commands)
     assert track.sent.tolist() == pytest.approx([0.0, 0.2])
+    of_wheels = commands.replace("v_mm_s,w_rad_s", "left_mm_s,right_mm_s,radius_mm")
+    of_wheels = of_wheels.replace("\n0", ",40\n0").replace("radius_mm,40", "radius_mm")
+    (track,) = tracks_of(tmp_path, POSES, f"{of_wheels.rstrip()},40\n")
+    assert track.sent.tolist() == pytest.approx([0.0, 0.2])
 
 
 # ---- Units, names, one robot, two recordings ----

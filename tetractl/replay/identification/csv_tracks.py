@@ -215,8 +215,11 @@ class _WheelColumns:
     radius: NumberColumn
 
     def add(self, numbers: _Numbers, row: CsvRow) -> None:
-        """Add the speed and turning rate of the wheels in a row."""
+        """Add the speed and turning rate of the wheels in a row; one without is a step at which
+        nothing was sent."""
         numbers.commands_path = self.path
+        if math.isnan(self.left.optional(self.path, row) + self.right.optional(self.path, row)):
+            return
         left = self.left.number(self.path, row)
         right = self.right.number(self.path, row)
         radius = self.radius.number(self.path, row)

@@ -130,7 +130,7 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
         terminal.expect("ENTER: the controller  R: again")
         terminal.press("\x1b[A")  # answers nothing
         terminal.press("\r")
-        terminal.expect(r"Your best: [\d.]+ mm in \d+ s. Now the")
+        terminal.expect(r"Your best: [\d.]+ mm in \d+ s")
         terminal.expect("ENTER: end")
         terminal.press("\r")
         terminal.expect(r"you [\d.]+ mm in \d+ s.*, the controller [\d.]+ mm in \d+ s")

@@ -402,9 +402,10 @@ def compare(
     *batches: "BatchStatistics | Batch | str | Path | Sequence[str | Path]",
 ) -> "BatchComparison":
     """Compare the total errors of every two batches; differences are the first batch minus the
-    second. Batches given as folders have the folders' names, others those of `summarise`.
+    second. Batches have the names of their folders, others those of `summarise`.
     """
     from tetractl.results.describe import BatchStatistics, contrast
+    from tetractl.results.open_batch import Batch
 
     compared = list[BatchStatistics]()
     for batch in batches:
@@ -412,6 +413,8 @@ def compare(
             compared.append(batch)
         elif isinstance(batch, str | Path):
             compared.append(summarise(batch, Path(batch).name))
+        elif isinstance(batch, Batch) and len({log.parent for log in batch.logs}) == 1:
+            compared.append(summarise(batch, batch.logs[0].parent.name))
         else:
             compared.append(summarise(batch))
     return contrast(compared)

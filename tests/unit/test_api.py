@@ -239,9 +239,13 @@ def test_what_is_no_trial_and_no_batch_is_refused_in_one_line(name, data):
 
 
 def test_another_object_is_refused_in_one_line():
-    with pytest.raises(UsageError, match=r"^a spec is a file, a dict or .* but this is a int$"):
+    with pytest.raises(
+        UsageError, match=r"^a spec is a file, a dict or .* but this is of type int$"
+    ):
         tetractl.run_trial(5)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(UsageError, match=r"^a trial is a log's file, or .* but this is a int$"):
+    with pytest.raises(
+        UsageError, match=r"^a trial is a log's file, or .* but this is of type int$"
+    ):
         tetractl.to_arrays(5)  # pyright: ignore[reportArgumentType]
     contents = yaml.safe_load(SPEC) | {"name": np.zeros(3)}
     with pytest.raises(SpecError, match=r"^spec: Object of type ndarray"):
@@ -275,7 +279,7 @@ def test_an_argument_of_another_type_is_refused_in_one_line(name):
 def test_folders_that_are_compared_have_their_own_names(tmp_path):
     for name in ("early", "late"):
         tetractl.run_trial(SPEC_DICT, folder=tmp_path / name)
-    comparison = tetractl.compare(tmp_path / "early", tmp_path / "late")
+    comparison = tetractl.compare(tmp_path / "early", tetractl.read_batch(tmp_path / "late"))
     assert [group.name for group in comparison.groups] == ["early", "late"]
 
 

@@ -56,6 +56,7 @@ class TetractlError(Exception):
         for caller, called in pairwise(traceback.extract_tb(self.__traceback__)):
             if called.filename.startswith(package) and not caller.filename.startswith(package):
                 lines.append(f"line {caller.lineno}: {caller.line}")
+                break
         return [*lines, "(all of the traceback: import traceback; traceback.print_last())"]
 
 
@@ -68,7 +69,7 @@ class UsageError(TetractlError):
 def demand(value: object, kind: Any, words: str) -> None:
     """Raise UsageError, with what is expected in words, if a value is not of a kind."""
     if not isinstance(value, kind):
-        raise UsageError(f"{words}, but this is a {type(value).__name__}")
+        raise UsageError(f"{words}, but this is of type {type(value).__name__}")
 
 
 def whole_number(value: object, what: str) -> int:

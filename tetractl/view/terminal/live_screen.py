@@ -93,8 +93,8 @@ class TrialSoFar:
         self._result = result
 
     def warnings(self) -> tuple[str, ...]:
-        """Return by which robots the trial is lost, who were in an obstacle or outside the arena, and
-        where those are that are outside now."""
+        """Return by which robots the trial is lost, as they were in an obstacle or outside the
+        arena, and where those are that are outside now."""
         setup = self.start.setup
         verdict = self._path.verdict(Poses.of(self._poses))
         names = np.array(setup.names)

@@ -47,11 +47,11 @@ def summary(comparison: BatchComparison) -> list[Table]:
     Of three batches or more, the verdicts are in a table of their own.
     """
     groups = comparison.groups
+    first = groups[0]
     errors = _errors(groups, _totals(groups))
     notes: list[str] = []
     if len(groups) <= 2:
         notes += [f"{contrast.name}: {_verdict(contrast)}" for contrast in comparison.contrasts]
-    first = groups[0]
     published = first.from_published
     if len(groups) == 1 and published is not None and first.origin.comparable and first.counted:
         notes.append(f"{PUBLISHED}: {published_text(published, first)}")

@@ -273,7 +273,7 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
             view.say(aside, *hints)
 
     def say_at_end(result: "Result") -> None:
-        you = f"You: {_error(result, game.experiment)}"
+        you = f"You: {_how_well(result, game.experiment)}"
         if game.theirs is None:
             view.say(f"{you}. {WHY}", "ENTER: the controller", "R: again")
         else:

@@ -62,7 +62,8 @@ class PriorSection(Model):
     def rests(self, setup: Setup) -> bool:
         """Return whether cells are to be expected to rest: a stray can be distinguished from the
         noise only if that is known."""
-        return setup.wheel_radius is None and self.position_noise > 0 < self.heading_noise
+        is_noise_known = self.position_noise > 0 and self.heading_noise > 0
+        return setup.wheel_radius is None and is_noise_known
 
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""

@@ -100,13 +100,13 @@ class TrialSoFar:
         names = np.array(setup.names)
         entered = [f"{name} entered an obstacle: lost" for name in names[verdict.in_obstacle()]]
         left = [
-            f"{names[robot]} left the arena: lost{self._where_outside(robot)}"
+            f"{names[robot]} {self._way_out(robot)}"
             for robot in np.flatnonzero(verdict.over_edge()).tolist()
         ]
         return (*entered, *left)
 
-    def _where_outside(self, robot: int) -> str:
-        """Return how far and where outside the arena a robot is; "" for one that is inside."""
+    def _way_out(self, robot: int) -> str:
+        """Return how far and where outside the arena a robot is, or that it was outside."""
         arena = self.start.setup.arena
         x, y = self._poses[robot, :2]
         beyond = {
@@ -116,8 +116,9 @@ class TrialSoFar:
             "above": y - arena.top,
         }
         side = max(beyond, key=lambda side: beyond[side])
-        unit = self.start.setup.unit
-        return f", {beyond[side]:.4g} {unit} {side}" if beyond[side] > 0 else ""
+        if beyond[side] <= 0:
+            return "left the arena: lost"
+        return f"is outside: lost, {beyond[side]:.4g} {self.start.setup.unit} {side}"
 
     def moment(self) -> Moment:
         """Return the newest instant."""

@@ -242,7 +242,7 @@ def test_a_plain_view_names_who_entered_an_obstacle_and_no_steps(tmp_path):
         view.say("words", "Any key ends")
     last = pictures(console)[-1]
     assert "blue entered an obstacle: lost" in last
-    assert "red left the arena: lost, 1 mm left" in last
-    assert "green left" not in last
+    assert "red is outside: lost, 1 mm left" in last
+    assert "green is" not in last
     assert "step k" not in last
     assert "Any key ends" in last

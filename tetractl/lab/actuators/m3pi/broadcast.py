@@ -46,8 +46,9 @@ def encode_command(command: BroadcastCommand) -> bytes:
     if len(command.wheels) > ROBOTS_MAX:
         raise WireError(f"{len(command.wheels)} robots; a frame has space for {ROBOTS_MAX}")
     counts = [count for pair in command.wheels for count in pair]
-    is_too_large = any(abs(count) > COUNT_MAX for count in counts)
-    if len(counts) != 2 * len(command.wheels) or is_too_large:
+    if any(len(pair) != 2 for pair in command.wheels):
+        raise WireError(f"not two wheels a robot: {command.wheels}")
+    if any(abs(count) > COUNT_MAX for count in counts):
         raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")
     head = bytes(
         [COMMAND, command.sequence, cobs.checked_flags(command.flags), len(command.wheels)]

@@ -26,7 +26,7 @@ LAG_UNSTATED = (
 )
 RATES_UNSTATED = (
     "a, heading bias and dead time have no intervals, as it is assumed that a host foresees the "
-    "lag, as it does in logs and exports: a of robots that steer themselves may be 20 % off"
+    "lag, as it does in logs and exports: a of robots that steer themselves may be 40 % off"
 )
 NO_JUMP = "or send directions that jump, which show it"
 UNIFORM = (

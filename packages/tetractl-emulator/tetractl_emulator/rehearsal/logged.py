@@ -47,7 +47,7 @@ def _commands(truth: Truth) -> Iterator[Violation]:
     # a driver hears a last stop as its port is closed
     ends_s = max([*driven_s, *logged_s])
     sent_s = truth.commanded_s
-    for at_s in sent_s[(sent_s > truth.first_s("run")) & (sent_s <= ends_s)].tolist():
+    for at_s in sent_s[(sent_s > truth.began_s) & (sent_s <= ends_s)].tolist():
         if not ((logged_s <= at_s) & (logged_s >= at_s - NOTED_S)).any():
             yield Violation("log", at_s, "lacks a command")
             return

@@ -9,8 +9,8 @@ from tetractl_emulator.rehearsal.logged import logged
 from tetractl.core.commands import Steer, Stop, Turn
 
 
-def truth(commands=(), sent=()):
-    """A day: what was logged and sent, with flags and the robots driven."""
+def truth(commands=(), sent=(), began_s=0.0):
+    """A day: what was logged and sent, with flags and the robots driven, and when the run began."""
     messages = [{"t_ns": at_ns, "flags": flags, "drives": drives} for at_ns, flags, drives in sent]
     log = SimpleNamespace(
         commands=[
@@ -27,7 +27,7 @@ def truth(commands=(), sent=()):
         commands=messages,
         commanded_s=np.array([message["t_ns"] for message in messages]) / 1e9,
         drives=lambda message: message["drives"],
-        first_s=lambda kind: 0.0,
+        began_s=began_s,
         exposure_of_frame=(),
         faults=(),
     )
@@ -56,3 +56,11 @@ STAND = (9, 1, [True, False])
 )
 def test_the_log_has_each_command_as_it_was_sent(commands, sent, text):
     assert findings(commands=commands, sent=sent) == ([text] if text else [])
+
+
+def test_a_log_need_not_have_what_was_sent_before_its_run():
+    """Regression: another program drove robots before, and a poll of the start was missed."""
+    poll = (3, 4, [False, False])
+    day = {"commands": [(9, Steer(0.0), (True, True))], "sent": [poll, AHEAD]}
+    assert findings(**day, began_s=8e-9) == []
+    assert findings(**day, began_s=2e-9) == ["lacks a command"]

@@ -60,7 +60,8 @@ class CellTrack:
 
     `path` holds its newest own blobs, `last` is the position of its last blob (2,) [um], `missed_s`
     the time since then [s]. A cell that has not swum far yet has a `start`, its first place (2,)
-    [um]. `odd_in_turn` counts successive blobs far from where the filter expected them.
+    [um]; it began at `began_s`. `odd_in_turn` counts successive blobs far from where the filter
+    expected them.
 
     The size of its blobs tells how many cells they show: a blob of its own last had the cell's size
     at `size_seen_s`, and a shared one has been as small as one cell since `small_since_s` [s].
@@ -80,6 +81,7 @@ class CellTrack:
     size_seen_s: float = 0.0
     small_since_s: float = math.inf
     start: Floats | None = None
+    began_s: float = 0.0
     odd_in_turn: int = 0
     identity: int = 0
     certainty: float = 1.0

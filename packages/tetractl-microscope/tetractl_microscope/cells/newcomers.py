@@ -142,6 +142,7 @@ class Newcomers:
             newest=newest,
             size_seen_s=now.seconds,
             start=np.array((x, y)),
+            began_s=now.seconds,
             identity=self._names.take_number(),
         )
         near = speck.near if speck.near in cells else None

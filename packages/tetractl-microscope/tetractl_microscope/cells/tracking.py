@@ -9,7 +9,7 @@ signal. `CellTracker.see` does these steps for each picture:
 3. `readings` are what the blobs say of the cells; they update the filter (`filter_update`);
 4. `names` decides which cell is which where cells shared a blob;
 5. `newcomers` follows specks by the blobs that no cell has; those that swim become cells;
-6. cells without a blob for too long end.
+6. cells without a blob for too long end, and so do those that do not swim after all.
 
 B is the number of blobs, K that of the cells in one blob. The place of a blob is x, y [um],
 axis [rad], length and width [um] (5,), that of a cell x, y [um] and axis [rad] (3,).
@@ -303,7 +303,7 @@ class CellTracker:
             if at_edge or cell.is_new:
                 lost_s = LOST_SOON_S / self.bank.organism.quickness
             is_lost = cell in left_unseen or cell.missed_s > lost_s
-            if is_lost or not math.isfinite(x + y):
+            if is_lost or self._stays(cell, now) or not math.isfinite(x + y):
                 may_return = is_lost and not at_edge and not cell.is_new
                 self._names.give_up(cell, now.seconds, may_return)
                 continue
@@ -313,6 +313,20 @@ class CellTracker:
                 if way_um > NEW * self.bank.organism.body_um[0]:
                     cell.start = None
         self._cells = remaining
+
+    def _stays(self, cell: CellTrack, now: PictureNow) -> bool:
+        """Return whether a new cell has not swum so far in the time that the slowest need for it.
+
+        Without this, links of the film of Euglena that it contradicts backwards are 17 of 152
+        [0.07, 0.17] in place of 2 of 151 [0.00, 0.05]."""
+        if cell.start is None:
+            return False
+        organism = self.bank.organism
+        length_um = NEW * organism.body_um[0]
+        way_um = math.dist(cell.last.tolist(), cell.start.tolist())
+        return (
+            way_um <= length_um and now.seconds - cell.began_s > length_um / organism.slowest_um_s
+        )
 
     def _left_unseen(self, seconds: float) -> Collection[CellTrack]:
         """Return the cells that have left a shared blob unseen: of each blob that has been as small

@@ -308,25 +308,25 @@ class CellTracker:
                 self._names.give_up(cell, now.seconds, may_return)
                 continue
             remaining.append(cell)
-            if cell.start is not None:
-                way_um = math.dist(cell.last.tolist(), cell.start.tolist())
-                if way_um > NEW * self.bank.organism.body_um[0]:
-                    cell.start = None
+            if self._has_swum(cell):
+                cell.start = None
         self._cells = remaining
+
+    def _has_swum(self, cell: CellTrack) -> bool:
+        """Return whether a cell has swum so far that it is new no more."""
+        if cell.start is None:
+            return True
+        way_um = math.dist(cell.last.tolist(), cell.start.tolist())
+        return way_um > NEW * self.bank.organism.body_um[0]
 
     def _stays(self, cell: CellTrack, now: PictureNow) -> bool:
         """Return whether a new cell has not swum so far in the time that the slowest need for it.
 
         Without this, links of the film of Euglena that it contradicts backwards are 17 of 152
         [0.07, 0.17] in place of 2 of 151 [0.00, 0.05]."""
-        if cell.start is None:
-            return False
         organism = self.bank.organism
-        length_um = NEW * organism.body_um[0]
-        way_um = math.dist(cell.last.tolist(), cell.start.tolist())
-        return (
-            way_um <= length_um and now.seconds - cell.began_s > length_um / organism.slowest_um_s
-        )
+        slowest_s = NEW * organism.body_um[0] / organism.slowest_um_s
+        return not self._has_swum(cell) and now.seconds - cell.began_s > slowest_s
 
     def _left_unseen(self, seconds: float) -> Collection[CellTrack]:
         """Return the cells that have left a shared blob unseen: of each blob that has been as small

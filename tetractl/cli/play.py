@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tetractl.core.plan import Plan
-    from tetractl.core.protocols import LabSupervision, Observer
+    from tetractl.core.protocols import LabSupervision, Observer, PlacementPrompt
     from tetractl.core.trial import Result
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.loaded_spec import LoadedSpec
@@ -165,6 +165,19 @@ class Game:
             self.over = True
         self._note_end(result)
 
+    def supervision(
+        self, emergency: threading.Event, prompt: "PlacementPrompt | None" = None
+    ) -> "LabSupervision":
+        """Return the supervision of a lab by the person who plays."""
+        from tetractl.core.protocols import LabSupervision
+
+        return LabSupervision(
+            emergency,
+            prompt,
+            cancelled=lambda: self.interrupt.requested,
+            signalled=self.interrupt.request,
+        )
+
     def control(self, observers: "Sequence[Observer]" = ()) -> None:
         """Run the controller's trial."""
         from tetractl.run.folder_lock import make_folder
@@ -207,7 +220,6 @@ def _by_script(game: Game, keys: "KeyScript") -> None:
 
 def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
     """Steer the robots of a lab once by the terminal's keys."""
-    from tetractl.core.protocols import LabSupervision
     from tetractl.view.terminal.hand_keys import LAB_HINTS, HandKeys, task
     from tetractl.view.terminal.keys import StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
@@ -217,12 +229,7 @@ def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
     emergency = threading.Event()
     entered = threading.Event()
     keys = HandKeys(ended=lambda: interrupt.requested or emergency.is_set())
-    supervision = LabSupervision(
-        emergency,
-        TerminalPrompt(console, entered) if ask_to_place else None,
-        cancelled=lambda: interrupt.requested,
-        signalled=interrupt.request,
-    )
+    prompt = TerminalPrompt(console, entered) if ask_to_place else None
     watch = LabWatch(
         console,
         console,
@@ -234,7 +241,7 @@ def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
     with StopKey(emergency.set, entered.set, steer=keys.press), keys:
         console.print("; ".join(LAB_HINTS), style="bold", highlight=False)
         with watch:
-            game.steer(keys.ask, [watch], supervision)
+            game.steer(keys.ask, [watch], game.supervision(emergency, prompt))
 
 
 def _on_terminal(game: Game, console: "Console", speed: float) -> None:
@@ -253,7 +260,6 @@ def _on_terminal(game: Game, console: "Console", speed: float) -> None:
 
 def _you_steer(game: Game, console: "Console", speed: float) -> str:
     """Show a trial that the person steers; return the key that was pressed at its end."""
-    from tetractl.core.protocols import LabSupervision
     from tetractl.view.terminal.hand_keys import HINTS, LAB_HINTS, PAUSED, WHY, HandKeys, task
     from tetractl.view.terminal.live_screen import LiveView
 
@@ -279,12 +285,9 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
         else:
             view.say(f"{you}. Before: {_line(game)}.", "R: again", "ENTER: end")
 
-    supervision = LabSupervision(
-        emergency, None, cancelled=lambda: interrupt.requested, signalled=interrupt.request
-    )
     with _keyed_screen(keys, view, stop):
         observers = _paced(view, keys, speed, say_at_end)
-        game.steer(keys.ask, observers, supervision, pause)
+        game.steer(keys.ask, observers, game.supervision(emergency), pause)
         return "" if game.over else keys.await_answer()
 
 

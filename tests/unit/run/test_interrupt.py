@@ -79,13 +79,17 @@ def test_nohup_is_obeyed(ignored):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
 def test_signals_are_requests_while_watched_and_handlers_are_put_back(number):
-    before = signal.getsignal(number)
-    interrupt = Interrupt()
-    with interrupt.watch():
-        os.kill(os.getpid(), number)
-        os.kill(os.getpid(), number)
-        assert interrupt.count == 2
-    assert signal.getsignal(number) is before
+    """Regression: failed when the tests ran behind `&`, where SIGQUIT is ignored."""
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        interrupt = Interrupt()
+        with interrupt.watch():
+            os.kill(os.getpid(), number)
+            os.kill(os.getpid(), number)
+            assert interrupt.count == 2
+        assert signal.getsignal(number) is signal.SIG_DFL
+    finally:
+        signal.signal(number, before)
 
 
 def test_handlers_of_the_program_around_are_left_alone():

@@ -1,13 +1,9 @@
 """How well cells are found and followed in films of two renderers that share no code.
 
-    python benchmarks/films.py render    write films with their truth
     python benchmarks/films.py score     F1, positions, names, intervals of `tetractl track`
     python benchmarks/films.py peers     the same of trackpy and laptrack on plain detections
     python benchmarks/films.py rules     what each rule of the tracker is worth, on three drawn
                                          films and a given one
-    python benchmarks/films.py kept      the rows of earlier runs with --keep NAME
-    python benchmarks/films.py time      processor time a picture, of each part
-    python benchmarks/films.py real      what is said of a given film, at several scales
     python benchmarks/films.py reversed  bodies under positions of a given film, links that the film
                                          run backwards contradicts, bodies followed; trackpy's, too
 
@@ -16,23 +12,20 @@ every third picture alone, at 10 Hz.
 
 `--without RULE` takes a rule out of the tracker first; `filmworld/taken_out.py` lists them.
 
-Every film is synthetic, except those given to `real` and `reversed`. Both renderers were made by
+Every film is synthetic, except that given to `reversed`. Both renderers were made by
 the hands that made the tracker. Seeds from 9000 on are those of the published figures; smaller ones
 were used in development. Films stay in the folder --cache, and are not rendered twice.
 """
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from filmworld.ours import shown
@@ -64,22 +57,13 @@ def rendered(cache: Path, renderer: str, level: str, seed: int) -> Path:
 
 
 def scored(
-    cache: Path, renderer: str, level: str, tracker: str, setting: str, keep: str, seed: int
+    cache: Path, renderer: str, level: str, tracker: str, setting: str, seed: int
 ) -> FilmScore:
-    """Track one film, and score it; `keep` names a folder for what was said, or is empty."""
+    """Track one film, and score it."""
     cv2.setNumThreads(1)
     folder = rendered(cache, renderer, level, seed)
     truth = FilmTruth.load(folder / "truth.npz").thinned(SETTINGS[setting].every)
-    tracks = tracked(tracker, folder, truth, setting)
-    score = score_film(folder.name, truth, tracks)
-    if keep:
-        out = folder / keep
-        out.mkdir(exist_ok=True)
-        rows = {name: getattr(tracks, name) for name in Shown.__slots__ if name != "numbers"}
-        np.savez_compressed(out / f"{tracker}-{setting}.npz", **rows)
-        said = {"score": asdict(score), "numbers": tracks.numbers}
-        (out / f"{tracker}-{setting}.json").write_text(json.dumps(said, indent=1))
-    return score
+    return score_film(folder.name, truth, tracked(tracker, folder, truth, setting))
 
 
 def tracked(tracker: str, folder: Path, truth: FilmTruth, setting: str) -> Shown:
@@ -114,7 +98,7 @@ def score(chosen: argparse.Namespace, trackers: tuple[str, ...] = ("tetractl",))
             for renderer in chosen.renderer:
                 films[renderer] = {setting: [] for setting in chosen.setting}
                 for setting, scores in films[renderer].items():
-                    options = renderer, level, tracker, setting, chosen.keep
+                    options = renderer, level, tracker, setting
                     for film in each(chosen, partial(scored, chosen.cache, *options)):
                         scores.append(film)
                         wrong = f"{len(film.wrong)} wrong names" if film.wrong else ""
@@ -145,36 +129,6 @@ def show(films: Scores, level: str, tracker: str) -> None:
     print(flush=True)
 
 
-def kept(chosen: argparse.Namespace) -> None:
-    """Print the rows of what earlier runs kept under the name --keep."""
-    for level in chosen.level:
-        for tracker in ("tetractl", "trackpy", "laptrack"):
-            films: Scores = {}
-            for renderer in chosen.renderer:
-                of_settings = {
-                    name: kept_scores(chosen, renderer, level, tracker, name)
-                    for name in chosen.setting
-                }
-                if any(of_settings.values()):
-                    films[renderer] = of_settings
-            if films:
-                show(films, level, tracker)
-
-
-def kept_scores(
-    chosen: argparse.Namespace, renderer: str, level: str, tracker: str, setting: str
-) -> list[FilmScore]:
-    """Return the scores that an earlier run kept of films in one setting."""
-    scores = []
-    for seed in range(chosen.first_seed, chosen.first_seed + chosen.count):
-        folder = chosen.cache / f"{renderer}-{level}-{seed}"
-        path = folder / chosen.keep / f"{tracker}-{setting}.json"
-        if chosen.keep and path.exists():
-            values = json.loads(path.read_text())["score"]
-            scores.append(FilmScore(**values))
-    return scores
-
-
 def peers(chosen: argparse.Namespace) -> None:
     from filmworld.peers import PEERS
 
@@ -195,13 +149,13 @@ def rules(chosen: argparse.Namespace) -> None:
         truth = FilmTruth.load(folder / "truth.npz").thinned(RULES_EVERY)
         film = open_film(folder / "film.avi", None, truth.um_px)
         drawn.append((FilmInMemory(film, every=RULES_EVERY), truth))
-    film = FilmInMemory(open_film(chosen.film, chosen.rate, chosen.scale[0] or None))
+    film = FilmInMemory(open_film(chosen.film, chosen.rate, chosen.scale))
     film.pictures = film.pictures[: chosen.pictures]
     bodies = body_masks(film.pictures, chosen.darker)
     print("| taken out | no body | followed | F1 | IDF1 | wrong names, called sure | sure | new |")
     for rule in ("", *(chosen.without or RULES)):
         with without(rule):
-            rows, _ = unfitted(film, chosen.scale[0] or None, named(chosen.organism))
+            rows, _ = unfitted(film, chosen.scale, named(chosen.organism))
             scores = [
                 score_film(str(film.path), truth, shown(follow(film, truth.um_px, None)))
                 for film, truth in drawn
@@ -216,70 +170,29 @@ def rules(chosen: argparse.Namespace) -> None:
         print(f"| {' | '.join(cells)} |", flush=True)
 
 
-def render(chosen: argparse.Namespace) -> None:
-    for renderer in chosen.renderer:
-        for level in chosen.level:
-            for folder in each(chosen, partial(rendered, chosen.cache, renderer, level)):
-                size = sum(path.stat().st_size for path in folder.iterdir()) / 1e6
-                print(f"{folder}: {size:.0f} MB", flush=True)
-
-
-def times(chosen: argparse.Namespace) -> None:
-    """Print the processor time a picture of 1024 px, alone on one core."""
-    from filmworld.ours import parts
-
-    cv2.setNumThreads(1)
-    for renderer in chosen.renderer:
-        for level in chosen.level:
-            values_of: dict[str, list[float]] = {}
-            for folder in each(chosen, partial(rendered, chosen.cache, renderer, level)):
-                for name, values in parts(folder, 2.3).items():
-                    values_of.setdefault(name, []).extend(values)
-            print(f"\n## {renderer}, {level}: ms of processor time a picture\n")
-            for name, values in values_of.items():
-                p50, p99 = np.quantile(values, (0.5, 0.99))
-                print(f"| {name} | median {p50:.1f}, p99 {p99:.1f}, n {len(values)} |", flush=True)
-
-
 def of_film(chosen: argparse.Namespace) -> None:
     """Print what is known of a film without a truth."""
-    if chosen.part == "real":
-        from filmworld.real import report as say
-
-        say(chosen.film, chosen.scale, chosen.rate)
-        return
     from filmworld.without_truth import report
 
-    scale = chosen.scale[0] or None
-    report(chosen.film, chosen.organism, chosen.rate, scale, chosen.darker)
+    report(chosen.film, chosen.organism, chosen.rate, chosen.scale, chosen.darker)
 
 
-PARTS = {
-    "render": render,
-    "score": score,
-    "peers": peers,
-    "kept": kept,
-    "time": times,
-    "rules": rules,
-}
+PARTS = {"score": score, "peers": peers, "rules": rules, "reversed": of_film}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("part", choices=(*PARTS, "real", "reversed"))
-    parser.add_argument(
-        "film", type=Path, nargs="?", help="the film of `real` and `reversed`, or `rules`"
-    )
+    parser.add_argument("part", choices=PARTS)
+    parser.add_argument("film", type=Path, nargs="?", help="the film of `reversed`, or `rules`")
     parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
     parser.add_argument("--setting", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--count", type=int, default=15, help="films of each kind")
     parser.add_argument("--first-seed", type=int, default=9000)
     parser.add_argument("--cache", type=Path, help="folder of the films; else a temporary one")
-    parser.add_argument("--keep", default="", help="folder in each film's for what is said of it")
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--scale", type=float, nargs="+", default=[0.0], help="of `real`; 0: none")
-    parser.add_argument("--rate", type=float, help="of `real`, if it states none")
+    parser.add_argument("--scale", type=float, help="of a given film, if it states none")
+    parser.add_argument("--rate", type=float, help="of a given film, if it states none")
     parser.add_argument("--organism", default="euglena", help="of `reversed`")
     parser.add_argument(
         "--darker",
@@ -295,11 +208,8 @@ def main() -> None:
     if chosen.part != "rules":
         take_out(chosen.without)
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
-    if (chosen.part not in PARTS or chosen.part == "rules") and chosen.film is None:
+    if chosen.part in ("rules", "reversed") and chosen.film is None:
         parser.error(f"{chosen.part} needs a film")
-    if chosen.part not in PARTS:
-        of_film(chosen)
-        return
     with tempfile.TemporaryDirectory() as folder:
         chosen.cache = chosen.cache or Path(folder)
         PARTS[chosen.part](chosen)

@@ -23,7 +23,6 @@ class Conditions:
 
     seconds: float
     optics: Optics
-    look: str
     light: float
     noise: float
     quality: int
@@ -94,7 +93,6 @@ class Conditions:
                 lens_px=random.uniform(0.5, 0.9),
                 aperture=random.uniform(0.06, 0.1) if not hard else random.uniform(0.1, 0.16),
             ),
-            look=look,
             light=light,
             noise=noise,
             quality={"easy": 95, "normal": int(random.integers(75, 91)), "hard": 60}[level],

@@ -186,24 +186,19 @@ class WideFilm(SyntheticFilm):
         def only(values):
             return np.where(is_alive, values, np.nan)
 
-        look = {n: getattr(self.look, n) for n in self.look.__slots__ if n != "specks"}
-        arguments = {n: getattr(self, n) for n in ("level", "seed", *WideFilm.__slots__)}
         return FilmTruth(
             times=self.times,
             x=only(place[..., 0]),
             y=only(place[..., 1]),
-            axis=only(self.body[..., 2]),
             heading=only(self.heading),
             speed=only(speed),
             resting=resting & is_alive,
             a=a,
-            bias=self.cells.bias,
             parent=parent,
             turns=self.turns,
             recorded=self.turns[:, 0] + late,
             um_px=UM_PX,
             side_px=SIDE_PX,
-            about={"renderer": "first", **arguments, "picture": look},
         )
 
 

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from .ours import cpu_s
 from .scores import Shown
 
 BACKGROUND = 41  # pictures
@@ -27,11 +26,8 @@ MOVED_UM = 80.0  # least way of one
 
 
 @cache
-def detections(film: Path, um_px: float) -> tuple[pd.DataFrame, float]:
-    """Return frame, x, y (down) [px] of what differs from the film's median, and the processor time
-    [s] of finding it.
-    """
-    began = cpu_s()
+def detections(film: Path, um_px: float) -> pd.DataFrame:
+    """Return frame, x, y (down) [px] of what differs from the film's median."""
     pictures = []
     reader = cv2.VideoCapture(str(film))
     there_is_one, picture = reader.read()
@@ -54,7 +50,7 @@ def detections(film: Path, um_px: float) -> tuple[pd.DataFrame, float]:
         area = stats[:, cv2.CC_STAT_AREA]
         fit = [i for i in range(1, count) if low <= area[i] <= high]
         rows += [(k, *middles[i]) for i in fit]
-    return pd.DataFrame(rows, columns=["frame", "x", "y"]), cpu_s() - began
+    return pd.DataFrame(rows, columns=["frame", "x", "y"])
 
 
 def trackpy_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
@@ -89,10 +85,8 @@ def laptrack_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
 
 
 def _linked(link: Callable[[pd.DataFrame, float], pd.DataFrame], folder: Path, um_px: float):
-    features, spent = detections(folder / "film.avi", um_px)
-    began = cpu_s()
+    features = detections(folder / "film.avi", um_px)
     tracks = link(features.copy(), um_px) if len(features) else features.assign(particle=[])
-    spent += cpu_s() - began
     long_tracks = []
     for _, track in tracks.groupby("particle"):
         way = np.hypot(track.x - track.x.iloc[0], track.y - track.y.iloc[0]).max() * um_px
@@ -100,16 +94,13 @@ def _linked(link: Callable[[pd.DataFrame, float], pd.DataFrame], folder: Path, u
             long_tracks.append(track)
     table = pd.concat(long_tracks).sort_values("frame") if long_tracks else tracks.iloc[:0]
     height = cv2.VideoCapture(str(folder / "film.avi")).get(cv2.CAP_PROP_FRAME_HEIGHT)
-    none = np.full(len(table), np.nan)
     return Shown(
         frame=table.frame.to_numpy(int),
         name=table.particle.to_numpy(int),
         x=(table.x.to_numpy(float) + 0.5) * um_px,
         y=(height - 0.5 - table.y.to_numpy(float)) * um_px,
-        axis=none,
-        heading=none,
+        heading=np.full(len(table), np.nan),
         sure=np.ones(len(table), bool),
-        cpu_s=spent,
     )
 
 

@@ -11,11 +11,7 @@ RESAMPLED = 1000  # bootstrap samples of the films
 
 
 def total(films: Sequence[FilmScore], name: str) -> float:
-    return sum(vars_of(film)[name] for film in films)
-
-
-def vars_of(film: FilmScore) -> dict:
-    return {name: getattr(film, name) for name in FilmScore.__slots__}
+    return sum(getattr(film, name) for film in films)
 
 
 def f1(films: Sequence[FilmScore]) -> float:
@@ -73,10 +69,6 @@ def called_sure(films: Sequence[FilmScore]) -> float:
     return total(films, "covered") / max(total(films, "right"), 1)
 
 
-def cpu_ms_a_picture(films: Sequence[FilmScore]) -> float:
-    return 1e3 * total(films, "cpu_s") / total(films, "pictures")
-
-
 def counts(films: Sequence[FilmScore], name: str) -> tuple[int, int]:
     """Return how many intervals of all films hold the truth, and how many there are."""
     pairs = [getattr(film, name) for film in films]
@@ -86,57 +78,27 @@ def counts(films: Sequence[FilmScore], name: str) -> tuple[int, int]:
 
 def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, str]]:
     """Return the rows (what, figure) of films of one level; `numbers` if intervals are stated."""
-    rows = _where(films)
-    if numbers:
-        rows += _directions(films)
-    rows += _who(films)
-    if numbers:
-        rows += _intervals(films)
-    cpu = over_films(films, cpu_ms_a_picture, 1)
-    return [*rows, ("processor time a picture, ms", f"{cpu}, n {total(films, 'pictures')}")]
-
-
-def _where(films: Sequence[FilmScore]) -> list[tuple[str, str]]:
-    """Which cells are found, and how far from where they are."""
     worst = min(films, key=lambda film: film.f1)
-    less_a_constant = over_films(films, root("place2_less", "near"), 2)
-    return [
+    rows = [
         ("films, cell-hours", f"{len(films)}, {total(films, 'hours'):.3f}"),
         ("F1", over_films(films, f1, 4)),
         ("worst film's F1", f"{worst.f1:.3f} ({worst.film})"),
         ("position apart, um", over_films(films, root("place2", "near"), 2)),
-        ("less a constant along the body, um", less_a_constant),
-    ]
-
-
-def _directions(films: Sequence[FilmScore]) -> list[tuple[str, str]]:
-    return [
-        ("axis, rad", over_films(films, root("axis2", "axes"), 3)),
-        ("heading of the helix, rad", over_films(films, root("heading2", "headings"), 3)),
-    ]
-
-
-def _who(films: Sequence[FilmScore]) -> list[tuple[str, str]]:
-    """How cells bear their names, and for how long."""
-    lives = [life for film in films for life in film.lives]
-    views = [view for film in films for view in film.views]
-    return [
         ("IDF1", over_films(films, idf1, 3)),
         ("new names a cell-hour", over_films(films, new_names, 0)),
         ("wrong names that last, a cell-hour", over_films(films, wrong_names, 1)),
-        ("a number lasts, median, s", f"{np.median(lives):.1f}" if lives else "-"),
-        ("a cell is in view, median, s", f"{np.median(views):.1f}" if views else "-"),
     ]
+    return rows + _stated(films) if numbers else rows
 
 
-def _intervals(films: Sequence[FilmScore]) -> list[tuple[str, str]]:
+def _stated(films: Sequence[FilmScore]) -> list[tuple[str, str]]:
     """What is stated of names and numbers, and how often that is right."""
     wrong = [sure for film in films for sure in film.wrong]
     return [
-        ("of these called sure", f"{sum(wrong)} of {len(wrong)}"),
+        ("heading of the helix, rad", over_films(films, root("heading2", "headings"), 3)),
+        ("of the wrong names called sure", f"{sum(wrong)} of {len(wrong)}"),
         ("right rows that are called sure", over_films(films, called_sure, 3)),
         ("95 % interval of a holds", share(*counts(films, "a"))),
         ("95 % interval of the speed holds", share(*counts(films, "speed"))),
-        ("long tracks without a number", f"{total(films, 'silent')}"),
         ("strangers whose a is said not to be 0", share(*counts(films, "strangers"))),
     ]

@@ -18,21 +18,18 @@ LONG_S = 2.0  # least duration of a track whose numbers are scored
 
 @dataclass(slots=True)
 class Shown:
-    """What a tracker says: rows (R,) in order of `frame`, with integer `name`, x, y [um], axis and
+    """What a tracker says: rows (R,) in order of `frame`, with integer `name`, x, y [um],
     heading [rad] (NaN where not said) and whether the name is said to be sure. `numbers` holds for
-    each name intervals of the `speed` and of `a` (low, high), where said. `cpu_s` is the processor
-    time.
+    each name intervals of the `speed` and of `a` (low, high), where said.
     """
 
     frame: np.ndarray
     name: np.ndarray
     x: np.ndarray
     y: np.ndarray
-    axis: np.ndarray
     heading: np.ndarray
     sure: np.ndarray
     numbers: dict[int, dict[str, tuple[float, float]]] = field(default_factory=dict)
-    cpu_s: float = 0.0
 
 
 @dataclass(slots=True)
@@ -41,21 +38,15 @@ class FilmScore:
 
     `wrong` says of each wrong name that lasts whether it is called sure, in most of its rows.
     `right` counts the rows of the cell that the name had at first, `covered` those called sure;
-    `held` maps a quantity to the
-    number of intervals that hold the truth and their number. `lives` are the times for which the
-    numbers last, `views` those for which cells are in view without a break [s].
+    `a`, `speed` and `strangers` are the intervals that hold the truth, and their number.
     """
 
     film: str = ""
-    pictures: int = 0
     found: int = 0
     missed: int = 0
     extra: int = 0
     near: int = 0
     place2: float = 0.0
-    place2_less: float = 0.0
-    axis2: float = 0.0
-    axes: int = 0
     heading2: float = 0.0
     headings: int = 0
     named: int = 0
@@ -67,10 +58,6 @@ class FilmScore:
     a: tuple[int, int] = (0, 0)
     speed: tuple[int, int] = (0, 0)
     strangers: tuple[int, int] = (0, 0)
-    silent: int = 0
-    lives: list[float] = field(default_factory=list)
-    views: list[float] = field(default_factory=list)
-    cpu_s: float = 0.0
 
     @property
     def f1(self) -> float:
@@ -82,7 +69,7 @@ def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
     owner = owners(truth, tracked)
     view = truth.view
     nearest = _nearest(truth)
-    score = FilmScore(name, pictures=len(truth.times), cpu_s=tracked.cpu_s)
+    score = FilmScore(name)
     true = owner >= 0
     inside = np.zeros(len(owner), bool)
     inside[true] = view[tracked.frame[true], owner[true]]
@@ -111,8 +98,6 @@ def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
     score.right = int(right.sum())
     score.covered = int((right & tracked.sure).sum())
     _intervals(score, truth, tracked, owner)
-    score.lives = _lives(truth, tracked)
-    score.views = _views(truth)
     return score
 
 
@@ -162,16 +147,8 @@ def _errors(score: FilmScore, truth: FilmTruth, tracked: Shown, owner, rows) -> 
     i = owner[rows]
     dx = tracked.x[rows] - truth.x[k, i]
     dy = tracked.y[rows] - truth.y[k, i]
-    along = dx * np.cos(truth.axis[k, i]) + dy * np.sin(truth.axis[k, i])
-    aside = dy * np.cos(truth.axis[k, i]) - dx * np.sin(truth.axis[k, i])
     score.near = len(rows)
     score.place2 = float((dx**2 + dy**2).sum())
-    off = along - along.mean() if len(rows) else along
-    score.place2_less = float((off**2 + aside**2).sum())
-    axis = (tracked.axis[rows] - truth.axis[k, i] + np.pi / 2) % np.pi - np.pi / 2
-    axis = axis[np.isfinite(axis)]
-    score.axis2 = float((axis**2).sum())
-    score.axes = len(axis)
     heading = (tracked.heading[rows] - truth.heading[k, i] + np.pi) % (2 * np.pi) - np.pi
     heading = heading[np.isfinite(heading) & ~truth.resting[k, i]]
     score.heading2 = float((heading**2).sum())
@@ -232,24 +209,6 @@ def _wrong(truth: FilmTruth, tracked: Shown, owner, free) -> list[bool]:
     return wrong
 
 
-def _lives(truth: FilmTruth, tracked: Shown) -> list[float]:
-    """Return the time from the first to the last row of each number [s]."""
-    times = truth.times[tracked.frame]
-    names = np.unique(tracked.name)
-    rows_of_names = [np.flatnonzero(tracked.name == name) for name in names]
-    return [float(np.ptp(times[rows])) for rows in rows_of_names]
-
-
-def _views(truth: FilmTruth) -> list[float]:
-    """Return how long cells are in view without a break [s]."""
-    lives_s = []
-    for in_view in truth.view.T:
-        changes = np.flatnonzero(np.diff(np.concatenate([[False], in_view, [False]])))
-        for first, end in changes.reshape(-1, 2).tolist():
-            lives_s.append(float(truth.times[end - 1] - truth.times[first]))
-    return lives_s
-
-
 def _intervals(score: FilmScore, truth: FilmTruth, tracked: Shown, owner) -> None:
     """Score the intervals of names seen for LONG_S by the cell that bears each for longest."""
     held = {"a": [0, 0], "speed": [0, 0], "strangers": [0, 0]}
@@ -263,7 +222,6 @@ def _intervals(score: FilmScore, truth: FilmTruth, tracked: Shown, owner) -> Non
             continue
         i = int(np.bincount(owners_of_rows).argmax())
         said = tracked.numbers.get(int(name), {})
-        score.silent += int("speed" not in said)
         rows = rows[np.flatnonzero(owners == i)]
         if "speed" in said:
             mean = float(truth.speed[tracked.frame[rows], i].mean())

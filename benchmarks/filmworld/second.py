@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .conditions import RATE_HZ, SIDE_PX, UM_PX, Conditions
-from .optics import Optics, Shape, bubble
+from .optics import Shape, bubble
 from .swim import NEARBY_UM, STEPS_S, Fauna, Swum, swim
 from .truth import FilmTruth
 
@@ -40,7 +40,7 @@ def second_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray],
     count = round(conditions.seconds * RATE_HZ)
     moments = (np.arange(count) + 0.5) / RATE_HZ
     jitter = random.uniform(0, conditions.late_s / 2, len(turns))
-    truth = world.truth(moments, turns, turns[:, 0] + conditions.late_s / 2 + jitter, level, seed)
+    truth = world.truth(moments, turns, turns[:, 0] + conditions.late_s / 2 + jitter)
     return truth, world.pictures(random, moments), conditions.quality
 
 
@@ -147,37 +147,30 @@ class _World:
         self.span = np.vstack([self.span, spans])
         self.parent = np.append(self.parent, parents)
 
-    def truth(self, moments, turns, recorded, level: str, seed: int) -> FilmTruth:
+    def truth(self, moments, turns, recorded) -> FilmTruth:
         step = np.round(moments * STEPS_S).astype(int)
         is_alive = (step[:, None] >= self.span[:, 0]) & (step[:, None] < self.span[:, 1])
         knocked = (moments > self.conditions.knock_s)[:, None, None] * np.array(
             self.conditions.knock_um
         )
         place = self.swum.place[step][:, self.slot, :2] + self.shift + knocked
-        along = self.swum.along[step][:, self.slot]
 
         def only(values: np.ndarray) -> np.ndarray:
             return np.where(is_alive, values, np.nan)
 
-        about = {"renderer": "second", "level": level, "seed": seed, "look": self.conditions.look}
-        drawn = {name: getattr(self.conditions, name) for name in Conditions.__slots__}
-        drawn["optics"] = {n: getattr(self.conditions.optics, n) for n in Optics.__slots__}
         return FilmTruth(
             times=moments - moments[0],
             x=only(place[..., 0]),
             y=only(place[..., 1]),
-            axis=only(np.arctan2(along[..., 1], along[..., 0])),
             heading=only(self.swum.heading[step][:, self.slot]),
             speed=only(self.swum.speed[step][:, self.slot]),
             resting=self.swum.resting[step][:, self.slot] & is_alive,
             a=self.fauna.a[self.slot],
-            bias=self.fauna.bias[self.slot],
             parent=self.parent,
             turns=turns - [moments[0], 0.0],
             recorded=recorded - moments[0],
             um_px=UM_PX,
             side_px=SIDE_PX,
-            about=about | drawn,
         )
 
     def pictures(self, random, moments: np.ndarray) -> Iterator[np.ndarray]:

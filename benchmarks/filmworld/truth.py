@@ -1,13 +1,11 @@
 """A synthetic film on disk: film.avi, field.csv for `tetractl track --field`, and its truth."""
 
-import json
 import os
 import shutil
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,29 +17,25 @@ VIEW_UM = 30.0  # a cell whose middle is nearer to the picture's edge need not b
 class FilmTruth:
     """The truth of K pictures with M individuals, at the middle of each exposure.
 
-    `x`, `y` [um], with y up, are in the picture's coordinates, also after a knock; `axis` [rad] is
-    the body's direction, `heading` [rad] that of its helix, `speed` [um/s] along the helix (all
-    (K, M), NaN where an individual is not there). `a` [rad/s] is 0 for a stranger, NaN if it
-    changes; `bias` [rad]; `parent` is the index of the individual that divided, else -1; `resting`
-    (K, M). `turns` (T, 2) are times [s] and directions [rad] of the field, `recorded` (T,) the
-    times that the file states. `about` says what was drawn for the film.
+    `x`, `y` [um], with y up, are in the picture's coordinates, also after a knock; `heading` [rad]
+    is that of the helix, `speed` [um/s] along it (all (K, M), NaN where an individual is not
+    there). `a` [rad/s] is 0 for a stranger, NaN if it changes; `parent` is the index of the
+    individual that divided, else -1; `resting` (K, M). `turns` (T, 2) are times [s] and directions
+    [rad] of the field, `recorded` (T,) the times that the file states.
     """
 
     times: np.ndarray
     x: np.ndarray
     y: np.ndarray
-    axis: np.ndarray
     heading: np.ndarray
     speed: np.ndarray
     resting: np.ndarray
     a: np.ndarray
-    bias: np.ndarray
     parent: np.ndarray
     turns: np.ndarray
     recorded: np.ndarray
     um_px: float
     side_px: int
-    about: dict[str, Any] = field(default_factory=dict)
 
     @property
     def view(self) -> np.ndarray:
@@ -53,24 +47,19 @@ class FilmTruth:
 
     def thinned(self, every: int) -> "FilmTruth":
         """Return the truth of every so many pictures."""
-        of_pictures = ("times", "x", "y", "axis", "heading", "speed", "resting")
+        of_pictures = ("times", "x", "y", "heading", "speed", "resting")
         return replace(self, **{name: getattr(self, name)[::every] for name in of_pictures})
 
     def save(self, path: Path) -> None:
-        arrays = {name: getattr(self, name) for name in self.__slots__ if name != "about"}
-        ids = np.arange(len(self.a))
-        np.savez_compressed(
-            path, **arrays, id=ids, view=self.view, about=np.array(json.dumps(self.about))
-        )
+        np.savez_compressed(path, **{name: getattr(self, name) for name in self.__slots__})
 
     @classmethod
     def load(cls, path: Path) -> "FilmTruth":
         with np.load(path) as stored:
-            values = {name: stored[name] for name in cls.__slots__ if name != "about"}
-            about = json.loads(str(stored["about"]))
+            values = {name: stored[name] for name in cls.__slots__}
         values["um_px"] = float(values["um_px"])
         values["side_px"] = int(values["side_px"])
-        return cls(**values, about=about)
+        return cls(**values)
 
 
 def write_film(

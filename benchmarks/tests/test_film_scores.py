@@ -25,12 +25,10 @@ def two_cells():
         times=times,
         x=x,
         y=y,
-        axis=none,
         heading=none,
         speed=none + 100.0,
         resting=none.astype(bool),
         a=np.array([4.0, 0.0]),
-        bias=np.zeros(2),
         parent=np.array([-1, -1]),
         turns=np.zeros((1, 2)),
         recorded=np.zeros(1),
@@ -45,7 +43,6 @@ def shown(truth, name, **changed):
     rows = {
         "x": truth.x.ravel(),
         "y": truth.y.ravel(),
-        "axis": truth.axis.ravel(),
         "heading": truth.heading.ravel(),
         "sure": np.ones(2 * PICTURES, bool),
     }

@@ -14,27 +14,26 @@ degrees. `--scale 0.1` does a tenth of the work.
 import argparse
 import math
 import os
+import sys
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import cv2
 import numpy as np
+
+sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
+from support.tag_scene import FLOOR, MM, NAMES, scattered
 from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
 from tetractl_microscope.apriltag.camera import Tracker
 from tetractl_microscope.apriltag.detect import MODULES, refined
-from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag
+from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 
 from tetractl.core.poses import Grey, Poses
 
-MM = 1e-3
-NAMES = ("green", "blue", "red")
 ROBOTS = tuple(
     RobotTag(name=name, tag=tag, size_mm=80, height_mm=90) for tag, name in enumerate(NAMES)
-)
-FLOOR = tuple(
-    FloorTag(tag=100 + i, at=position, size_mm=120)
-    for i, position in enumerate([(400, 250), (2200, 250), (2200, 2250), (400, 2250)])
 )
 SIZES = ((640, 480), (1280, 720))
 BENT = (-0.2, 0.08, 0.002, -0.002, 0.0)
@@ -50,16 +49,6 @@ def section(source: dict[str, object] | None = None, **changes: object) -> April
 def renderer(size: tuple[int, int], tilt: float = 0.35, **optics: object) -> Renderer:
     facing = Optics.facing(FLOOR, MM, *size, tilt=tilt)
     return Renderer(ROBOTS, FLOOR, MM, replace(facing, **optics), seed=1)
-
-
-def scattered(rng: np.random.Generator) -> Poses:
-    """Random poses in the arena, robots 150 mm apart at least."""
-    while True:
-        x = rng.uniform(500, 2100, 3)
-        y = rng.uniform(350, 2150, 3)
-        gaps = np.hypot(x - np.roll(x, 1), y - np.roll(y, 1))
-        if gaps.min() > 150:
-            return Poses(x, y, rng.uniform(-math.pi, math.pi, 3))
 
 
 def sent(picture: Grey) -> Grey:

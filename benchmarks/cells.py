@@ -14,10 +14,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.stats import beta
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
+from filmworld.rows import share
 from tetractl_microscope.cells.cell import BodySize
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.helix import HelixFilter
@@ -29,13 +29,6 @@ FIRST_SEED = 9000
 STEP_S = 1 / 240
 STEPS_OF_A_PICTURE = 8
 MERGE_S = 10.0
-
-
-def share(hits: int, count: int) -> str:
-    """A share with its interval after Clopper and Pearson."""
-    low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
-    return f"{hits}/{count} = {hits / max(count, 1):.4f} [{low:.4f}, {high:.4f}]"
 
 
 def identity(count: int) -> None:

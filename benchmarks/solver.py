@@ -2,8 +2,7 @@
 
     python benchmarks/solver.py                     everything, some 20 minutes
     python benchmarks/solver.py --quick             every row once, in seconds; figures mean little
-    python benchmarks/solver.py --only a,d          some parts
-    python benchmarks/solver.py --plot growth.svg   draw part (d), too
+    python benchmarks/solver.py --only a,b          some parts
 
 Peers come with `pip install '.[bench]' ./benchmarks/tetractl-ipopt`; those that are missing are
 named and skipped.
@@ -14,11 +13,10 @@ import importlib.metadata
 import platform
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 
 import numba
 from llvmlite import binding
-from solverbench import growth, loop, speed, success
+from solverbench import loop, speed, success
 from solverbench.report import Report, Settings, load, progress
 
 PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
@@ -27,9 +25,8 @@ PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="every row, hardly measured")
-    parser.add_argument("--only", default="a,b,c,d", help="parts, such as a,b")
+    parser.add_argument("--only", default="a,b,c", help="parts, such as a,b")
     parser.add_argument("--peers", help="rows of (b), without its sweep, such as PSO,Fatrop")
-    parser.add_argument("--plot", type=Path, help="where to draw growth (.svg or .png)")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")  # of peers; figures are checked by their own J
     settings = Settings.of(chosen.quick)
@@ -37,7 +34,6 @@ def main() -> None:
         "a": lambda: speed.iteration(settings),
         "b": lambda: success.step_0(settings, chosen.peers.split(",") if chosen.peers else ()),
         "c": lambda: loop.closed(settings),
-        "d": lambda: growth.growth(settings, chosen.plot),
     }
     wanted = [part.strip() for part in chosen.only.split(",")]
     unknown = [part for part in wanted if part not in parts]

@@ -2,17 +2,14 @@
 
 Run `python benchmarks/study.py` on an idle machine. Each round runs every case once, one after
 another, so that cases are compared within a round. A rate is that of the trials after the first
-ones, which also wait for processes to start. CPU time is that of
-this process, and depends less on what else the machine does.
+ones, which also wait for processes to start.
 """
 
 import argparse
-import math
 import statistics
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 from tetractl.run.batch import Ending, run_batch
 from tetractl.run.executors import on_this_machine
@@ -46,19 +43,8 @@ class Clocked:
         self.ends_s.append(time.perf_counter())
 
 
-class Measured(NamedTuple):
-    """Whole trials a minute; CPU time a trial of this process [ms]; the longest control step of a
-    trial, which is its first plan [ms], and the share of the CPU time that is none of the control
-    steps', NaN if they are taken elsewhere."""
-
-    rate: float
-    here_ms: float
-    first_ms: float
-    outside: float
-
-
-def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
-    """Run a study of one arm."""
+def measure(spec: Path, trials: int, jobs: int, logs: str) -> float:
+    """Run a study of one arm; return whole trials a minute."""
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "study.yaml"
         file.write_text(f"name: rate\nbase: {spec}\ntrials: {{count: {trials}, seed: 1}}\n")
@@ -68,17 +54,10 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
         with store.opened():
             tasks, _ = lacking(loaded, store, Logs.parse(logs), False)
             executor = on_this_machine(jobs, len(tasks), Interrupt())
-            before_s = time.process_time()
             run_batch(tasks, store, executor, clocked)
-            here_s = time.process_time() - before_s
-        first = 2 * jobs
-        results = list(store.batches[loaded.arms[0].name].results.values())
-        first_ms = [1e-6 * max(trial.result.solve_ns) for trial in results]
-        solved_s = sum(1e-9 * sum(trial.result.solve_ns) for trial in results)
+    first = 2 * jobs
     took_s = clocked.ends_s[-1] - clocked.ends_s[first - 1]
-    rate = 60 * (trials - first) / took_s
-    outside = 1 - solved_s / here_s if jobs == 1 else math.nan
-    return Measured(rate, 1e3 * here_s / trials, statistics.mean(first_ms), outside)
+    return 60 * (trials - first) / took_s
 
 
 def main() -> None:
@@ -88,7 +67,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100, help="trials of each case in a round")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
-    measured: dict[str, list[Measured]] = {name: [] for name in CASES}
+    measured: dict[str, list[float]] = {name: [] for name in CASES}
     for _ in range(options.rounds):
         for name, (jobs, logs) in CASES.items():
             measured[name].append(measure(options.spec.resolve(), options.trials, jobs, logs))
@@ -96,16 +75,11 @@ def main() -> None:
         f"{options.spec.name}, {options.rounds} rounds of {options.trials} trials, median (range)"
     )
     for name, values in measured.items():
-        rates, here_ms, first_ms, outside = map(list, zip(*values, strict=True))
-        print(
-            f"{name:23} {_span(rates, 0)} trials a minute, CPU here {_span(here_ms, 1)} ms a trial,"
-            f" {_span([100 * share for share in outside], 0)} % of it outside the solver;"
-            f" first plan {_span(first_ms, 1)} ms on average"
-        )
+        print(f"{name:23} {_span(values, 0)} trials a minute")
     for logs in ("whole logs", "brief logs"):
         single = measured[f"1 process, {logs}"]
         two = measured[f"2 processes, {logs}"]
-        gains = [b.rate / a.rate for a, b in zip(single, two, strict=True)]
+        gains = [b / a for a, b in zip(single, two, strict=True)]
         print(f"2 processes against 1, {logs}: {_span(gains, 2)}x")
 
 

@@ -1,19 +1,9 @@
 """(c) closed loop, and the time of its steps."""
 
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
-
 import numpy as np
 
-from tetractl.core.commands import Command
-from tetractl.core.plan import End, Outcome, Plan
-from tetractl.core.poses import Observation
-from tetractl.core.protocols import Controller, Plant
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
-from tetractl.run.checked_controller import build_controller
 
 from . import shooting
 from .peers import available
@@ -27,58 +17,14 @@ from .problems import (
 )
 from .report import Report, Settings, load, progress, spread
 
-Times = Sequence[float] | np.ndarray
 
-
-@dataclass(slots=True)
-class Batch:
-    """The results of some trials, and the processor time of each plan, by trial [s]."""
-
-    results: list[Result] = field(default_factory=list)
-    processor: list[list[float]] = field(default_factory=list)
-
-    def later(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times of all plans but the first [s], by the clock and by the processor."""
-        clock = np.concatenate([r.solve_ns[1:] for r in self.results]) / 1e9
-        return clock, np.concatenate([times[1:] for times in self.processor])
-
-
-@dataclass(slots=True)
-class _Timed:
-    """A controller whose plans' processor time is noted."""
-
-    controller: Controller
-    times: list[float]
-
-    def plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
-        begin = time.thread_time()
-        decision = self.controller.plan(observation, last_command, earlier)
-        self.times.append(time.thread_time() - begin)
-        return decision
-
-
-def _clocked(times: list[float], spec: Experiment, key: int, plant: Plant) -> Controller:
-    return _Timed(build_controller(spec, key), times)
-
-
-def run(experiment: Experiment, trials: int) -> Batch:
+def run(experiment: Experiment, trials: int) -> list[Result]:
     """Run trials in virtual time without any log."""
-    batch = Batch()
-    for trial in range(trials):
-        times: list[float] = []
-        batch.processor.append(times)
-        clocked = partial(_clocked, times)
-        batch.results.append(played(experiment, trial, clocked)[0])
-    return batch
+    return [played(experiment, trial)[0] for trial in range(trials)]
 
 
 HEAD = ["controller", "total error [mm], mean +- std", "worst [mm]", "entered obstacle"]
-TIMES = ["first step [ms], median", "later steps, clock [ms]", "later steps, processor [ms]"]
+TIMES = ["first step [ms], median", "later steps [ms]"]
 
 
 def _errors(name: str, results: list[Result]) -> list[str]:
@@ -89,9 +35,10 @@ def _errors(name: str, results: list[Result]) -> list[str]:
     return [name, mean, f"{errors.max():.4g}", f"{entered} of {len(results)}"]
 
 
-def _times(batch: Batch) -> list[str]:
-    first = np.median([r.solve_ns[0] for r in batch.results]) / 1e6
-    return [f"{first:.1f}", *map(spread, batch.later())]
+def _times(results: list[Result]) -> list[str]:
+    first = np.median([r.solve_ns[0] for r in results]) / 1e6
+    later_s = np.concatenate([r.solve_ns[1:] for r in results]) / 1e9
+    return [f"{first:.1f}", spread(later_s)]
 
 
 def closed(settings: Settings) -> Report:
@@ -115,8 +62,8 @@ def closed(settings: Settings) -> Report:
     for name, spec in contestants:
         progress(f"(c) closed loop: {name}")
         run(replace_control(spec, time_limit=0.1), 1)  # warm up
-        batch = run(spec, settings.trials)
-        rows.append([*_errors(name, batch.results), *_times(batch)])
+        results = run(spec, settings.trials)
+        rows.append([*_errors(name, results), *_times(results)])
     report.say(
         f"{settings.trials} trials, continuous plant, nothing disturbed; times of steps are p50 / "
         f"p99 / max. {load()}."

@@ -1,7 +1,6 @@
 """The problems everybody has to solve, and the cost as a NumPy user would write it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from tetractl.control.optimizers.pso import Pso
 from tetractl.control.stop import BudgetStop
 from tetractl.core.clock import VirtualClock
 from tetractl.core.plan import Problem
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.poses import Floats
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.experiment.experiment import Experiment
@@ -70,21 +69,6 @@ def printed() -> Problem:
 def recommended() -> Problem:
     """The same as we recommend it: exact motion, obstacle and walls swept, with a margin."""
     return _problem(OURS)
-
-
-def random_robots(robots: int) -> Problem:
-    """The printed problem for any number of robots, all different."""
-    rng = np.random.default_rng(robots)
-    base = printed()
-    x = rng.uniform(600, 2000, robots)
-    y = rng.uniform(400, 2100, robots)
-    return replace(
-        base,
-        poses=Poses(x, y, np.zeros(robots)),
-        targets=np.column_stack([rng.uniform(600, 2000, robots), rng.uniform(400, 2100, robots)]),
-        a=rng.uniform(3, 6, robots),
-        speed=rng.uniform(150, 200, robots),
-    )
 
 
 Cost = Callable[[Floats], Floats]

@@ -73,11 +73,6 @@ class Pair:
         """How many times longer theirs takes, both at their least: when nothing interrupts them."""
         return float(self.theirs.min() / self.ours.min())
 
-    @property
-    def median(self) -> float:
-        """The same as the median over the pairs."""
-        return float(np.median(self.theirs / self.ours))
-
 
 def in_pairs(ours: Callable[[], object], theirs: Callable[[], object], repeats: int) -> Pair:
     """Time two pieces of work in turn, so that whatever else runs slows both."""
@@ -86,17 +81,6 @@ def in_pairs(ours: Callable[[], object], theirs: Callable[[], object], repeats: 
     pairs = [(seconds(ours), seconds(theirs)) for _ in range(repeats)]
     times = np.array(pairs)
     return Pair(times[:, 0], times[:, 1])
-
-
-def least(work: Callable[[], object], repeats: int) -> float:
-    """The least processor time of some repetitions [s]: what else runs does not count."""
-    work()
-    times = []
-    for _ in range(repeats):
-        begin = time.thread_time()
-        work()
-        times.append(time.thread_time() - begin)
-    return min(times)
 
 
 def spread(times: Sequence[float] | np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""(a) time per PSO iteration at equal particles; (e) time per robot-step against a floor."""
+"""(a) time per PSO iteration at equal particles."""
 
 from collections.abc import Callable
 
@@ -8,8 +8,6 @@ from tetractl.control.cost import evaluate
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.optimizers.pso import Swarm
 from tetractl.core.plan import Problem
-from tetractl.model.motion.polynomials import horner
-from tetractl.tools.kernels.kernel_options import inlined
 
 from .peers import OPTIONS, available
 from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, tuned_cost
@@ -17,11 +15,6 @@ from .report import Pair, Report, Settings, in_pairs, load
 
 SHORT = 20
 """Iterations timed at once: few, so that most repetitions run through without an interruption."""
-polynomial = inlined(horner)
-ROBOT_STEPS = 3 * PARTICLES * SIGNALS
-EULER_WORK = 42
-"""Vector instructions of one robot-step of (4)-(6), counted in the source: 26 for the motion, 9 for
-one rectangle, and a third of the 21 that turn a signal into a direction for three robots."""
 
 
 def iteration(settings: Settings) -> Report:
@@ -40,7 +33,7 @@ def iteration(settings: Settings) -> Report:
         pair = in_pairs(lambda: search.run(SHORT), lambda: peer(2), count)
         pair = Pair(pair.ours / SHORT * 1e6, pair.theirs / 2 * 1e6)
         absolute = [f"{np.min(t):.1f} / {np.median(t):.1f}" for t in (pair.ours, pair.theirs)]
-        rows.append([name, *absolute, f"{pair.ratio:.0f}x", f"{pair.median:.0f}x"])
+        rows.append([name, *absolute, f"{pair.ratio:.0f}"])
 
     add("our swarm, J by our NumPy reference", _reference(problem))
     if available("pyswarms"):
@@ -49,7 +42,7 @@ def iteration(settings: Settings) -> Report:
         add("pyswarms, J by our kernel", _pyswarms(_by_kernel(problem)))
     else:
         report.say("pyswarms is not installed: skipped.")
-    report.table(["peer", "ours [us]", "peer [us]", "ratio of the least", "median of pairs"], rows)
+    report.table(["peer", "ours [us]", "peer [us]", "ratio of the least"], rows)
     report.say("Times are least / median. Starting a search is not counted on either side.")
     return report
 

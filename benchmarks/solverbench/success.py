@@ -41,7 +41,7 @@ def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
 
 
 def _row(name: str, times: Sequence[float], best: Sequence[float]) -> list[str]:
-    """Share solved, median and largest time, median of the best J; a cap counts as its time."""
+    """Share solved, median and largest time; a cap counts as its time."""
     solved = np.array(best) <= GOOD
     t = np.array(times) * 1e3
     return [
@@ -49,11 +49,10 @@ def _row(name: str, times: Sequence[float], best: Sequence[float]) -> list[str]:
         f"{solved.sum()} of {len(solved)}",
         f"{np.median(t):.2f}" if solved.mean() > 0.5 else f"> {np.median(t):.0f}",
         f"{t.max():.1f}",
-        f"{np.median(best):.3g}",
     ]
 
 
-HEAD = ["optimiser", "solved", "median [ms]", "longest [ms]", "median J [mm]"]
+HEAD = ["optimiser", "solved", "median [ms]", "longest [ms]"]
 
 
 def _is_named(who: str, names: Sequence[str]) -> bool:
@@ -114,34 +113,25 @@ def _sweeps(report: Report, settings: Settings) -> None:
         if "ours" in who:
             peer = peers.ours_once  # as the controller does: it knows when to give a length up
         runs = [_sweep(peer, problem, lengths, seed) for seed in range(count)]
-        times, best, firsts = zip(*runs, strict=True)
-        times_to_first = [t for t in firsts if np.isfinite(t)]
-        first = f"{np.median(times_to_first) * 1e3:.1f}" if times_to_first else "never"
-        rows.append([*_row(who, times, best), first])
+        times, best = zip(*runs, strict=True)
+        rows.append(_row(who, times, best))
     report.say(
         f"**All lengths {lengths[0]} to {lengths[-1]}, problem as printed**: each length is "
         f"searched until it is solved, our optimiser gives up, or {SWEEP_CAP_S * 1e3:g} ms have "
         f"passed; a sweep is solved if one of its lengths is. "
-        f"No optimiser can solve short lengths; the last column is the time to the first "
-        f"length that was solved. "
         f"{load()}."
     )
-    report.table([*HEAD[:2], "median, whole sweep [ms]", *HEAD[3:], "to the first [ms]"], rows)
+    report.table(HEAD, rows)
 
 
-def _sweep(
-    peer: Peer, problem: Problem, lengths: Sequence[int], seed: int
-) -> tuple[float, float, float]:
-    """Return (time of the sweep, best J, time to the first J <= GOOD), in s and mm."""
+def _sweep(peer: Peer, problem: Problem, lengths: Sequence[int], seed: int) -> tuple[float, float]:
+    """Return the time of a sweep [s] and its best J [mm]."""
     spent = 0.0
     best = np.inf
-    first = np.inf
     for length in lengths:
         meter = Meter(problem, length, SWEEP_CAP_S)
         with suppress(Over):
             peer(meter, seed)
         spent += SWEEP_CAP_S - meter.left_s
         best = min(best, meter.best)
-        if best <= GOOD:
-            first = min(first, spent)
-    return spent, best, first
+    return spent, best

@@ -15,7 +15,6 @@ def test_the_peer_exerts_its_first_sequence_to_the_end():
     section without a number of steps."""
     spec = experiment(OURS, "controller.period=0.2")
     peer = shooting.shrinking(spec, Multistart(type="multistart", rounds=1))
-    batch = loop.run(peer, 1)
-    (result,) = batch.results
+    (result,) = loop.run(peer, 1)
     assert result.outcome is Outcome.SEQUENCE_COMPLETED
     assert result.steps == LENGTH  # one signal a step

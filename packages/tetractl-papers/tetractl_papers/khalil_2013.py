@@ -15,7 +15,7 @@ DISC = "diameter of the disc of 95 % of a hold"
 BACTERIUM_UM = 23.0
 JET_UM = 417.0
 OVER_LEAST = 1.15
-"""Ours: benchmarks/least_disc.py finds about 1.14 for a robot whose pose, a and v are known."""
+"""Ours: about 1.14 is the least for a robot whose pose, a and v are known (see the README)."""
 
 
 def disc(log: TrialLog) -> float:
@@ -49,7 +49,8 @@ CLAIMS = [
         measure=disc_over_least,
         asked=at_most(OVER_LEAST),
         expected=Fate.MISSED,
-        why="the least is about 1.14, with pose, a and v known exactly (benchmarks/least_disc.py)",
+        why="the least is about 1.14, with pose, a and v known exactly"
+        " (benchmarks/least_disc.py of commit 7c1384f3)",
     ),
     Claim(
         figure=f"{DISC}, bacterium, a of 11 mT",

@@ -30,10 +30,12 @@ def _name(page):
 
 LONGEST = (
     "docs/tutorial.md",
+    "docs/how-to/lesson.md",
+    "docs/how-to/real-robots.md",
     "docs/how-to/study.md",
     "packages/tetractl-microscope/docs/closed-loop-microscopy.md",
 )
-"""Pages whose examples take over half a minute; README's show the same commands."""
+"""Pages whose examples take half a minute or more; README's show the same commands."""
 WITH_EXAMPLES = [
     pytest.param(page, id=_name(page), marks=pytest.mark.release if _name(page) in LONGEST else ())
     for page in PAGES

@@ -121,6 +121,7 @@ def certificates(folder):
     return ca, certificate, key
 
 
+@pytest.mark.release  # what refuses is Dask
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl for certificates")
 def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypatch):
     write(tmp_path, SMALL)

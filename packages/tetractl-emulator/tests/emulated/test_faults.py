@@ -17,7 +17,8 @@ SIGNALS = ("asleep", "ctrl_c", "hung_up", "killed", "quit", "terminated")
 PROCESS = ("disk_full", "second_run", *SIGNALS, *AGAIN)
 SHOWN_ELSEWHERE = (  # in virtual time
     *("hung_up", "quit", "terminated"),  # and at `tetractl run` alone
-    *("cut_ended", "oversized"),  # of pictures over HTTP, as `cut` and `drips` are
+    *("ctrl_c", "disk_full"),  # and on these wires a terminal that hangs; at `tetractl run` alone
+    *("cut", "cut_ended", "oversized"),  # of pictures over HTTP, as `drips` is
     *("no_server", "stream_stops"),  # of silent sockets: test_udp_port.py
 )
 CHOSEN = [

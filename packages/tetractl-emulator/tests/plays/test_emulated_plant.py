@@ -123,6 +123,7 @@ def test_what_cannot_be_emulated_is_one_line(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.release  # cells by this plant: a day of test_rehearse.py; surveyed: test_dish_lab.py
 @needs_compiler
 def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
     pytest.importorskip("cv2")

@@ -5,12 +5,13 @@ Frames are noisy, each wheel is up to 10 % off, and 5 % of the packets are lost.
 
 import pytest
 from support.ghosts import CAMERA, Ghost, trial_of
-from support.running import first_of
 
 pytestmark = pytest.mark.long
 
 
-@pytest.mark.parametrize("trial", first_of([364, 1, 517]))
+@pytest.mark.parametrize(
+    "trial", [364, *(pytest.param(trial, marks=pytest.mark.release) for trial in (1, 517))]
+)
 def test_robots_of_wheels_that_are_10_percent_off_end_their_trial(trial):
     """Regression: in trials 364 and 517 noise was taken for robots that answer one another."""
     labs = []

@@ -1,4 +1,4 @@
-"""A study on a real Dask scheduler with two workers on loopback, one of which is killed."""
+"""A study on a real Dask scheduler with two workers on loopback, which are killed."""
 
 import json
 import shutil
@@ -55,51 +55,31 @@ def cluster(cwd, *security, scheme="tcp"):
         yield address, scheduler, workers
 
 
-@pytest.fixture(scope="module")
-def local_study(tmp_path_factory):
-    """The folder of the longer study run in this process."""
-    folder = tmp_path_factory.mktemp("here")
-    write(folder, LONGER)
-    tetractl("study", "study.yaml", "--out", "here", "--jobs", 1, "-q", cwd=folder).ok()
-    return folder / "here"
-
-
-def test_a_study_on_a_cluster_that_loses_a_worker_gives_the_same_table(tmp_path, local_study):
+def test_a_study_outlives_a_worker_and_by_the_same_command_a_scheduler(tmp_path):
     write(tmp_path, LONGER)
-    out = tmp_path / "there"
-    with cluster(tmp_path) as (address, _, workers):
-        args = ["study.yaml", "--out", out, "--cluster", address]
-        with Running(tmp_path, *args) as running:
-            running.until_logs(out, 10)
-            workers[0].kill()
-            assert running.end() == 0, running.err.read_text()
-    assert logs(out) == 96
-    assert results(out) == results(local_study)
-    for path in sorted(out.rglob("*.mcap"))[::17]:
-        assert content_digest(path) == content_digest(local_study / path.relative_to(out))
-
-
-def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_goes_on(
-    tmp_path, local_study
-):
-    write(tmp_path, LONGER)
-    out = tmp_path / "there"
-    with cluster(tmp_path) as (address, scheduler, _):
-        args = ("--out", out, "--cluster", address, "-q")
+    tetractl("study", "study.yaml", "--out", "here", "--jobs", 1, "-q", cwd=tmp_path).ok()
+    here = tmp_path / "here"
+    there = tmp_path / "there"
+    with cluster(tmp_path) as (address, scheduler, workers):
+        args = ("--out", there, "--cluster", address, "-q")
         with Running(tmp_path, "study.yaml", *args) as running:
-            running.until_logs(out, 10)
+            running.until_logs(there, 10)
+            workers[0].kill()
+            running.until_logs(there, logs(there) + 10)
             scheduler.kill()
             assert running.end() == 1
     assert running.err.read_text() == (
         f"error: {address}: the scheduler is gone; results so far are stored\n"
         "hint: start a scheduler, and give the same command with its address to continue\n"
     )
-    assert 10 <= logs(out) < 96
+    assert 20 <= logs(there) < 96
     with cluster(tmp_path) as (address, _, _):
-        args = ("--out", out, "--cluster", address, "-q")
+        args = ("--out", there, "--cluster", address, "-q")
         tetractl("study", "study.yaml", *args, cwd=tmp_path).ok()
-    assert logs(out) == 96
-    assert results(out) == results(local_study)
+    assert logs(there) == 96
+    assert results(there) == results(here)
+    for path in sorted(there.rglob("*.mcap"))[::17]:
+        assert content_digest(path) == content_digest(here / path.relative_to(there))
 
 
 def certificates(folder):

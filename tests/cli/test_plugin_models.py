@@ -114,6 +114,7 @@ def test_planner_kernels_and_polish_honour_them(installed):
     assert again == printed
 
 
+@pytest.mark.release  # the page checks both kinds: test_docs.py; kernels compile them above
 def test_checks_plant_log_and_pictures_honour_them(installed):
     folder, run = installed
     blocked = SPEC.replace("target: [850, 500]", "target: [520, 500]")

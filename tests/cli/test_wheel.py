@@ -83,6 +83,7 @@ def test_it_runs_a_trial_and_a_report(installed, tmp_path):
     assert "ok" in run(tmp_path, tetractl, "verify", "logs")
 
 
+@pytest.mark.release  # of a second wheel; from the clone, the lab is checked on the same wires
 def test_it_checks_an_emulated_lab_once_the_emulator_is_installed(installed, tmp_path):
     tetractl = installed / "tetractl"
     run(tmp_path, tetractl, "init", "--example", "three_m3pi_lab")

@@ -402,6 +402,7 @@ def test_a_spec_gets_no_dead_time_below_0():
 
 
 @pytest.mark.long
+@pytest.mark.release  # 24 s of processor time
 def test_directions_that_turn_smoothly_take_more_rounds():
     """Regression: a = 4.16 and a dead time of .112 s after six rounds, for 4 and .1."""
     directions = np.sin(ROTATION)

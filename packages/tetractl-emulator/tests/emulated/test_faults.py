@@ -19,6 +19,7 @@ SHOWN_ELSEWHERE = (  # in virtual time
     *("hung_up", "quit", "terminated"),  # and at `tetractl run` alone
     *("ctrl_c", "disk_full"),  # and on these wires a terminal that hangs; at `tetractl run` alone
     *("cut", "cut_ended", "oversized"),  # of pictures over HTTP, as `drips` is
+    *("asleep", "second_run"),  # a run that is suspended and one whose port is wanted: `lab stop`
     *("no_server", "stream_stops"),  # of silent sockets: test_udp_port.py
 )
 CHOSEN = [

@@ -137,7 +137,7 @@ def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, words, code)
     assert at_rest(emulator.end()[1])
 
 
-@pytest.mark.parametrize("number", [None, signal.SIGSTOP])
+@pytest.mark.parametrize("number", [pytest.param(None, marks=pytest.mark.release), signal.SIGSTOP])
 def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
     """Regression: it stopped nothing while a run, good or suspended, had the port."""
     emulator, settings = lab()

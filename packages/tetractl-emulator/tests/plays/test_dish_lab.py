@@ -97,7 +97,7 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at_s, says)
 @pytest.mark.parametrize(
     ("on_lost", "notes", "lost"),
     [
-        ("stop", [], ()),
+        pytest.param("stop", [], (), marks=pytest.mark.release),
         pytest.param(  # as far as the others go, and of robots: test_losses.py
             "drop", ["the run goes on without this robot"], (0, 1), marks=pytest.mark.release
         ),

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 def test_a_speeds_and_biases_are_within_their_intervals():
     inside = []
     found_count = 0
-    for seed in (31, 33, 35, 39):
+    for seed in (31, 33):
         synthetic = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
         fitted, cells = fit_cells(followed(synthetic), record(synthetic))
         for path, cell in zip(fitted.paths, cells, strict=True):

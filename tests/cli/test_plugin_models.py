@@ -110,8 +110,6 @@ def test_planner_kernels_and_polish_honour_them(installed):
     assert printed["found"] == 0  # ... and the polish leads out of it
     assert printed["clear"] > 9.9
     assert printed["cost"] <= 0.1
-    again = json.loads(run("-c", PLAN).stdout)
-    assert again == printed
 
 
 @pytest.mark.release  # the page checks both kinds: test_docs.py; kernels compile them above

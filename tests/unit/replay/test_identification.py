@@ -174,7 +174,7 @@ def noise_checks(robot):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("dead_time_s", [0.05, 0.2])
+@pytest.mark.parametrize("dead_time_s", [0.05, pytest.param(0.2, marks=pytest.mark.release)])
 def test_noise_and_lost_commands_leave_the_truth_near_the_intervals(dead_time_s):
     errors = (f"plant.dead_time={dead_time_s}", "plant.a_error=0.2", "plant.lost_commands=0.05")
     driven = drive(3, *NOISY, *errors)
@@ -413,10 +413,13 @@ def test_directions_that_turn_smoothly_take_more_rounds():
 
 
 @pytest.mark.long
-def test_intervals_are_as_wide_as_blocks_of_time_differ():
+def test_a_model_that_fits_is_said_to_and_intervals_are_as_wide_as_blocks_of_time_differ():
     """A robot whose wheels pull to one side and to the other, for seconds each."""
     track = drive(5, *NOISY, "plant.dead_time=0.1").track
-    (_, even, _) = identify([track], A_RAD_S).robots
+    identification = identify([track], A_RAD_S)
+    assert not any(robot.misfits for robot in identification.robots)
+    assert "the model fits" in tables(identification)[0].note
+    (_, even, _) = identification.robots
     pull = 0.15 * np.sign(np.sin(2 * np.pi * track.time / 6.0))
     track.poses[:, 1, 2] += pull
     (_, uneven, _) = identify([track], A_RAD_S).robots
@@ -564,14 +567,6 @@ def test_tracks_of_other_robots_are_refused():
     renamed = replace(track, names=("a", "b", "c"))
     with pytest.raises(UsageError, match="robots or length unit differ"):
         identify([track, renamed], A_RAD_S)
-
-
-@pytest.mark.long
-def test_a_model_that_fits_is_said_to():
-    track = drive(5, *NOISY, "plant.dead_time=0.1").track
-    identification = identify([track], A_RAD_S)
-    assert not any(robot.misfits for robot in identification.robots)
-    assert "the model fits" in tables(identification)[0].note
 
 
 @pytest.mark.long

@@ -10,7 +10,7 @@ from tetractl.replay.verify import verify
 
 pytestmark = pytest.mark.long
 
-SHORT = ("controller.time_limit=0.8", "controller.horizon_max=5")
+SHORT = ("controller.time_limit=0.4", "controller.horizon_max=5")
 
 
 def test_a_simulation_is_noticed_to_be_tampered_with_anywhere(tmp_path):

@@ -137,6 +137,7 @@ def test_a_notebook_has_one_bar_that_grows():
 
 
 @pytest.mark.system  # a kernel
+@pytest.mark.release  # what cells call: test_api.py; README shows batches compared
 def test_the_example_notebook_runs_and_stores_what_it_shows():
     """Each cell shows what it ends with; the last one is a mistake."""
     for needed in ("nbformat", "nbclient"):

@@ -176,7 +176,7 @@ def test_a_key_is_the_emergency_stop_of_a_survey(tmp_path, monkeypatch):
     assert "emergency stop by the operator" in done.stderr
 
 
-@pytest.mark.parametrize("stated", [False, True])
+@pytest.mark.parametrize("stated", [False, pytest.param(True, marks=pytest.mark.release)])
 def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(stated, tmp_path):
     script = "emulation: {actuator: {cells: 7}, camera: {mirrored: true}}\n"
     sets = (*SMALL, f"lab.camera.mirrored={stated}".lower())

@@ -192,7 +192,7 @@ def test_without_any_folder_kernels_are_compiled_each_time(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("lost", ["_rebuild", "_reduce"])
+@pytest.mark.parametrize("lost", ["_rebuild", pytest.param("_reduce", marks=pytest.mark.release)])
 def test_without_a_private_class_of_numba_kernels_are_compiled_each_time(tmp_path, lost):
     before = f"import numba\ndel numba.core.compiler.CompileResult.{lost}\n"
     for _ in range(2):

@@ -10,7 +10,8 @@ import pytest
 pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
-SMALLEST = [  # a row of disturbed.py is run by test_printed_rows.py
+SMALLEST = [
+    ("disturbed", "--trials", "1", "--part", "hurting", "--only", "none of these"),
     pytest.param(("floors", "--trials", "1", "--rows", "0"), marks=pytest.mark.release),
     ("anywhere", "--trials", "1"),
     ("unmodelled", "--trials", "1", "--world", "base"),

@@ -139,7 +139,7 @@ def test_a_robot_that_stands_is_named():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("late_s", [0.1, 0.3])
+@pytest.mark.parametrize("late_s", [0.1, pytest.param(0.3, marks=pytest.mark.release)])
 def test_robots_that_turn_before_they_are_sent_a_direction_have_another_clock(late_s):
     """Regression: a dead time of 0.000 (0.000 to 0.000) s, and "the model fits" of 0.1 s."""
     track = drive(1, "plant.dead_time=0.05").track

@@ -70,7 +70,14 @@ def test_its_log_is_that_of_a_run_of_its_spec(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", [name for name in SHIPPED if name not in REFUSED])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.release if name.startswith("benchmark/") else ())
+        for name in SHIPPED
+        if name not in REFUSED
+    ],
+)
 def test_the_log_of_each_shipped_spec_is_that_of_a_run(name, tmp_path):
     random = np.random.default_rng(3)
     trial = tetractl.open_trial(SHIPPED[name], trial=1)

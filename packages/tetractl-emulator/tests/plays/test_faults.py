@@ -12,8 +12,22 @@ pytestmark = pytest.mark.slow
 # one of each device, and of what process, clock and disk do; the others are of `make test-long`
 OFTEN = "bad_bytes clock_back ctrl_c disk_full emergency frames_doubled ghost jump"
 OFTEN += " into_obstacle lifted lost_commands no_frames radio_unplugged robot_off swapped_wheels"
+SHOWN_ELSEWHERE = (  # each as another row of the table, and of poses by test_ghosts.py
+    *("ghost_at_rest", "ghost_drifting", "ghost_sideways", "ghost_slow", "ghost_turning"),
+    *("cut_ended", "oversized"),  # as `cut`
+    *("clock_jump_small", "lifted_60"),
+)
+
+
+def marks(name):
+    """The tier of a row."""
+    if name in OFTEN.split():
+        return ()
+    return (pytest.mark.long, pytest.mark.release) if name in SHOWN_ELSEWHERE else pytest.mark.long
+
+
 PATHS = [
-    pytest.param(path, id=path.stem, marks=() if path.stem in OFTEN.split() else pytest.mark.long)
+    pytest.param(path, id=path.stem, marks=marks(path.stem))
     for path in SCRIPTS
     if path.stem != "drips"  # of the bytes of a server, which is not in memory
 ]

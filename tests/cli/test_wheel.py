@@ -72,6 +72,7 @@ def test_the_wheel_holds_the_examples_and_no_tests(installed):
     assert not [name for name in names if name.startswith(outside)]
 
 
+@pytest.mark.release  # CI compiles for a plug-in, with an empty cache too: test_plugin_models.py
 def test_it_runs_a_trial_and_a_report(installed, tmp_path):
     tetractl = installed / "tetractl"
     assert run(tmp_path, tetractl, "--version").startswith("tetractl ")

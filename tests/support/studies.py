@@ -33,7 +33,6 @@ base: spec.yaml
 sweep: {type: grid, fields: {robots.r.speed: [1.0e+308, 200]}}
 trials: {count: 4, seed: 7}
 """
-LONGER = STUDY.replace("count: 5", "count: 12")
 
 
 def write(folder, study=STUDY, spec=QUICK):

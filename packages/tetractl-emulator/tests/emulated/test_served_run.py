@@ -10,7 +10,7 @@ from support.viewer import Viewer, deaf
 from tetractl.log.format.channels import CHANNELS, FRAMES, SCENE, STEP, TRANSFORMS
 from tetractl.log.read.salvage import scan
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.release]  # of simulations: test_serve_cli.py
 
 
 def test_a_viewer_sees_the_frames_of_the_log_while_robots_drive(tmp_path):

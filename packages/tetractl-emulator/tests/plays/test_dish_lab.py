@@ -122,6 +122,7 @@ def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, note
     assert max(result.robot_errors[i] for i in steered) < 60
 
 
+@pytest.mark.release  # followed alone: test_tracking.py
 def test_a_cell_that_rests_is_still_that_cell(tmp_path):
     script = "faults: [{fault: rests, cell: cell 1, at: 6.5, for: 1}]"
     log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"), 7)

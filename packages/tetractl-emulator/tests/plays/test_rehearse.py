@@ -147,6 +147,7 @@ def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
 
 
 @pytest.mark.long
+@pytest.mark.release  # planted defects are found in days of pictures and of robots
 def test_a_guard_of_streamed_cells_that_accepts_a_jump_is_found(tmp_path, monkeypatch):
     words = streamed_cells_that_jump(monkeypatch)
     monkeypatch.setattr(shrink, "PLAYS_MAX", 0)

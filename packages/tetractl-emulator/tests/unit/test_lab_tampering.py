@@ -62,6 +62,7 @@ COPIED = {
 
 
 @pytest.mark.long
+@pytest.mark.release  # copies in the log of robots: test_lab_forged.py
 def test_of_cells_no_copy_can_be_changed(tmp_path):
     """Regression: none of `COPIED` was noticed. The result is computed again as that of a lab."""
     path = dish_log(tmp_path)

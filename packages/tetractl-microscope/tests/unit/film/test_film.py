@@ -24,6 +24,13 @@ from tetractl.core.errors import TetractlError, UsageError
 pytestmark = pytest.mark.slow
 
 
+@pytest.fixture(scope="module")
+def three_cells():
+    """A film, and what is said of it."""
+    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    return synthetic, followed(synthetic)
+
+
 @pytest.mark.long
 def test_a_speeds_and_biases_are_within_their_intervals():
     inside = []
@@ -47,9 +54,8 @@ def test_a_speeds_and_biases_are_within_their_intervals():
 
 
 @pytest.mark.long
-def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
-    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
-    before = followed(synthetic)
+def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path(three_cells):
+    synthetic, before = three_cells
     path = max(before.paths, key=lambda path: len(path.sightings))
     path = replace(
         path, times=path.times[:60], frames=path.frames[:60], sightings=path.sightings[:60]
@@ -75,9 +81,8 @@ def test_no_cell_responds_to_a_field_that_was_off():
 
 
 @pytest.mark.long
-def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis():
-    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
-    before = followed(synthetic)
+def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis(three_cells):
+    synthetic, before = three_cells
 
     def turned(cell):  # as that of a round cell, or of one far out of focus
         x, y, axis, *deviations = cell.measured
@@ -141,9 +146,8 @@ def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed
 
 
 @pytest.mark.long
-def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name():
-    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
-    sure = followed(synthetic)
+def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name(three_cells):
+    synthetic, sure = three_cells
     doubtful = []
     for path in sure.paths:
         sightings = tuple(replace(cell, probability=0.5) for cell in path.sightings)

@@ -150,12 +150,24 @@ def test_every_help_has_an_example_that_names_its_command():
             assert f"Example: {' '.join(words)} " in text, words
 
 
+def prose(page):
+    """A page's text without its blocks of code."""
+    return re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+
+
+def anchors(page):
+    """What links may name of a page: its headings, in the spelling of addresses."""
+    headings = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_links_lead_somewhere(page):
-    text = re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
-    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", prose(page)):
         if "://" not in target:
-            assert (page.parent / target).exists(), target
+            file = page.parent / target if target else page
+            assert file.exists(), target
+            assert not anchor or anchor in anchors(file), f"{target}#{anchor}"
 
 
 def test_the_index_leads_to_every_page():
@@ -169,6 +181,7 @@ def test_the_index_leads_to_every_page():
 
 
 @pytest.mark.system
+@pytest.mark.release  # each link: above
 def test_the_site_has_every_page_and_needs_no_network(tmp_path):
     sphinx = [sys.executable, "-m", "sphinx", "-W", "-q", "-c", ROOT / "docs/site", ROOT, tmp_path]
     done = subprocess.run(sphinx, capture_output=True, text=True)

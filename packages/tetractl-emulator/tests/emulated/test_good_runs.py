@@ -20,6 +20,7 @@ def free_port():
         return udp.getsockname()[1]
 
 
+@pytest.mark.release  # lines in virtual time, in `plays`; the socket: test_udp_port.py
 def test_robots_that_take_lines_over_udp(tmp_path):
     port = f"udp://127.0.0.1:{free_port()}"
     sets = (f"lab.actuator={{type: twist, port: '{port}', {ROBOTS}}}", BEFORE_OBSTACLE)

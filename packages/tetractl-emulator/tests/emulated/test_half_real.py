@@ -8,13 +8,13 @@ from support.cli import process
 from support.half_real import check_mix, words_of
 from support.lab_processes import SMALL, Emulator
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.release,  # one of them in virtual time, in `plays`; both in test_good_runs.py
+]
 
 
-ONE = [pytest.param(real, marks=pytest.mark.release) for real in ("camera", "actuator")]
-
-
-@pytest.mark.parametrize("real", ["both", *ONE])  # one of them: in virtual time, in `plays`
+@pytest.mark.parametrize("real", ["both", "camera", "actuator"])
 def test_each_mix_of_real_and_emulated_devices_runs_and_verifies(tmp_path, real):
     emulator = Emulator(tmp_path, SMALL)
     try:

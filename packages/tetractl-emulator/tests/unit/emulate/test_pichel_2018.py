@@ -56,6 +56,7 @@ def make_films_small(monkeypatch):
 
 @pytest.mark.long
 @pytest.mark.slow
+@pytest.mark.release  # its film: below; papers are run by test_paper.py
 def test_the_paper_is_run_as_by_the_command(monkeypatch, tmp_path):
     """Regression: no test did, and its field was refused for counting its half turns."""
     make_films_small(monkeypatch)

@@ -12,7 +12,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from recordings import create
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
@@ -25,20 +24,29 @@ from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.terminal_table import print_tables
 
 
+def create(folder: Path, robot: int) -> tuple[Floats, Floats]:
+    """Return a run's poses (M, 4) of time, x, y, heading and commands (K, 3) of time, v, w; times
+    count from the first command."""
+    poses = np.loadtxt(folder / f"Robot{robot}_Groundtruth.dat", ndmin=2)
+    sent = np.loadtxt(folder / f"Robot{robot}_Odometry.dat", ndmin=2)
+    sent = sent[np.diff(sent[:, 0], prepend=-np.inf) > 0]  # some rows are twice in the files
+    poses[:, 0] -= sent[0, 0]
+    sent[:, 0] -= sent[0, 0]
+    return poses, sent
+
+
 def track(folder: Path, robot: int) -> Track:
     """Return one robot's run; lengths in metres."""
-    take = create(folder / f"Robot{robot}_Groundtruth.dat")
-    measured = take.poses
-    sent = take.commands
+    poses, sent = create(folder, robot)
     name = f"{folder.name[-1]}.{robot}"
     return Track(
         source=str(folder),
         origin="MRCLAM",
         unit="m",
         names=(name,),
-        time=measured[:, 0],
-        poses=measured[:, None, 1:],
-        valid=np.ones((len(measured), 1), dtype=np.bool_),
+        time=poses[:, 0],
+        poses=poses[:, None, 1:],
+        valid=np.ones((len(poses), 1), dtype=np.bool_),
         sent=sent[:, 0],
         u=np.full(len(sent), np.nan),
         until=float(sent[-1, 0]),

@@ -5,6 +5,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import mrclam
 import pytest
 
 pytestmark = pytest.mark.system
@@ -43,3 +44,11 @@ def test_recordings_of_robots_that_drive_are_read(tmp_path):
     assert "MRCLAM, 2 runs of real robots" in done.stdout and "turning lag s" in done.stdout
     lost = subprocess.run([sys.executable, script, tmp_path / "no"], capture_output=True, text=True)
     assert lost.returncode == 1 and "error: " in lost.stderr
+
+
+def test_a_run_of_mrclam_is_read_from_its_first_command_on(tmp_path):
+    (tmp_path / "Robot1_Groundtruth.dat").write_text("9.5 0 0 0\n10.5 1 0 0\n")
+    (tmp_path / "Robot1_Odometry.dat").write_text("10 0.1 0\n10 0.1 0\n11 0.2 0.3\n")
+    poses, sent = mrclam.create(tmp_path, 1)
+    assert poses[:, 0].tolist() == [-0.5, 0.5]
+    assert sent.tolist() == [[0, 0.1, 0], [1, 0.2, 0.3]]

@@ -13,7 +13,7 @@ import numpy as np
 VIEW_UM = 30.0  # a cell whose middle is nearer to the picture's edge need not be found
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class FilmTruth:
     """The truth of K pictures with M individuals, at the middle of each exposure.
 

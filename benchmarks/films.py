@@ -28,10 +28,9 @@ from pathlib import Path
 import cv2
 
 sys.path.insert(0, str(Path(__file__).parent))
-from filmworld.ours import shown
+from filmworld.ours import SETTINGS, shown, track
 from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
-from filmworld.settings import SETTINGS
 from filmworld.taken_out import RULES, take_out, without
 from filmworld.truth import FilmTruth, write_film
 from tetractl_microscope.film.follow import follow
@@ -62,14 +61,12 @@ def scored(
     """Track one film, and score it."""
     cv2.setNumThreads(1)
     folder = rendered(cache, renderer, level, seed)
-    truth = FilmTruth.load(folder / "truth.npz").thinned(SETTINGS[setting].every)
+    truth = FilmTruth.load(folder / "truth.npz").thinned(SETTINGS[setting].step)
     return score_film(folder.name, truth, tracked(tracker, folder, truth, setting))
 
 
 def tracked(tracker: str, folder: Path, truth: FilmTruth, setting: str) -> Shown:
     if tracker == "tetractl":
-        from filmworld.ours import track
-
         return track(folder, truth.um_px, SETTINGS[setting])
     from filmworld.peers import PEERS
 
@@ -148,7 +145,7 @@ def rules(chosen: argparse.Namespace) -> None:
         folder = rendered(chosen.cache, renderer, level, chosen.first_seed)
         truth = FilmTruth.load(folder / "truth.npz").thinned(RULES_EVERY)
         film = open_film(folder / "film.avi", None, truth.um_px)
-        drawn.append((FilmInMemory(film, every=RULES_EVERY), truth))
+        drawn.append((FilmInMemory(film, step=RULES_EVERY), truth))
     film = FilmInMemory(open_film(chosen.film, chosen.rate, chosen.scale))
     film.pictures = film.pictures[: chosen.pictures]
     bodies = body_masks(film.pictures, chosen.darker)

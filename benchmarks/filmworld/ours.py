@@ -1,5 +1,6 @@
 """What `tetractl track` says of a film, as rows to be scored."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,31 @@ from tetractl_microscope.film.follow import Followed, follow
 from tetractl_microscope.film.pictures import open_film
 
 from .scores import Shown
-from .settings import Setting, ThinnedFilm
+from .without_truth import FilmInMemory
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Whether the tracker reads the field's record, and that it sees each `step`-th picture."""
+
+    has_field: bool
+    step: int
+
+
+SETTINGS = {
+    "field-30hz": Setting(has_field=True, step=1),
+    "no-field-30hz": Setting(has_field=False, step=1),
+    "field-10hz": Setting(has_field=True, step=3),
+    "no-field-10hz": Setting(has_field=False, step=3),
+}
 
 
 def track(folder: Path, um_px: float, setting: Setting) -> Shown:
     """Run the pipeline of track.py on the film in a folder: decode, follow, fit."""
     field = read_field(folder / "field.csv") if setting.has_field else None
     film = open_film(folder / "film.avi", None, um_px)
-    if setting.every > 1:
-        film = ThinnedFilm(film, setting.every)
+    if setting.step > 1:
+        film = FilmInMemory(film, step=setting.step)
     followed = follow(film, um_px, field)
     followed, cells = fit_cells(followed, field)
     result = shown(followed)

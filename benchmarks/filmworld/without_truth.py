@@ -58,10 +58,10 @@ class FilmInMemory:
 
     damaged = 0
 
-    def __init__(self, film: FilmPictures, backwards: bool = False, every: int = 1) -> None:
+    def __init__(self, film: FilmPictures, backwards: bool = False, step: int = 1) -> None:
         self.path: Path = film.path
-        self.timing = PictureTimes(film.rate_hz / every)
-        pictures = [picture for _, picture in film][::every]
+        self.timing = PictureTimes(film.rate_hz / step)
+        pictures = [picture for _, picture in film][::step]
         self.pictures = pictures[::-1] if backwards else pictures
 
     @property

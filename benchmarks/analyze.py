@@ -101,7 +101,7 @@ def main() -> None:
     parser.add_argument("--benchmark", action="store_true")
     options = parser.parse_args()
     instances = benchmark() if options.benchmark else INSTANCES
-    head = ("instance", "unit", "without feedback", "predicted", "mean of trials", "95 % interval")
+    head = ("instance", "unit", "predicted", "mean of trials", "95 % interval")
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     predicted = []
     measured = []
@@ -111,7 +111,7 @@ def main() -> None:
         seed = spec.trials.seed
         trials = steering(planner(spec), spec.setup, Noise.of(spec.plant), seed, options.plans)
         if trials is None:
-            print(f"| {instance.name} | no plan found | | | | |", flush=True)
+            print(f"| {instance.name} | no plan found | | | |", flush=True)
             continue
         errors = np.array([result.total_error for result in run(spec, options.trials)])
         (described,) = distributions(errors[None])
@@ -119,9 +119,8 @@ def main() -> None:
         predicted.append(trials.error / way)
         measured.append(float(errors.mean()) / way)
         between = f"{described.ci95.low:.1f} to {described.ci95.high:.1f}"
-        free = f"{np.median(trials.open_loop):.1f}"
         means = (f"{trials.error:.1f}", f"{errors.mean():.1f}")
-        cells = (instance.name, spec.setup.unit, free, *means, between)
+        cells = (instance.name, spec.setup.unit, *means, between)
         print(f"| {' | '.join(cells)} |", flush=True)
     rank = float(spearmanr(predicted, measured).statistic)
     print(

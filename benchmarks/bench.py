@@ -36,9 +36,8 @@ def main() -> None:
     for name, results in batches.items():
         total = np.array([result.total_error for result in results])
         complete = sum(result.outcome.complete for result in results)
-        print(
-            f"| {name} | {complete} of {len(total)} | {total.mean():.1f} +- {total.std(ddof=1):.1f} |"
-        )
+        mean = f"{total.mean():.1f} +- {total.std(ddof=1):.1f}"
+        print(f"| {name} | {complete} of {len(total)} | {mean} |")
         errors.append(total)
     ks = stats.ks_2samp(*errors)
     print(f"\nKolmogorov-Smirnov: D = {ks.statistic:.2f}, p = {ks.pvalue:.2f}.")

@@ -42,16 +42,13 @@ class _Counted:
         began = self.clock.ns + SEARCH_NS
         evaluation_ns = ROBOT_STEP_NS * length * problem.a.size
 
-        def spent(evaluations: int) -> None:
-            self.clock.ns = began + evaluations * evaluation_ns
-
         def expired(evaluations: int) -> bool:
-            spent(evaluations)
+            self.clock.ns = began + evaluations * evaluation_ns
             return limits.expired(evaluations)
 
         counted = limits
         if limits.timed:
             counted = Limits(limits.evaluations, expired)
         search = self.optimizer.search(problem, length, warm, key, counted)
-        spent(search.evaluations)
+        self.clock.ns = began + search.evaluations * evaluation_ns
         return search

@@ -9,8 +9,10 @@ made by random starts and selection: each round draws many smooth sequences, eva
 vectorised rollout and polishes only the best.
 """
 
+from collections.abc import Callable
+from functools import partial
 from threading import get_ident
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +22,9 @@ from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
+
+if TYPE_CHECKING:
+    from tetractl.control.kernels.multistart import Rounds
 
 
 class Multistart(OptimizerSection):
@@ -85,10 +90,54 @@ class Multistart(OptimizerSection):
         warm start. The history holds J before and after each polish and, in between, the merit of
         its steps: f of the paper's equation (8) plus the depths inside obstacles.
         """
-        rounds = self._rounds(problem, length) if warm is None else 1
-        polished = _PolishedSearch(self, problem, length, warm, key, rounds, limits)
-        stopped = polished.run()
-        return polished.found(stopped)
+        from tetractl.control.kernels import levenberg, motion, multistart, rollout
+
+        growth = self.growth(problem)
+        longest_step = float(problem.speed.max()) * problem.period
+        rounds_max = self._rounds(problem, length) if warm is None else 1
+        rounds = multistart.rounds_for(  # arrays that the next search of this thread uses again
+            thread=get_ident(),
+            count=min(self.polished, self.particles),
+            particles=self.particles,
+            knots=min(round(self.knots * growth), length),
+            length=length,
+            steps_max=round(self.steps * growth),
+            rounds=self.rounds,
+        )
+        rounds.begin(np.empty((0, length)) if warm is None else warm[None])
+        settings = levenberg.PolishSettings(
+            tolerance=self.tolerance,
+            slack=self.slack * longest_step,
+            patience=round(self.patience * growth),
+        )
+        room = levenberg.room_for(problem, length)
+        go_on = partial(
+            multistart.search,
+            motion.flatten(problem),
+            rollout.rollouts_of(get_ident(), problem.a.size, self.particles),
+            room,
+            np.uint64(key),
+            np.empty(0) if warm is None else warm,
+            rounds_max,
+            settings,
+            multistart.UNLIMITED if limits.evaluations is None else limits.evaluations,
+        )
+        if not limits.timed:
+            stopped = _reason(go_on(multistart.UNLIMITED, False, rounds))
+        else:
+            # what a search spends that is cut short before it begins
+            least = self.particles + 2 if warm is None else 1
+            robot_steps = len(room.residual) * length * problem.a.size
+            iterations = max(1, multistart.BETWEEN_LOOKS // robot_steps)
+            stopped = _stopped_in_time(go_on, rounds, iterations, least, limits)
+        return Search(
+            length=length,
+            signals=rounds.best.copy(),
+            cost=float(rounds.state.best_cost),
+            history=np.minimum.accumulate(rounds.history[: rounds.state.history_entries]),
+            evaluations=int(rounds.state.evaluations),
+            stopped=stopped,
+        )
 
     def _rounds(self, problem: Problem, length: int) -> int:
         """Return `rounds`, but 1 if the targets are out of reach even along straight lines."""
@@ -98,130 +147,50 @@ class Multistart(OptimizerSection):
         return 1 if beyond > self.tolerance else self.rounds
 
 
-class _PolishedSearch:
-    """One search, which the compiled `kernels.multistart.search` does.
+def _stopped_in_time(
+    go_on: Callable[[int, bool, "Rounds"], int],
+    rounds: "Rounds",
+    iterations: int,
+    evaluations: int,
+    limits: Limits,
+) -> StopReason:
+    """Search by `go_on` until the search ends or time does, with a look at the clock after every
+    `iterations`; return why it ended. Before it begins, it has spent so many `evaluations`.
 
-    With a deadline it is called for a few iterations at a time, between looks at the clock. Its
-    `rounds` are arrays that the next search of this thread uses again.
+    At the deadline the polish under way ends as it is, or the first one before it improves its
+    start: the reason is the deadline, even if the result is good enough.
     """
+    from tetractl.control.kernels import multistart
 
-    def __init__(
-        self,
-        section: Multistart,
-        problem: Problem,
-        length: int,
-        warm: Floats | None,
-        key: int,
-        rounds_max: int,
-        limits: Limits,
-    ) -> None:
-        from tetractl.control.kernels import levenberg, motion, multistart, rollout
+    is_polishing = True
+    while not limits.expired(evaluations):
+        end = go_on(iterations, False, rounds)
+        if end != multistart.PAUSED:
+            return _reason(end)
+        # what the search would have spent if it ended now, so that a rerun of it can end at the
+        # same look
+        evaluations = int(rounds.state.evaluations)
+        under_way = int(rounds.polish.evaluations)
+        is_polishing = under_way > 0
+        if is_polishing:
+            evaluations += under_way + 1  # its sequence is evaluated once more
+    if is_polishing:
+        _reason(go_on(multistart.UNLIMITED, True, rounds))
+    return StopReason.DEADLINE
 
-        growth = section.growth(problem)
-        longest_step = float(problem.speed.max()) * problem.period
-        starts = np.empty((0, length)) if warm is None else warm[None]
-        self.limits = limits
-        self.rounds_max = rounds_max
-        self.particles = section.particles
-        self.problem = motion.flatten(problem)
-        self.rollouts = rollout.rollouts_of(get_ident(), len(problem.a), section.particles)
-        self.room = levenberg.room_for(problem, length)
-        self.key = np.uint64(key)
-        self.warm = np.empty(0) if warm is None else warm
-        self.settings = levenberg.PolishSettings(
-            tolerance=section.tolerance,
-            slack=section.slack * longest_step,
-            patience=round(section.patience * growth),
-        )
-        self.rounds = multistart.rounds_for(
-            thread=get_ident(),
-            count=min(section.polished, section.particles),
-            particles=section.particles,
-            knots=min(round(section.knots * growth), length),
-            length=length,
-            steps_max=round(section.steps * growth),
-            rounds=section.rounds,
-        )
-        self.rounds.begin(starts)
 
-    def run(self) -> StopReason:
-        """Search until the search ends or time does; return why it ended."""
-        from tetractl.control.kernels import multistart
+def _reason(end: int) -> StopReason:
+    """Return why the search stopped, given how the kernel says that it ended; ControlError if a
+    cost is no finite number."""
+    from tetractl.control.kernels import multistart
 
-        if not self.limits.timed:
-            return self._reason(self._go_on(multistart.UNLIMITED))
-        if self.limits.expired(self._least_evaluations()):
-            return self._cut_short()
-        robot_steps = len(self.room.residual) * self.rounds.signals.size * len(self.problem.robots)
-        iterations = max(1, multistart.BETWEEN_LOOKS // robot_steps)
-        while True:
-            end = self._go_on(iterations)
-            if end != multistart.PAUSED:
-                return self._reason(end)
-            # what the search would have spent if it ended now, so that a rerun of it can end at
-            # the same look
-            evaluations = int(self.rounds.state.evaluations)
-            under_way = int(self.rounds.polish.evaluations)
-            if under_way > 0:
-                evaluations += under_way + 1  # its sequence is evaluated once more
-            if self.limits.expired(evaluations):
-                return self._cut_short() if under_way > 0 else StopReason.DEADLINE
-
-    def found(self, stopped: StopReason) -> Search:
-        """Return the record of the search, which stopped for this reason."""
-        state = self.rounds.state
-        history = self.rounds.history[: state.history_entries]
-        return Search(
-            length=self.rounds.best.size,
-            signals=self.rounds.best.copy(),
-            cost=float(state.best_cost),
-            history=np.minimum.accumulate(history),
-            evaluations=int(state.evaluations),
-            stopped=stopped,
-        )
-
-    def _least_evaluations(self) -> int:
-        """Return what a search spends that is cut short before it begins."""
-        if self.warm.size > 0:
-            return 1
-        return 2 if self.rounds_max == 0 else self.particles + 2
-
-    def _cut_short(self) -> StopReason:
-        """End the polish under way as it is, or the first one before it improves its start. The
-        reason is the deadline, even if the result is good enough."""
-        from tetractl.control.kernels import multistart
-
-        self._go_on(multistart.UNLIMITED, cut_short=True)
-        return StopReason.DEADLINE
-
-    def _reason(self, end: int) -> StopReason:
-        """Return why the search stopped, given how the kernel says that it ended."""
-        from tetractl.control.kernels import multistart
-
-        if end == multistart.GOOD:
+    match end:
+        case multistart.GOOD:
             return StopReason.TARGET
-        if end == multistart.SPENT:
+        case multistart.SPENT:
             return StopReason.EVALUATIONS
-        return StopReason.ITERATIONS  # all rounds are done
-
-    def _go_on(self, iterations: int, cut_short: bool = False) -> int:
-        """Search for about so many iterations; return how the search ended, if it did."""
-        from tetractl.control.kernels import multistart
-
-        limit = self.limits.evaluations
-        end = multistart.search(
-            self.problem,
-            self.rollouts,
-            self.room,
-            self.key,
-            self.warm,
-            self.rounds_max,
-            self.settings,
-            multistart.UNLIMITED if limit is None else limit,
-            iterations,
-            cut_short,
-            self.rounds,
-        )
-        if end == multistart.NOT_FINITE:
+        case multistart.NOT_FINITE:
             require_finite(np.array([np.nan]))
-        return end
+        case _:
+            pass
+    return StopReason.ITERATIONS  # all rounds are done

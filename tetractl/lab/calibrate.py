@@ -139,7 +139,7 @@ def calibrate_robots(
                 report(f"warning: {question}")
             measured = bench.measure()
             start_times_s = bench.first_motions()
-            emulated = rig.devices.emulated(rig.camera.check(), rig.actuator.check())
+            emulated = rig.emulated(rig.camera.check(), rig.actuator.check())
         finally:
             bench.close()
         if offset_before is not None:

@@ -85,7 +85,7 @@ def look_over(rig: Rig) -> Preflight:
     """Open a rig, inspect it, and close it. If a device cannot be opened, that is a problem in
     addition to those of the other, so that the operator learns of all that is missing at once."""
     try:
-        failures = rig.devices.open()
+        failures = rig.open_devices()
         if not failures:
             with rig:
                 return inspect(rig)
@@ -151,7 +151,7 @@ def inspect(rig: Rig) -> Preflight:
         problems += _strangers(rig, newest.frame)
         problems += drifting_robots(rig)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
-    emulated = ", ".join(rig.devices.emulated(camera, actuator))
+    emulated = ", ".join(rig.emulated(camera, actuator))
     return Preflight(
         robots,
         latency_ms,

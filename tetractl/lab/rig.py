@@ -18,18 +18,76 @@ from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
 
-class RigDevices:
-    """The camera and the actuator of a rig. `emulated` names those that the plant emulates, whether
-    or not they say so."""
+class Rig:
+    """The parts between the devices and a plant; a context manager. Times are ns on `clock`.
 
-    def __init__(self, camera: Camera, actuator: Actuator, emulated: Sequence[str]) -> None:
+    Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
+    `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
+    `emulated` names the devices that the plant emulates, whether or not they say so. `checks_of`
+    makes the guard's checks.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        actuator: Actuator,
+        limits: LabLimits,
+        setup: Setup,
+        clock: Clock,
+        emergency: threading.Event | None = None,
+        wake: threading.Event | None = None,
+        threaded: bool = True,
+        emulated: Sequence[str] = (),
+        checks_of: ChecksOf = robot_checks,
+    ) -> None:
         self.camera = camera
         self.actuator = actuator
+        self.limits = limits
+        self.setup = setup
+        self.clock = clock
+        self._checks_of = checks_of
+        self.loop = InnerLoop(
+            camera,
+            actuator,
+            Guard(guard_rules(setup, limits), checks_of),
+            clock,
+            wake or threading.Event(),
+            emergency or threading.Event(),
+        )
+        self._threaded = threaded
         self._emulated = frozenset(emulated)
-        self._open = set[str]()  # the names of those that are open
+        self._open = set[str]()  # the names of the devices that are open
         self._releases = ExitStack()
+        self._entered = False
 
-    def open(self) -> dict[str, AbortError]:
+    @property
+    def mm(self) -> float:
+        """Millimetres per length unit of the spec."""
+        return self.setup.metres / MM
+
+    def __enter__(self) -> Self:
+        """Open the devices and start the inner loop, once; AbortError with all that fails."""
+        if self._entered:
+            return self
+        self._entered = True
+        try:
+            failures = self.open_devices()
+            if failures:
+                messages = [failure.message for failure in failures.values()]
+                hints = [failure.hint for failure in failures.values() if failure.hint]
+                raise AbortError("; ".join(messages), "; ".join(hints) or None)
+            if self._threaded:
+                self.loop.start()
+                wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open_devices(self) -> dict[str, AbortError]:
         """Open the devices that are not open; return the errors of those that cannot be opened, by
         "actuator" or "camera".
         """
@@ -48,81 +106,10 @@ class RigDevices:
         """Call `act` once the devices are released."""
         self._releases.callback(act)
 
-    def close(self) -> None:
-        """Release the devices; may be called twice, never raises."""
-        self._releases.close()
-
     def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
         """Return which devices are not real, as the plant or their checks say: "camera"."""
         said = {"camera": camera.emulated, "actuator": actuator.emulated}
         return tuple(name for name in said if said[name] or name in self._emulated)
-
-
-class Rig:
-    """The parts between the devices and a plant; a context manager. Times are ns on `clock`.
-
-    Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
-    `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
-    `emulated` is that of `RigDevices`. `checks_of` makes the guard's checks.
-    """
-
-    def __init__(
-        self,
-        camera: Camera,
-        actuator: Actuator,
-        limits: LabLimits,
-        setup: Setup,
-        clock: Clock,
-        emergency: threading.Event | None = None,
-        wake: threading.Event | None = None,
-        threaded: bool = True,
-        emulated: Sequence[str] = (),
-        checks_of: ChecksOf = robot_checks,
-    ) -> None:
-        self.devices = RigDevices(camera, actuator, emulated)
-        self.camera = camera
-        self.actuator = actuator
-        self.limits = limits
-        self.setup = setup
-        self.clock = clock
-        self._checks_of = checks_of
-        self.loop = InnerLoop(
-            camera,
-            actuator,
-            Guard(guard_rules(setup, limits), checks_of),
-            clock,
-            wake or threading.Event(),
-            emergency or threading.Event(),
-        )
-        self._threaded = threaded
-        self._entered = False
-
-    @property
-    def mm(self) -> float:
-        """Millimetres per length unit of the spec."""
-        return self.setup.metres / MM
-
-    def __enter__(self) -> Self:
-        """Open the devices and start the inner loop, once; AbortError with all that fails."""
-        if self._entered:
-            return self
-        self._entered = True
-        try:
-            failures = self.devices.open()
-            if failures:
-                messages = [failure.message for failure in failures.values()]
-                hints = [failure.hint for failure in failures.values() if failure.hint]
-                raise AbortError("; ".join(messages), "; ".join(hints) or None)
-            if self._threaded:
-                self.loop.start()
-                wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def settle(self, setup: Setup) -> None:
         """Continue with the robots of a new setup, to which camera and actuator have settled; their
@@ -151,7 +138,7 @@ class Rig:
     def close(self) -> None:
         """End the inner loop and release the devices; may be called twice, never raises."""
         self.loop.close()
-        self.devices.close()
+        self._releases.close()
 
     def silent_ns(self) -> int:
         """Return the time since the last accepted frame [ns]."""

@@ -71,7 +71,7 @@ def test_all_missing_devices_are_problems_beside_those_of_the_others(missing):
     rig.camera.hidden.add(rig.setup.names[1])
     rig.actuator.poll = lambda timeout_s: [RobotStatus(False)] * 3
     for what in missing:
-        setattr(rig.devices, what, Missing(getattr(rig, what), what))
+        setattr(rig, what, Missing(getattr(rig, what), what))
     report = look_over(rig)
     assert report.problems == tuple(f"there is no {what} (plug in the {what})" for what in missing)
     answers = [robot.status.answers for robot in report.robots]
@@ -84,8 +84,8 @@ def test_all_missing_devices_are_problems_beside_those_of_the_others(missing):
 def test_a_run_names_all_devices_that_are_missing():
     lab = fake_lab(experiment().setup)
     rig = lab.plant.rig
-    rig.devices.actuator = Missing(rig.actuator, "actuator")
-    rig.devices.camera = Missing(rig.camera, "camera")
+    rig.actuator = Missing(rig.actuator, "actuator")
+    rig.camera = Missing(rig.camera, "camera")
     with pytest.raises(AbortError) as caught, rig:
         pass
     assert caught.value.message == "there is no actuator; there is no camera"

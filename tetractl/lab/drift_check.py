@@ -310,21 +310,16 @@ class DriftCheck(GuardCheck):
 
     # ---- the fit ----
 
-    def _commanded(self, blocks: Sequence[MotionBlock]) -> Floats:
-        """Return what was commanded over each of K blocks, with each delay of BEFORE_NS: speed and
-        turning rate (K, 5, 2)."""
-        means: dict[tuple[int, int], list[Floats]] = {}
-        for until_ns, dt_ns in {(block.until_ns, block.dt_ns) for block in blocks}:
-            delayed = [self.commands.mean(until_ns - tap_ns, dt_ns) for tap_ns in BEFORE_NS]
-            means[until_ns, dt_ns] = delayed
-        delayed_means = np.array([means[block.until_ns, block.dt_ns] for block in blocks])
-        robots = [block.robot for block in blocks]
-        return delayed_means[np.arange(len(blocks)), :, :, robots]
+    def _commanded(self, block: MotionBlock) -> Floats:
+        """Return what was commanded over a block, with each delay of BEFORE_NS: speed and turning
+        rate (5, 2)."""
+        means = [self.commands.mean(block.until_ns - tap_ns, block.dt_ns) for tap_ns in BEFORE_NS]
+        return np.array(means)[:, :, block.robot]
 
     def _regressors(self, blocks: Sequence[MotionBlock], motions: Floats) -> tuple[Floats, Floats]:
         """Return residuals and regressors (K, 3, 20) of blocks with the `motions` (K, 3), and
         the variances (K, 3) of those motions."""
-        commanded = self._commanded(blocks)
+        commanded = np.array([self._commanded(block) for block in blocks])  # (K, 5, 2)
         sent = commanded[:, : len(TAPS_NS)]
         dt_s = np.array([block.dt_ns / SECOND for block in blocks])
         v, w = sent[:, 0].T * dt_s

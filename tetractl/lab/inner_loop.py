@@ -59,10 +59,11 @@ takes long may come between its bytes."""
 
 @dataclass(slots=True)
 class HeldAction:
-    """The action that is sent again and again, and whether it was not sent yet."""
+    """The action that is sent again and again, and which robots it let move when it was sent last,
+    None before."""
 
     action: Steer | Turn
-    is_new: bool = True
+    moving: tuple[bool, ...] | None = None
 
 
 @dataclass(slots=True)
@@ -108,7 +109,6 @@ class InnerLoop:
         self._lock = threading.Lock()
         self._held: HeldAction | None = None
         self._stops = StopSeries()
-        self._moving: tuple[bool, ...] = ()  # which robots the held action, sent last, lets move
         self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._transmit_ns = 0  # when the next transmission is due
@@ -333,10 +333,10 @@ class InnerLoop:
     def _send_held(self, held: HeldAction, ruling: Ruling, now: int) -> Transmission | None:
         """Send the action if the actuator's period has passed, it is new, or a robot must stop;
         return the transmission, None if there is none."""
-        pairs = zip(self._moving, ruling.moving, strict=False)  # none before the first
-        some_must_stop = any(before and not now_moving for before, now_moving in pairs)
-        if now < self._transmit_ns and not held.is_new and not some_must_stop:
-            return None
+        if held.moving is not None and now < self._transmit_ns:
+            pairs = zip(held.moving, ruling.moving, strict=True)
+            if not any(moved and not may_move for moved, may_move in pairs):
+                return None
         if any(ruling.moving) or not self.guard.together:
             newest = self.frames.newest
             sampled_ns = 0 if newest is None else newest.frame.sampled_ns
@@ -345,8 +345,7 @@ class InnerLoop:
             sent = self._actuator.stop()
         self._note(sent)
         self._transmit_ns = next_due_ns(self._transmit_ns, sent.sent_ns, self._actuator.period_ns)
-        self._moving = ruling.moving
-        held.is_new = False
+        held.moving = ruling.moving
         return sent
 
     def _send_idle(self, direction: float, ruling: Ruling, now: int) -> None:

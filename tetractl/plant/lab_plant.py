@@ -291,12 +291,13 @@ class LabPlant:
         that are lost by them."""
         samples = self._frames.read()
         self._samples += samples
-        if self._watch is not None:
-            for sample in samples:
-                self._notes.extend(self._watch.see(sample.observation.sampled_ns))
+        watch = self._watch
         newest = self._frames.newest
-        if newest is not None and self._watch is not None:
-            self._take_losses(self._watch, newest.sampled_ns)
+        if watch is None or newest is None:
+            return
+        for sample in samples:
+            self._notes.extend(watch.see(sample.observation.sampled_ns))
+        self._take_losses(watch, newest.sampled_ns)
 
     # asked once: to look for a protocol's members takes as long as to check a frame
     @cached_property

@@ -24,21 +24,13 @@ def fit(function: Callable[[Floats], Floats], top: float, degree: int) -> tuple[
     return tuple(float(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
 
 
-def _atanh_ratio(q: Floats) -> Floats:
-    root = np.sqrt(q)
-    return np.arctanh(root) / root
-
-
-def _atan_ratio(q: Floats) -> Floats:
-    root = np.sqrt(q)
-    return np.arctan(root) / root
-
-
 _QUARTER = (math.pi / 4) ** 2  # square of the largest angle
 SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), _QUARTER, 5)  # sin(t)/t of q = t^2
 COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
-ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
-ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
+_ATANH_TOP = (math.sqrt(2) - 1) ** 4 * 1.01
+ATANH = fit(lambda q: np.arctanh(np.sqrt(q)) / np.sqrt(q), _ATANH_TOP, 5)  # atanh(f)/f of q = f^2
+_ATAN_TOP = TAN_EIGHTH**2 * 1.01
+ATAN = fit(lambda q: np.arctan(np.sqrt(q)) / np.sqrt(q), _ATAN_TOP, 9)  # atan(z)/z of q = z^2
 
 _HALF_STEP = (LOG_2 / 2) ** 2  # square of half a step of the exponent
 COSH = fit(lambda q: np.cosh(np.sqrt(q)), _HALF_STEP, 5)  # cosh t of q = t^2

@@ -184,7 +184,8 @@ class _Bench:
 
     def open(self) -> None:
         """Connect; AbortError unless the robot is tracked and answers."""
-        rig = self.rig.__enter__()
+        rig = self.rig
+        rig.open()
         problems = rig.camera.check().problems
         if problems:
             raise AbortError("; ".join(problems))

@@ -21,8 +21,9 @@ from tetractl.lab.inner_loop import InnerLoop
 class Rig:
     """The parts between the devices and a plant; a context manager. Times are ns on `clock`.
 
-    Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
-    `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
+    It is opened once, and stays closed once it is closed. Opening it opens the actuator and the
+    camera and starts the inner loop: in a thread or, if `threaded` is False, at each call of
+    `loop.step`. `wake` must be the camera's own event.
     `emulated` names the devices that the plant emulates, whether or not they say so. `checks_of`
     makes the guard's checks.
     """
@@ -56,9 +57,9 @@ class Rig:
         )
         self._threaded = threaded
         self._emulated = frozenset(emulated)
-        self._open = set[str]()  # the names of the devices that are open
+        self._open_devices = set[str]()  # the names of the devices that are open
         self._releases = ExitStack()
-        self._entered = False
+        self._was_opened = False
 
     @property
     def mm(self) -> float:
@@ -66,10 +67,18 @@ class Rig:
         return self.setup.metres / MM
 
     def __enter__(self) -> Self:
-        """Open the devices and start the inner loop, once; AbortError with all that fails."""
-        if self._entered:
-            return self
-        self._entered = True
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Open the devices that are not open and start the inner loop; do nothing the second time.
+        AbortError with all that fails."""
+        if self._was_opened:
+            return
+        self._was_opened = True
         try:
             failures = self.open_devices()
             if failures:
@@ -82,10 +91,6 @@ class Rig:
         except BaseException:
             self.close()
             raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def open_devices(self) -> dict[str, AbortError]:
         """Open the devices that are not open; return the errors of those that cannot be opened, by
@@ -93,11 +98,11 @@ class Rig:
         """
         failures = dict[str, AbortError]()
         for name, device in (("actuator", self.actuator), ("camera", self.camera)):
-            if name in self._open:
+            if name in self._open_devices:
                 continue
             try:
                 self._releases.enter_context(device)
-                self._open.add(name)
+                self._open_devices.add(name)
             except AbortError as failure:
                 failures[name] = failure
         return failures

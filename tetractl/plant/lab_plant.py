@@ -182,7 +182,7 @@ class LabPlant:
     def open(self) -> PlantInfo:
         """Connect, run the preflight check, and wait until the robots are on their starts."""
         rig = self.rig
-        rig.__enter__()
+        rig.open()
         findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
         for warning in findings.all_warnings:

@@ -52,7 +52,7 @@ def _in_a_dish(
     """Open the lab, and rotate the field to see how cells respond; it goes on rotating until the
     first direction is sent."""
     rig = lab.rig(experiment.setup, clock, seed, supervision, chosen=True)
-    rig.__enter__()
+    rig.open()
     try:
         turned = int(seed.generate_state(1)[0])
         cells = turn_field(rig, choice_of(experiment), turned, supervision)

@@ -207,6 +207,20 @@ class PortGroup:
         for port in self.ports:
             port.open()
 
+    def send(self, messages: Iterable[bytes]) -> int:
+        """Send each port its message, even if another port has failed; return the time of the last
+        [ns]. AbortError if a port has failed."""
+        sent_ns = 0
+        lost = list[AbortError]()
+        for port, message in zip(self.ports, messages, strict=True):
+            try:
+                sent_ns = port.write(message)
+            except AbortError as error:
+                lost.append(error)
+        if lost:
+            raise lost[0]
+        return sent_ns
+
     def close(self) -> None:
         """Release all ports; may be called twice, never raises."""
         for port in self.ports:

@@ -10,10 +10,9 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
-from tetractl.lab.actuators.own_robots import OwnLinks
 from tetractl.lab.actuators.twist.actuator import drivetrains
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
-from tetractl.lab.serial_port import Ports, stop_all_at
+from tetractl.lab.serial_port import PortGroup, Ports, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl_toio.cubes import HINT, SPEED, CubesLink, make_port
 from tetractl_toio.messages import (
@@ -127,7 +126,7 @@ class ToioActuator(WheeledActuator):
 def stop_all(section: ToioSection, clock: Clock, alone: bool = True) -> str:
     """Connect to each cube that can be reached, send it ten stops within 200 ms, and disconnect;
     return a summary. AbortError and PortHeldError as of `stop_all_at`."""
-    links = OwnLinks(
+    links = PortGroup(
         make_port(robot.cube, SPEED, robot.name, clock, lambda *_: None, HINT)
         for robot in section.robots
     )

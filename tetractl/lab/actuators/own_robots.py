@@ -1,12 +1,10 @@
 """The base of actuators for robots of another make: two wheels, and a port for each robot."""
 
 from abc import abstractmethod
-from collections.abc import Iterable
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
@@ -19,24 +17,6 @@ from tetractl.model.wheels import CountArray
 
 ROBOT_BAUD = 57600  # of serial ports
 SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"
-
-
-class OwnLinks(PortGroup):
-    """The ports of all robots, as one."""
-
-    def send(self, messages: Iterable[bytes]) -> int:
-        """Send each robot its message, even if another's port has failed; return the time of the
-        last [ns]. AbortError if a port has failed."""
-        sent_ns = 0
-        lost = list[AbortError]()
-        for port, message in zip(self.ports, messages, strict=True):
-            try:
-                sent_ns = port.write(message)
-            except AbortError as error:
-                lost.append(error)
-        if lost:
-            raise lost[0]
-        return sent_ns
 
 
 class OwnRobots(WheeledActuator):
@@ -52,7 +32,7 @@ class OwnRobots(WheeledActuator):
     ) -> None:
         self.robots = [entry(section.robots, name) for name in setup.names]
         make = ports or open_port
-        self.links = OwnLinks(
+        self.links = PortGroup(
             make(robot.address, ROBOT_BAUD, robot.name, clock, lambda *_: None, SILENT_ROBOT_HINT)
             for robot in self.robots
         )

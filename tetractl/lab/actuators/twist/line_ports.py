@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from tetractl.core.clock import Clock, wait_for
-from tetractl.core.errors import AbortError, WireError
+from tetractl.core.errors import WireError
 from tetractl.lab.actuators.twist.lines import (
     REPLY_SLOT_MS,
     Entry,
@@ -81,22 +81,16 @@ class TwistLink(PortGroup):
 
     def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
         self._sequence = (self._sequence + 1) % 256
-        sent_ns = self._clock.now()
-        error = None
-        for name, port in zip(self._names, self.ports, strict=True):
+        lines: list[bytes] = []
+        for name in self._names:
             entries_here = tuple(
                 entry
                 for entry, port_name in zip(entries, self._port_of, strict=False)
                 if port_name == name
             )
             command = LineCommand(self._kind, self._sequence, flags, entries_here)
-            try:
-                sent_ns = port.write(encode_command(command))
-            except AbortError as failed:
-                error = error or failed
-        if error is not None:
-            raise error
-        return sent_ns
+            lines.append(encode_command(command))
+        return self.send(lines)
 
     def _taker(self, port: str) -> Heard:
         """Return what takes the replies at a port, of the robots that are there."""

@@ -12,7 +12,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Positive
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, too_fast
+from tetractl.lab.actuators.wheeled_section import Found, too_fast, unknown_radii
 
 
 class OwnRobot(RobotPart):
@@ -55,12 +55,10 @@ class OwnSection(ActuatorSection):
 
         yield from mismatches(self.robots, setup.names, self.unique)
         yield from too_fast(setup, self.speed_max_mm_s)
+        yield from unknown_radii(setup, [robot.radius_mm for robot in self.robots])
         for i, robot in enumerate(self.robots):
             if robot.address.startswith(SCHEME) and address_of(robot.address) is None:
                 yield ("robots", i, "address"), f"must be {SCHEME}HOST:PORT"
-            if setup.wheel_radius is None and robot.radius_mm is None:
-                message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
-                yield ("robots", i, "radius_mm"), message
         if setup.watchdog_s > self.watchdog_s:
             text = f"stop after {self.watchdog_s:g} s without a command: set wheels.watchdog to it"
             yield (), f"robots of type {self.type} {text}"

@@ -1,6 +1,6 @@
 """What sections of actuators of robots on two wheels say and take of calibration."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -55,6 +55,17 @@ def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
     if speeds.max() > speed_max_mm_s:
         name = setup.names[int(speeds.argmax())]
         yield ("speed_max_mm_s",), f"is below the speed of {name}, {speeds.max():g} mm/s"
+
+
+def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
+    """Yield, as a section's `contradictions`, the robots of which neither their entries, by the
+    radii (N,), nor the spec says how far the wheels are from the centre."""
+    if setup.wheel_radius is not None:
+        return
+    for i, radius_mm in enumerate(radii_mm):
+        if radius_mm is None:
+            message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
+            yield ("robots", i, "radius_mm"), message
 
 
 class WheeledSection(Protocol):

@@ -10,7 +10,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found
+from tetractl.lab.actuators.wheeled_section import Found, unknown_radii
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
 
@@ -66,10 +66,8 @@ class M3piSection(XbeeSection, ActuatorSection):
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
         yield from mismatches(indexed, setup.names, ("index",))
+        yield from unknown_radii(setup, [robot.radius_mm for robot in self.robots])
         for i, robot in enumerate(self.robots):
-            if setup.wheel_radius is None and robot.radius_mm is None:
-                message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
-                yield ("robots", i, "radius_mm"), message
             for side, wheel in (("left", robot.left), ("right", robot.right)):
                 if wheel.dead_zone >= robot.limit:
                     message = f"must be below the limit of {robot.limit}"

@@ -11,7 +11,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, too_fast
+from tetractl.lab.actuators.wheeled_section import Found, too_fast, unknown_radii
 
 
 class TwistRobot(RobotPart):
@@ -71,11 +71,9 @@ class TwistSection(ActuatorSection):
         ]
         yield from mismatches(indexed, setup.names, ("index",))
         yield from too_fast(setup, self.speed_max_mm_s)
+        yield from unknown_radii(setup, [robot.radius_mm for robot in self.robots])
         ports: list[tuple[Loc, str]] = [(("port",), self.port)]
         for i, robot in enumerate(self.robots):
-            if setup.wheel_radius is None and robot.radius_mm is None:
-                message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
-                yield ("robots", i, "radius_mm"), message
             if robot.port is not None:
                 ports.append((("robots", i, "port"), robot.port))
         for loc, port in ports:

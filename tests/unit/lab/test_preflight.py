@@ -92,6 +92,14 @@ def test_a_run_names_all_devices_that_are_missing():
     assert caught.value.hint == "plug in the actuator; plug in the camera"
 
 
+def test_a_rig_that_was_closed_stays_closed():
+    rig = fake_lab(experiment().setup).plant.rig
+    with rig:
+        pass
+    rig.camera = Missing(rig.camera, "camera")
+    rig.open()  # AbortError if it opened the camera
+
+
 def test_a_camera_whose_frames_are_all_dropped_is_a_problem_with_a_reason():
     """Regression: all of the frames watched were dropped, and nothing was wrong."""
 

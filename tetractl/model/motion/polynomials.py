@@ -24,17 +24,25 @@ def fit(function: Callable[[Floats], Floats], top: float, degree: int) -> tuple[
     return tuple(float(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
 
 
+def odd(function: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
+    """Return f(t)/t of an odd function f, as a function of q = t^2."""
+
+    def ratio(q: Floats) -> Floats:
+        root = np.sqrt(q)
+        return function(root) / root
+
+    return ratio
+
+
 _QUARTER = (math.pi / 4) ** 2  # square of the largest angle
 SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), _QUARTER, 5)  # sin(t)/t of q = t^2
 COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
-_ATANH_TOP = (math.sqrt(2) - 1) ** 4 * 1.01
-ATANH = fit(lambda q: np.arctanh(np.sqrt(q)) / np.sqrt(q), _ATANH_TOP, 5)  # atanh(f)/f of q = f^2
-_ATAN_TOP = TAN_EIGHTH**2 * 1.01
-ATAN = fit(lambda q: np.arctan(np.sqrt(q)) / np.sqrt(q), _ATAN_TOP, 9)  # atan(z)/z of q = z^2
+ATANH = fit(odd(np.arctanh), (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
+ATAN = fit(odd(np.arctan), TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
 
 _HALF_STEP = (LOG_2 / 2) ** 2  # square of half a step of the exponent
 COSH = fit(lambda q: np.cosh(np.sqrt(q)), _HALF_STEP, 5)  # cosh t of q = t^2
-SINH = fit(lambda q: np.sinh(np.sqrt(q)) / np.sqrt(q), _HALF_STEP, 5)  # sinh(t)/t
+SINH = fit(odd(np.sinh), _HALF_STEP, 5)  # sinh(t)/t
 SHIFT = 1.5 * 2.0**52  # floats near it have the bits of integers
 ROOT_HALF_BITS = 0x3FE6A09E667F3BCD  # the bits of the float sqrt(1/2)
 DECAY_MAX = 230.0  # beyond, exp(-x) counts as exp(-230), which is 1e-100

@@ -420,15 +420,15 @@ class DriftCheck(GuardCheck):
         gain_alone = gain.max(axis=1)
         g = int(np.maximum(gain_alone, gain_together).argmax())
         self.worst = float(max(gain_alone[g], gain_together[g]))
-        if gain_together[g] <= gain_alone[g]:
-            i = int(gain[g].argmax())
-            return self._of_one(i, pulls[g, i] * velocity[g, i])
-        gains = self._gains_of_shift(changes, g, shift[g])
-        i = int(gains.argmax())
-        if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
-            everybody = range(len(self._names))
-            return (Abort(TOGETHER, tuple(everybody)),)
-        return self._of_one(i, pulls[g, i] * velocity[g, i])
+        i = int(gain[g].argmax())
+        if gain_together[g] > gain_alone[g]:
+            gains = self._gains_of_shift(changes, g, shift[g])
+            i = int(gains.argmax())
+            if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
+                everybody = range(len(self._names))
+                return (Abort(TOGETHER, tuple(everybody)),)
+        kind = KINDS[int((pulls[g, i] * velocity[g, i]).argmax())]  # in which it moves most
+        return (Abort(f"{self._names[i]} {ANOTHER.format(kind)}", (i,), suspect=i),)
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
         """Return what is left of the motion since moments with the sums `old` (G, N, ...), if
@@ -458,11 +458,6 @@ class DriftCheck(GuardCheck):
         pulls = changes.pulls[g][:, picture]
         squares = changes.squares[g][:, picture, picture]
         return (2 * pulls - squares @ shift) @ shift / changes.noise[:, 0]
-
-    def _of_one(self, i: int, gains: Floats) -> tuple[Abort, ...]:
-        """Return that robot i moves by itself, in the way that has the greatest of `gains` (3,)."""
-        kind = KINDS[int(gains.argmax())]
-        return (Abort(f"{self._names[i]} {ANOTHER.format(kind)}", (i,), suspect=i),)
 
     # ---- wheels ----
 

@@ -82,9 +82,9 @@ class InnerLoop:
     """Runs a guard between a camera and an actuator.
 
     `wake` is set by the camera after each frame, `emergency` by the operator. `frames` are the
-    accepted frames, `last` is the last transmission of a run. `idle` is a function of time [ns]:
-    the direction u [rad] sent before robots are steered. Without `start`, the caller must call
-    `step` or `step_if_due`.
+    accepted frames, `last` is the last transmission of a run, and `driven_ns` the time of the last
+    that let a robot move, 0 before. `idle` is a function of time [ns]: the direction u [rad] sent
+    before robots are steered. Without `start`, the caller must call `step` or `step_if_due`.
     """
 
     def __init__(
@@ -100,6 +100,7 @@ class InnerLoop:
         self.frames = FrameBuffer()
         self.idle: Callable[[int], float] | None = None
         self.last: Transmission | None = None
+        self.driven_ns = 0
         self._camera = camera
         self._actuator = actuator
         self._clock = clock
@@ -373,6 +374,8 @@ class InnerLoop:
         if fault:
             raise WrongValueError(self._actuator, "an actuator", fault)
         self.last = sent
+        if sent.speed.any() or sent.turning.any():
+            self.driven_ns = sent.sent_ns
         self._pass_on(sent)
         self._sent.append(sent)
         self.guard.note_transmission(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())

@@ -12,7 +12,8 @@ more than STILL, as with a slow or coarse camera, nothing is said, and the line 
 twice and four times as long. A jump would pass for noise: of a robot at rest the first and the last
 pose of the last REST_NS differ by JUMP_MM at most.
 
-After a trial (`wait_for_rest`) stops are repeated while a robot is seen to move. After STANDSTILL_S
+After a trial (`wait_for_rest`) stops are repeated while a robot is seen to move, once robots have
+had STANDS_NS to stand: after an abort in a pause they have had it already. After STANDSTILL_S
 the trial does not count. As plain stops did not hold the robots then, or PLAIN_S after an abort,
 since another program drives them or they hear late, the stop that robots latch is sent until all
 stand, for UNREST_S at most. After an abort the robots are watched for WATCHED_S, though they stand.
@@ -43,6 +44,9 @@ UNREST_S = 5.0
 that is 2 s late needs, and a half."""
 REST_NS = SECOND // 4
 """Shortest time for which the camera must see robots stand still."""
+STANDS_NS = 3 * REST_NS
+"""Time after the last command to move after which robots have stood for REST_NS: until then, wheels
+may roll on for 0.5 s."""
 LONGER = (1, 2, 4)
 """Multiples of it, used in turn while the line is not certain."""
 COVERED = 0.6
@@ -172,7 +176,8 @@ def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest
             ends = hurried() or waited_s >= UNREST_S or not moving
             if fault and watched and ends:
                 return Rest(fault, tuple(moving), tuple(unseen), latched)
-        if halts and waited_s >= 2 * REST_NS / SECOND and moving_robots(rig, LONGER[:1]):
+        has_had_time = rig.clock.now() - rig.loop.driven_ns >= STANDS_NS
+        if halts and has_had_time and moving_robots(rig, LONGER[:1]):
             rig.loop.stop()
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
 

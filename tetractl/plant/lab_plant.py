@@ -24,12 +24,10 @@ from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobot
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard_records import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
-from tetractl.lab.rest_check import LONGER, REST_NS, Rest, drifting_robots, wait_for_rest
+from tetractl.lab.rest_check import LONGER, STANDS_NS, Rest, drifting_robots, wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.model.path_check import PathCheck
 from tetractl.tools.worker import WAITING_MAX
-
-PAUSED_NS = 3 * REST_NS  # time after a stop after which robots have stood for REST_NS
 
 
 class RigSection(LabSection):
@@ -359,7 +357,7 @@ class LabPlant:
         if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):
             return
         lines: list[str] = []
-        if self.clock.now() - self._stopped_ns > PAUSED_NS:
+        if self.clock.now() - self._stopped_ns > STANDS_NS:
             lines += drifting_robots(self.rig, LONGER[:1])
         moved = guard.moved
         if len(moved) == len(self.setup.names) > 1:

@@ -9,6 +9,7 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.experiment.lab_section import LabLimits
@@ -31,6 +32,7 @@ NO_NOISE = (0.0, 0.0, 0.0)
 STILL = (0.0, 0.0, 0.0)
 GREEN = (0,)
 BLUE = (1,)
+RED = (2,)
 ALL = (0, 1, 2)
 
 
@@ -204,6 +206,25 @@ def test_a_robot_that_drives_on_two_seconds_after_an_abort_is_stopped_again():
     assert emergencies
     assert now_s >= 3.0
     assert "green" in rest.fault
+
+
+@pytest.mark.parametrize(("paused_s", "then_s"), [(0.0, 0.35), (0.73, 0.0)])
+def test_stops_are_repeated_once_robots_have_had_time_to_stand(paused_s, then_s):
+    """Regression: after an abort in a pause, in which red moved, no stop came for half a second."""
+    lab = fake_lab(SETUP)
+    moving_until(lab, 100.0, RED)
+    with lab.plant.rig as rig:
+        rig.loop.guard.pass_preflight()
+        rig.loop.hold(Steer(0.0))
+        stopped_ns = lab.clock.now()
+        rig.loop.stop()
+        lab.clock.sleep_until(stopped_ns + round(paused_s * SECOND))
+        rig.loop.guard.abort("in a pause red moves along its heading as no command does")
+        rig.loop.stop()
+        waits_ns = lab.clock.now()
+        wait_for_rest(rig)
+    again_ns = next(sent.sent_ns for sent in lab.actuator.sent if sent.sent_ns > waits_ns)
+    assert then_s <= (again_ns - waits_ns) / SECOND <= then_s + 0.1
 
 
 def test_a_robot_that_stands_is_watched_no_longer_than_a_signal_allows():

@@ -11,24 +11,26 @@ from tetractl.control.filter_start import LEAST_SPEED
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
-from tetractl.replay.identification.fit import HEADING, FittedRobot, SampleInterval, fit
+from tetractl.replay.identification.fit import FittedRobot, SampleInterval, fit
 from tetractl.replay.identification.passes import TrackFrames, intervals_used, speeds
 from tetractl.replay.identification.tracks import Track, require_same
+from tetractl.replay.identification.wheel_lag import lag_may_turn
 from tetractl.tools.table.table import Column, Table
 
 INTERVALS_MIN = 20
 """Least number of intervals of a robot for a fit."""
 UNKNOWN_A = 3.0
 """Prior a if the log states no value [rad/s]."""
-LAG_UNSTATED = (
-    "a, heading bias and dead time have no intervals, as a lag of wheels may make them wrong: "
-    "state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with --wheels"
+MAY_LAG = (
+    "a, heading bias and dead time have no intervals, as wheels that lag, or a host that sees "
+    "headings late, would explain the turns as well or better, and the dead time then holds the "
+    "lag: state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with "
+    "--wheels; or send directions that jump, which show that there is none"
 )
 RATES_UNSTATED = (
     "a, heading bias and dead time have no intervals, as it is assumed that a host foresees the "
     "lag, as it does in logs and exports: a of robots that steer themselves may be 40 % off"
 )
-NO_JUMP = "or send directions that jump, which show it"
 UNIFORM = (
     "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
     "tell one from another: send directions that jump"
@@ -42,9 +44,9 @@ class IdentifiedRobots:
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
-    `lag_unstated` says that robots are on wheels whose lag nothing states, `turns_smoothly` that
-    no direction jumps, `turns_uniformly` that all turn at one rate, `rates_unstated` is
-    as in `Track`.
+    `may_lag` says that robots are on wheels whose lag nothing states and that would explain their
+    turns, `turns_uniformly` that all directions turn at one rate, `rates_unstated` is as in
+    `Track`.
     """
 
     origin: str
@@ -56,25 +58,19 @@ class IdentifiedRobots:
     robots: tuple[FittedRobot, ...]
     strength: float | None = None
     strength_unit: str = "mT"
-    lag_unstated: bool = False
-    turns_smoothly: bool = False
+    may_lag: bool = False
     turns_uniformly: bool = False
     rates_unstated: bool = False
 
     @property
     def why_no_intervals(self) -> str:
         """Why a, heading bias and dead time have no intervals, and what gives them; "" if they
-        have. A lag that nothing states is seen if a heading does not fit without it, or may be
-        there unseen if directions turn so smoothly that it would fit."""
+        have."""
         if self.turns_uniformly:
             return UNIFORM
         if self.rates_unstated:
             return RATES_UNSTATED
-        if self.lag_unstated and self.turns_smoothly:
-            return f"{LAG_UNSTATED}; {NO_JUMP}"
-        if self.lag_unstated and any(HEADING in robot.misfits for robot in self.robots):
-            return LAG_UNSTATED
-        return ""
+        return MAY_LAG if self.may_lag else ""
 
 
 def identify(
@@ -103,6 +99,7 @@ def identify(
         raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
     all_commands = all(track.all_commands for track in tracks)
     shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
+    is_unstated = any(track.on_wheels and track.lag == 0 for track in tracks)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
@@ -114,33 +111,21 @@ def identify(
         robots=robots,
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
-        lag_unstated=any(track.on_wheels and track.lag == 0 for track in tracks),
-        turns_smoothly=turn_smoothly(tracks),
+        may_lag=is_unstated and lag_may_turn(tracks, shared_dead_time.value),
         turns_uniformly=turn_uniformly(tracks),
         rates_unstated=any(track.rates_unstated for track in tracks),
     )
 
 
-def turn_smoothly(tracks: list[Track]) -> bool:
-    """Return whether the directions of all tracks turn without a jump: robots follow them at an
-    angle that a lag of their wheels makes as well as a does."""
-    for track in tracks:
-        u = np.unwrap(track.u)
-        if len(u) < 3 or np.abs(np.diff(u)).max() > UNIFORM_RAD or np.ptp(u) < TURN_LEAST:
-            return False
-    return True
-
-
 def turn_uniformly(tracks: list[Track]) -> bool:
     """Return whether the directions of all tracks turn at one rate, to either side: robots follow
     them at an angle that the dead time makes as well as a and the heading bias do."""
-    if not turn_smoothly(tracks):
-        return False
     rates: list[float] = []
     for track in tracks:
         u = np.unwrap(track.u)
         times = track.sent - track.sent[0]
-        if not times.any():
+        jumps = len(u) < 3 or np.abs(np.diff(u)).max() > UNIFORM_RAD
+        if jumps or np.ptp(u) < TURN_LEAST or not times.any():
             return False
         rate, first = np.polyfit(times, u, 1)
         if np.abs(u - first - rate * times).max() > UNIFORM_RAD:
@@ -182,7 +167,7 @@ def stated(result: IdentifiedRobots) -> IdentifiedRobots:
     """Return the values as they are printed and written: without the ends of intervals that hold in
     fewer than 92 % of the logs of trials (docs/how-to/identify.md). A lag of wheels that nothing
     states gives the dead time wrong, which all robots share, and with it a and the bias of each; so
-    may directions that turn uniformly, or smoothly if robots with a lag may steer themselves.
+    may directions that turn uniformly.
     """
     withheld = (*UNSTATED, *OF_HEADING) if result.why_no_intervals else UNSTATED
     robots: list[FittedRobot] = []

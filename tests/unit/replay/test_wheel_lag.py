@@ -1,0 +1,117 @@
+"""Whether a lag of wheels that nothing states would explain how robots turn."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tetractl.replay.identification.tracks import Track
+from tetractl.replay.identification.wheel_lag import lag_may_turn
+
+A_RAD_S = 4.0
+DEAD_TIME_S = 0.1
+DRIVE_S = 60.0
+SUBSTEP_S = 0.005
+FRAME = 6  # substeps, at 33 Hz
+HEADING_NOISE_RAD = 0.003
+HEADING_WALK = 0.02  # rad/sqrt(s)
+PERIOD_S = 0.2
+SENT_S = np.arange(0.0, DRIVE_S, PERIOD_S)
+
+
+def random_turns():
+    """Directions [rad] of which one in five jumps, as of a controller."""
+    random = np.random.default_rng(3)
+    small = 0.05 * random.normal(size=len(SENT_S))
+    jumps = random.uniform(-2, 2, len(SENT_S))
+    return np.cumsum(np.where(random.uniform(size=len(SENT_S)) < 0.2, jumps, small))
+
+
+def turned(
+    directions=None, lag_s=0.0, foresees=False, seen_late_s=0.0, lost=0.0, noise=HEADING_NOISE_RAD
+):
+    """The track of a robot that turns by directions (C,) [rad] with wheels that lag; its host may
+    foresee their lag, or see headings late."""
+    random = np.random.default_rng(1)
+    directions = random_turns() if directions is None else directions
+    acts = np.where(random.uniform(size=len(SENT_S)) < lost, 0, np.arange(len(SENT_S)))
+    acting = directions[np.maximum.accumulate(acts)]
+    times = np.arange(0.0, DRIVE_S, SUBSTEP_S)
+    newest = np.maximum(np.searchsorted(SENT_S, times - DEAD_TIME_S, side="right") - 1, 0)
+    steps = HEADING_WALK * np.sqrt(SUBSTEP_S) * random.normal(size=len(times))
+    late = round(seen_late_s / SUBSTEP_S)
+    headings = np.zeros(len(times) + 1)
+    rate = 0.0
+    for k in range(len(times)):
+        seen = headings[max(k - late, 0)] + (lag_s * rate if foresees else 0.0)
+        asked = A_RAD_S * np.sin(acting[newest[k]] - seen)
+        rate += (asked - rate) * min(1.0, SUBSTEP_S / lag_s if lag_s else 1.0)
+        headings[k + 1] = headings[k] + rate * SUBSTEP_S + steps[k]
+    frames = np.arange(0, len(times), FRAME)
+    measured = headings[frames] + noise * random.normal(size=len(frames))
+    poses = np.zeros((len(frames), 1, 3))
+    poses[:, 0, 2] = np.angle(np.exp(1j * measured))
+    return Track(
+        source="p.csv",
+        origin="CSV",
+        unit="mm",
+        names=("r1",),
+        time=times[frames],
+        poses=poses,
+        valid=np.ones((len(frames), 1), dtype=bool),
+        sent=SENT_S,
+        u=directions,
+        until=DRIVE_S,
+        on_wheels=True,
+    )
+
+
+SINE = np.sin(0.8 * SENT_S)
+TRIANGLE = 1.5 - np.abs(SENT_S % 6 - 3)
+LAGGING = {
+    "wheels that lag": turned(lag_s=0.04),
+    "longer": turned(lag_s=0.1),
+    "a host that foresees the lag": turned(lag_s=0.06, foresees=True),
+    "and commands lost": turned(lag_s=0.06, foresees=True, lost=0.05),
+    "a host that sees headings late": turned(seen_late_s=0.05),
+    "a noisy camera": turned(lag_s=0.04, noise=0.02),
+    "a sine, which shows no lag": turned(SINE),
+    "a triangle, by wheels that lag": turned(TRIANGLE, lag_s=0.04),
+    "directions that hardly turn": turned(0.1 * SINE),
+}
+
+
+@pytest.mark.parametrize("name", LAGGING)
+def test_a_lag_that_may_be_there_is_seen(name):
+    """Regression: a dead time of .178 (.174 to .181) for .1175 s, exit code 0."""
+    track = LAGGING[name]
+    assert lag_may_turn([track], DEAD_TIME_S + 0.03)
+
+
+def with_gap(track):
+    """The robot is not tracked for 10 s."""
+    return replace(track, valid=track.valid & (np.abs(track.time - 30) > 5)[:, None])
+
+
+PLAIN = turned()
+WITHOUT_LAG = {
+    "as it is": PLAIN,
+    "no noise": turned(noise=1e-9),
+    "twice the noise": turned(noise=2 * HEADING_NOISE_RAD),
+    "a tenth of the commands lost": turned(lost=0.1),
+    "not tracked for 10 s": with_gap(PLAIN),
+    "clocks 3 s off": replace(PLAIN, sent=PLAIN.sent - 3.0, until=PLAIN.until - 3.0),
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_LAG)
+def test_no_lag_is_seen_where_wheels_follow_at_once(name):
+    dead_time_s = DEAD_TIME_S + (3.0 if "clocks" in name else 0.0)
+    assert not lag_may_turn([WITHOUT_LAG[name]], dead_time_s)
+
+
+def test_a_robot_that_is_hardly_seen_shows_nothing():
+    track = replace(PLAIN, valid=PLAIN.valid & (PLAIN.time < 0.55)[:, None])
+    assert lag_may_turn([track], DEAD_TIME_S)
+    never = replace(PLAIN, valid=np.zeros_like(PLAIN.valid))
+    assert lag_may_turn([never], DEAD_TIME_S)

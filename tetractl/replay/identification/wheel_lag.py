@@ -1,0 +1,135 @@
+"""Whether wheels that lag explain the turns of robots as well as wheels that do not.
+
+A robot whose wheels follow with a time constant T turns by the mean of what directions ask of it,
+which weighs the past as exp(-t / T):
+
+    T q' + q = a sin(u(t - dead_time) + f - h),    h' = q,
+
+with heading h, direction u and heading bias f. The turns between poses are linear in a cos f and
+a sin f, and are fitted for T = 0 and for T = LAG_S, each with its likeliest dead time: that of
+lagging wheels is shorter by about T. Half of the poses give the turns, those between them the
+headings of the sine: noise that both had would look like a lag.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from tetractl.core.poses import Floats, Integers
+from tetractl.replay.identification.measured_motion import Complex, robust_gains
+from tetractl.replay.identification.tracks import SETTLED_S, Track
+
+LAG_S = 0.02
+"""Lag of the wheels that is tried [s]. A host that foresees their lag makes robots turn as if a
+longer one were about so long."""
+NEAR_S = 0.05
+APART_S = 0.0025
+"""How far from the expected one dead times are tried, and how far apart [s]."""
+GRID_S = 0.01
+"""Time step of the integrals [s]."""
+TURN_S = 0.1
+"""Least duration of a turn that is evaluated [s]."""
+GAP_S = 0.3
+"""Time without a pose after which turns are not evaluated [s]."""
+BLOCK = 10
+"""Number of turns, some 1 s, of the blocks whose differences say how sure a sum is."""
+SURE = 1.65
+"""Standard deviations by which turns without a lag must fit better: 95 %, one-sided."""
+
+
+def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
+    """Return whether wheels that lag by LAG_S explain the turns of robots as well as wheels that do
+    not, which have about some dead time [s]: what these leave unexplained is not surely less.
+    """
+    robots = [
+        [_Turns.of(track, robot) for track in tracks] for robot in range(len(tracks[0].names))
+    ]
+    if not all(any(len(turns.angle) for turns in of_robot) for of_robot in robots):
+        return True
+    without = _unexplained(robots, 0.0, dead_time_s)
+    with_lag = _unexplained(robots, LAG_S, dead_time_s - LAG_S)
+    of_blocks = np.add.reduceat(with_lag - without, np.arange(0, len(without), BLOCK))
+    return float(of_blocks.sum()) < SURE * float(of_blocks.std()) * np.sqrt(len(of_blocks))
+
+
+@dataclass(frozen=True, slots=True)
+class _Turns:
+    """The turns of a robot in a track: from `begin` to `end` (K,) [s] by `angle` (K,) [rad].
+    Between them it has `heading` (G + 1,) [rad] at `grid` (G + 1,) [s], and `u` (C,) was sent
+    `when` (C,) [s].
+    """
+
+    begin: Floats
+    end: Floats
+    angle: Floats
+    grid: Floats
+    heading: Floats
+    when: Floats
+    u: Floats
+
+    @classmethod
+    def of(cls, track: Track, robot: int) -> "_Turns":
+        """Return the turns of a robot from where it drives until the stop."""
+        times = track.exposed[:, robot]
+        drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
+        seen = drives & track.valid[:, robot]
+        times = times[seen]
+        headings = np.unwrap(track.poses[seen, robot, 2])
+        rows = _apart(times[::2])
+        ends = times[::2][rows]
+        turned = np.diff(headings[::2][rows])
+        is_seen = np.diff(ends) < GAP_S
+        grid = np.arange(ends[0], ends[-1] + GRID_S, GRID_S) if len(ends) else np.zeros(1)
+        return cls(
+            begin=ends[:-1][is_seen],
+            end=ends[1:][is_seen],
+            angle=turned[is_seen],
+            grid=grid,
+            heading=np.interp(grid, times[1::2], headings[1::2]) if len(rows) > 1 else grid,
+            when=track.sent,
+            u=track.u,
+        )
+
+    def asked(self, lag_s: float, dead_time_s: float) -> Complex:
+        """Return the integrals of exp(i (u - h)) over the turns (K,), after a lag and dead time."""
+        # the means of what acts in each step of the grid; the first direction acts before its time
+        sent = np.exp(1j * self.u)
+        sums = np.concatenate([[0], np.cumsum(np.diff(self.when) * sent[:-1])])
+        since_s = self.grid - dead_time_s
+        newest = np.maximum(np.searchsorted(self.when, since_s, side="right") - 1, 0)
+        acting = np.diff(sums[newest] + (since_s - self.when[newest]) * sent[newest])
+        pull = acting * np.exp(-0.5j * (self.heading[:-1] + self.heading[1:]))
+        if lag_s > 0:
+            kept = np.exp(-GRID_S / lag_s)
+            pull = lfilter([(1 - kept) / 2, (1 - kept) / 2], [1, -kept], pull)
+        total = np.concatenate([[0], np.cumsum(pull)])
+        of_ends = np.interp(self.end, self.grid, total)
+        return np.asarray(of_ends - np.interp(self.begin, self.grid, total), dtype=np.complex128)
+
+
+def _apart(times: Floats) -> Integers:
+    """Return which of some times (M,) [s] are TURN_S or more apart."""
+    rows: list[int] = []
+    for row, time in enumerate(times.tolist()):
+        if not rows or time - times[rows[-1]] >= TURN_S - 1e-9:
+            rows.append(row)
+    return np.array(rows, dtype=np.int64)
+
+
+def _unexplained(robots: Sequence[Sequence[_Turns]], lag_s: float, near_s: float) -> Floats:
+    """Return how far the turns of robots (R, K) are from those of wheels with a lag [rad], one
+    robot after another, at the dead time near `near_s` [s] that explains most."""
+
+    def rests(dead_time_s: float) -> Floats:
+        of_robots: list[Floats] = []
+        for of_robot in robots:
+            angle = np.concatenate([turns.angle for turns in of_robot])
+            asked = np.concatenate([turns.asked(lag_s, dead_time_s) for turns in of_robot])
+            causes = np.column_stack([asked.imag, asked.real])
+            of_robots.append(np.abs(angle - causes @ robust_gains(angle, causes)))
+        return np.concatenate(of_robots)
+
+    dead_times_s = np.arange(near_s - NEAR_S, near_s + NEAR_S, APART_S)
+    return min((rests(dead_time_s) for dead_time_s in dead_times_s.tolist()), key=np.sum)

@@ -4,8 +4,8 @@
         [--out mutants]
 
 Applies NN.patch to a copy of the sources. Each day is played without a defect first: a violation
-that it has then too finds nothing. Prints by which invariant each defect is found, on which day.
-`--out` keeps the days, which are not played again.
+that it has then too finds nothing. Prints by which invariant each defect is found, on which day:
+further days are not played. `--out` keeps the days, which are not played again.
 """
 
 import argparse
@@ -36,12 +36,18 @@ def play(folder, args):
         result_file = folder / f"{day}.json"
         if not result_file.exists():
             result_file.write_text(json.dumps(rehearsed(SPEC, args.set, args.seed, day)))
+        if found(folder, day):
+            return
 
 
 def found(folder, day):
-    """Return the names of the invariants that a day has broken, and what was found."""
-    row = json.loads((folder / f"{day}.json").read_text())
-    return {name: what for name, _, what in row["violations"]}
+    """Return what a day has broken with the defect of a folder, and not without: the names of the
+    invariants, and what was found."""
+    with_defect, without = (
+        {name: what for name, _, what in json.loads((of / f"{day}.json").read_text())["violations"]}
+        for of in (folder, folder.with_name("00"))
+    )
+    return {name: what for name, what in with_defect.items() if name not in without}
 
 
 def main():
@@ -69,10 +75,17 @@ def main():
             environment = {"PYTHONPATH": f"{tree}:{tree}/{EMULATOR}", "PLAYS_IN": str(folder)}
             words = [sys.executable, __file__, number, *sys.argv[1 + len(args.mutants) :]]
             subprocess.run(words, env=os.environ | environment, check=True)
-        for day in args.days:
-            unmutated = found(results / "00", day) if number != "00" else {}
-            new = [f"{k}: {v}" for k, v in found(folder, day).items() if k not in unmutated]
-            print(number, "day", day, "; ".join(new) or "breaks nothing", flush=True)
+        if number != "00":
+            print(number, finding(folder, args.days), flush=True)
+
+
+def finding(folder, days):
+    """Return on which day a defect was found, and by which invariant."""
+    for day in days:
+        new = found(folder, day)
+        if new:
+            return f"day {day} {'; '.join(f'{name}: {what}' for name, what in new.items())}"
+    return f"breaks nothing on {len(days)} days"
 
 
 if __name__ == "__main__":

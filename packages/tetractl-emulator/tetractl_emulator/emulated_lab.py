@@ -11,7 +11,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl_emulator.faults import Fault, Injector
 from tetractl_emulator.loop import Loop, Timeline
-from tetractl_emulator.port import PluggedDevice
+from tetractl_emulator.port import PluggedDevices
 from tetractl_emulator.process import PROCESS_FAULTS, PortHolder, Process
 from tetractl_emulator.script import Script, Sides
 from tetractl_emulator.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
@@ -139,9 +139,10 @@ class EmulatedLab:
         self._record.close()
 
     @property
-    def port(self) -> Path:
-        """The name of the actuator's port; "" if it has none."""
-        return self.actuator.port.link if isinstance(self.actuator, PluggedDevice) else Path()
+    def port(self) -> str:
+        """The name of the actuator's first port; "" if it has none."""
+        actuator = self.actuator
+        return actuator.wired[0].port.name if isinstance(actuator, PluggedDevices) else ""
 
     def ruled(self, state: str, reason: str) -> None:
         """Record the state of our side's guard, and its reason, if it changes."""

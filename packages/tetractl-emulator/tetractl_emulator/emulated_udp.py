@@ -14,8 +14,7 @@ class UdpPlug(PseudoPort):
     that send to it unasked."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(Path(name))
-        self.name = name  # a path would lose a stroke
+        super().__init__(name)
         address = address_of(name)
         heard = heard_at(name)
         if address is None and heard is None:
@@ -72,4 +71,4 @@ def make_port(link: Path | str) -> PseudoPort:
     name = str(link)
     if name.startswith(SCHEME):
         return UdpPlug(name)
-    return PseudoPort(Path(link))
+    return PseudoPort(link)

@@ -165,7 +165,7 @@ def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], typ
             "stuck_port",
             "The actuator's port takes no bytes.",
             rows=[FaultRow(f"{what} stuck", stuck)],
-            begin=switching(lambda f, d: d.port.stall),
+            begin=switching(lambda f, d: d.stall),
         ),
     )
 

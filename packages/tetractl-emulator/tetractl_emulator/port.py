@@ -183,37 +183,47 @@ class RobotRadio(SerialDevice):
         """Send the answers that robots have ready; to be called about every millisecond."""
 
 
-class PluggedDevice:
-    """A device on a port that can be unplugged; `what` is the device's description, and `wired` is
-    the part that receives and answers.
+class PluggedDevices:
+    """Devices on ports that are plugged in and unplugged together; `what` is their description, and
+    `wired` are the parts that receive and answer, each at a port.
     """
 
     what: ClassVar[str]
-    port: "PseudoPort"
-    wired: SerialDevice
     _loop: Loop | None = None
 
+    @property
+    @abstractmethod
+    def wired(self) -> Sequence[SerialDevice]:
+        """The parts that receive and answer."""
+
     def open(self, loop: Loop) -> dict[str, Any]:
-        """Plug the device in; return its description and the port's name."""
+        """Plug the devices in; return their description and the first port's name."""
         self._loop = loop
         self.plugged(True)
-        return {"actuator": f"{self.what} at {self.port.link}", "port": str(self.port.link)}
+        ports = [device.port.name for device in self.wired]
+        return {"actuator": f"{self.what} at {', '.join(ports)}", "port": ports[0]}
 
     def close(self) -> dict[str, Any]:
-        """Unplug the device; return how many chunks of bytes came at a wrong baud rate."""
+        """Unplug the devices; return how many chunks of bytes came at a wrong baud rate."""
         self.plugged(False)
-        return {"garbled": self.wired.garbled}
+        return {"garbled": sum(device.garbled for device in self.wired)}
 
     def plugged(self, on: bool) -> None:
-        """Plug the device in, after `open`, or unplug it; it may be unplugged twice."""
-        if on:
-            assert self._loop is not None, "open() sets the loop"
-            self.port.plug()
-            self._loop.watch(self.port.fd, self.wired.readable)
-        else:
-            if self._loop is not None:
-                self._loop.forget(self.port.fd)
-            self.port.unplug()
+        """Plug the devices in, after `open`, or unplug them; they may be unplugged twice."""
+        for device in self.wired:
+            if on:
+                assert self._loop is not None, "open() sets the loop"
+                device.port.plug()
+                self._loop.watch(device.port.fd, device.readable)
+            else:
+                if self._loop is not None:
+                    self._loop.forget(device.port.fd)
+                device.port.unplug()
+
+    def stall(self, stalled: bool) -> None:
+        """Let all ports take no bytes, or take them again."""
+        for device in self.wired:
+            device.port.stall(stalled)
 
 
 def _left_over(link: Path) -> bool:
@@ -234,8 +244,8 @@ class PseudoPort:
     A program can open the port exclusively, like any port; a second program is then refused.
     """
 
-    def __init__(self, link: Path) -> None:
-        self.link = link
+    def __init__(self, link: Path | str) -> None:
+        self.link = Path(link)
         self.name = str(link)
         self.fd = -1
         # kept open, so that `fd` stays valid while no program has the port open

@@ -60,8 +60,7 @@ class Process:
 
     def run_again(self) -> None:
         """Let a second run open the port; record the answer, "" if the port opens."""
-        name = str(self._lab.port)
-        again = (name, 57600, "the second run", self._clock, lambda *_: None, "")
+        again = (self._lab.port, 57600, "the second run", self._clock, lambda *_: None, "")
         second = self._ports(*again)
         says = ""
         try:
@@ -95,7 +94,7 @@ class PortHolder(Process):
 
     def _act(self, act: Callable[[int], object]) -> None:
         with suppress(OSError):
-            if pid := holder(str(self._lab.port)):
+            if pid := holder(self._lab.port):
                 act(pid)
 
 

@@ -260,9 +260,8 @@ class MemoryPort(PseudoPort):
     """A device's end of a serial port in memory; `written` is called after a write of ours."""
 
     def __init__(self, plugged: "Plugged", link: Path | str) -> None:
-        super().__init__(Path(link))
-        self._name = str(link)
-        self._network = self._name.startswith(SCHEME)
+        super().__init__(link)
+        self._network = self.name.startswith(SCHEME)
         self.near: MemorySerial | None = None
         self.written: Callable[[], None] = lambda: None
         self.stalled = False
@@ -272,13 +271,13 @@ class MemoryPort(PseudoPort):
     def plug(self) -> None:
         """Make the port known by its name."""
         self.fd = 1 + max((port.fd for port in self._plugged.values()), default=2)
-        self._plugged[self._name] = self
+        self._plugged[self.name] = self
 
     def unplug(self) -> None:
         """Remove the port; our end fails. May be called twice."""
         self.fd = -1
         self.taken.clear()
-        self._plugged.pop(self._name, None)
+        self._plugged.pop(self.name, None)
         if self.near is not None:
             self.near.hear(b"")
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -26,7 +25,6 @@ from tetractl_emulator.m3pi.wheeled_side import (
     WheeledSide,
     robots_of_day,
 )
-from tetractl_emulator.port import PluggedDevice
 from tetractl_emulator.sides import Stage
 
 Count = Annotated[int, Field(ge=-127, le=127)]
@@ -106,7 +104,7 @@ FAULTS = (
 )
 
 
-class EmulatedM3pi(WheeledSide, PluggedDevice):
+class EmulatedM3pi(WheeledSide):
     """An XBee on a pseudo-terminal, and the robots in its radio range."""
 
     what = "radio"
@@ -138,11 +136,10 @@ class EmulatedM3pi(WheeledSide, PluggedDevice):
         ]
         self.wheels = _wheels(stage, section, trues, self.robots)
         self.timeline = stage.timeline
-        self.port = stage.wires.port(stage.options.link or Path(section.port))
         hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
-        self.radio = self.wired = EmulatedRadio(
+        self.radio = EmulatedRadio(
             stage.timeline,
-            self.port,
+            stage.wires.port(stage.options.link or section.port),
             settings.baud or section.baud,
             (hardware if settings.hardware is None else settings.hardware, firmware),
             self.robots,

@@ -32,9 +32,9 @@ from tetractl_emulator.fault_rows import (
     whole_number,
 )
 from tetractl_emulator.faults import Share, Undo, fault_kind, port_faults, switching
-from tetractl_emulator.loop import Loop, Timeline
+from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
-from tetractl_emulator.port import RobotRadio
+from tetractl_emulator.port import PluggedDevices, RobotRadio
 from tetractl_emulator.sides import Stage
 
 PUSH_NS = SECOND // 5  # how long a push takes
@@ -44,15 +44,21 @@ WHEEL_OFF = 0.05  # most by which the speed of a wheel is off on such a day
 Wheel = Literal["left", "right", "both"]
 
 
-class WheeledSide:
+class WheeledSide(PluggedDevices):
     """Base class of emulated actuators whose bodies are `robots`, moved by `wheels`, and which hear
     what `radios` pass on.
     """
 
+    what = "robots"
     robots: Sequence[EmulatedRobot]
     wheels: EmulatedRobots
     radios: Sequence[RobotRadio]
     timeline: Timeline
+
+    @property
+    def wired(self) -> Sequence[RobotRadio]:
+        """The radios."""
+        return self.radios
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:
@@ -138,9 +144,7 @@ class WheelsSettings(Model):
 
 
 class PortedSide(WheeledSide):
-    """A `WheeledSide` whose radios each have a port, none of which is the lab's only one."""
-
-    _loop: Loop | None = None
+    """A `WheeledSide` whose wheels have gains."""
 
     def roll(
         self,
@@ -161,40 +165,6 @@ class PortedSide(WheeledSide):
         lags = np.array([true.lag for true in trues])
         self.timeline = stage.timeline
         self.wheels = EmulatedRobots(self.robots, wheels, radii, lags, stage.timeline.now_ns)
-
-    @property
-    def port(self) -> "PortedSide":
-        """What `stuck_port` stalls: all ports."""
-        return self
-
-    def stall(self, stalled: bool) -> None:
-        """Let all ports take no bytes, or take them again."""
-        for radio in self.radios:
-            radio.port.stall(stalled)
-
-    def open(self, loop: Loop) -> dict[str, Any]:
-        """Plug in all ports; return a description and the first port's name."""
-        self._loop = loop
-        self.plugged(True)
-        ports = [radio.port.name for radio in self.radios]
-        return {"actuator": f"robots at {', '.join(ports)}", "port": ports[0]}
-
-    def close(self) -> dict[str, Any]:
-        """Unplug all ports; return how many chunks of bytes came at a wrong baud rate."""
-        self.plugged(False)
-        return {"garbled": sum(radio.garbled for radio in self.radios)}
-
-    def plugged(self, on: bool) -> None:
-        """Plug all ports in, after `open`, or unplug them; they may be unplugged twice."""
-        for radio in self.radios:
-            if on:
-                assert self._loop is not None, "open() sets the loop"
-                radio.port.plug()
-                self._loop.watch(radio.port.fd, radio.readable)
-            else:
-                if self._loop is not None:
-                    self._loop.forget(radio.port.fd)
-                radio.port.unplug()
 
 
 def robots_of_day(

@@ -8,7 +8,6 @@ field of these currents.
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -46,7 +45,7 @@ from tetractl_emulator.faults import (
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.pictures.dish.live_dish import CellBody, CoilField, Dish, cells_of, culture
 from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits
-from tetractl_emulator.port import PluggedDevice, PseudoPort, SerialDevice
+from tetractl_emulator.port import PluggedDevices, PseudoPort, SerialDevice
 from tetractl_emulator.sides import Stage
 
 COOL_DC = 250
@@ -285,7 +284,7 @@ FAULTS = (
 )
 
 
-class EmulatedField(PluggedDevice):
+class EmulatedField(PluggedDevices):
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
     what = "current driver"
@@ -299,10 +298,9 @@ class EmulatedField(PluggedDevice):
         assert isinstance(section, FieldSection), "the actuator's section has the type field"
         setup = stage.setup
         start_ns = stage.timeline.now_ns
-        self.port = stage.wires.port(stage.options.link or Path(section.port))
-        self.driver = self.wired = CurrentDriver(
+        self.driver = CurrentDriver(
             stage.timeline,
-            self.port,
+            stage.wires.port(stage.options.link or section.port),
             _limits(section),
             section.baud,
             note=stage.note,
@@ -332,6 +330,11 @@ class EmulatedField(PluggedDevice):
             "cells": len(cls.choosable),
             "strangers": random.randint(0, 3),
         }
+
+    @property
+    def wired(self) -> Sequence[CurrentDriver]:
+        """The driver."""
+        return (self.driver,)
 
     @property
     def bodies(self) -> Sequence[CellBody]:

@@ -25,7 +25,7 @@ def opened(tmp_path):
         lab.__enter__()
         open_now.append(lab)
         port = serial.Serial(
-            str(lab.actuator.port.link), baud, timeout=0, write_timeout=5, exclusive=True
+            str(lab.actuator.wired[0].port.link), baud, timeout=0, write_timeout=5, exclusive=True
         )
         open_now.append(port)
         return lab, port
@@ -93,7 +93,7 @@ def test_an_answer_keeps_the_air_until_it_is_acknowledged(opened):
 def test_a_name_left_by_a_killed_emulation_is_taken_over(tmp_path):
     (tmp_path / "radio").symlink_to("/dev/pts/no-such-one")
     with emulated(tmp_path) as lab:
-        assert lab.actuator.port.link.exists()
+        assert lab.actuator.wired[0].port.link.exists()
     assert not (tmp_path / "radio").is_symlink()
 
 

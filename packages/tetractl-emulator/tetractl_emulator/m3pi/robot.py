@@ -24,6 +24,8 @@ STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
 STEPS_MAX = 1000  # number of steps that may be integrated together
 FULL_LOAD_MM_S = 2000.0  # both wheels together
+BATTERY_MV = 5100  # of four NiMH cells, without load
+SAG_MV = 150.0  # at full load
 Place = tuple[float, float, float]
 """x, y, heading of a robot [mm, rad]."""
 Speeds = tuple[float, float]
@@ -42,19 +44,6 @@ class RollingWheels(NamedTuple):
     left_target: float
     right_target: float
     lag_s: float
-
-
-@dataclass(slots=True)
-class EmulatedBattery:
-    """A battery of four NiMH cells, whose voltage falls with the load and with the charge drawn."""
-
-    open_mv: float = 5100.0
-    sag_mv: float = 150.0  # at full load, both wheels at 1 m/s
-    drain_mv_s: float = 0.2  # at full load; a tenth of this at rest
-
-    def draw(self, load: float, seconds: float) -> None:
-        """Draw charge for a time [s] at a load from 0 to 1."""
-        self.open_mv = max(0.0, self.open_mv - self.drain_mv_s * (0.1 + 0.9 * load) * seconds)
 
 
 class Program(Protocol):
@@ -95,7 +84,7 @@ class EmulatedRobot:
         self,
         name: str,
         index: int,
-        battery: EmulatedBattery | None = None,
+        battery_mv: int = BATTERY_MV,
         make_core: Callable[[int], Program] = RobotCore,
         acting: ActingFaults | None = None,
     ) -> None:
@@ -103,7 +92,7 @@ class EmulatedRobot:
         self.core = make_core(index)
         self.index = index
         self._make_core = make_core
-        self.battery = battery or EmulatedBattery()
+        self._unloaded_mv = battery_mv
         self.powered = True
         self.acting = acting or ActingFaults()
 
@@ -144,7 +133,7 @@ class EmulatedRobot:
         if low is not None:
             return low.millivolts
         load = min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
-        return max(0, round(self.battery.open_mv - self.battery.sag_mv * load))
+        return max(0, round(self._unloaded_mv - SAG_MV * load))
 
     @property
     def late_ns(self) -> int:
@@ -313,36 +302,11 @@ class EmulatedRobots:
         self._rolling = []
         if not steps.ends_ns:
             return wheeled
-        seconds = (steps.now_ns - steps.settled_ns) / SECOND
-        # how far wheels turn that follow the same speeds all the time: so the same charge is drawn,
-        # however often this is asked for
-        wheels = zip(*wheeled.body[3:7].tolist(), wheeled.body[LAG].tolist(), strict=True)
-        turned_mm = [
-            _turned(left, left_target, lag_s, seconds)
-            + _turned(right, right_target, lag_s, seconds)
-            for left, right, left_target, right_target, lag_s in wheels
-        ]
         if wheeled.targets.any() or wheeled.wheels.any():
             wheeled.drive(steps.settled_ns, np.array(steps.ends_ns))
         steps.settled_ns = steps.now_ns
         steps.ends_ns = []
-        for robot, way_mm in zip(self.robots, turned_mm, strict=True):
-            robot.battery.draw(way_mm / (FULL_LOAD_MM_S * seconds), seconds)
         return wheeled
-
-
-def _turned(mm_s: float, target_mm_s: float, lag_s: float, seconds: float) -> float:
-    """Return how far a wheel of a speed turns, to and fro, in a time in which it follows another
-    speed."""
-    if lag_s <= 0:
-        return abs(target_mm_s) * seconds
-    if mm_s * target_mm_s < 0:  # it turns one way until it stands, then the other
-        stands_s = lag_s * math.log(1 - mm_s / target_mm_s)
-        if stands_s < seconds:
-            first_mm = _turned(mm_s, target_mm_s, lag_s, stands_s)
-            return first_mm + _turned(0.0, target_mm_s, lag_s, seconds - stands_s)
-    followed_s = lag_s * -math.expm1(-seconds / lag_s)
-    return abs(target_mm_s * seconds + (mm_s - target_mm_s) * followed_s)
 
 
 def _stands(ahead_s: float, wheels: RollingWheels) -> bool:

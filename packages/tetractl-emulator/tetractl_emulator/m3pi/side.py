@@ -19,7 +19,7 @@ from tetractl.model.wheels import Counts
 from tetractl_emulator.fault_rows import MOTION, OUR_HZ, PLACE, FaultRow, pair, signed
 from tetractl_emulator.faults import Fault, Share, Undo, fault_kind
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
-from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
+from tetractl_emulator.m3pi.robot import BATTERY_MV, EmulatedRobot, EmulatedRobots
 from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     WheeledSide,
@@ -47,7 +47,7 @@ class TrueRobot(Model):
     """Distance r from a wheel to the robot's centre [mm]."""
     lag: Annotated[float, Field(gt=0, le=1)] = 0.04
     """Time constant of the wheels [s]."""
-    battery_mv: int = Field(default=5100, ge=0, le=9000)
+    battery_mv: int = Field(default=BATTERY_MV, ge=0, le=9000)
     """The battery's voltage without load [mV]."""
 
 
@@ -129,7 +129,7 @@ class EmulatedM3pi(WheeledSide):
             EmulatedRobot(
                 true.name,
                 section.index(true.name),
-                EmulatedBattery(float(true.battery_mv)),
+                true.battery_mv,
                 acting=stage.acting,
             )
             for true in trues

@@ -33,7 +33,7 @@ from tetractl_emulator.fault_rows import (
 )
 from tetractl_emulator.faults import Share, Undo, fault_kind, port_faults, switching
 from tetractl_emulator.loop import Timeline
-from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
+from tetractl_emulator.m3pi.robot import BATTERY_MV, EmulatedRobot, EmulatedRobots
 from tetractl_emulator.port import PluggedDevices, RobotRadio
 from tetractl_emulator.sides import Stage
 
@@ -125,7 +125,7 @@ class TrueWheels(Model):
     """True speed of the right wheel over the speed that it was sent."""
     lag: Annotated[float, Field(gt=0, le=1)] = 0.04
     """Time constant of the wheels [s]."""
-    battery_mv: int = Field(default=5100, ge=0, le=9000)
+    battery_mv: int = Field(default=BATTERY_MV, ge=0, le=9000)
     """The battery's voltage without load [mV]."""
 
 

@@ -21,7 +21,7 @@ from tetractl.lab.serial_port import UNREADABLE
 from tetractl.lab.udp_port import SCHEME
 from tetractl.model.wheels import Counts
 from tetractl_emulator.faults import ActingFaults, Fault
-from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot
+from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     PortedSide,
@@ -147,5 +147,4 @@ class OwnLines(PortedSide):
         def program(index: int) -> OwnProgram:
             return OwnProgram(lambda message: self.read(message, index), self._watchdog_s)
 
-        battery = EmulatedBattery(float(true.battery_mv))
-        return EmulatedRobot(true.name, row, battery, program, acting)
+        return EmulatedRobot(true.name, row, true.battery_mv, program, acting)

@@ -13,7 +13,7 @@ from tetractl.lab.actuators.wheel_commands import radii_mm
 from tetractl.lab.udp_port import SCHEME
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.firmware import TwistCore
-from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot
+from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     PortedSide,
@@ -49,7 +49,7 @@ class EmulatedTwist(PortedSide):
             EmulatedRobot(
                 name,
                 section.index(name),
-                EmulatedBattery(float(true.battery_mv)),
+                true.battery_mv,
                 partial(TwistCore, radius_mm=round(radius)),
                 stage.acting,
             )

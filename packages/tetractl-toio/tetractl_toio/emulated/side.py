@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 from tetractl_emulator.fault_rows import RADIO, SIGHT
 from tetractl_emulator.faults import ActingFaults, Fault, Share, port_faults
-from tetractl_emulator.m3pi.robot import EmulatedBattery, EmulatedRobot
+from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     PortedSide,
@@ -51,10 +51,8 @@ class ConnectedCube(EmulatedRobot):
     program: CubeProgram
     connection: Connection
 
-    def __init__(
-        self, name: str, index: int, battery: EmulatedBattery, acting: ActingFaults
-    ) -> None:
-        super().__init__(name, index, battery, self._start, acting)
+    def __init__(self, name: str, index: int, battery_mv: int, acting: ActingFaults) -> None:
+        super().__init__(name, index, battery_mv, self._start, acting)
 
     def _start(self, index: int) -> CubeProgram:
         self.program = CubeProgram(index)
@@ -91,7 +89,7 @@ class EmulatedCubes(PortedSide):
             )
         trues = settings.trues(names)
         self.robots = [
-            ConnectedCube(name, i, EmulatedBattery(float(true.battery_mv)), stage.acting)
+            ConnectedCube(name, i, true.battery_mv, stage.acting)
             for i, (name, true) in enumerate(zip(names, trues, strict=True))
         ]
         gains = gains_of(section.robots, names)

@@ -47,7 +47,9 @@ beyond both, one that a radio stops in less than a third of its seconds beyond n
 INNER_STDS = 1.049
 """How far these are apart for a normal distribution [standard deviations]."""
 STANDS = 0.5
-"""Share of its usual speed below which a robot nearly stands."""
+STANDS_S = 0.2
+"""Share of its usual speed below which a robot nearly stands, over a time in which noise of the
+camera makes no such speed [s]."""
 FULL = 0.6
 """Share of a block for which a robot is measured at least."""
 IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
@@ -198,12 +200,15 @@ def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
         return []
     x, y, heading = track.poses[:, robot].T
     turned = np.asarray(wrap(np.diff(heading)))
-    way = np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))
+    way = (np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))).real
     apart_s = np.diff(track.time[:, robot])
-    pace = way.real / np.where(apart_s > 0, apart_s, np.inf)
+    near = np.ones(max(1, round(STANDS_S / float(np.median(apart_s[is_measured])))))
+    way_near = np.convolve(np.where(is_measured, way, 0.0), near, "same")
+    time_near_s = np.convolve(np.where(is_measured, apart_s, 0.0), near, "same")
+    pace = way_near / np.where(time_near_s > 0, time_near_s, np.inf)
     drives = is_measured & (pace > STANDS * np.median(pace[is_measured]))
     block = ((track.time[1:, robot] - track.time[0, robot]) / WANDER_S).astype(np.int64)
-    ways = np.bincount(block[drives], way.real[drives])
+    ways = np.bincount(block[drives], way[drives])
     durations_s = np.bincount(block[drives], apart_s[drives])
     is_full = durations_s > FULL * WANDER_S
     return (ways[is_full] / durations_s[is_full]).tolist()

@@ -32,7 +32,7 @@ from tetractl_emulator.pictures.network_camera import (
     PictureTiming,
 )
 from tetractl_emulator.pictures.network_camera import part as part_of
-from tetractl_emulator.sides import Facts, Stage
+from tetractl_emulator.sides import Body, Facts, Stage
 
 SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
 
@@ -213,8 +213,9 @@ class StreamedCamera(ABC):
 
     Settings: ClassVar[type[Model]]
     faults: ClassVar[Sequence[type[Fault]]]
+    covers: ClassVar[str] = "robot"  # the field of its fault `untracked` that names a body
 
-    def __init__(self, stage: Stage, settings: StreamSettings) -> None:
+    def __init__(self, stage: Stage, settings: StreamSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
         assert isinstance(section, PictureSection), "the camera searches pictures"
         source = section.source
@@ -228,6 +229,8 @@ class StreamedCamera(ABC):
         port = stage.options.command_port
         named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
         self._stage = stage
+        self._bodies = bodies
+        self._carried = False
         self._make_camera = partial(
             EmulatedNetworkCamera if http else MemoryCamera,
             self._taken,
@@ -258,9 +261,16 @@ class StreamedCamera(ABC):
     def _scene(self) -> Floats:
         """Return the present scene as numbers that can be interpolated in time."""
 
-    @abstractmethod
+    def hide(self, hidden: bool) -> None:
+        """If `hidden`, leave all bodies out of the pictures, as while they are carried; otherwise
+        show them again, but for those that a fault covers."""
+        self._carried = hidden
+
     def _visible_now(self) -> Sequence[bool]:
-        """Return which bodies are not covered or left out."""
+        """Return which bodies are neither carried nor covered."""
+        acting = self._stage.acting
+        covered = {dict(fault)[self.covers] for fault in acting.of("untracked")}
+        return [not self._carried and body.name not in covered for body in self._bodies]
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:

@@ -290,12 +290,9 @@ class EmulatedAprilTag(StreamedCamera):
     )
 
     def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:
-        super().__init__(stage, settings)
+        super().__init__(stage, settings, bodies)
         section = stage.lab.camera
         assert isinstance(section, AprilTagSection), "the camera's section has the type apriltag"
-        self._bodies = bodies
-        self._section = section
-        self._carried = False
         metres = stage.setup.metres
         optics = replace(
             Optics.facing(section.floor, metres, settings.width, settings.height),
@@ -306,29 +303,11 @@ class EmulatedAprilTag(StreamedCamera):
         robots = [entry(section.robots, name) for name in stage.setup.names]
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
 
-    def hide(self, hidden: bool) -> None:
-        """If `hidden`, leave all robots' tags out of the pictures; otherwise draw them again, but
-        for those that a fault covers."""
-        self._carried = hidden
-
-    def tag(self, name: str) -> int:
-        """Return the number of a robot's tag."""
-        return entry(self._section.robots, name).tag
-
-    def _visible_now(self) -> Sequence[bool]:
-        covered = self._covered()
-        return [robot.tag not in covered for robot in self.renderer.robots]
-
-    def _covered(self) -> set[int]:
-        """Return the tags of robots that are carried, or that faults cover."""
-        if self._carried:
-            return {robot.tag for robot in self.renderer.robots}
-        return {self.tag(fault.robot) for fault in self._stage.acting.of("untracked")}
-
     def _scene(self) -> Floats:
         mm = self._stage.mm
         return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
 
     def _draw(self, exposed_ns: int) -> Grey:
-        self.renderer.hidden = self._covered()
+        tags = zip(self.renderer.robots, self._visible_now(), strict=True)
+        self.renderer.hidden = {robot.tag for robot, is_visible in tags if not is_visible}
         return self.renderer.picture(lambda t: Poses.of(self._scene_at(t)), exposed_ns)

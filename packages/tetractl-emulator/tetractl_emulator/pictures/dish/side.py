@@ -63,6 +63,7 @@ class EmulatedMicroscope(StreamedCamera):
     """
 
     Settings: ClassVar[type[Model]] = MicroscopeSettings
+    covers = "cell"
     faults: ClassVar[Sequence[type[Fault]]] = (
         *STREAM_FAULTS,
         fault_kind(
@@ -110,7 +111,7 @@ class EmulatedMicroscope(StreamedCamera):
     )
 
     def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:
-        super().__init__(stage, settings)
+        super().__init__(stage, settings, bodies)
         section = stage.lab.camera
         assert isinstance(section, CellsSection), "the camera's section has the type cells"
         cells = [body for body in bodies if isinstance(body, CellBody)]
@@ -146,8 +147,6 @@ class EmulatedMicroscope(StreamedCamera):
             self.seed,
         )
         self._plain_look = self.painter.look
-        self._bodies = cells
-        self._carried = False
         self._mirrored = settings.mirrored
 
     @classmethod
@@ -157,17 +156,8 @@ class EmulatedMicroscope(StreamedCamera):
         contrast = round(random.uniform(40, 80), 1)
         return {"noise": noise, "contrast": contrast, "specks": random.randint(0, 20)}
 
-    def hide(self, hidden: bool) -> None:
-        """If `hidden`, leave all cells out of the pictures; otherwise draw them again, but for
-        those that a fault covers."""
-        self._carried = hidden
-
     def _joined(self) -> None:
         self._dish.drop()
-
-    def _visible_now(self) -> Sequence[bool]:
-        covered = {fault.cell for fault in self._stage.acting.of("untracked")}
-        return [not self._carried and body.name not in covered for body in self._bodies]
 
     def _scene(self) -> Floats:
         scene = bodies(self._dish.cells)

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Self, TextIO
 
 from tetractl.core.clock import SECOND
@@ -19,35 +18,6 @@ from tetractl_emulator.wires import Wires
 
 Report = Callable[[str, Facts], None]
 _as_json = json.JSONEncoder(separators=(",", ":")).encode
-
-
-class Record:
-    """Writes events to a file, if a path is given; their times are those of `time.monotonic_ns`."""
-
-    def __init__(self, path: Path | None) -> None:
-        self._file: TextIO | None = None
-        if path is not None:
-            try:
-                self._file = path.open("w", encoding="utf-8")
-            except OSError as error:
-                raise TetractlError(f"cannot write the record {path}: {error.strerror}") from None
-
-    def add(self, t_ns: int, event: str, **facts: Any) -> None:
-        """Append an event with its time `t_ns` and its facts."""
-        if self._file is not None:
-            line = {"t_ns": t_ns, "event": event, **facts}
-            self._file.write(_as_json(line) + "\n")
-
-    def flush(self) -> None:
-        """Write buffered events to the file."""
-        if self._file is not None:
-            self._file.flush()
-
-    def close(self) -> None:
-        """Close the file; may be called twice."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
 
 
 class EmulatedLab:
@@ -73,7 +43,7 @@ class EmulatedLab:
         self._setup = setup
         self._script = script
         self._options = options
-        self._record = Record(None)
+        self._record: TextIO | None = None
         self._report = report
         start_ns = make_loop.now()
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
@@ -110,8 +80,12 @@ class EmulatedLab:
     def open(self) -> None:
         """Open ports and names, and begin; releases all if one cannot be opened."""
         self.loop.catch_up()
+        path = self._options.record
         try:
-            self._record = Record(self._options.record)
+            self._record = path.open("w", buffering=1, encoding="utf-8") if path else None
+        except OSError as error:
+            raise TetractlError(f"cannot write the record {path}: {error.strerror}") from None
+        try:
             facts = {
                 "emulation": True,
                 **self.actuator.open(self.loop),
@@ -122,9 +96,7 @@ class EmulatedLab:
             self.close()
             raise
         self._tick()
-        self._flush()
         self.note("ready", **facts)
-        self._record.flush()
         self._report("ready", facts)
         self.injector.happened("start")
 
@@ -136,7 +108,9 @@ class EmulatedLab:
         """Release ports and names, and close the record; may be called twice."""
         counts = self.actuator.close() | self.camera.close()
         self.note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
-        self._record.close()
+        if self._record is not None:
+            self._record.close()
+            self._record = None
 
     @property
     def port(self) -> str:
@@ -156,17 +130,18 @@ class EmulatedLab:
         return self.camera if type(fault) in self.camera.faults else self.actuator
 
     def note(self, event: str, **facts: Any) -> None:
-        """Record an event with its facts, if a record is kept."""
-        if self._options.record is None:
+        """Record an event with its facts and its time of `time.monotonic_ns`, if a record is
+        kept."""
+        if self._record is None:
             return
+        now = self.timeline.now_ns
         if event in ("command", "truth"):
-            now = self.timeline.now_ns
             facts["unseen_ms"] = [round((now - t_ns) / 1e6, 1) for t_ns in self.camera.shown_ns]
-        self._record.add(self.timeline.now_ns, event, **facts)
+        self._record.write(_as_json({"t_ns": now, "event": event, **facts}) + "\n")
 
     def _exposed(self, exposure: int, frame: int) -> None:
         self.injector.exposed(exposure)
-        if self._options.record is not None:
+        if self._record is not None:
             bodies = self.actuator.bodies
             self.note(
                 "truth",
@@ -188,7 +163,6 @@ class EmulatedLab:
         facts = {"name": fault.fault, "phase": phase, "robot": robot, "mark": mark}
         facts["row"] = self._script.faults.index(fault)
         self.note("fault", **facts)
-        self._record.flush()
         self._report("fault", facts)
 
     def _tick(self) -> None:
@@ -257,10 +231,6 @@ class EmulatedLab:
                 x, y = override.start or (x, y)
                 heading = heading if override.heading is None else override.heading
             body.place(x * mm, y * mm, heading)
-
-    def _flush(self) -> None:
-        self._record.flush()
-        self.timeline.at(self.timeline.now_ns + 200_000_000, self._flush)
 
 
 def _check_names(script: Script, setup: Setup) -> None:

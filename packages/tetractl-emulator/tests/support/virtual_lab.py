@@ -144,7 +144,6 @@ class VirtualLab:
 
     def events(self, name=None):
         """Return what truly happened so far, of one kind or of all."""
-        self.emulation._record.flush()
         printed = [json.loads(line) for line in self.record.read_text().splitlines()]
         return [event for event in printed if name in (None, event["event"])]
 

@@ -25,6 +25,7 @@ from tetractl.replay.identification.identify import (
     turn_uniformly,
 )
 from tetractl.replay.identification.passes import TrackFrames, speed_wander
+from tetractl.replay.identification.standing import Stood
 from tetractl.replay.identification.tracks import SETTLED_S, Track, track_of
 
 pytestmark = pytest.mark.slow
@@ -338,6 +339,12 @@ def test_a_lag_leaves_no_interval_if_robots_may_steer_themselves():
     assert np.isnan(stated(result).dead_time.low)
     assert "steer themselves" in tables(result)[0].note
     assert robot.speed == INTERVAL
+
+
+def test_when_a_robot_stood_is_said_below_the_table():
+    stood = Stood("one", "p.csv", 40.0, 60.5)
+    (table,) = tables(stated(identification_of(identified_robot(), stood=(stood,))))
+    assert "one stood from 40.0 to 60.5 s after the first pose of p.csv" in table.note
 
 
 @pytest.mark.parametrize(

@@ -165,6 +165,15 @@ def test_a_lag_for_a_spec_is_said_if_it_fits_all_robots(other_lag_s, note):
     assert note in response_table([response, of_other_robot], "", "mm").note
 
 
+@pytest.mark.long
+def test_a_robot_that_stood_is_named_below_the_table():
+    track = track_of_one_robot(6)
+    stuck = (track.time > 10) & (track.time < 16)
+    track.poses[stuck] = track.poses[stuck][0]
+    (response,) = respond([track])
+    assert "one stood from " in response_table([response], "", "mm").note
+
+
 # ---- Do the commands explain the motion? ----
 
 

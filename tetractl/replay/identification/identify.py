@@ -13,6 +13,7 @@ from tetractl.core.poses import Floats
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
 from tetractl.replay.identification.fit import FittedRobot, SampleInterval, fit
 from tetractl.replay.identification.passes import TrackFrames, intervals_used, speeds
+from tetractl.replay.identification.standing import Stood, stands_of
 from tetractl.replay.identification.tracks import Track, require_same
 from tetractl.replay.identification.wheel_lag import lag_may_turn
 from tetractl.tools.table.table import Column, Table
@@ -46,7 +47,7 @@ class IdentifiedRobots:
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
     `may_lag` says that robots are on wheels whose lag nothing states and that would explain their
     turns, `turns_uniformly` that all directions turn at one rate, `rates_unstated` is as in
-    `Track`.
+    `Track`; `stood` is when robots stood though they were sent directions.
     """
 
     origin: str
@@ -61,6 +62,7 @@ class IdentifiedRobots:
     may_lag: bool = False
     turns_uniformly: bool = False
     rates_unstated: bool = False
+    stood: tuple[Stood, ...] = ()
 
     @property
     def why_no_intervals(self) -> str:
@@ -100,6 +102,9 @@ def identify(
     all_commands = all(track.all_commands for track in tracks)
     shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
     is_unstated = any(track.on_wheels and track.lag == 0 for track in tracks)
+    stood: list[Stood] = []
+    for robot in range(len(names)):
+        stood += stands_of(tracks, robot, shared_dead_time.value)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
@@ -114,6 +119,7 @@ def identify(
         may_lag=is_unstated and lag_may_turn(tracks, shared_dead_time.value),
         turns_uniformly=turn_uniformly(tracks),
         rates_unstated=any(track.rates_unstated for track in tracks),
+        stood=tuple(stood),
     )
 
 
@@ -224,6 +230,7 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     if result.why_no_intervals:
         note += f"\n{result.why_no_intervals}"
     note += clock_doubt(result.dead_time)
+    note += "".join(f"\n{stood}" for stood in result.stood)
     labels: list[str] = []
     for name, unit in QUANTITIES.items():
         quantity = name.replace("_", " ")

@@ -56,6 +56,7 @@ from tetractl.replay.identification.fit import (
 )
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt
 from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, robust_gains
+from tetractl.replay.identification.standing import Stood, stands_of
 from tetractl.replay.identification.tracks import Track
 from tetractl.tools.table.table import Column, Table
 
@@ -159,7 +160,8 @@ class RobotResponse:
     """How one robot follows its commands; see the fields of `FittedRobot` for the noise.
 
     `veer` [rad/length unit] is by how much it turns on its way though w is 0, `intervals` the
-    number of steps used and `left_out` that of steps too far off.
+    number of steps used and `left_out` that of steps too far off. `stood` is when it stood though
+    it was sent commands.
     """
 
     name: str
@@ -175,6 +177,7 @@ class RobotResponse:
     position_noise: SampleInterval
     intervals: int
     left_out: int
+    stood: tuple[Stood, ...] = ()
 
     @property
     def quantities(self) -> dict[str, SampleInterval]:
@@ -216,7 +219,9 @@ def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotRespon
     for robot, name in enumerate(tracks[0].names):
         driven = [_driven_track(track, robot) for track in tracks]
         steps = _usable_steps(tracks[0].source, name, driven, dead_time)
-        responses.append(_response(tracks[0].source, name, steps))
+        response = _response(tracks[0].source, name, steps)
+        stood = stands_of(tracks, robot, response.dead_time.value)
+        responses.append(replace(response, stood=stood))
     return responses
 
 
@@ -788,6 +793,8 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
         note += (
             "\ngains far from 1: are commands speeds in their unit, not counts or shares of power?"
         )
+    for robot in responses:
+        note += "".join(f"\n{stood}" for stood in robot.stood)
     return Table(title, tuple(columns), note)
 
 

@@ -16,7 +16,7 @@ from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Task
 from tetractl.study.load_study import load_study
-from tetractl.study.options import Logs, lacking
+from tetractl.study.missing_trials import Logs, lacking
 
 ROOT = Path(__file__).parents[1]
 CASES = {

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
     from tetractl.replay.verify import Verification
     from tetractl.report.page import PlayerPage
-    from tetractl.results.describe import BatchComparison, BatchStatistics
+    from tetractl.results.contrast import BatchComparison
+    from tetractl.results.describe import BatchStatistics
     from tetractl.results.open_batch import Batch, Batches
     from tetractl.run.batch import Ending, RunObserver
     from tetractl.run.interrupt import Interrupt
@@ -240,7 +241,7 @@ def run_study(
     from tetractl.results.open_batch import Batches
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
-    from tetractl.study import arm_table, figure, options
+    from tetractl.study import arm_table, figure, missing_trials
     from tetractl.study.load_study import load_study
     from tetractl.view.terminal.progress import progress_of_script
 
@@ -256,8 +257,8 @@ def run_study(
         "the same call runs the others"
     )
     with store.opened(), _interruptible(after) as interrupt:
-        tasks, _ = options.lacking(loaded, store, options.Logs.parse(logs), False)
-        options.warm_up_arms(loaded, _announcer(progress))
+        tasks, _ = missing_trials.lacking(loaded, store, missing_trials.Logs.parse(logs), False)
+        missing_trials.warm_up_arms(loaded, _announcer(progress))
         executor = on_this_machine(jobs, len(tasks), interrupt)
         watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)
         report = batch.run_batch(tasks, store, executor, watcher, fail_fast=False)
@@ -404,7 +405,8 @@ def compare(
     """Compare the total errors of every two batches; differences are the first batch minus the
     second. Batches have the names of their folders, others those of `summarise`.
     """
-    from tetractl.results.describe import BatchStatistics, contrast
+    from tetractl.results.contrast import contrast
+    from tetractl.results.describe import BatchStatistics
     from tetractl.results.open_batch import Batch
 
     compared = list[BatchStatistics]()
@@ -447,7 +449,8 @@ def plot(
     trials, those of a batch or its folder too. Statistics and comparisons are shown by "batch",
     whatever `kind` is. "video" is a video of one trial (.mp4, .gif or .webp).
     """
-    from tetractl.results.describe import BatchComparison, BatchStatistics
+    from tetractl.results.contrast import BatchComparison
+    from tetractl.results.describe import BatchStatistics
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.draw import draw

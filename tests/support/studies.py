@@ -10,7 +10,7 @@ from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.arm_table import finished_trials, write_tables
 from tetractl.study.load_study import load_study
-from tetractl.study.options import Logs, lacking
+from tetractl.study.missing_trials import Logs, lacking
 
 STUDY = """\
 name: quick

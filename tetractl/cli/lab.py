@@ -258,7 +258,7 @@ def _xbee(port: str, baud: int) -> "XbeeSection":
     """Return the radio that --port and --baud describe; UsageError for a wrong value."""
     from pydantic import ValidationError
 
-    from tetractl.experiment.explain import words
+    from tetractl.experiment.explain_errors import words
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
     try:

@@ -69,23 +69,23 @@ def study(
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
-    from tetractl.study import options
+    from tetractl.study import missing_trials
     from tetractl.study.load_study import load_study
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
-    whole_logs = options.Logs.parse(logs)
+    whole_logs = missing_trials.Logs.parse(logs)
     loaded = load_study(file)
     folder = out or Path("logs") / loaded.study.name
     ui.tell_of_earlier_rows(folder, "trials.jsonl")
     store = loaded.store(folder)
     if dry_run:
         store.read()
-        tasks, _ = options.lacking(loaded, store, whole_logs, rerun_outdated)
-        print_tables([options.dry_run(loaded, folder, tasks)])
+        tasks, _ = missing_trials.lacking(loaded, store, whole_logs, rerun_outdated)
+        print_tables([missing_trials.dry_run(loaded, folder, tasks)])
         return Exit.DONE
     with store.opened():
-        tasks, outdated = options.lacking(loaded, store, whole_logs, rerun_outdated)
+        tasks, outdated = missing_trials.lacking(loaded, store, whole_logs, rerun_outdated)
         _tell_of_outdated(outdated)
         interrupted = _run_tasks(loaded, store, tasks, jobs, cluster, fail_fast, quiet)
         return _conclude(loaded, store, interrupted)
@@ -117,7 +117,7 @@ def _run_tasks(
     from tetractl.run.batch import run_batch
     from tetractl.run.cluster import Cluster
     from tetractl.run.executors import on_this_machine
-    from tetractl.study.options import warm_up_arms
+    from tetractl.study.missing_trials import warm_up_arms
     from tetractl.view.terminal.progress import StudyProgress
 
     interrupt = Interrupt(notice_of_signals(STOPPING))

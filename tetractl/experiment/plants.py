@@ -19,7 +19,7 @@ from tetractl.core.registries import PLANTS
 from tetractl.experiment.base import Model
 from tetractl.experiment.consistency import section_errors
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.explain import validated
+from tetractl.experiment.explain_errors import validated
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.loaded_spec import LoadedSpec, attach
 from tetractl.experiment.packages import not_installed

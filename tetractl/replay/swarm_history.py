@@ -1,4 +1,5 @@
-"""Repeats a logged search to obtain its particle swarm, which logs do not contain.
+"""Repeats a logged search to obtain its particle swarm, which logs do not contain, and says whether
+the cost is the logged one, as the figure `swarm` states.
 
 The controller, rebuilt from the log, repeats a control step and receives the logged searches; the
 problem, the warm start and the key that it passes to `search` determine the swarm.

@@ -1,4 +1,4 @@
-"""The folder of a run: its lock, the logs of its trials, and which trials are missing.
+"""The folder of a run: its lock, the logs of its trials, and which trials have a whole log.
 
 A batch is a folder with the logs of the trials of one experiment. A study is a folder of batches,
 its arms. Both are a `Store`: it is `opened` first, which locks the folder and reads which trials

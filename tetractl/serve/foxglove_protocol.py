@@ -12,7 +12,7 @@ from base64 import b64encode
 from mcap.well_known import MessageEncoding
 
 from tetractl.log.format.channels import CHANNELS, NUMBERS, Entry
-from tetractl.log.write.file_writer import protobuf_schema
+from tetractl.log.write.mcap_records import protobuf_schema
 
 PROTOCOL = "foxglove.sdk.v1"
 TOPICS = {number: topic for topic, number in NUMBERS.items()}

@@ -26,7 +26,7 @@ from tetractl.core.errors import printable
 from tetractl.core.registries import SWEEPS
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
-from tetractl.experiment.explain import validated
+from tetractl.experiment.explain_errors import validated
 from tetractl.experiment.load import as_text, is_study, load_document, without_lines
 from tetractl.experiment.loaded_spec import LoadedSpec, arm_hash
 from tetractl.experiment.registry_fields import KindSection

@@ -18,7 +18,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
 from tetractl.experiment.disturbance import DisturbanceSection
-from tetractl.experiment.explain import words
+from tetractl.experiment.explain_errors import words
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.model.motion.motion import Motion

@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import AbortError, SpecError
 from tetractl.experiment.base import Finite, Model, Name, Point, with_tuples
-from tetractl.experiment.explain import list_of, words
+from tetractl.experiment.explain_errors import list_of, words
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean

@@ -11,7 +11,7 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, grou
 
 from tetractl.core.plan import Outcome
 from tetractl.results.as_json import comparison_items, data_table
-from tetractl.results.describe import contrast
+from tetractl.results.contrast import contrast
 from tetractl.results.open_batch import Damaged
 from tetractl.tools.table.table_files import csv_text, json_text
 

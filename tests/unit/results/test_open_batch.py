@@ -6,7 +6,7 @@ from support.studies import FAILING, SMALL, run
 from tetractl.core.errors import UsageError
 from tetractl.results.open_batch import Source, open_batch, sources
 from tetractl.run import store
-from tetractl.study.options import Logs
+from tetractl.study.missing_trials import Logs
 
 ALL = Logs(float("inf"), failed=True)
 FIRST = Logs(1, failed=False)

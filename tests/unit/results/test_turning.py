@@ -12,7 +12,7 @@ from support.batches import batch, experiment, group
 from tetractl.core.plan import Outcome
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import batch_items
-from tetractl.results.describe import contrast
+from tetractl.results.contrast import contrast
 from tetractl.results.flagged import flagged
 from tetractl.results.tables import summary, texts_by_label
 from tetractl.results.turning import turned_otherwise

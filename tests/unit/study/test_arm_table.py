@@ -11,7 +11,7 @@ from tetractl.results.estimate import ArmErrors, distributions
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_tables
 from tetractl.study.figure import error_figure, write_figures
 from tetractl.study.load_study import arm_name
-from tetractl.study.options import Logs
+from tetractl.study.missing_trials import Logs
 from tetractl.view.figures.sweep import errors_by
 
 TRIALS = 5  # of each of the eight arms of STUDY

@@ -18,7 +18,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_logged
 from tetractl.run.store import Store
 from tetractl.run.task import OtherCodeError, batch_tasks
-from tetractl.study.options import Logs
+from tetractl.study.missing_trials import Logs
 
 ALL = Logs(float("inf"), failed=True)
 NONE = Logs(0, failed=False)

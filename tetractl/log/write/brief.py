@@ -21,7 +21,7 @@ from tetractl.log.format.channels import (
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.encoder import Encoder, RecordSink
-from tetractl.log.write.file_writer import FileWriter
+from tetractl.log.write.mcap_records import FileWriter
 from tetractl.tools.files import save_whole
 
 TOPICS = (RUN, HOST, HOST_END, RESULT, DIGESTS)

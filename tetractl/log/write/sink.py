@@ -16,7 +16,7 @@ from mcap.records import Attachment, Channel, Schema
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import DIGESTS, Entry, Record
 from tetractl.log.format.tetractl_pb2 import Digests
-from tetractl.log.write.file_writer import FileWriter
+from tetractl.log.write.mcap_records import FileWriter
 from tetractl.tools.files import lock_file
 
 CHUNK_S = 0.7

@@ -11,7 +11,7 @@ from support.random_trials import trial, write
 from tetractl.log.format.channels import DIGESTS, LOG, NUMBERS, RESULT, RUN, Entry
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.brief import BriefLog
-from tetractl.log.write.file_writer import FileWriter
+from tetractl.log.write.mcap_records import FileWriter
 
 
 def brief(path):

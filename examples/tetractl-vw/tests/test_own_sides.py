@@ -2,6 +2,7 @@
 cameras that send unasked, and calibration.
 """
 
+import json
 import socket
 import struct
 from queue import Queue
@@ -90,18 +91,16 @@ def test_a_datagram_is_a_message_whatever_its_bytes_and_garbage_ends_nothing(tmp
     """Regression: datagrams were cut at each byte 10; what `read` raised ended the trial."""
     monkeypatch.setattr(EmulatedVw, "read", lambda side, message, row: PACKET.unpack(message))
     experiment = vw()
-    lab, clock = emulation(experiment, tmp_path / "record.jsonl")
-    noted = []
-    lab._record.add = lambda t_ns, event, **facts: noted.append((event, facts))
+    record = tmp_path / "record.jsonl"
+    lab, clock = emulation(experiment, record)
     section, setup, ports = experiment.lab.actuator, experiment.setup, lab.wires.ports
     with Packets(section, setup, clock, ports) as robots:
         for message in (robots.packed(0, 10, 266), b"no packet"):
             robots.links.ports[0].write(message)
         clock.sleep_until(clock.now() + SECOND // 50)
-        assert [facts["motors"] for event, facts in noted if event == "command"] == [[10, 266]]
-        assert [facts["hex"] for event, facts in noted if event == "garbage"] == [
-            b"no packet".hex()
-        ]
+        noted = [json.loads(line) for line in record.read_text().splitlines()]
+        assert [row["motors"] for row in noted if row["event"] == "command"] == [[10, 266]]
+        assert [row["hex"] for row in noted if row["event"] == "garbage"] == [b"no packet".hex()]
         assert lab.actuator.robots[0].counts() == (10, 266)
     lab.close()
 

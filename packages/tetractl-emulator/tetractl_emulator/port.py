@@ -142,47 +142,6 @@ class SerialDevice(ABC):
             self._timeline.at(come_ns, lambda: self.port.write(passed))
 
 
-class RobotRadio(SerialDevice):
-    """A radio to robots, which loses at least the share `loss` of its transmissions."""
-
-    def __init__(
-        self,
-        timeline: Timeline,
-        port: "PseudoPort",
-        baud: int,
-        note: Callable[..., None] | None,
-        loss: float,
-        acting: ActingFaults | None = None,
-    ) -> None:
-        super().__init__(timeline, port, baud, note, acting)
-        self._loss = loss
-
-    def loss_to(self, robot: str | None = None) -> float:
-        """Return the share of the transmissions that a robot, or the PC, does not receive."""
-        deaf = self.acting.share("deaf", robot) if robot else 0.0
-        return max(self._loss, self.acting.share("loss"), deaf)
-
-    def late_ns(self, chance: random.Random) -> int:
-        """Draw by how much a transmission is late [ns]."""
-        late_s = self.acting.total_by("late_radio")
-        for fault in self.acting.of("overtaken_packets"):
-            late_s += chance.uniform(0, fault.by)
-        return round(late_s * SECOND)
-
-    @property
-    def times(self) -> int:
-        """How often robots receive each transmission."""
-        return 2 if self.acting.of("doubled_packets") else 1
-
-    @abstractmethod
-    def stop_elsewhere(self, sequence: int) -> None:
-        """Let the robots hear an emergency stop of another sender, with its own sequence number."""
-
-    @abstractmethod
-    def poll_answers(self) -> None:
-        """Send the answers that robots have ready; to be called about every millisecond."""
-
-
 class PluggedDevices:
     """Devices on ports that are plugged in and unplugged together; `what` is their description, and
     `wired` are the parts that receive and answer, each at a port.

@@ -5,7 +5,6 @@ then time on the robot's UART. Broadcasts are not acknowledged; a robot's answer
 times, until it is acknowledged. The module answers AT commands that request a parameter.
 """
 
-import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -29,7 +28,8 @@ from tetractl.model.wheels import Counts
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot
-from tetractl_emulator.port import PseudoPort, RobotRadio, uart_ns
+from tetractl_emulator.m3pi.robot_radio import RobotRadio
+from tetractl_emulator.port import PseudoPort, uart_ns
 
 RECEIVED = bytes.fromhex("81 00 01 28 00")  # data from address 1 at -40 dBm
 AIR_NS_A_BYTE = 32_000
@@ -51,7 +51,7 @@ class EmulatedRadio(RobotRadio):
 
     `versions` are the hardware version (HV) and firmware version (VR) of the PC's module.
     `note(event, **facts)` records each command when it is read from the port, with `sequence`,
-    `flags` and the `wheels` of all robots, and what each robot hears.
+    `flags` and the `wheels` of all robots.
     """
 
     def __init__(
@@ -66,9 +66,7 @@ class EmulatedRadio(RobotRadio):
         note: Callable[..., None] | None,
         acting: ActingFaults | None = None,
     ) -> None:
-        super().__init__(timeline, port, baud, note, loss, acting)
-        self.robots = robots
-        self._random = random.Random(seed)
+        super().__init__(timeline, port, baud, note, robots, loss, seed, acting)
         self._decoder = Decoder()
         self._witnessed = Decoder()
         self._air_ns = 0  # when the air is free again
@@ -128,19 +126,7 @@ class EmulatedRadio(RobotRadio):
 
     def _transmit(self, payload: bytes) -> None:
         size = len(payload)
-        arrives = self._take_air(size) + uart_ns(size, ROBOT_BAUD)
-        arrives += self.late_ns(self._random)
-        for robot in self.robots:
-            if self._random.random() >= self.loss_to(robot.name):
-                heard_ns = arrives + robot.late_ns
-                for _ in range(self.times):
-                    self._timeline.at(heard_ns, lambda robot=robot: self._deliver(robot, payload))
-
-    def _deliver(self, robot: EmulatedRobot, payload: bytes) -> None:
-        if robot.powered:
-            robot.hear(payload)
-            if self.note is not None:
-                self.note("heard", robot=robot.name, hex=payload.hex())
+        self.pass_on(payload, self._take_air(size) + uart_ns(size, ROBOT_BAUD))
 
     def _reply(self, payload: bytes) -> None:
         for _ in range(4):

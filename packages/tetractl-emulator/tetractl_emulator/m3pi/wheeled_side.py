@@ -34,7 +34,8 @@ from tetractl_emulator.fault_rows import (
 from tetractl_emulator.faults import Share, Undo, fault_kind, port_faults, switching
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import BATTERY_MV, EmulatedRobot, EmulatedRobots
-from tetractl_emulator.port import PluggedDevices, RobotRadio
+from tetractl_emulator.m3pi.robot_radio import RobotRadio
+from tetractl_emulator.port import PluggedDevices
 from tetractl_emulator.sides import Stage
 
 PUSH_NS = SECOND // 5  # how long a push takes

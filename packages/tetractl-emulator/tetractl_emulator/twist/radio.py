@@ -1,15 +1,14 @@
 """One port of emulated robots that take lines: serial or UDP, and a transparent radio; no I/O."""
 
-import random
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.lab.actuators.twist.lines import LineCommand, decode_command, encode_command
 from tetractl.lab.cobs import Flag
 from tetractl_emulator.m3pi.robot import EmulatedRobot
-from tetractl_emulator.port import PseudoPort, RobotRadio
+from tetractl_emulator.m3pi.robot_radio import RobotRadio
+from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.sides import Stage
 
 DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the robots
@@ -31,10 +30,8 @@ class LineRadio(RobotRadio):
         loss: float,
         seed: int,
     ) -> None:
-        super().__init__(stage.timeline, port, baud, stage.note, loss, stage.acting)
-        self.robots = robots
+        super().__init__(stage.timeline, port, baud, stage.note, robots, loss, seed, stage.acting)
         self._indices = indices
-        self._random = random.Random(seed)
         self._line = b""
         self._witnessed = b""
 
@@ -42,12 +39,7 @@ class LineRadio(RobotRadio):
         """Take bytes that have come over the line; robots hear whole lines or none."""
         *lines, self._line = self._split(self._line + data)
         for line in lines:
-            arrives = self._timeline.now_ns + DELAY_NS + self.late_ns(self._random)
-            for robot in self.robots:
-                if self._random.random() >= self.loss_to(robot.name):
-                    heard = partial(robot.hear, line + self.end)
-                    for _ in range(self.times):
-                        self._timeline.at(arrives + robot.late_ns, heard)
+            self.pass_on(line + self.end, self._timeline.now_ns + DELAY_NS)
 
     def _split(self, data: bytes) -> list[bytes]:
         """Return the messages in data, and what is left."""

@@ -4,12 +4,12 @@ A Bluetooth connection has an event every `interval`: then the cube hears what w
 event before, and passes on what it has notified. How a real cube's program does this is not known.
 """
 
-import random
 from collections.abc import Sequence
 from typing import Any
 
 from tetractl_emulator.m3pi.robot import EmulatedRobot
-from tetractl_emulator.port import PseudoPort, RobotRadio
+from tetractl_emulator.m3pi.robot_radio import RobotRadio
+from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.sides import Stage
 
 from tetractl.core.clock import MILLISECOND, SECOND
@@ -120,10 +120,9 @@ class Connection(RobotRadio):
         loss: float,
         seed: int,
     ) -> None:
-        super().__init__(stage.timeline, port, SPEED, stage.note, loss, stage.acting)
+        super().__init__(stage.timeline, port, SPEED, stage.note, [robot], loss, seed, stage.acting)
         self.robot = robot
         self._robots = robots
-        self._random = random.Random(seed)
         self._interval_ns = interval_ns
         self._written = list[bytes]()
         self._noted = list[tuple[bytes, Any]]()
@@ -157,7 +156,7 @@ class Connection(RobotRadio):
         for data in written:
             if chance.random() >= self.loss_to(self.robot.name):
                 # a connection keeps the order of what it passes on
-                late_ns = self.late_ns(chance) + self.robot.late_ns
+                late_ns = self.late_ns() + self.robot.late_ns
                 self._heard_ns = max(self._heard_ns, now_ns + late_ns)
                 self._timeline.at(self._heard_ns, lambda data=data: self.robot.hear(data))
         if self.port.fd >= 0 and not self.is_down and self.robot.powered:

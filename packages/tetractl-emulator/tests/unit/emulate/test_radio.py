@@ -67,11 +67,18 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     lab, port = opened()
     command = encode_command(BroadcastCommand(1, Flag.RUN, ((60, 60),) * 2))
     frame = encode(BROADCAST + command)
-    times_ns = {"command": [], "heard": []}
-    lab.actuator.radio.note = lambda event, **_: times_ns[event].append(lab.timeline.now_ns)
+    sent_ns, heard_ns = [], []
+    lab.actuator.radio.note = lambda *_, **facts: sent_ns.append(lab.timeline.now_ns)
+    for robot in lab.actuator.robots:
+
+        def heard(data, hear=robot.hear):
+            heard_ns.append(lab.timeline.now_ns)
+            hear(data)
+
+        robot.hear = heard
     port.write(frame)
-    turn_until(lab, lambda: len(times_ns["heard"]) == 2)
-    way_ns = times_ns["heard"][0] - times_ns["command"][0]
+    turn_until(lab, lambda: len(heard_ns) == 2)
+    way_ns = heard_ns[0] - sent_ns[0]
     serial_bits = 10 * (len(frame) + 12)  # 12 bytes leave the robot's module
     serial_ns = serial_bits * SECOND // 57600
     assert serial_ns + 500_000 < way_ns < serial_ns + 2_000_000  # and some time in the air

@@ -1,0 +1,67 @@
+"""The base of emulated radios to robots on wheels."""
+
+import random
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from tetractl.core.clock import SECOND
+from tetractl_emulator.faults import ActingFaults
+from tetractl_emulator.loop import Timeline
+from tetractl_emulator.m3pi.robot import EmulatedRobot
+from tetractl_emulator.port import PseudoPort, SerialDevice
+
+
+class RobotRadio(SerialDevice):
+    """A radio to `robots`, which loses at least the share `loss` of its transmissions; `seed` draws
+    what is lost and late."""
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        port: PseudoPort,
+        baud: int,
+        note: Callable[..., None] | None,
+        robots: Sequence[EmulatedRobot],
+        loss: float,
+        seed: int,
+        acting: ActingFaults | None = None,
+    ) -> None:
+        super().__init__(timeline, port, baud, note, acting)
+        self.robots = robots
+        self._random = random.Random(seed)
+        self._loss = loss
+
+    def loss_to(self, robot: str | None = None) -> float:
+        """Return the share of the transmissions that a robot, or the PC, does not receive."""
+        deaf = self.acting.share("deaf", robot) if robot else 0.0
+        return max(self._loss, self.acting.share("loss"), deaf)
+
+    def late_ns(self) -> int:
+        """Draw by how much a transmission is late [ns]."""
+        late_s = self.acting.total_by("late_radio")
+        for fault in self.acting.of("overtaken_packets"):
+            late_s += self._random.uniform(0, fault.by)
+        return round(late_s * SECOND)
+
+    @property
+    def times(self) -> int:
+        """How often robots receive each transmission."""
+        return 2 if self.acting.of("doubled_packets") else 1
+
+    def pass_on(self, message: bytes, arrives_ns: int) -> None:
+        """Let each robot hear a message that arrives at a time, or later, unless it is lost."""
+        arrives_ns += self.late_ns()
+        for robot in self.robots:
+            if self._random.random() >= self.loss_to(robot.name):
+                hear = partial(robot.hear, message)
+                for _ in range(self.times):
+                    self._timeline.at(arrives_ns + robot.late_ns, hear)
+
+    @abstractmethod
+    def stop_elsewhere(self, sequence: int) -> None:
+        """Let the robots hear an emergency stop of another sender, with its own sequence number."""
+
+    @abstractmethod
+    def poll_answers(self) -> None:
+        """Send the answers that robots have ready; to be called about every millisecond."""

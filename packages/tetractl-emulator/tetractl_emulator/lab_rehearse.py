@@ -19,7 +19,7 @@ from tetractl.tools.table.table import plural
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
 
-DRAWN = 2
+DRAWN = 3
 """Which draw of days a folder has: days that were drawn otherwise are not continued."""
 WATCHDOG_S = 0.25
 """Time after which robots stop whose spec names none [s]."""
@@ -81,7 +81,7 @@ def rehearse(
     lab = lab_of(loaded.experiment, loaded.name)
     names = [row.name for row in rows_of(lab, loaded.experiment.setup)]
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
-    short_sets = (*(sets or ()), *_known(loaded.experiment, time_limit=1))
+    short_sets = (*(sets or ()), "controller.time_limit=1")
     short = on_plant(load_spec(spec, short_sets), "emulated")
     # what it loads, no day has to load; no cells may have been found
     may_fail = suppress(AbortError) if loaded.experiment.open else nullcontext()
@@ -129,12 +129,6 @@ def rehearse(
     if bad:
         return Exit.FAILED
     return Exit.INTERRUPTED if interrupted else Exit.DONE
-
-
-def _known(experiment: "Experiment", **wanted: float) -> list[str]:
-    """Return the settings of a controller that the spec's has."""
-    fields = type(experiment.controller).model_fields
-    return [f"controller.{name}={value}" for name, value in wanted.items() if name in fields]
 
 
 def rehearsed(spec: Path, sets: Sequence[str], seed: int, day: int, bad: bool = True) -> "DayRow":
@@ -195,13 +189,16 @@ def _day_of(
     setup = experiment.setup
     lab = experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
-    sets = (*sets, *_known(experiment, deadline=60))  # no search is cut short
+    if "deadline" in type(experiment.controller).model_fields:
+        sets = (*sets, "controller.deadline=60")  # no search is cut short
 
     def assessed(plan: "DayPlan") -> "tuple[DayRow, float]":
         with tempfile.TemporaryDirectory() as scratch:
-            played = play(spec, sets, plan, Path(scratch))
+            of_day = (*sets, *plan.settings)
+            played = play(spec, of_day, plan, Path(scratch))
             began_s = time.process_time()
-            truth, violations = observed(played, experiment, lab)
+            as_played = on_plant(load_spec(spec, of_day), "emulated").experiment
+            truth, violations = observed(played, as_played, lab)
             return row_of(day, truth, violations, time.process_time() - began_s), truth.alive_s
 
     return plan_of_day(seed, day, lab, setup, experiment.open, bad), assessed

@@ -47,18 +47,26 @@ SPAN_S = 11.0
 """Latest begin of a fault after the first command that moves robots [s]."""
 CHOICE_S = 5.0
 """By how much later it may be if trials choose their cells first [s]."""
+BLIND_SHARE = 0.1
+"""Share of the days on which robots on wheels are driven blindly, until a limit stops them."""
+BLIND_S = 15
+"""Time of a day's blind drive [s], in which each robot comes to a rim."""
+SHORT_SHARE = 0.15
+"""Share of the days whose trial ends after SHORT_S, while robots drive."""
+SHORT_S = (2.0, 8.0)
 OWN = ("kind", "strength", "right")  # keys of a drawn fault that a script does not have
 
 
 @dataclass(frozen=True, slots=True)
 class DayPlan:
     """What is to happen on a day: the `emulation` and the `faults` of a script, drawn for the trial
-    with number `seed`.
+    with number `seed`, and the `settings` of the spec on that day.
     """
 
     seed: int
     emulation: Mapping[str, Any]
     faults: Sequence[Mapping[str, Any]]
+    settings: Sequence[str] = ()
 
     @property
     def sorted(self) -> list[Mapping[str, Any]]:
@@ -71,7 +79,8 @@ class DayPlan:
             {key: value for key, value in fault.items() if key not in OWN} for fault in self.sorted
         ]
         about = ", ".join(dict.fromkeys(fault["kind"] for fault in self.sorted)) or "no fault"
-        return {"about": about, "emulation": dict(self.emulation), "faults": faults}
+        runner = {"runner": {"set": [*self.settings]}} if self.settings else {}
+        return {"about": about, "emulation": dict(self.emulation), "faults": faults, **runner}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +132,25 @@ def plan_of_day(
             emulation[name] = side.world_of_day(random, lab, setup)
     if not chosen:
         emulation["robots"] = _placed(random, setup, START_SHARE * lab.limits.start_mm)
-    return DayPlan(random.randrange(2**31), emulation, faults)
+    trial_seed = random.randrange(2**31)
+    is_wheeled = lab.actuator.type != "field"
+    settings = _settings(random, setup.period_s) if bad and is_wheeled else ()
+    return DayPlan(trial_seed, emulation, faults, settings)
+
+
+def _settings(random: Random, period_s: float) -> Sequence[str]:
+    """Draw what the spec's controller is on a day: as stated, soon at its end, or a blind one, of
+    which each direction is held for about a second.
+    """
+    drawn = random.random()
+    if drawn < SHORT_SHARE:
+        return (f"controller.time_limit={random.uniform(*SHORT_S):.1f}",)
+    if drawn > 1 - BLIND_SHARE:
+        held = round(1 / period_s)
+        drawn_rad = (round(random.uniform(-math.pi, math.pi), 2) for _ in range(BLIND_S))
+        directions = [direction for direction in drawn_rad for _ in range(held)]
+        return (f"controller={{type: sequence, period: {period_s}, directions: {directions}}}",)
+    return ()
 
 
 def faults_of_day(

@@ -44,6 +44,8 @@ def _smaller(plan: DayPlan) -> Iterator[DayPlan]:
         yield from (replace(plan, faults=[fault]) for fault in plan.faults)
     for i in range(len(plan.faults)):
         yield replace(plan, faults=[*plan.faults[:i], *plan.faults[i + 1 :]])
+    if plan.settings:
+        yield replace(plan, settings=())
     if len(plan.emulation) > 1:
         yield replace(plan, emulation={})
     for key in plan.emulation:

@@ -7,13 +7,22 @@ from random import Random
 import pytest
 from support.paths import ROOT
 from tetractl_emulator.fault_rows import STRONG
-from tetractl_emulator.rehearsal.day import DayPlan, faults_of_day, plan_of_day, rows_of
+from tetractl_emulator.rehearsal.day import (
+    BLIND_S,
+    BLIND_SHARE,
+    SHORT_SHARE,
+    DayPlan,
+    faults_of_day,
+    plan_of_day,
+    rows_of,
+)
 from tetractl_emulator.script import script_of
 
 from tetractl.experiment.load import load_spec
 
 NAMES = ("green", "blue", "red")
-EXPERIMENT = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
+SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
+EXPERIMENT = load_spec(SPEC).experiment
 LAB = (EXPERIMENT.lab, EXPERIMENT.setup)
 ROWS = rows_of(*LAB)
 NAPS = ("stopped",)  # whose strength is their duration
@@ -32,6 +41,21 @@ def test_a_day_without_faults_is_as_the_spec_allows():
     starts = EXPERIMENT.setup.starts
     for robot, x, y in zip(plan.emulation["robots"], starts.x, starts.y, strict=True):
         assert math.dist(robot["start"], (x, y)) < EXPERIMENT.lab.limits.start_mm
+
+
+def test_some_trials_are_short_and_some_robots_are_driven_blindly_by_settings_of_the_spec():
+    settings = [plan_of_day(1, day, *LAB).settings for day in range(400)]
+    blind = [text for text, *_ in filter(None, settings) if "sequence" in text]
+    short = [text for text, *_ in filter(None, settings) if "time_limit" in text]
+    assert len(blind) == pytest.approx(400 * BLIND_SHARE, abs=20)
+    assert len(short) == pytest.approx(400 * SHORT_SHARE, abs=20)
+    assert len(blind) + len(short) == len(list(filter(None, settings)))
+    control = load_spec(SPEC, [blind[0]]).experiment.controller
+    assert len(control.directions) * control.period == pytest.approx(BLIND_S)
+    assert 2.0 <= load_spec(SPEC, [short[0]]).experiment.controller.time_limit <= 8.0
+    script = DayPlan(1, {}, [], (short[0],)).script()
+    assert script["runner"] == {"set": [short[0]]}
+    assert script_of(script, "optitrack", "m3pi-xbee").runner == {"set": (short[0],)}
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ FAULTS = [
 
 
 def test_only_the_fault_that_matters_is_left():
-    plan = DayPlan(1, {"camera": {}, "robots": []}, FAULTS)
+    plan = DayPlan(1, {"camera": {}, "robots": []}, FAULTS, ("controller.time_limit=3",))
 
     def breaks_by_a_late_radio(plan):
         late = [fault for fault in plan.faults if fault["fault"] == "late_radio"]
@@ -22,6 +22,7 @@ def test_only_the_fault_that_matters_is_left():
     small, plays = shrunk(plan, breaks_by_a_late_radio)
     assert small.faults == [FAULTS[2]]
     assert not small.emulation
+    assert not small.settings
     assert plays <= PLAYS_MAX
 
 

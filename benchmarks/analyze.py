@@ -30,7 +30,7 @@ from tetractl.results.estimate import distributions
 
 CONTROLLER = (
     "controller={type: mpc, period: 0.2, horizon_max: 60, time_limit: 30, estimate: true,"
-    " collision: {walls: false, adaptive: false, stop_before_collision: false, silence: 0},"
+    " collision: {walls: false, adaptive: false, stop_before_collision: false},"
     " optimizer: {type: multistart, rounds: 8}}"
 )
 

@@ -59,7 +59,6 @@ RATES = {
 PLAIN = (
     "controller.estimate=false",
     "controller.collision.stop_before_collision=false",
-    "controller.collision.silence=0",
     "controller.collision.adaptive=false",
     "controller.collision.margin=20",
     "controller.collision.radius=0",

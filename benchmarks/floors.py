@@ -7,7 +7,7 @@ commands at each control step. Both drive on until the error is accepted, so a s
 error costs time: a floor is a curve of error against time, and only errors at equal time compare.
 The last column is the floor's least error up to the controller's time, by straight lines between
 its points; beyond them it is that of the nearest point, in brackets. A floor is no bound: it ends
-its trials by the same rules, and does not expect silence. Rows are the bench and those of
+its trials by the same rules. Rows are the bench and those of
 disturbed.py, part `hurting`, all with the same seeds. Everything is simulated.
 """
 

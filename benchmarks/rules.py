@@ -118,14 +118,10 @@ def _value(**changes: Any) -> tuple[Any, str, Any]:
     """Return the part by which plans are valued as if the words `changes` were true of each."""
     plan = Worth.plan
 
-    def changed(self: Worth, error: float, length: int, new: bool, **cautions: bool) -> float:
-        return plan(self, error, length, **({"new": new} | cautions | changes))
+    def changed(self: Worth, error: float, length: int, new: bool, touches: bool = False) -> float:
+        return plan(self, error, length, **({"new": new, "touches": touches} | changes))
 
-    def asked(self: Worth, error: float, length: int, new: bool, *cautions: bool, **named: bool):
-        words = dict(zip(("touches", "unheard"), cautions, strict=False))
-        return changed(self, error, length, new, **words, **named)
-
-    return Worth, "plan", asked
+    return Worth, "plan", changed
 
 
 def _as_usual(self: Mpc, step: mpc.ControlStep, warm: Any) -> Any:
@@ -175,10 +171,6 @@ RULES = {
         (_returns(Mpc, "_collides_soon", False),), WALLS
     ),
     "two dead times until a stop acts": Rule(((mpc, "LATE", 1.0),), WALLS),
-    "keep clear in silence": Rule((_returns(Mpc, "_silence", None),), WALLS),
-    "silence after the last two signals": Rule(((mpc, "SILENT_LAST", 0),), WALLS),
-    "silence after the next two signals": Rule(((mpc, "SILENT_NEXT", 10**6),), WALLS),
-    "room in silence": Rule(((mpc, "SILENT_ROOM", 0.0),), WALLS),
     "turns on the spot": Rule((_returns(mpc, "next_facing", None),), WALLS),
     "turns to the most room": Rule((_returns(corners, "roomiest", 0.0),), WALLS),
     "turns kept for four steps": Rule(((corners, "STEPS", 1),), WALLS),
@@ -202,9 +194,6 @@ RULES = {
     "slack": Rule(((mpc, "SLACK", 1.0),), (*TIME, "sticking-5hz")),
     "longer plans": Rule((_returns(Mpc, "_search_longer", None),), (*TIME, "sticking-5hz")),
     "six signals a robot": Rule(((lengths, "SIGNALS_PER_ROBOT", 1),), TIME),
-    "work after which no longer plan is tried": Rule(
-        ((lengths, "SPREAD_WORK", math.inf),), ("gap",)
-    ),
     "attempts cost": Rule((_value(new=False),), ("sticking-5hz", "wander", "strip")),
     "attempts cost more and more": Rule(
         (_returns(RecommendedMpc, "patience_s", math.inf),),
@@ -212,7 +201,6 @@ RULES = {
     ),
     "time has a price": Rule(((Worth, "price", 0.0),), ("wander", *TIME)),
     "to touch a margin costs": Rule((_value(touches=False),), WALLS),
-    "to be unclear in silence costs": Rule((_value(unheard=False),), WALLS),
     # margins
     "margins for uncertain motion": Rule(((margins, "SIGMAS", 0.0),), WALLS),
     "margins for a lost command": Rule(((near_targets, "LOST_SHARE", 0.0),), WALLS),

@@ -27,7 +27,7 @@ from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.run.spec_trial import trial_seeds
 
-POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False, silence=0.0)
+POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False)
 """How robots are steered whose controller has no margins: as points that may leave the arena."""
 UNHURRIED = Host(timer=lambda: 0)
 """The host of controllers whose searches no deadline ends: on a busy machine it would end them

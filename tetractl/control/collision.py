@@ -7,7 +7,7 @@ from tetractl.experiment.base import Model, NonNegative
 
 class Collision(Model):
     """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
-    neither stop nor count with silence by default."""
+    do not stop by default."""
 
     margin: NonNegative = 0.0
     """Distance by which obstacles are grown for the planner [length unit]."""
@@ -29,7 +29,3 @@ class Collision(Model):
     the spot first; the trial ends if that does not help either. Robots also end at rest,
     and drive on if their total error is then too large. Only for robots that can stand still, which
     have `wheels`."""
-    silence: NonNegative = 1.0
-    """Time for which robots may receive no command and keep their direction [s]. The planner
-    prefers plans in which robots keep clear even if this happens after any one of the signals.
-    """

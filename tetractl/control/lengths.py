@@ -21,7 +21,6 @@ GROWTH = 1.2  # ratio of successive lengths tried for a longer plan, under way
 SPREAD = 1.3  # ratio of successive lengths tried at rest
 TRIES = 4  # number of first plans that are shortened at rest
 CUT = 1 / 8  # share of a plan's length that is tried first to shorten it
-SPREAD_WORK = 3e7  # evaluations x signals x robots after which no longer ones are tried: 0.25 s
 SIGNALS_PER_ROBOT = 6  # least number of signals per robot in a plan for several robots
 
 
@@ -117,8 +116,7 @@ class Searcher:
                 return False
             if good(search):
                 return True
-            spent = sum(search.evaluations * search.length for search in self.found)
-            if length == most or spent * self.problem.a.size > SPREAD_WORK:
+            if length == most:
                 return False
             length = min(most, max(length + 1, round(SPREAD * length)))
 

@@ -12,13 +12,8 @@ can stop. What there is to choose from has a *value*, the less the better: the p
 distances to the targets at its end [length unit], and what its time and its risk cost in the same
 unit (`tetractl.control.value`).
 
-Two tests look at what a plan might do to bodies, and they differ in what follows:
-
-    collides soon    the first signal, held until a stop can act, brings a body into something:
-                     robots that can stand never drive such a plan, whatever its value
-                     (`_collides_soon`)
-    silence          if robots receive nothing after one of its signals, they come too near to
-                     something: the plan costs more, as this is only a risk (`_is_clear_in_silence`)
+A plan *collides soon* if its first signal, held until a stop can act, brings a body into something:
+robots that can stand never drive such a plan, whatever its value (`_collides_soon`).
 
 The rules of one of two lists are asked in turn, and the first answer is what the robots do. Each is
 the method of its name.
@@ -68,7 +63,6 @@ and L the number of signals of a plan.
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -92,7 +86,6 @@ from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.near_targets import kept_apart, parted
 from tetractl.control.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
-from tetractl.control.silence import Silence
 from tetractl.control.trial_time import TrialTime
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
@@ -121,15 +114,6 @@ after the spec's `deadline`, as they drive on meanwhile."""
 LATE = 2.0
 """Number of dead times after which a stop has acted for certain: it may be lost once, and is sent
 again."""
-SILENT_NEXT = 2
-"""Number of next signals of the plan under way after which robots that receive nothing must keep
-clear. Later ones are searched again before they are sent."""
-SILENT_LAST = 2
-"""Number of last signals of a plan after which this is not tested: near the end of a plan hardly
-any other would be left to choose. Chosen, not measured."""
-SILENT_ROOM = 0.2
-"""Clearance of robots that receive nothing, as a fraction of their radius: with 0.4, trials took
-27 s for 21 (n 6, docs/decisions/safety.md)."""
 SLACK = 1.15
 """Ratio of lengths of the plan under way and of the least one, below which it is not shortened: a
 plan without slack cannot be mended, as robots do not drive faster."""
@@ -201,14 +185,12 @@ class ControlStep:
     """What a step begins with.
 
     The `problem` is to bring robots from where they will be when the next command acts to their
-    targets; `silence` is the one in which they are to keep clear, None if this is not asked of
-    them; `warm` (L,) are the signals left of the plan under way, None if none is; `horizon_max` is
-    the longest plan and `signals_left` the time until the limit of time, both in signals; `value`
-    is how plans are valued.
+    targets; `warm` (L,) are the signals left of the plan under way, None if none is;
+    `horizon_max` is the longest plan and `signals_left` the time until the limit of time, both in
+    signals; `value` is how plans are valued.
     """
 
     problem: Problem
-    silence: Silence | None
     warm: Floats | None
     horizon_max: int
     signals_left: float
@@ -373,10 +355,8 @@ class Mpc:
         first_period_s = rest_periods * section.period
         motion = replace(motion, targets=self.course.targets, first_period=first_period_s)
         periods_left = self.time.periods_left + held_periods
-        problem = self._with_margins(motion, self.estimator.known)
         return ControlStep(
-            problem=problem,
-            silence=self._silence(problem),
+            problem=self._with_margins(motion, self.estimator.known),
             warm=self._signals_left(),
             horizon_max=section.horizon_max,
             signals_left=periods_left / section.signal_periods,
@@ -534,9 +514,8 @@ class Mpc:
         start = signals[: max(step.signals_max, 1)]
         polished = searcher.search(len(start), start)
         assert polished is not None  # the first search is always done
-        is_good = partial(self._is_good, step, step.problem)
-        if is_good(polished):
-            searcher.shorten(math.ceil(SLACK * least_length(step.problem)), is_good)
+        if self._is_good(polished):
+            searcher.shorten(math.ceil(SLACK * least_length(step.problem)), self._is_good)
         else:
             self._search_longer(step, searcher, start)
         return self._searched(step, step.problem, searcher.found, by_tree=False)
@@ -685,27 +664,23 @@ class Mpc:
         searcher = self._searcher(step)
         longest = max(1, step.signals_max)
         problem = step.problem
-        is_good = partial(self._is_good, step, problem)
-        reached = searcher.spread(least_length(problem), longest, is_good)
+        reached = searcher.spread(least_length(problem), longest, self._is_good)
         if reached or self.progress.moving or not self.section.collision.walls:
             return self._searched(step, problem, searcher.found, by_tree=False)
         certain = self._with_margins(problem, None)
         starts = ways(certain, self.setup.arena, longest, self._step_key)
-        by_tree = searcher.onward(certain, starts, partial(self._is_good, step, certain))
+        by_tree = searcher.onward(certain, starts, self._is_good)
         return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
 
-    def _is_good(self, step: ControlStep, problem: Problem, search: Search) -> bool:
-        """Return whether a plan found for a problem needs no better one."""
-        if search.cost > (self.section.optimizer.good_enough or 0.0):
-            return False
-        foreseen = compiled_foresee(problem, search.signals)
-        return self._is_clear_in_silence(step, search.signals, foreseen)
+    def _is_good(self, search: Search) -> bool:
+        """Return whether a plan found needs no better one."""
+        return search.cost <= (self.section.optimizer.good_enough or 0.0)
 
     def _searched(
         self, step: ControlStep, problem: Problem, searches: Sequence[Search], by_tree: bool
     ) -> Searched:
         """Return all plans that searches found, as candidates for the problem."""
-        posed = replace(step, problem=problem, silence=self._silence(problem))
+        posed = replace(step, problem=problem)
         numbers = range(len(searches))
         candidates = [self._candidate(posed, searches, number) for number in numbers]
         candidates.sort(key=lambda candidate: candidate.value)
@@ -748,8 +723,7 @@ class Mpc:
         if cost >= step.problem.obstacle_weight:
             error = foreseen.target
             touches = foreseen.obstacle > 0
-        unheard = not self._is_clear_in_silence(step, signals, foreseen)
-        return step.value.plan(error, len(signals), step.is_new(signals), touches, unheard)
+        return step.value.plan(error, len(signals), step.is_new(signals), touches)
 
     def _planned(self, searched: Searched, candidate: Candidate) -> Plan:
         """Return the plan of a candidate."""
@@ -783,32 +757,3 @@ class Mpc:
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         directions = np.full(len(problem.a), signals[0])
         return self.course.discs.enters_if_held(problem, directions, seconds)
-
-    def _silence(self, problem: Problem) -> Silence | None:
-        """Return the silence in which robots of a problem are to keep clear, None if this is not
-        asked of them. Their watchdogs may end it."""
-        collision = self.section.collision
-        if not collision.silence:
-            return None
-        margin = SILENT_ROOM * collision.radius
-        return Silence.during(
-            min(collision.silence + self.section.period, self.setup.watchdog_s),
-            problem,
-            obstacles=self.course.margins.grown(problem.poses, margin),
-            separation=min(collision.separation, problem.separation),
-        )
-
-    def _is_clear_in_silence(self, step: ControlStep, signals: Floats, foreseen: Foreseen) -> bool:
-        """Return whether robots keep clear if, after any one of the signals (L,), they receive
-        nothing for a while. Without this test, a plan could head for a wall at full speed and turn
-        off just before it.
-
-        The last SILENT_LAST signals are not tested; of the plan under way, only the first
-        SILENT_NEXT are.
-        """
-        tested = len(signals) - SILENT_LAST
-        if not step.is_new(signals):
-            tested = min(tested, SILENT_NEXT)
-        if step.silence is None or tested <= 0:
-            return True
-        return step.silence.keeps_clear(foreseen.path, signals[:tested])

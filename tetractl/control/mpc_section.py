@@ -208,7 +208,7 @@ class RecommendedMpc(SearchFields):
     period."""
     collision: Collision = Collision()
     """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
-    neither pause nor count with silence by default."""
+    do not pause by default."""
     optimizer: Annotated[OptimizerSection, _MULTISTART] = Field(default_factory=_MULTISTART.make)
     """The optimiser of each search."""
 
@@ -225,10 +225,9 @@ class RecommendedMpc(SearchFields):
         fitting: dict[str, Any] = {}
         if "accept_error" not in self.model_fields_set:
             fitting["accept_error"] = float(f"{0.45 * self.period * speed:.2g}")
-        if not stands:
-            off = {"stop_before_collision": False, "silence": 0.0}
-            unset = {k: v for k, v in off.items() if k not in self.collision.model_fields_set}
-            fitting["collision"] = self.collision.model_copy(update=unset)
+        if not stands and "stop_before_collision" not in self.collision.model_fields_set:
+            off = {"stop_before_collision": False}
+            fitting["collision"] = self.collision.model_copy(update=off)
         return self.model_copy(update=fitting)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
@@ -271,7 +270,6 @@ class RecommendedMpc(SearchFields):
         from tetractl.control.evaluate import compiled_branches, compiled_drive
         from tetractl.control.margins import Margins
         from tetractl.control.passage import ways
-        from tetractl.control.silence import Silence
 
         super().warm_up(setup)
         problem = self.problem(setup)
@@ -281,5 +279,4 @@ class RecommendedMpc(SearchFields):
             next(ways(problem, setup.arena, 0, 0), None)
         Discs(self.collision.radius, setup.obstacles, setup.arena).enters(path)
         margins = Margins(self.collision, setup.obstacles, setup.arena, setup.targets)
-        obstacles = margins.grown(problem.poses, 0.0)
-        Silence.during(0.0, problem, obstacles, 0.0).keeps_clear(path, np.zeros(1))
+        margins.grown(problem.poses, 0.0)

@@ -9,7 +9,7 @@ The value of a candidate is an error [length unit], the less the better:
              away from the plan under way: `accept` at first. It doubles every `patience_s`, because
              a trial that lasts long is disturbed much. 0 for the plan under way and for a stop
     price t  the price of the time t until the robots stand at the end
-    caution  if the path touches a margin, or if robots that receive nothing might touch something
+    caution  if the path touches a margin
 
 `accept` is the spec's `accept_error`, the scale of all of them.
 """
@@ -32,17 +32,10 @@ class Worth:
     patience_s: float = PATIENCE_S
     price: ClassVar[float] = 0.02  # of a second, in units of `accept`
     touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
-    unheard: ClassVar[float] = 1.5  # caution if robots that receive nothing might touch something
 
-    def plan(
-        self, error: float, length: int, new: bool, touches: bool = False, unheard: bool = False
-    ) -> float:
+    def plan(self, error: float, length: int, new: bool, touches: bool = False) -> float:
         """Return the value of a plan of `length` signals that ends with the total `error`."""
         attempt = 2 ** (self.spent_s / self.patience_s) if new else 0.0
         price = self.price * self.period_s * length
-        caution = 0.0
-        if touches:
-            caution += self.touch
-        if unheard:
-            caution += self.unheard
+        caution = self.touch if touches else 0.0
         return error + self.accept * (attempt + price + caution)

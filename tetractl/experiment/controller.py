@@ -159,16 +159,22 @@ def retired_hint(key: str, section: Any) -> str | None:
         return "a controller chooses a direction only; write strength: [mT], and a: {per_mT: ...}"
     if key == "first_plan":
         return "robots stand while the first plan is computed; leave it out"
+    if key == "silence":
+        return "plans are no longer asked what a silence of the radio does; leave it out"
     limit = earlier_limit(section) if key == "steps_max" else None
     return None if limit is None else f"a trial's limit is a time now; write time_limit: {limit:g}"
 
 
 def without_retired(data: dict[str, Any]) -> None:
-    """Replace the retired keys in the spec of an earlier log: its limit was `steps_max`, and while
-    the first plan was computed its robots stood, unless `first_plan` said that they drive."""
+    """Replace the retired keys in the spec of an earlier log: its limit was `steps_max`; while the
+    first plan was computed its robots stood, unless `first_plan` said that they drive; and plans
+    were asked what a `silence` of the radio does."""
     control = data.get("controller", {})
     if isinstance(control, dict) and control.get("first_plan") == {"type": "stand"}:
         del control["first_plan"]
+    collision = control.get("collision") if isinstance(control, dict) else None
+    if isinstance(collision, dict):
+        collision.pop("silence", None)
     limit = earlier_limit(control)
     if limit is not None:
         del control["steps_max"]

@@ -18,12 +18,9 @@ from tetractl.control.lengths import CUT, SIGNALS_PER_ROBOT, SPREAD, TRIES
 from tetractl.control.mpc import (
     LATE,
     SEARCH_S,
-    SILENT_LAST,
-    SILENT_NEXT,
     SLACK,
     ControlStep,
 )
-from tetractl.control.silence import Silence
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop
@@ -45,7 +42,7 @@ SHORTEST = SIGNALS_PER_ROBOT * len(STARTS)
 HEARD = (True, True, True)
 STRAIGHT_ON = Command(Steer(0.0), 0, HEARD)
 """The first direction, in which all robots head already; the trial's time counts from it."""
-POINTS = {"walls": False, "adaptive": False, "stop_before_collision": False, "silence": 0}
+POINTS = {"walls": False, "adaptive": False, "stop_before_collision": False}
 """Robots that are points and cannot stand."""
 RESTS = POINTS | {"stop_before_collision": True}
 """Robots that are points and can stand."""
@@ -323,72 +320,6 @@ def test_after_a_rest_the_trial_ends_unless_a_new_plan_can_be_better_in_time(
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
 
-class AskedSilence:
-    """Stands for a silence in which any plan keeps clear. It writes down for how many `seconds` it
-    is asked, and how many signals are `tested` of plans by their length."""
-
-    def __init__(self):
-        self.seconds = set()
-        self.tested = {}
-
-    def during(self, seconds, problem, obstacles, separation):
-        self.seconds.add(round(seconds, 9))
-        return self
-
-    def keeps_clear(self, path, signals):
-        length = len(path) - 1  # before each signal, and after the last
-        self.tested[length] = len(signals)
-        return True
-
-
-SILENCE_S = 0.6
-
-
-@pytest.fixture
-def silence(monkeypatch):
-    """What is asked of robots that receive nothing, whatever their margins."""
-    silence = AskedSilence()
-    monkeypatch.setattr(Silence, "during", silence.during)
-    return silence
-
-
-def decide_with_silence(signals_left, watchdog_s=math.inf):
-    """A step in which so many signals of a plan are left and robots are to keep clear for
-    SILENCE_S."""
-    collision = POINTS | {"silence": SILENCE_S}
-    controller, _ = driving(
-        {}, signals_left=signals_left, watchdog_s=watchdog_s, collision=collision
-    )
-    decide(controller)
-
-
-@pytest.mark.parametrize("signals_left", [5, 2, 1])
-def test_the_next_signals_of_a_plan_are_to_be_safe_and_nearly_all_of_a_new_one(
-    silence, signals_left
-):
-    """The plan under way may become one signal longer; a longer one is new. Of none the last
-    signals are tested, so that plans of so many signals have none to test."""
-    decide_with_silence(signals_left)
-    longest_under_way = signals_left + 1
-    expected = {}
-    for length in silence.tested:
-        nearly_all = length - SILENT_LAST
-        is_new = length > longest_under_way
-        expected[length] = nearly_all if is_new else min(SILENT_NEXT, nearly_all)
-    assert silence.tested == expected
-    assert min(silence.tested) == max(SILENT_LAST + 1, signals_left - 1)
-    assert max(silence.tested) > longest_under_way
-
-
-@pytest.mark.parametrize(("watchdog_s", "seconds"), [(math.inf, SILENCE_S + PERIOD_S), (0.5, 0.5)])
-def test_robots_that_receive_nothing_drive_on_until_the_silence_or_their_watchdog_ends_it(
-    silence, watchdog_s, seconds
-):
-    """A silence that begins just after a command has lasted a period when the next one is due."""
-    decide_with_silence(5, watchdog_s)
-    assert silence.seconds == {seconds}
-
-
 def beside_a_wall(gap, stop=True, radius=0.0, optimizer=None, **fields):
     """A controller of robots of which green drives straight to the right wall, `gap` [mm] from it;
     and their poses. It has the spec's optimiser, if none is given."""
@@ -549,9 +480,7 @@ def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_pe
 def test_a_target_farther_away_than_the_longest_plan_leads_leaves_time_for_it():
     problem = spec().controller.problem(spec().setup)
     value = Worth(ACCEPT, 0.0, problem.period)
-    now = ControlStep(
-        problem, silence=None, warm=None, horizon_max=12, signals_left=400.0, value=value
-    )
+    now = ControlStep(problem, warm=None, horizon_max=12, signals_left=400.0, value=value)
     assert now.signals_max == 12
     assert now.allows(51)
 

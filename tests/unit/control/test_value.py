@@ -24,4 +24,3 @@ def test_a_new_attempt_is_worth_the_accepted_error_which_doubles():
 def test_caution_costs_as_much_as_errors_in_units_of_the_accepted_one():
     plain = AT_FIRST.plan(3.0, 5, new=False)
     assert AT_FIRST.plan(3.0, 5, False, touches=True) == pytest.approx(plain + 10 * Worth.touch)
-    assert AT_FIRST.plan(3.0, 5, False, unheard=True) == pytest.approx(plain + 10 * Worth.unheard)

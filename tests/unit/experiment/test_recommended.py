@@ -46,8 +46,6 @@ OF_THE_LAB = {
 
 def of_earlier_numbers(name):
     """What a spec says because its printed numbers are from before this was the default."""
-    if name == "benchmark/anywhere.yaml":
-        return {"collision.silence"}
     if name.startswith("benchmark/") or name == "tetrahymena_disturbed.yaml":
         return {"collision.adaptive"}
     return set()
@@ -112,7 +110,6 @@ def test_defaults_follow_the_robots_and_their_bodies():
     assert controller.time_limit == 160
     assert controller.arrival_tolerance == 0
     assert controller.collision.separation == 94
-    assert controller.collision.silence == 1
     assert controller.collision.stop_before_collision is True
 
 

@@ -43,3 +43,24 @@ def test_an_intensity_of_an_earlier_spec_is_told_in_one_line():
         "earlier.yaml:6:1: intensity: unknown key; a controller chooses a direction only; "
         "write strength: [mT], and a: {per_mT: ...}"
     )
+
+
+SILENT = """
+name: earlier
+arena: {left: 0, bottom: 0, width: 9, height: 9}
+robots: [{name: r, start: [1, 1], target: [2, 2], a: 1, speed: 1}]
+controller: {type: mpc, collision: {radius: 0.5, silence: 1.0}}
+"""
+
+
+def test_a_silence_of_an_earlier_spec_is_to_be_left_out():
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(SILENT, "earlier.yaml")
+    (line,) = caught.value.lines()
+    assert line.startswith("earlier.yaml:5:")
+    assert line.endswith("what a silence of the radio does; leave it out")
+
+
+def test_a_silence_in_the_spec_of_an_earlier_log_is_left_out():
+    controller = parse_written(SILENT, "spec.yaml").experiment.controller
+    assert controller.collision.radius == 0.5

@@ -1,7 +1,7 @@
 """Where robots go: `tetractl.control.cost.predict` and `foresee` of one sequence, compiled.
 
-In addition `drive`, for robots that each follow a direction of their own, and `unheard`, for robots
-that receive nothing. A problem is a `FlatProblem`; poses are x, y and heading (N, 3).
+In addition `drive`, for robots that each follow a direction of their own. A problem is a
+`FlatProblem`; poses are x, y and heading (N, 3).
 """
 
 import math
@@ -104,48 +104,3 @@ def _count_touches(problem, before, after):
             dy = y - after[k, 1]
             touches += dx * dx + dy * dy <= problem.separation * problem.separation
     return touches
-
-
-@compiled(**ENTRY_FAST)
-def unheard(u, problem, t, steps, path):
-    """Return whether robots keep clear that after any one of the signals u (L,) follow it for
-    `steps` times t [s] more; path (L + 1, N, 3) are the poses before each.
-
-    They touch no obstacle on the way and come no nearer to each other than the separation.
-    """
-    rows = problem.rows
-    walls = problem.walls
-    robots = len(problem.robots)
-    towards = np.empty(robots)
-    poses = np.empty((2, robots, 3))
-    for j in range(u.size):
-        for i in range(robots):
-            towards[i] = u[j]
-        before = poses[0]
-        now = poses[1]
-        for i in range(robots):
-            for k in range(3):
-                now[i, k] = path[j, i, k]
-        if not _are_apart(problem, now):
-            return False
-        for _ in range(steps):
-            before, now = now, before
-            _move(problem, towards, t, before, now)
-            for i in range(robots):
-                if crosses(rows, walls, before[i, 0], before[i, 1], now[i, 0], now[i, 1]):
-                    return False
-            if not _are_apart(problem, now):
-                return False
-    return True
-
-
-@compiled(**INLINE_FAST)
-def _are_apart(problem, poses):
-    """Return whether no two robots are nearer to each other than the separation."""
-    for i in range(len(problem.robots)):
-        for k in range(i):
-            x = poses[k, 0] - poses[i, 0]
-            y = poses[k, 1] - poses[i, 1]
-            if math.hypot(x, y) < problem.separation:
-                return False
-    return True

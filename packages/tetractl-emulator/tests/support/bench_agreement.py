@@ -32,7 +32,7 @@ from tetractl.run.spec_trial import trial_seeds
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (
     "type: mpc, time_limit: 20.05, estimate: false, "
-    "collision: {margin: 50, adaptive: false, stop_before_collision: false, silence: 0}"
+    "collision: {margin: 50, adaptive: false, stop_before_collision: false}"
 )
 BENCH = ROOT / "experiments" / "three_m3pi_bench.yaml"
 

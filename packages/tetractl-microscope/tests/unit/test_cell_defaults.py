@@ -9,9 +9,8 @@ from tetractl.experiment.yaml.problems import InvalidSpecError
 CELLS = EXAMPLES / "two_cells.yaml"
 
 
-def test_cells_are_neither_silenced_nor_made_to_pause():
-    collision = load_spec(CELLS).experiment.controller.collision
-    assert (collision.silence, collision.stop_before_collision) == (0, False)
+def test_cells_are_not_made_to_pause():
+    assert load_spec(CELLS).experiment.controller.collision.stop_before_collision is False
 
 
 def test_robots_that_cannot_stand_still_are_not_to_pause():

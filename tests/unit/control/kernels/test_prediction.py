@@ -16,8 +16,6 @@ from tetractl.control.evaluate import (
     compiled_drive,
     compiled_foresee,
 )
-from tetractl.control.kernels.motion import flatten
-from tetractl.control.kernels.prediction import unheard
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
@@ -105,42 +103,6 @@ def test_a_pose_that_is_no_number_is_told():
     problem.poses.x[0] = np.nan
     with pytest.raises(ControlError, match="not finite"):
         compiled_foresee(problem, np.zeros(3))
-
-
-@given(seed=SEEDS, robots=st.integers(1, 3), drifts=st.booleans(), walls=st.booleans())
-def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
-    seed, robots, drifts, walls
-):
-    rng = np.random.default_rng(seed)
-    world = problems.world(seed, robots, 2, "exact")
-    problem = problems.problem(world, 0.0, drifts)
-    apart = rng.choice([0.0, 100.0])
-    shapes = [thing.shape() for thing in world.obstacles]
-    region = Obstacles.of(shapes, 0.0, Bounds(50, 50, 750, 750) if walls else None)
-    signals = rng.uniform(-3, 3, 3)
-    steps = 4
-    seconds = 0.4
-    path = compiled_foresee(problem, signals).path
-    branches = []
-    for j, u in enumerate(signals):
-        held = replace(problem, poses=Poses.of(path[j]), first_period=0.1, period=0.1)
-        branches.append(predict(held, np.full(steps, u)))
-    x, y = np.moveaxis(np.stack(branches)[..., :2], -1, 0)  # (L, steps + 1, N)
-    first, second = np.triu_indices(robots, 1)
-    meets = (np.hypot(x[..., first] - x[..., second], y[..., first] - y[..., second]) < apart).any()
-
-    def clear(obstacles):
-        keeping_clear = flatten(problem)._replace(
-            rows=obstacles.rows, walls=obstacles.walls, separation=float(apart)
-        )
-        return unheard(signals, keeping_clear, seconds / steps, steps, path)
-
-    ends = x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]
-    grown = region.grown(np.full(region.count, 1e-6))  # a touched corner is a matter of rounding
-    if not grown.cross(*ends).any():
-        assert clear(region) == (not meets)
-    if region.cross(*ends).any():
-        assert not clear(grown)
 
 
 @given(seed=SEEDS, robots=st.integers(1, 4), drifts=st.booleans())

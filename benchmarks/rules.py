@@ -249,7 +249,6 @@ RULES = {
     "scale of the noise": Rule(
         (), ("cells", "slow-pictures"), (("scale_least", 1.0), ("scale_most", 1.0))
     ),
-    "old scores forgotten": Rule((), ("later", "late"), (("forget_s", 1e9),)),
     "the camera's pose if none fits": Rule((), ("stale", "marker"), (("lost_track_s", 1e9),)),
 }
 """Each rule by its name."""

@@ -22,8 +22,7 @@ each robot and each filter it calls
                      w_s <- w_s + ln p(pose | s) - ln L,    L = sum_s exp(w_s) p(pose | s)
     _exchange_stuck  lets some probability pass from driving to being stuck, and back
 
-and adds ln L to the filter's score, which is how well its tau does. `_forget` then lets old frames
-count less in the scores of the robot's filters.
+and adds ln L to the filter's score, which is how well its tau does.
 
 Symbols: b is a filter, i a robot, s a slot, and f a frame; u is a direction [rad], NaN to stand. A
 time ends with `_s`: seconds on the clock of frames and commands, whose orders are those of their
@@ -163,7 +162,7 @@ def follow(bank, model, commands, frames, noisy, step_s):
                     ln_likelihoods[b, i] += ln_likelihood
                     bank.score[b, i] += ln_likelihood
                 _exchange_stuck(_hypotheses(bank, b, i), model, seconds, now_s)
-            _forget(bank, i, seconds)
+            _relate_scores(bank, i)
     return ln_likelihoods
 
 
@@ -603,16 +602,14 @@ def _stray(cov, sticks, seconds):
 
 
 @compiled(**INLINE_FAST)
-def _forget(bank, i, seconds):
-    """Let a robot's scores be 0 for its best filter, and their differences decay with time: a dead
-    time may change. score <- (score - largest score) exp(-seconds / forget_s)."""
+def _relate_scores(bank, i):
+    """Let a robot's scores be 0 for its best filter, so that their exponentials are numbers."""
     filters = bank.score.shape[0]
     largest = -math.inf
     for b in range(filters):
         largest = max(largest, bank.score[b, i])
-    decay = math.exp(-seconds / ASSUMED.forget_s)
     for b in range(filters):
-        bank.score[b, i] = (bank.score[b, i] - largest) * decay
+        bank.score[b, i] -= largest
 
 
 # ---- hypotheses in arrays ----

@@ -130,8 +130,6 @@ class Assumed(NamedTuple):
     """Greatest square of a deviation that the average of the noise takes."""
     mean_capped: float = 0.8
     """Mean of such a square of a standard normal number, rounded."""
-    forget_s: float = 10.0
-    """Time constant with which the scores of dead times decay [s]."""
     block: int = 8
     """Number of frames of a block of innovations."""
     most_square: float = 25.0

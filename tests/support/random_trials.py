@@ -9,7 +9,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop
-from tetractl.core.plan import Estimate, Outcome, Plan, Search, StopReason
+from tetractl.core.plan import INNOVATIONS, Estimate, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start, Step, Verdict
@@ -232,4 +232,8 @@ def _estimate(rng: np.random.Generator, k: int, robots: int) -> Estimate | None:
         return Estimate(*sure)
     bias = rng.normal(0, 0.1, robots)
     bias_std = rng.uniform(0, 0.1, robots)
-    return Estimate(*sure, bias, bias_std, dead_time=0.0, dead_time_std=float(rng.random()))
+    names = ("side", "side_std", "saturation", "stands")
+    others = {name: rng.uniform(0, 1, robots) for name in names}
+    others["misfit"] = rng.uniform(0, 2, (robots, len(INNOVATIONS)))
+    dead_time_std = float(rng.random())
+    return Estimate(*sure, bias, bias_std, dead_time=0.0, dead_time_std=dead_time_std, **others)

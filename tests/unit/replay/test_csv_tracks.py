@@ -501,6 +501,52 @@ def test_a_mirrored_picture_is_refused_by_how_robots_turn(tmp_path):
         csv_tracks(write_mirrored_drive(tmp_path))
 
 
+def at_random(share):
+    """Which of the drive's poses are a share of them, at random."""
+    return np.random.default_rng(1).uniform(size=len(drive().poses)) < share
+
+
+AMID = (drive().poses[:, 0] % 5) > 4
+HALF_TURN = (0.0, 0.0, 0.0, math.pi)
+NOT_MEASURED = {
+    "one heading in twenty flipped": (at_random(0.05), 1.0, HALF_TURN),
+    "one in five": (at_random(0.2), 1.0, HALF_TURN),
+    "a second of each five flipped": (AMID, 1.0, HALF_TURN),
+    "zeros while lost": (AMID, (1.0, 0.0, 0.0, 0.0), 0.0),
+    "another place at random": (at_random(0.05), 1.0, (0.0, 1000.0, 0.0, 0.0)),
+}
+
+
+def write_not_measured(folder, name):
+    """Write a drive some of whose poses are no measurement."""
+    is_wrong, factor, added = NOT_MEASURED[name]
+    poses = drive().poses
+    poses[is_wrong] = poses[is_wrong] * factor + added
+    paths = write_drive(folder)
+    write_table(paths[0], PLAIN, PLAIN_POSES, poses, robot="green")
+    return paths
+
+
+@pytest.mark.parametrize("name", NOT_MEASURED)
+def test_poses_that_are_no_measurement_show_no_turns(tmp_path, name):
+    """Regression: with one heading in twenty half a turn off, "the commands explain 1% of the
+    turns": another robot's, as was asked, they were not."""
+    (track,) = csv_tracks(write_not_measured(tmp_path, name))
+    is_wrong, _, _ = NOT_MEASURED[name]
+    assert not track.valid[is_wrong].any()
+    assert track.valid[~is_wrong].mean() > 0.9
+
+
+@pytest.mark.parametrize("name", ["one heading in twenty flipped", "one in five"])
+def test_directions_of_another_robot_are_refused_whatever_poses_are_lost(tmp_path, name):
+    paths = write_not_measured(tmp_path, name)
+    others = drive().commands
+    others[:, 1] = np.random.default_rng(5).uniform(-3, 3, len(others))
+    write_table(paths[1], PLAIN, PLAIN_COMMANDS, others)
+    with pytest.raises(UsageError, match=r"commands explain|robots turn"):
+        csv_tracks(paths)
+
+
 @pytest.mark.parametrize("turns", [0, 3])
 def test_headings_against_the_motion_are_named_as_such(tmp_path, turns):
     """Regression: they were said to be in degrees if they count turns, or y to be reversed."""

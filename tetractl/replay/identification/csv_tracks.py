@@ -85,7 +85,7 @@ WAY_STEP_S = 0.5
 """Duration of the steps by which the robots' way is measured [s]: noise adds little to it."""
 POSES_MIN = 20
 """Least number of poses by which the angle between motion and heading is evaluated."""
-JUMP = 100.0
+JUMP = 10.0
 """Median ways between two poses, above which a way is no motion but a wrong place; chosen."""
 COPIES = 0.9
 COPIES_MIN = 5
@@ -482,7 +482,8 @@ def _track(
     if not numbers.twists:
         directions = SentDirections(begin + sent.when, sent.u)
         least = FOLLOWED if on_wheels and remark is None else 0.0
-        _check_turning(poses_path, commands_path, begin + time, poses, directions, least)
+        measured_poses = np.where(valid[..., None], poses, np.nan)
+        _check_turning(poses_path, commands_path, begin + time, measured_poses, directions, least)
     return Track(
         source=name[0] or str(poses_path),
         origin=ORIGIN,

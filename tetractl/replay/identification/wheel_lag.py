@@ -29,12 +29,12 @@ APART_S = 0.0025
 """How far from the expected one dead times are tried, and how far apart [s]."""
 GRID_S = 0.01
 """Time step of the integrals [s]."""
-TURN_S = 0.1
+TURN_S = 0.05
 """Least duration of a turn that is evaluated [s]."""
 GAP_S = 0.3
 """Time without a pose after which turns are not evaluated [s]."""
-BLOCK = 10
-"""Number of turns, some 1 s, of the blocks whose differences say how sure a sum is."""
+BLOCK = 20
+"""Number of turns, 1 s or more, of the blocks whose differences say how sure a sum is."""
 SURE = 1.65
 """Standard deviations by which turns without a lag must fit better: 95 %, one-sided."""
 

@@ -91,6 +91,19 @@ def test_headings_that_flip_at_random_are_left_out(share, rate_hz):
     assert kept[~flipped].mean() > 0.98
 
 
+@pytest.mark.parametrize("share", [0.05, 0.1])
+@pytest.mark.parametrize("rate_hz", [10, 20, 60])
+def test_places_that_are_elsewhere_at_random_are_left_out(share, rate_hz):
+    """Regression: of one pose in twenty at another place none was left out, as their ways counted
+    as usual ones."""
+    times, poses = drive(rate_hz=rate_hz)
+    is_wrong = np.random.default_rng(1).uniform(size=len(times)) < share
+    poses[is_wrong, :2] += (900.0, 400.0)
+    kept = measured(times, poses)
+    assert not kept[is_wrong].any()
+    assert kept[~is_wrong].mean() > 0.98
+
+
 def test_a_tracker_that_has_lost_the_robot_for_good_repeats_its_last_pose():
     times, poses = drive()
     poses[900:] = poses[900]
@@ -114,6 +127,23 @@ def straight_at_the_end(poses):
     return poses
 
 
+def stands_mostly(poses):
+    """The robot drives in 2 s of each 10; its places differ by noise while it stands."""
+    drives = np.arange(len(poses)) // RATE_HZ % 10 < 2
+    steps = np.diff(poses, axis=0, prepend=poses[:1]) * drives[:, None]
+    noise = 0.2 * np.random.default_rng(2).normal(size=(len(poses), 2))
+    poses = poses[0] + np.cumsum(steps, axis=0)
+    poses[:, :2] += noise
+    return poses
+
+
+def one_dash(poses):
+    """It drives three times as fast for a second."""
+    way = np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2])
+    way[400:420] *= 3
+    return np.column_stack([poses[0, :2] + np.cumsum(way, axis=0), poses[:, 2]])
+
+
 def in_half_mm(poses):
     return np.round(poses / (0.5, 0.5, 0.01)) * (0.5, 0.5, 0.01)
 
@@ -129,6 +159,9 @@ RIGHT = {
     "straight on at the end, without noise": {"noise": 0.0, "change": straight_at_the_end},
     "stop and go, without noise": {"noise": 0.0, "change": stop_and_go},
     "rounded, at 200 Hz": {"rate_hz": 200, "change": in_half_mm},
+    "stands mostly": {"change": stands_mostly},
+    "stands mostly, slow": {"speed": 30.0, "change": stands_mostly},
+    "one dash": {"change": one_dash},
     "each pose five times": {"rate_hz": 100, "change": each_five_times},
     "slow, much noise": {"speed": 3.0, "noise": 3.0},
     "fast, at 5 Hz": {"rate_hz": 5, "speed": 400.0},

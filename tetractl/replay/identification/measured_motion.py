@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers, wrap
@@ -137,7 +138,9 @@ class _Jumps:
         apart_s = np.diff(times)
         ways = np.hypot(*np.diff(poses[:, :2], axis=0).T) / apart_s
         rates = np.abs(wrap(np.diff(poses[:, 2]))) / apart_s
-        speed = np.quantile(ways[ways > 0], FAST) if ways.any() else 0.0
+        # a single pose at a wrong place makes two long ways, and no three
+        driven = minimum_filter1d(ways[ways > 0], 3)
+        speed = np.quantile(driven, FAST) if len(driven) else 0.0
         rate = max(TURN_RATE, 3 * np.quantile(rates, USUAL))
         return cls(times, poses, float(speed), float(rate))
 

@@ -2,14 +2,12 @@
 
 import random
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.optitrack.tracked_body import TrackedBody, View, has_a_pose
 from tetractl_emulator.sides import Stage
 
@@ -24,36 +22,6 @@ class Exposure:
 
     frame: Any
     at_ns: int
-
-
-@dataclass(slots=True)
-class Outlet:
-    """Sends frames by `stream(frame)`, unless a fault forbids it.
-
-    `left_ns` is the exposure of the last frame sent [ns], and `last` what was last to be sent.
-    """
-
-    acting: ActingFaults
-    stream: Callable[[Any], None]
-    left_ns: int = 0
-    last: Exposure | None = None
-
-    def send(self, exposure: Exposure) -> Exposure | None:
-        """Send a frame, or in place of it the last one if frames are frozen; return what was sent,
-        None if nothing was.
-        """
-        acting = self.acting
-        periods_ns = (SECOND / fault.rate for fault in acting.of("slow_frames"))
-        slow = self.left_ns < exposure.at_ns < self.left_ns + max(periods_ns, default=0)
-        to_send = exposure
-        if acting.of("freeze") and self.last is not None:
-            to_send = self.last
-        self.last = to_send
-        if acting.of("no_server") or acting.of("no_frames") or slow:
-            return None
-        self.left_ns = exposure.at_ns
-        self.stream(to_send.frame)
-        return to_send
 
 
 class PoseCamera(ABC):
@@ -80,7 +48,8 @@ class PoseCamera(ABC):
         self._rate = rate
         self._planned = 0  # exposures
         self._start_ns = 0
-        self._outlet = Outlet(self.acting, lambda frame: self._stream(frame, self.timeline.now_ns))
+        self._left_ns = 0  # exposure of the last frame sent
+        self._last: Exposure | None = None  # what was last to be sent
         self._latency_s = latency_s
         self._random = random.Random(stage.options.seed)
 
@@ -145,15 +114,22 @@ class PoseCamera(ABC):
         return delay_s
 
     def _leave(self, exposure_number: int, exposure: Exposure) -> None:
-        """Send an exposure unless a fault forbids it, and remember when each robot was
-        last shown as tracked."""
-        sent = self._outlet.send(exposure)
-        if sent is not None:
-            bodies = sent.frame.bodies
+        """Send an exposure, or the last one again, unless a fault forbids it; remember when each
+        robot was last shown as tracked."""
+        acting = self.acting
+        periods_ns = (SECOND / fault.rate for fault in acting.of("slow_frames"))
+        next_ns = self._left_ns + max(periods_ns, default=0)
+        is_slow = self._left_ns < exposure.at_ns < next_ns
+        if not acting.of("freeze") or self._last is None:
+            self._last = exposure
+        if not (is_slow or acting.of("no_server") or acting.of("no_frames")):
+            self._left_ns = exposure.at_ns
+            self._stream(self._last.frame, self.timeline.now_ns)
+            bodies = self._last.frame.bodies
             shown_ids = {body.id for body in bodies if body.tracking_valid and has_a_pose(body)}
             for i, body in enumerate(self.tracked):
                 if body.asset.number in shown_ids:
-                    self.shown_ns[i] = max(self.shown_ns[i], sent.at_ns)
+                    self.shown_ns[i] = max(self.shown_ns[i], self._last.at_ns)
         self._stage.sent(exposure_number)
 
     def _expose(self) -> tuple[RigidBody, ...]:

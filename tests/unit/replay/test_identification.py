@@ -24,7 +24,7 @@ from tetractl.replay.identification.identify import (
     tables,
     turn_uniformly,
 )
-from tetractl.replay.identification.passes import TrackFrames, speed_wander
+from tetractl.replay.identification.passes import TrackFrames, position_noise, speed_wander
 from tetractl.replay.identification.standing import Stood
 from tetractl.replay.identification.tracks import SETTLED_S, Track, track_of
 
@@ -551,6 +551,32 @@ def test_a_model_that_does_not_fit_is_said_not_to():
     identification = identify([track], A_RAD_S)
     assert "heading" in identification.robots[1].misfits
     assert "the model does not fit" in tables(identification)[0].note
+
+
+@pytest.mark.parametrize("noise_mm", [0.2, 2.0, 5.0])
+def test_about_how_noisy_positions_are_is_seen_by_their_neighbours(noise_mm):
+    noise = f"plant.measurement_noise={{position: {noise_mm}, heading: 0.01}}"
+    track = drive(5, noise, "plant.camera_rate=30").track
+    noises = position_noise([TrackFrames.of(track)])
+    assert (noises > 0.8 * noise_mm).all()
+    assert (noises < 1.5 * noise_mm + 0.6).all()  # robots turn between two frames
+
+
+@pytest.mark.long
+def test_a_noisy_camera_is_no_misfit():
+    """Regression: the walk of a robot's headings was found to be .002 for .03, and the model did
+    not fit the heading."""
+    random = np.random.default_rng(6)
+    turns_sharply = random.uniform(size=100) < 0.2
+    sharp_turns = random.uniform(-1.5, 1.5, 100)
+    directions = np.cumsum(np.where(turns_sharply, sharp_turns, 0.1 * random.normal(size=100)))
+    noise = "plant.measurement_noise={position: 3, heading: 0.005}"
+    sets = (noise, f"plant.heading_noise={HEADING_WALK}", NO_WATCHDOG, "plant.camera_rate=30")
+    track = drive(5, *sets, directions=directions).track
+    for robot in identify([track], A_RAD_S).robots:
+        assert not robot.misfits
+        assert robot.heading_walk.value == pytest.approx(HEADING_WALK, rel=0.4)
+        assert robot.position_noise.value == pytest.approx(3.0, rel=0.1)
 
 
 @pytest.mark.long

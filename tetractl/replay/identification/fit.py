@@ -34,6 +34,7 @@ from tetractl.replay.identification.passes import (
     Passed,
     TrackFrames,
     intervals_used,
+    position_noise,
     run,
     speed_wander,
 )
@@ -208,6 +209,8 @@ class _Fit:
             ]
         )
         self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))
+        # from much less than the true noise of positions, the walk of headings may end at 0
+        self.noise[:, 0] = np.log(np.maximum(position_noise(frames) / self._unit[:, 0], 1.0))
         self.noise_std = np.ones_like(self.noise)
         no_bias = np.zeros(count)
         self.mean = np.column_stack([np.log(a), np.log(speed), no_bias])

@@ -52,6 +52,9 @@ STANDS_S = 0.2
 camera makes no such speed [s]."""
 FULL = 0.6
 """Share of a block for which a robot is measured at least."""
+MEDIAN_OFF = 0.826
+"""Median of how far a place is from the middle of its neighbours, over the noise of each: .6745
+sqrt(1.5)."""
 IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
 """The filter's states of a `Belief`."""
 NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
@@ -172,6 +175,24 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
         pace = np.hypot(way[..., 0], way[..., 1]) / np.where(apart > 0, apart, 1.0)
         paces.append(np.where(measured, pace, np.nan))
     return _usual(np.concatenate(paces))
+
+
+def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
+    """Return about how noisy the measured positions of each robot (N,) are [length unit]: by how
+    far places are from the line between the one before and the one after, in the median.
+    """
+    noises: list[float] = []
+    for robot in range(tracks[0].used.shape[1]):
+        off: list[Floats] = [np.zeros(1)]
+        for track in tracks:
+            used = track.used[:, robot]
+            times = track.time[used, robot]
+            for places in track.poses[used, robot, :2].T:
+                share = (times[1:-1] - times[:-2]) / np.maximum(times[2:] - times[:-2], SHORTEST_S)
+                between = places[:-2] + share * (places[2:] - places[:-2])
+                off.append(np.abs(places[1:-1] - between))
+        noises.append(float(np.median(np.concatenate(off))) / MEDIAN_OFF)
+    return np.array(noises)
 
 
 def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:

@@ -67,10 +67,12 @@ class PriorSection(Model):
 
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""
-        stray = REST_STRAY * float(problem.speed.mean())
+        is_cell = setup.wheel_radius is None
+        mean_speed = float(problem.speed.mean())
         x, y, heading = setup.sight.spread
         mm = MM / setup.metres
-        helix = 0.0 if setup.wheel_radius is not None else HELIX_UM[0] * 1e-6 / setup.metres
+        helix_of_cell = HELIX_UM[0] * 1e-6 / setup.metres
+        helix_by_default = helix_of_cell if is_cell else 0.0
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -80,15 +82,17 @@ class PriorSection(Model):
             dead_time_std=self.dead_time,
             heading_bias_std=self.heading_bias,
             marker_bias_std=self.marker_bias,
-            flow_std=0.05 * float(problem.speed.mean()) if self.flow is None else self.flow,
+            flow_std=0.05 * mean_speed if self.flow is None else self.flow,
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,
             helix_frequency=HELIX_HZ[0],
-            helix_radius=helix if self.helix is None else self.helix,
+            helix_radius=helix_by_default if self.helix is None else self.helix,
             lag=setup.lag_s,
             watchdog=setup.watchdog_s,
-            side_std=self.side if setup.wheel_radius is not None else 0.0,
-            sticks=Sticks(*RESTS_S, stray, REST_TURN) if self.rests(setup) else Sticks(),
+            side_std=0.0 if is_cell else self.side,
+            sticks=Sticks(*RESTS_S, REST_STRAY * mean_speed, REST_TURN)
+            if self.rests(setup)
+            else Sticks(),
             spread=(x * mm, y * mm, heading),
             coarse=setup.sight.coarse,
         )

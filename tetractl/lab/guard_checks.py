@@ -58,7 +58,7 @@ class StandsInPauses(GuardCheck):
 
     def __init__(self, motion: MotionCheck) -> None:
         self._motion = motion
-        # of robots that are seen to move: the last pose before
+        # of robots that are seen to move: since when, and the pose where they stood
         self._straying: dict[int, TimedPose] = {}
 
     def start(self) -> None:
@@ -67,11 +67,11 @@ class StandsInPauses(GuardCheck):
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterator[Finding]:
         """Check a pose in a pause."""
-        stood = self._straying.get(robot, TimedPose(now_ns, before))
-        fault = self._motion.take_pose(robot, stood.pose, pose)
+        strays_since = self._straying.get(robot, TimedPose(now_ns, before))
+        fault = self._motion.take_pose(robot, strays_since.pose, pose)
         if not fault:
             self._straying.pop(robot, None)
             return
-        self._straying[robot] = stood
-        if now_ns - stood.exposed_ns > UNTRACKED_STOP_S * SECOND:
+        self._straying[robot] = strays_since
+        if now_ns - strays_since.exposed_ns > UNTRACKED_STOP_S * SECOND:
             yield Moved(robot, fault)

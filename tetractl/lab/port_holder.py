@@ -11,11 +11,12 @@ from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import SWITCH_OFF
 
 ENDING_SIGNALS = (
-    (0.0, signal.SIGTERM, "asked the process to stop its robots and end"),
-    (1.0, signal.SIGTERM, "asked the process to end at once"),
-    (4.0, signal.SIGKILL, "killed the process; `tetractl recover` mends its log"),
+    (signal.SIGTERM, "asked the process to stop its robots and end", 1.0),
+    (signal.SIGTERM, "asked the process to end at once", 4.0),
+    (signal.SIGKILL, "killed the process; `tetractl recover` mends its log", 6.0),
 )
-"""Signals to a process that has the port: the time of each [s], and what is said of it."""
+"""Signals to a process that has the port: what is said of each, and the time from the beginning
+until which stops are sent after it [s]."""
 
 
 def holder(port: str) -> int | None:
@@ -53,41 +54,60 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
     unendable = _why_unendable(pid, words)
-    due = list(ENDING_SIGNALS)
-    unsaid = [f"{port}: {name} has this port open"]
-    stopped = False  # whether all have been sent stops
-    while True:
-        if pid and not unendable and due and time.monotonic() - began_s >= due[0][0]:
-            _, number, did = due.pop(0)
-            unendable = _end(pid, number)
-            if not unendable:
-                unsaid.append(f"{did}, after {time.monotonic() - began_s:.1f} s")
-        failure = ""  # why the newest stops could not be sent to all
+    stopping = _StopsBeside(stops, say, f"{port}: {name} has this port open")
+    for number, did, until_s in ENDING_SIGNALS:
+        unendable = unendable or _end(pid, number)
+        if unendable:
+            stopping.send()
+            break
+        stopping.note(f"{did}, after {time.monotonic() - began_s:.1f} s")
+        while time.monotonic() - began_s < until_s:
+            stopping.send()
+            if holder(port) != pid:
+                say(f"the process released the port after {time.monotonic() - began_s:.1f} s")
+                return
+    else:
+        unendable = "does not end even after SIGKILL"
+    text = f"{name} still has the port: it {unendable}"
+    if stopping.failure:
+        text += f"; the stops failed: {stopping.failure}"
+    raise AbortError(text, f"end it yourself; {SWITCH_OFF}")
+
+
+class _StopsBeside:
+    """Sends stops while another process has the port; says what was done once the first were tried.
+    `failure` is why the newest could not be sent to all."""
+
+    def __init__(self, stops: Callable[[], str], say: Callable[[str], None], line: str) -> None:
+        self.failure = ""
+        self._stops = stops
+        self._say = say
+        self._unsaid = [line]
+        self._all_heard = False
+
+    def note(self, line: str) -> None:
+        """Say a line after the next stops."""
+        self._unsaid.append(line)
+
+    def send(self) -> None:
+        """Send stops, and say what was noted."""
         try:
-            sent = stops()
+            summary = self._stops()
         except AbortError as error:
-            failure = error.message
+            self.failure = error.message
             time.sleep(0.05)
         else:
-            if not stopped:
-                unsaid.append(f"{sent}, while that process has the port open")
-            stopped = True
-        while unsaid:
-            say(unsaid.pop(0))
-        if pid and not unendable and holder(port) != pid:
-            say(f"the process released the port after {time.monotonic() - began_s:.1f} s")
-            return
-        if not unendable and time.monotonic() - began_s > 6.0:
-            unendable = "does not end even after SIGKILL"
-        if unendable:
-            text = f"{name} still has the port: it {unendable}"
-            if failure:
-                text += f"; the stops failed: {failure}"
-            raise AbortError(text, f"end it yourself; {SWITCH_OFF}")
+            self.failure = ""
+            if not self._all_heard:
+                self.note(f"{summary}, while that process has the port open")
+            self._all_heard = True
+        while self._unsaid:
+            self._say(self._unsaid.pop(0))
 
 
-def _end(pid: int, number: signal.Signals) -> str:
+def _end(pid: int | None, number: signal.Signals) -> str:
     """Send a signal to a process; return why that is not allowed, "" if it is."""
+    assert pid is not None  # else it is unknown, and not ended
     with suppress(ProcessLookupError):
         try:
             os.kill(pid, number)

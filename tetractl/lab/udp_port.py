@@ -31,21 +31,29 @@ REFUSALS_MAX = 3
 
 def address_of(name: str) -> tuple[str, int] | None:
     """Return host and port of `udp://host:port`; None if the name is not of this form."""
-    host, colon, port = name.removeprefix(SCHEME).rpartition(":")
-    right = name.startswith(SCHEME) and host and colon and port.isascii() and port.isdecimal()
-    if not right or len(port) > PORT_DIGITS or not 0 < int(port) < 65536:
+    host, _, digits = name.removeprefix(SCHEME).rpartition(":")
+    port = _port_number(digits)
+    if not name.startswith(SCHEME) or not host or port is None:
         return None
     try:
         host.encode("idna")  # as the system's resolver is asked
     except UnicodeError:  # an empty or too long label, as in a..b
         return None
-    return host, int(port)
+    return host, port
 
 
 def heard_at(name: str) -> int | None:
     """Return the port of `udp://:port`; None if the name is not of this form."""
-    address = address_of(name.replace(f"{SCHEME}:", f"{SCHEME}all:", 1))
-    return address[1] if address is not None and name.startswith(f"{SCHEME}:") else None
+    to_all = f"{SCHEME}:"
+    return _port_number(name.removeprefix(to_all)) if name.startswith(to_all) else None
+
+
+def _port_number(digits: str) -> int | None:
+    """Return the number of a port, None if these are no digits of one."""
+    if not (digits.isascii() and digits.isdecimal()) or len(digits) > PORT_DIGITS:
+        return None
+    number = int(digits)
+    return number if 0 < number < 65536 else None
 
 
 def lock_file(name: str) -> Path:
@@ -206,6 +214,7 @@ class UdpPort(SerialPort):
             return b""
         except OSError as error:
             self.refusal = f"{self._name}: {error.strerror or error}"
+            self._closing.wait(0.05)  # it may come again at once
             return b""
         self.refusal = None
         return data

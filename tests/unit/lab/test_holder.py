@@ -88,7 +88,7 @@ def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
 
 
 def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):
-    sooner = [(at_s / 20, *rest) for at_s, *rest in module.ENDING_SIGNALS]
+    sooner = [(number, did, until_s / 20) for number, did, until_s in module.ENDING_SIGNALS]
     monkeypatch.setattr(module, "ENDING_SIGNALS", sooner)
     process = hold("tetractl", "deaf")
     said = stopping(port)

@@ -36,7 +36,7 @@ class FileWriter(Writer):
         super().__init__(stream, use_summary_offsets=False, enable_data_crcs=True)
         self.digests = LogDigests()
         self._numbers = dict[str, int]()
-        self._schemas = dict[str, int]()
+        self._schemas = dict[tuple[str, bytes], int]()  # by name and data
         self._others = dict[str, tuple[Channel, Schema | None]]()
         self.start(library=f"{WRITER} {__version__}")
         # for other readers: some report a file without metadata as damaged
@@ -82,11 +82,11 @@ class FileWriter(Writer):
         return channel.id
 
     def _record_schema(self, schema: Schema) -> int:
-        """Record a schema, unless one of its name is recorded, and return its number."""
-        if schema.name not in self._schemas:
-            number = self.register_schema(schema.name, schema.encoding, schema.data)
-            self._schemas[schema.name] = number
-        return self._schemas[schema.name]
+        """Record a schema, unless the same one is recorded, and return its number."""
+        key = schema.name, schema.data
+        if key not in self._schemas:
+            self._schemas[key] = self.register_schema(schema.name, schema.encoding, schema.data)
+        return self._schemas[key]
 
 
 @cache

@@ -37,7 +37,8 @@ def hold(
 
 
 def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
-    """Return a step of (4)-(6) and its derivatives."""
+    """Return a step of (4)-(6) and its derivatives, those by a and speed by their logarithms: what
+    is proportional to them is its own."""
     a, v = robot[:2]
     chord = t * v
     east = chord * c
@@ -47,9 +48,9 @@ def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float
     turn_u = turn_max * (cu * c + su * s)  # dturn/du
     by_heading = (-north, east, 1 - turn_u)
     by_u = (0.0, 0.0, turn_u)
-    by_a = (0.0, 0.0, turn)
-    by_speed = (east, north, 0.0)
-    return (east, north, turn), by_heading, by_u, (by_a, by_speed)
+    by_ln_a = (0.0, 0.0, turn)
+    by_ln_speed = (east, north, 0.0)
+    return (east, north, turn), by_heading, by_u, (by_ln_a, by_ln_speed)
 
 
 class EulerLanes(PlainLanes):

@@ -86,7 +86,7 @@ def _times(trial: ResultSummary) -> dict[str, Any]:
     }
 
 
-def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
+def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
     """Describe the total error over the trials that have a result in all `arms`.
 
     Trials with the same number have the same seed in every arm, so their mean over the arms counts
@@ -106,17 +106,14 @@ def group_of(loaded: LoadedStudy, store: Store, value: Any, arms: Sequence[Arm])
     return ArmErrors.of(value, label, len(arms), np.array(means), bound)
 
 
-def field_values(
-    loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]
-) -> list[ArmErrors]:
+def field_values(store: Store, path: str, arms: Iterable[Arm]) -> list[ArmErrors]:
     """Return the arms that set field `path`, grouped by its value, numbers in rising order."""
     arms_of: dict[str, list[Arm]] = {}  # by the value as text, as values may be lists
     for arm in arms:
         if path in arm.values:
             arms_of.setdefault(as_yaml(arm.values[path]), []).append(arm)
     groups = [
-        group_of(loaded, store, same_value[0].values[path], same_value)
-        for same_value in arms_of.values()
+        group_of(store, same_value[0].values[path], same_value) for same_value in arms_of.values()
     ]
     if numeric(groups):
         groups.sort(key=lambda group: group.value)
@@ -135,7 +132,7 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     plants = origins(loaded)[:LISTED]
     trials = list(finished_trials(loaded, store))
     aborted = Counter(arm.name for arm, trial in trials if not trial.outcome.complete)
-    errors = {arm.name: group_of(loaded, store, arm.name, [arm]).error for arm in arms}
+    errors = {arm.name: group_of(store, arm.name, [arm]).error for arm in arms}
     table = error_table(
         f"{loaded.study.name}: total error [{loaded.unit}]", list(errors.items()), loaded.unit
     )

@@ -60,9 +60,9 @@ def _curves(
     for controller in dict.fromkeys(arm.controller for arm in arms):
         of_controller = [arm for arm in arms if arm.controller == controller]
         if field == ARMS:
-            groups = [group_of(loaded, store, arm.name, [arm]) for arm in of_controller]
+            groups = [group_of(store, arm.name, [arm]) for arm in of_controller]
         else:
-            groups = field_values(loaded, store, field, of_controller)
+            groups = field_values(store, field, of_controller)
         curves[controller] = [group for group in groups if group.error.n > 0]
     return curves
 

@@ -4,7 +4,9 @@ its decisions in short undisturbed simulations.
 
 import math
 import sys
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
 
@@ -83,62 +85,79 @@ def _check_search(
     true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
 
 
+@dataclass(slots=True)
 class Play:
-    """The decisions of a controller in one simulation, and what it did besides."""
+    """The decisions of a controller in one simulation: those before the first that is refused, and
+    what is `wrong` with that one."""
 
-    def __init__(self, section: ControllerSection, setup: Setup) -> None:
-        self.decisions: list[Any] = []
-        self.first = setup.starts.array()  # the poses first observed
-        self.wrong = ""  # what is wrong with a decision that is refused
-        self.wrapped = False  # whether `wrap` is used
-        self.clocks: set[str] = set()
-        self._package = type(section).__module__.partition(".")[0]
-        sys.setprofile(self._called)
-        try:
-            self._drive(section, setup)
-        finally:
-            sys.setprofile(None)
-        self.plans = [decision for decision in self.decisions if isinstance(decision, Plan)]
-        self.numbers = [_numbers(plan) for plan in self.plans]
+    first: Floats  # the poses first observed (N, 3)
+    decisions: list[Any] = field(default_factory=list)
+    wrong: str = ""
+    wraps: bool = False  # whether the controller wraps its optimiser
 
-    def _drive(self, section: ControllerSection, setup: Setup) -> None:
-        clock = VirtualClock()
-        timer = count(step=SECOND // 1000)
-        seeds = np.random.SeedSequence(SEED)
-        plant = SimSection().build(setup, clock, seeds, LabSupervision())
-        host = Host(self._wrap, lambda: next(timer))
-        controller = CheckedController(section, setup, SEED, host)
-        plant.open()
-        command = None
-        earlier: list[Observation] = []
-        for k in range(STEPS_MAX + 2):
-            observation = plant.observe()
-            if k == 0:
-                self.first = observation.poses.array()
-            try:
-                decision = controller.plan(observation, command, earlier)
-            except WrongValueError as error:
-                self.wrong = error.what
-                return
-            self.decisions.append(decision)
-            if not isinstance(decision, Plan):
-                return
-            command = plant.send(decision.action)
-            clock.sleep_until(round((k + 1) * section.period * SECOND))
-            earlier = [sample.observation for sample in plant.samples()][:-1]
+    @property
+    def plans(self) -> list[Plan]:
+        """The decisions that are plans."""
+        return [decision for decision in self.decisions if isinstance(decision, Plan)]
 
-    def _wrap(self, optimizer: OptimizerSection) -> Optimizer:
-        self.wrapped = True
+    @property
+    def numbers(self) -> list[Floats]:
+        """All numbers of the plans."""
+        return [_numbers(plan) for plan in self.plans]
+
+
+def played(section: ControllerSection, setup: Setup) -> Play:
+    """Run a controller in an undisturbed simulation until it ends, or its time limit is over."""
+    play = Play(first=setup.starts.array())
+
+    def wrap(optimizer: OptimizerSection) -> Optimizer:
+        play.wraps = True
         return optimizer
 
-    def _called(self, frame: Any, event: str, called: Any) -> None:
-        """Note each call of a clock by the section's package."""
+    clock = VirtualClock()
+    timer = count(step=SECOND // 1000)
+    plant = SimSection().build(setup, clock, np.random.SeedSequence(SEED), LabSupervision())
+    controller = CheckedController(section, setup, SEED, Host(wrap, lambda: next(timer)))
+    plant.open()
+    command = None
+    earlier: list[Observation] = []
+    for k in range(STEPS_MAX + 2):
+        observation = plant.observe()
+        if k == 0:
+            play.first = observation.poses.array()
+        try:
+            decision = controller.plan(observation, command, earlier)
+        except WrongValueError as error:
+            play.wrong = error.what
+            break
+        play.decisions.append(decision)
+        if not isinstance(decision, Plan):
+            break
+        command = plant.send(decision.action)
+        clock.sleep_until(round((k + 1) * section.period * SECOND))
+        earlier = [sample.observation for sample in plant.samples()][:-1]
+    return play
+
+
+@contextmanager
+def clocks_watched(package: str) -> Iterator[set[str]]:
+    """Yield a set, to which each call of a clock by code of a package is added in the block."""
+    calls = set[str]()
+
+    def note(frame: Any, event: str, called: Any) -> None:
         module = frame.f_globals.get("__name__", "")  # code that was generated has none
-        if event != "c_call" or module.partition(".")[0] != self._package:
+        if event != "c_call" or module.partition(".")[0] != package:
             return
         name = called.__name__
         if name.removesuffix("_ns") in CLOCKS and "time" in repr(called.__self__):
-            self.clocks.add(f"line {frame.f_lineno} calls {name}")
+            calls.add(f"line {frame.f_lineno} calls {name}")
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        yield calls
+    finally:
+        sys.setprofile(before)
 
 
 def check_controller(section: ControllerSection, setup: Setup) -> None:
@@ -149,19 +168,20 @@ def check_controller(section: ControllerSection, setup: Setup) -> None:
     section = section.model_copy(update={"time_limit": limit_s, "arrival_tolerance": 20.0})
     setup = replace(setup, period_s=section.period, time_limit_s=limit_s)
     section.warm_up(setup)
-    with random_watched() as used:
-        play = Play(section, setup)
-        again = Play(section, setup)
+    package = type(section).__module__.partition(".")[0]
+    with random_watched() as used, clocks_watched(package) as clock_calls:
+        play = played(section, setup)
+        again = played(section, setup)
     expect("plan: a Plan, an Outcome or an End that can be sent and logged", play.wrong)
     if play.wrong:
         return
     _check_plans(play.plans, section, setup, play.first)
     _check_ends(play, section, setup)
     searches = any(isinstance(value, OptimizerSection) for _, value in section)
-    true("wrap: gets the optimiser", play.wrapped or not searches)
+    true("wrap: gets the optimiser", play.wraps or not searches)
     same("key: same key, same decisions", play.numbers, again.numbers)
     expect("random numbers: from the key", " and ".join(used))
-    expect("clock: only timer", ", ".join(sorted(play.clocks)))
+    expect("clock: only timer", ", ".join(sorted(clock_calls)))
 
 
 def _check_plans(

@@ -44,14 +44,14 @@ def headline_of(figure):
 @pytest.mark.long
 def test_the_error_of_one_arm_is_that_of_its_trials(ran):
     arm = ran.loaded.arms[2]
-    group = group_of(ran.loaded, ran.store, arm.name, [arm])
+    group = group_of(ran.store, arm.name, [arm])
     assert group.errors.tolist() == errors(ran, arm)
     assert group.error == distribution_of(errors(ran, arm))
 
 
 def test_over_several_arms_trials_of_one_seed_count_once(ran):
     few = [arm for arm in ran.loaded.arms if arm.controller == "few"]
-    at_0, at_tenth = field_values(ran.loaded, ran.store, "plant.dead_time", few)
+    at_0, at_tenth = field_values(ran.store, "plant.dead_time", few)
     assert at_0.value == 0
     assert at_tenth.value == 0.1
     for group in (at_0, at_tenth):
@@ -64,7 +64,7 @@ def test_over_several_arms_trials_of_one_seed_count_once(ran):
 
 def test_a_trial_that_aborted_does_not_count(tmp_path):
     ran = run(tmp_path, FAILING)
-    slow, impossible = field_values(ran.loaded, ran.store, "robots.r.speed", ran.loaded.arms)
+    slow, impossible = field_values(ran.store, "robots.r.speed", ran.loaded.arms)
     assert slow.value == 200
     assert slow.error.n == 4
     assert impossible.value == 1e308

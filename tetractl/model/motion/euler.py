@@ -37,8 +37,7 @@ def hold(
 
 
 def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
-    """Return a step of (4)-(6) and its derivatives, those by a and speed by their logarithms: what
-    is proportional to them is its own."""
+    """Return a step of (4)-(6) and its derivatives; by ln a and ln v they are turn and chord."""
     a, v = robot[:2]
     chord = t * v
     east = chord * c

@@ -14,12 +14,8 @@ import numpy as np
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, turn_problem, wrap
 from tetractl.replay.identification.clocks import Span, clock_remark, refuse_sparse
-from tetractl.replay.identification.measured_motion import (
-    PoseSteps,
-    check_angle,
-    jumps_of,
-    measured,
-)
+from tetractl.replay.identification.measured_poses import jumps_of, measured
+from tetractl.replay.identification.motion_angle import PoseSteps, check_angle
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
     SentDirections,

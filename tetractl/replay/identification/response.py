@@ -17,7 +17,7 @@ which commands explain most of the motion, whatever the clocks' difference; from
 and logarithms of the others, and as wide as the differences of blocks of BLOCK_S ask: gains of real
 robots wander over seconds, which no model of white noise and random walks knows.
 
-**Checks.** Robots move along their headings (`measured_motion.check_angle`), and the commands
+**Checks.** Robots move along their headings (`motion_angle.check_angle`), and the commands
 explain their turns and ways, with the right sign and in the right units; else the fit would be of
 something else.
 
@@ -55,7 +55,7 @@ from tetractl.replay.identification.fit import (
     wider_of_blocks,
 )
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt
-from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, robust_gains
+from tetractl.replay.identification.motion_angle import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.standing import Stood, stands_of
 from tetractl.replay.identification.tracks import Track
 from tetractl.tools.table.table import Column, Table

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tetractl.core.poses import Floats, Integers
-from tetractl.replay.identification.measured_motion import Complex, robust_gains
+from tetractl.replay.identification.motion_angle import Complex, robust_gains
 from tetractl.replay.identification.tracks import SETTLED_S, Track
 
 LAG_S = 0.02

@@ -5,7 +5,8 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import wrap
-from tetractl.replay.identification.measured_motion import PoseSteps, check_angle, measured
+from tetractl.replay.identification.measured_poses import measured
+from tetractl.replay.identification.motion_angle import PoseSteps, check_angle
 
 RATE_HZ = 20
 SPEED_MM_S = 100.0

@@ -1,0 +1,159 @@
+"""Which poses of a robot are measurements, by themselves.
+
+A tracker that has lost a robot repeats its last pose, states zeros, or takes it for another or for
+itself turned. `measured` leaves out repeats after which the robot is suddenly far away, and
+stretches of poses that jump away and back: of all chains of poses it keeps that with most poses,
+less `JUMP_S` of poses for each jump.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import minimum_filter1d
+
+from tetractl.core.poses import Bools, Floats, Integers, wrap
+
+REPEATS_MIN = 2
+"""Least number of repeats in a row that are no measurement."""
+RELEASE = 2.5
+"""Usual ways or turns between two poses, above which a robot has moved while its pose repeated."""
+LEAP = 10.0
+"""Usual speeds, above which a way between two poses is a jump."""
+TURN = 0.5
+TURN_RATE = 4.0
+TURN_MOST = 2.2
+"""A turn between two poses is a jump above TURN [rad] + TURN_RATE [rad/s] or thrice the usual rate
+times their time, at most TURN_MOST [rad]."""
+TURNS_S = 0.5
+"""Time after which a robot may have turned by any angle [s]."""
+JUMP_S = 1.0
+"""Duration of poses that a jump outweighs: stretches of twice as long are left out [s]."""
+USUAL = 0.6
+FAST = 0.9
+"""Quantiles of turns and of ways that count as usual: two in five turns may be to and from a
+flipped heading."""
+LEAST_WAY = 1e-9
+"""Way below which nothing is a jump [length unit]."""
+
+
+def measured(times: Floats, poses: Floats) -> Bools:
+    """Return which poses (M, 3) of a robot at `times` (M,) [s] are measurements."""
+    if not len(times):
+        return np.zeros(0, dtype=np.bool_)
+    kept = np.flatnonzero(~_repeats(poses))
+    chain = _longest_chain(times[kept], poses[kept])
+    is_measured = np.zeros(len(times), dtype=np.bool_)
+    is_measured[kept[chain]] = True
+    return is_measured
+
+
+def jumps_of(times: Floats, poses: Floats) -> Integers:
+    """Return the measurements (K,) of those (M, 3) at `times` (M,) [s] after which a robot is
+    suddenly elsewhere, and stays there."""
+    if len(times) < 2:
+        return np.arange(0)
+    before = np.arange(len(times) - 1)
+    return np.flatnonzero(_Jumps.of(times, poses).between(before, before + 1))
+
+
+def _repeats(poses: Floats) -> Bools:
+    """Return which poses (M, 3) repeat the one before them, or its heading, until the robot is
+    suddenly far away, or until the end."""
+    moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    turned = np.abs(wrap(np.diff(poses[:, 2])))
+    is_turned = turned == 0
+    is_same = is_turned & (moved == 0)
+    turns_far = turned > RELEASE * _fast(turned)
+    moves_far = moved > RELEASE * _fast(moved)
+    poses_frozen = _frozen(is_same, np.append(turns_far | moves_far, True))
+    # a robot that drives straight on until the end keeps its heading
+    return poses_frozen | _frozen(is_turned & ~is_same, np.append(turns_far, False))
+
+
+def _fast(steps: Floats) -> float:
+    """Return the quantile FAST of ways or turns (M - 1,) that are not 0."""
+    changes = steps[steps > 0]
+    return float(np.quantile(changes, FAST)) if changes.size else 0.0
+
+
+def _frozen(is_same: Bools, is_release: Bools) -> Bools:
+    """Return which poses (M,) end one of REPEATS_MIN or more steps (M - 1,) in a row that are the
+    same and have a release (M,) behind them; the last release is the end of the track."""
+    frozen = np.zeros(len(is_same) + 1, dtype=np.bool_)
+    if not is_same.any() or is_same.all():
+        return frozen
+    edges = np.diff(is_same.astype(np.int64), prepend=0, append=0)
+    begins = np.flatnonzero(edges == 1)
+    ends = np.flatnonzero(edges == -1)
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        if end - begin >= REPEATS_MIN and is_release[end]:
+            is_jump = begin > 0 and is_release[begin - 1]  # to 0, as of a robot that is lost
+            frozen[begin if is_jump else begin + 1 : end + 1] = True
+    return frozen
+
+
+@dataclass(frozen=True, slots=True)
+class _Jumps:
+    """What is too far for a robot's motion: from one to another of its `poses` (M, 3) at `times`
+    (M,) [s], by its usual `speed` [length unit/s] and turning `rate` [rad/s].
+    """
+
+    times: Floats
+    poses: Floats
+    speed: float
+    rate: float
+
+    @classmethod
+    def of(cls, times: Floats, poses: Floats) -> "_Jumps":
+        """Return the jumps of a robot with two or more poses."""
+        apart_s = np.diff(times)
+        ways = np.hypot(*np.diff(poses[:, :2], axis=0).T) / apart_s
+        rates = np.abs(wrap(np.diff(poses[:, 2]))) / apart_s
+        # a single pose at a wrong place makes two long ways, and no three
+        driven = minimum_filter1d(ways[ways > 0], 3)
+        speed = np.quantile(driven, FAST) if len(driven) else 0.0
+        rate = max(TURN_RATE, 3 * np.quantile(rates, USUAL))
+        return cls(times, poses, float(speed), float(rate))
+
+    def between(self, first: Integers, second: Integers) -> Bools:
+        """Return whether from the first to the second pose of each of K pairs is a jump (K,)."""
+        apart_s = self.times[second] - self.times[first]
+        moved = self.poses[second] - self.poses[first]
+        way = np.hypot(moved[:, 0], moved[:, 1])
+        turn = np.abs(wrap(moved[:, 2]))
+        most_turn = np.minimum(TURN + self.rate * apart_s, TURN_MOST)
+        turns_away = (turn > most_turn) & (apart_s <= TURNS_S)
+        return turns_away | (way > LEAP * self.speed * apart_s + LEAST_WAY)
+
+
+def _longest_chain(times: Floats, poses: Floats) -> Integers:
+    """Return the poses (K,) of those (M, 3) at `times` (M,) [s] that are in the longest chain.
+
+    Poses without a jump between them are one stretch; a chain has whole stretches. Its length is
+    the number of its poses less that of JUMP_S for each jump, and it leaves out at most twice that
+    number of poses at once.
+    """
+    count = len(times)
+    if count < 3:
+        return np.arange(count)
+    jumps = _Jumps.of(times, poses)
+    cuts = np.flatnonzero(jumps.between(np.arange(count - 1), np.arange(1, count))) + 1
+    begins = np.concatenate([[0], cuts])
+    ends = np.concatenate([cuts, [count]])
+    cost = max(1.0, JUMP_S / float(np.median(np.diff(times))))
+    length = (ends - begins).astype(np.float64)
+    before = np.full(len(begins), -1)
+    for stretch in range(1, len(begins)):
+        earliest = np.searchsorted(ends, begins[stretch] - 2 * cost)
+        earlier = np.arange(earliest, stretch)
+        is_jump = jumps.between(ends[earlier] - 1, np.full(len(earlier), begins[stretch]))
+        chains = length[earlier] - cost * is_jump
+        if chains.max() > 0:
+            before[stretch] = earlier[chains.argmax()]
+            length[stretch] += chains.max()
+    chain: list[Integers] = []
+    stretch = int(length.argmax())
+    while stretch >= 0:
+        chain.append(np.arange(begins[stretch], ends[stretch]))
+        stretch = int(before[stretch])
+    return np.concatenate(chain[::-1])

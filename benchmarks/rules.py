@@ -126,7 +126,7 @@ def _value(**changes: Any) -> tuple[Any, str, Any]:
 
 def _as_usual(self: Mpc, step: mpc.ControlStep, warm: Any) -> Any:
     stop = self._stop(step, warm, self._bound_of_going_on(step, warm))
-    return stop or self._go_on(step, self._search_under_way(step, warm))
+    return stop or self._go_on(self._search_under_way(step, warm))
 
 
 def _stop_now(self: Mpc, problem: Any, within_s: float) -> Any:
@@ -137,8 +137,13 @@ def _stop_unseen(self: Mpc, problem: Any, within_s: float) -> Any:
     return best_stop(problem, self.estimator.held_at_action, within_s)
 
 
+_with_margins = Mpc._with_margins
 _reopen = FilterBank._reopen
 _common = filter_state.CommonTimes.of
+
+
+def _known_margins(self: Mpc, problem: Any, estimate: Any) -> Any:
+    return _with_margins(self, problem, estimate or self.estimator.known)
 
 
 def _bee_lines(problem: Any, grid: Any) -> Any:
@@ -178,6 +183,7 @@ RULES = {
     "tree": Rule(((mpc, "ways", lambda *_: iter(())),), ("gap", "eight")),
     "thread": Rule(((Mpc, "_drive", lambda _, __, best: best),), ("gap",)),
     "rest where robots stray from a passage": Rule((_returns(Mpc, "_strays", False),), ("gap",)),
+    "narrow margins of a tree": Rule(((Mpc, "_with_margins", _known_margins),), ("gap",)),
     "ways of a tree round obstacles": Rule(((passage, "_grid_ways", _bee_lines),), ("gap",)),
     "a tree's nodes differ": Rule(((Tree, "unlike", lambda _, order: order),), ("gap",)),
     # lengths and values

@@ -81,14 +81,16 @@ class Searcher:
         key = mix(self._key, length)
         if tries:  # another search of the same length has other random numbers
             key = mix(key, tries)
-        return self._search(length, start, key)
+        return self._search(self.problem, length, start, key)
 
-    def _search(self, length: int, start: Floats | None, key: int) -> Search | None:
-        """Search sequences of one length, unless the limits do not allow it."""
+    def _search(
+        self, problem: Problem, length: int, start: Floats | None, key: int
+    ) -> Search | None:
+        """Search sequences of one length for a problem, unless the limits do not allow it."""
         if self.found and self._expired(0):
             return None
         limits = Limits(None, self._expired)
-        search = self._optimizer.search(self.problem, length, start, key, limits)
+        search = self._optimizer.search(problem, length, start, key, limits)
         self.found.append(search)
         return search
 
@@ -136,13 +138,17 @@ class Searcher:
                 cut //= 2
         return best.length
 
-    def onward(self, starts: Iterable[Floats], good: Callable[[Search], bool]) -> bool:
+    def onward(
+        self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
+    ) -> bool:
         """Search from each of `starts` until a plan is good; return whether the least cost of all
-        searches was found so."""
+        searches was found so. The searches are for `problem`, which has the same robots as the
+        searcher's own.
+        """
         before = len(self.found)
         for start in starts:
             key = mix(self._key, len(start))
-            search = self._search(len(start), start, key)
+            search = self._search(problem, len(start), start, key)
             if search is None or good(search):
                 break
         costs = [search.cost for search in self.found]

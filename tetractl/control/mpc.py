@@ -94,6 +94,7 @@ from tetractl.core.errors import ControlError
 from tetractl.core.losses import told_dead
 from tetractl.core.plan import (
     End,
+    Estimate,
     Limits,
     Outcome,
     Plan,
@@ -220,8 +221,10 @@ class Candidate(NamedTuple):
 
 class Searched(NamedTuple):
     """What the searches of a step found: all of them in order, and the `candidates`, that of
-    least value first; `by_tree`: whether a tree led to the best."""
+    least value first. They are plans for the `problem`; `by_tree`: whether a tree led to the best.
+    """
 
+    problem: Problem
     searches: Sequence[Search]
     candidates: Sequence[Candidate]
     by_tree: bool = False
@@ -352,12 +355,8 @@ class Mpc:
         first_period_s = rest_periods * section.period
         motion = replace(motion, targets=self.course.targets, first_period=first_period_s)
         periods_left = self.time.periods_left + held_periods
-        estimator = self.estimator
-        problem = self.course.margins.applied(
-            motion, section.period, estimator.dead_time_s, estimator.known
-        )
         return ControlStep(
-            problem=problem,
+            problem=self._with_margins(motion, self.estimator.known),
             warm=self._signals_left(),
             horizon_max=section.horizon_max,
             signals_left=periods_left / section.signal_periods,
@@ -414,7 +413,7 @@ class Mpc:
         stop = self._stop(step, warm, self._bound_of_going_on(step, warm))
         if stop is not None:
             return stop
-        return self._go_on(step, self._search_under_way(step, warm))
+        return self._go_on(self._search_under_way(step, warm))
 
     def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
         """Decide while a plan is under way and no time is left for a new one; for robots that rest
@@ -428,7 +427,7 @@ class Mpc:
         stop = self._stop(step, warm, bound, searched.searches)
         if stop is not None:
             return stop
-        return self._go_on(step, searched)
+        return self._go_on(searched)
 
     def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
         """Return a lower bound of the value of going on: that of the plan under way as it is, or of
@@ -492,7 +491,7 @@ class Mpc:
             return best_stop(problem, held, 0.0)
         return stop
 
-    def _go_on(self, step: ControlStep, searched: Searched) -> Plan:
+    def _go_on(self, searched: Searched) -> Plan:
         """Follow the plan of least value that does not collide soon. If there is none, rest, and
         search from there.
 
@@ -500,16 +499,16 @@ class Mpc:
         """
         for candidate in searched.candidates:
             plan = self._planned(searched, candidate)
-            if not (self.stands and self._collides_soon(step.problem, plan.signals)):
+            if not (self.stands and self._collides_soon(searched.problem, plan.signals)):
                 return plan
-        return self._standing(step.problem, State.RESTING, searched.searches)
+        return self._standing(searched.problem, State.RESTING, searched.searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
         """Polish the plan under way; shorten it if it is good, and search longer ones if it is not.
         Within a signal that is kept, it is followed as it is."""
         if self._is_kept(step, warm):
             searches = [given_search(step.problem, warm, compiled_foresee(step.problem, warm))]
-            return Searched(searches, [self._candidate(step, searches, 0)])
+            return Searched(step.problem, searches, [self._candidate(step, searches, 0)])
         searcher = self._searcher(step)
         signals = warm if len(warm) > 0 else np.zeros(1)  # robots that cannot stand need a plan
         start = signals[: max(step.signals_max, 1)]
@@ -519,7 +518,7 @@ class Mpc:
             searcher.shorten(math.ceil(SLACK * least_length(step.problem)), self._is_good)
         else:
             self._search_longer(step, searcher, start)
-        return self._searched(step, searcher.found, by_tree=False)
+        return self._searched(step, step.problem, searcher.found, by_tree=False)
 
     def _is_kept(self, step: ControlStep, warm: Floats) -> bool:
         """Return whether the present signal is kept to its end, as the radio lets few directions
@@ -595,9 +594,9 @@ class Mpc:
             return finish
         searched = self._search_at_rest(step)
         best = self._planned(searched, searched.candidates[0])
-        if not (self.stands and self._collides_soon(step.problem, best.signals)):
+        if not (self.stands and self._collides_soon(searched.problem, best.signals)):
             return self._drive(searched, best)
-        turn = self._turn(step, searched)
+        turn = self._turn(searched)
         if turn is not None:
             return turn
         return self._give_up(best)
@@ -630,14 +629,14 @@ class Mpc:
             return self._standing(step.problem, State.RESTING)
         return Outcome.NO_BETTER_PLAN
 
-    def _turn(self, step: ControlStep, searched: Searched) -> Plan | None:
+    def _turn(self, searched: Searched) -> Plan | None:
         """Turn on the spot, as in a corner that robots face, unless all turns were in vain."""
         apart = self.section.collision.separation
         turning = self.progress.turning
-        facing = next_facing(step.problem, self.course.discs, apart, turning)
+        facing = next_facing(searched.problem, self.course.discs, apart, turning)
         if facing is None:
             return None
-        standing = self._standing(step.problem, State.TURNING, searched.searches)
+        standing = self._standing(searched.problem, State.TURNING, searched.searches)
         return replace(standing, instead=Turn(facing))
 
     def _give_up(self, best: Plan) -> Plan:
@@ -658,27 +657,34 @@ class Mpc:
         """Search plans of growing lengths until one is good. If none is, search from the plans to
         which a tree of directions leads: through gaps, or of many robots at once.
 
-        A tree takes long, so robots must stand; and it needs the walls that bound it.
+        A tree takes long, so robots must stand; and it needs the walls that bound it. Its plans may
+        take half a minute: they keep the margins of a motion that is known for certain, as it will
+        be identified by the time that it matters, and wider ones would close a gap.
         """
         searcher = self._searcher(step)
         longest = max(1, step.signals_max)
-        reached = searcher.spread(least_length(step.problem), longest, self._is_good)
-        by_tree = False
-        if not (reached or self.progress.moving) and self.section.collision.walls:
-            starts = ways(step.problem, self.setup.arena, longest, self._step_key)
-            by_tree = searcher.onward(starts, self._is_good)
-        return self._searched(step, searcher.found, by_tree)
+        problem = step.problem
+        reached = searcher.spread(least_length(problem), longest, self._is_good)
+        if reached or self.progress.moving or not self.section.collision.walls:
+            return self._searched(step, problem, searcher.found, by_tree=False)
+        certain = self._with_margins(problem, None)
+        starts = ways(certain, self.setup.arena, longest, self._step_key)
+        by_tree = searcher.onward(certain, starts, self._is_good)
+        return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
 
     def _is_good(self, search: Search) -> bool:
         """Return whether a plan found needs no better one."""
         return search.cost <= (self.section.optimizer.good_enough or 0.0)
 
-    def _searched(self, step: ControlStep, searches: Sequence[Search], by_tree: bool) -> Searched:
-        """Return all plans that searches found, as candidates."""
+    def _searched(
+        self, step: ControlStep, problem: Problem, searches: Sequence[Search], by_tree: bool
+    ) -> Searched:
+        """Return all plans that searches found, as candidates for the problem."""
+        posed = replace(step, problem=problem)
         numbers = range(len(searches))
-        candidates = [self._candidate(step, searches, number) for number in numbers]
+        candidates = [self._candidate(posed, searches, number) for number in numbers]
         candidates.sort(key=lambda candidate: candidate.value)
-        return Searched(searches, candidates, by_tree)
+        return Searched(problem, searches, candidates, by_tree)
 
     # plans, their values, and what they might do to bodies
 
@@ -738,6 +744,12 @@ class Mpc:
         one signal is not sent: a stop is, or a turn."""
         plan = self._given(problem, np.zeros(1), state, searches)
         return replace(plan, instead=Stop())
+
+    def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
+        """Return the problem with its margins, given the estimate `estimate`, None if certain."""
+        return self.course.margins.applied(
+            problem, self.section.period, self.estimator.dead_time_s, estimate
+        )
 
     def _collides_soon(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters something before a stop can act, which the next step may

@@ -156,12 +156,13 @@ def further(command: WheelCommand) -> None:
 
 # a robot that hardly turns has almost equal wheels, and one that turns at its rate may have such
 # speeds as a wheel that is negated gives
-@pytest.mark.parametrize(("edit", "least"), [(negated, 7), (turned_round, 3), (further, 9)])
-def test_commands_between_steps_are_those_of_the_last_step(log, edit, least):
+@pytest.mark.parametrize(("edit", "share"), [(negated, 0.75), (turned_round, 0.1), (further, 1.0)])
+def test_commands_between_steps_are_those_of_the_last_step(log, edit, share):
     """Regression: a negated wheel was noticed in 1 of 15 of them."""
-    between = repeats(log)[3:12]
+    between = repeats(log)[3:]
     noticed = [bool(found(with_records(log, {i: edited(log, i, edit)}))) for i in between]
-    assert sum(noticed) >= least
+    assert len(noticed) > 12
+    assert sum(noticed) >= share * len(noticed)
 
 
 @pytest.mark.parametrize("every", [1, 2, 6])

@@ -213,7 +213,6 @@ class StreamedCamera(ABC):
 
     Settings: ClassVar[type[Model]]
     faults: ClassVar[Sequence[type[Fault]]]
-    covers: ClassVar[str] = "robot"  # the field of its fault `untracked` that names a body
 
     def __init__(self, stage: Stage, settings: StreamSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
@@ -268,9 +267,12 @@ class StreamedCamera(ABC):
 
     def _visible_now(self) -> Sequence[bool]:
         """Return which bodies are neither carried nor covered."""
-        acting = self._stage.acting
-        covered = {dict(fault)[self.covers] for fault in acting.of("untracked")}
+        covered = self._covered()
         return [not self._carried and body.name not in covered for body in self._bodies]
+
+    @abstractmethod
+    def _covered(self) -> set[str]:
+        """Return the names of the bodies that faults cover."""
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:

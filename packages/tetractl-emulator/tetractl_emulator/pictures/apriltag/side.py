@@ -307,6 +307,9 @@ class EmulatedAprilTag(StreamedCamera):
         mm = self._stage.mm
         return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
 
+    def _covered(self) -> set[str]:
+        return {fault.robot for fault in self._stage.acting.of("untracked")}
+
     def _draw(self, exposed_ns: int) -> Grey:
         tags = zip(self.renderer.robots, self._visible_now(), strict=True)
         self.renderer.hidden = {robot.tag for robot, is_visible in tags if not is_visible}

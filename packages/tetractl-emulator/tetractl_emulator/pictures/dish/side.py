@@ -63,7 +63,6 @@ class EmulatedMicroscope(StreamedCamera):
     """
 
     Settings: ClassVar[type[Model]] = MicroscopeSettings
-    covers = "cell"
     faults: ClassVar[Sequence[type[Fault]]] = (
         *STREAM_FAULTS,
         fault_kind(
@@ -181,6 +180,9 @@ class EmulatedMicroscope(StreamedCamera):
             rim = RenderedSpeck(x, y, bubble.size_um, 1.0, 0.0, 0.1, rim=True)
             look = replace(look, specks=(*look.specks, rim))
         return look
+
+    def _covered(self) -> set[str]:
+        return {fault.cell for fault in self._stage.acting.of("untracked")}
 
     def _draw(self, exposed_ns: int) -> Grey:
         self.painter.change(self._look())

@@ -39,7 +39,7 @@ are, and only the prediction over the dead time remains.
 **What happens to a command.** `add_command` only records it, with its time. It acts in each filter
 at another time, one dead time later, and hypotheses branch then: the robot heard it, or missed it.
 A *forecast* is by each robot's likeliest hypothesis, which takes the commands that are still to act
-to be heard.
+to be heard. `kernels.bank.forecast` fills what of it is published, the fields of `Estimate`.
 
 **What happens next, if**
 

@@ -3,8 +3,8 @@
 A *signal* is the direction [rad] that all robots follow for a signal period, a *plan* a sequence of
 signals. A plan is *under way* while robots follow it; the signals of it that are left are `warm`,
 as searches start from them. Without one robots are *at rest*: before the first plan, after a rest
-or a turn on the spot, and when a leg begins. A *leg* is the part of a trial up to a way-point or to
-the targets, or the hold after them.
+or a turn on the spot, and when a leg begins, when they may still drive (`moving`). A *leg* is the
+part of a trial up to a way-point or to the targets, or the hold after them.
 
 As in Algorithm 2 of the paper, each control step searches plans of several lengths, from what is
 left of the plan under way, and only the first signal is exerted. Besides driving by a plan, robots

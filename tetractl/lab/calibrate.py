@@ -2,7 +2,7 @@
 offset, and whether its wheels are swapped, by small motions.
 
 The actuator is any of robots on two wheels (`WheeledActuator`) whose section says what it sends
-(`WheeledSection`). An output is what is sent to a motor, in the actuator's own unit.
+(`CalibratedSection`). An output is what is sent to a motor, in the actuator's own unit.
 
 One wheel alone turns the robot about the other, whatever the heading offset:
 
@@ -33,7 +33,7 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
-from tetractl.lab.actuators.wheeled_section import Found, FoundWheel, WheeledSection
+from tetractl.lab.actuators.wheeled_section import CalibratedSection, Found, FoundWheel
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import CountArray
@@ -111,7 +111,7 @@ class Channel:
 
 
 def calibrate_robots(
-    section: WheeledSection,
+    section: CalibratedSection,
     lab: LabSection,
     make_rig: Callable[[LabLimits, Setup], Rig],
     setup: Setup,
@@ -157,7 +157,7 @@ class _Bench:
     `open` comes first, then `measure` and `first_motions`; `close` comes last, whatever failed.
     """
 
-    def __init__(self, section: WheeledSection, rig: Rig, offset: float, limit: int) -> None:
+    def __init__(self, section: CalibratedSection, rig: Rig, offset: float, limit: int) -> None:
         if not isinstance(rig.actuator, WheeledActuator):
             raise AbortError(
                 f"the actuator {type(rig.actuator).__name__} cannot be calibrated: it is not one "

@@ -1,1 +1,3 @@
-"""The MCAP log of a trial: its format, writing it, reading it, and its provenance."""
+"""The MCAP log of a trial: its format, writing it, reading it (`read.reader.read_trial`), and its
+provenance.
+"""

@@ -80,7 +80,7 @@ def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statis
     trial.
 
     A trial without a finite number is left out of the mean; its cell in the table of trials is
-    empty.
+    empty. Its line is in the short table, too: `stats` reads results, not the steps of the trials.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:

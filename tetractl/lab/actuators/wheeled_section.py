@@ -68,7 +68,7 @@ def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tu
             yield ("robots", i, "radius_mm"), message
 
 
-class WheeledSection(Protocol):
+class CalibratedSection(Protocol):
     """The section of an actuator of robots on two wheels, for calibration."""
 
     dead_zone_max: ClassVar[int]

@@ -61,11 +61,14 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
             stopping.send()
             break
         stopping.note(f"{did}, after {time.monotonic() - began_s:.1f} s")
-        while time.monotonic() - began_s < until_s:
+        while True:  # once after each signal, however long stops take
             stopping.send()
+            passed_s = time.monotonic() - began_s
             if holder(port) != pid:
-                say(f"the process released the port after {time.monotonic() - began_s:.1f} s")
+                say(f"the process released the port after {passed_s:.1f} s")
                 return
+            if passed_s >= until_s:
+                break
     else:
         unendable = "does not end even after SIGKILL"
     text = f"{name} still has the port: it {unendable}"

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tty
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -115,11 +116,21 @@ def closed(open_pair):
         os.close(writer)
 
 
+def raw_terminal():
+    """The two ends of a terminal that takes byte by byte: no end of line is two."""
+    reader, writer = pty.openpty()
+    tty.setraw(writer)
+    return reader, writer
+
+
 @contextmanager
-def full(open_pair):
-    """The writer's end of a pipe or terminal that takes nothing more, as it is not read."""
+def full(open_pair, room=0):
+    """The writer's end of a pipe or terminal that takes nothing more, or about `room` bytes, as it
+    is not read."""
     reader, writer = open_pair()
     fill(writer)
+    if room:
+        os.read(reader, room)
     try:
         yield writer
     finally:
@@ -135,8 +146,12 @@ def fill(descriptor):
             while True:
                 os.write(descriptor, b"x" * size)
     os.set_blocking(descriptor, True)
+    assert is_full(descriptor)
+
+
+def is_full(descriptor):
     _, writable, _ = select.select([], [descriptor], [], 0)
-    assert not writable
+    return not writable
 
 
 @contextmanager
@@ -156,22 +171,14 @@ BROKEN = {
 }
 FULL = {
     "full pipe": partial(full, os.pipe),
-    "full terminal": partial(full, pty.openpty),
+    "full terminal": partial(full, raw_terminal),
 }
+PAGE = 4096  # bytes, fewer than the results of six trials as JSON; pipes are filled by pages
 
 
-def is_writing(pid):
-    """Whether a process is held up while it writes to stdout; true if the system does not tell."""
-    try:
-        call = Path(f"/proc/{pid}/syscall").read_text()  # its number and arguments, or "running"
-    except OSError:
-        return True
-    return call.split()[1:2] == ["0x1"]
-
-
-def quick_run(folder, **streams):
+def quick_run(folder, *args, **streams):
     """A run of three trials with `streams`; what goes to no stream goes to files."""
-    return Running(folder, QUICK, stdin=subprocess.DEVNULL, **streams)
+    return Running(folder, QUICK, *args, stdin=subprocess.DEVNULL, **streams)
 
 
 @pytest.mark.parametrize("broken", first_of(BROKEN))
@@ -200,9 +207,12 @@ def test_a_signal_ends_a_run_whose_messages_nobody_reads(tmp_path, unread):
 
 @pytest.mark.parametrize("unread", first_of(FULL))
 def test_a_signal_leaves_out_the_results_that_nobody_reads(tmp_path, unread):
-    with FULL[unread]() as descriptor, quick_run(tmp_path, stdout=descriptor) as running:
-        running.until(lambda: "trial 3 of 3" in running.err.read_text())
-        running.until(lambda: is_writing(running.process.pid))
+    with (
+        FULL[unread](room=PAGE) as descriptor,
+        quick_run(tmp_path, "--json", "--set", "trials.count=6", stdout=descriptor) as running,
+    ):
+        assert not is_full(descriptor)
+        running.until(lambda: is_full(descriptor))  # with results: nothing else goes there
         running.process.send_signal(signal.SIGINT)
         assert running.end() == 0
     assert "look at one with: tetractl replay logs/trial-000.mcap" in running.err.read_text()

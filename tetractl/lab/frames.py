@@ -1,5 +1,9 @@
 """Camera frames in a lab: their order and rate, which are of no use, what of them the guard has
 accepted, and the buffer between its thread and readers. Times are ns on the run's clock.
+
+A camera that does not number its frames may send the last one again and again, each time as if it
+were new. Where poses of robots that stand have noise, each frame differs from the one before: one
+that equals it to the last bit was not measured. Poses without noise, or on a grid, may repeat.
 """
 
 import threading
@@ -14,6 +18,9 @@ from tetractl.tools.worker import WAITING_MAX
 
 SLOW_HZ = 20.0
 """Rate of frames below which one that is lost looks like a lost stream [Hz]."""
+NOISE_FRAMES = 25
+"""How many frames in a row have to differ before a run, so that poses count as noisy: at 120 Hz
+0.2 s, in which robots stand."""
 
 
 @dataclass(slots=True)
@@ -30,6 +37,14 @@ class CameraStream:
     """By how much the last of these was behind."""
     dropped: int = 0
     """How many came too late since the last start of a run."""
+    noisy: bool = False
+    """Whether poses of robots that stand differ in each frame."""
+    repeats: bool = False
+    """Whether the newest frame repeats the one before, though poses are noisy."""
+    _newest: CameraFrame | None = None
+    """The newest frame, None before the first."""
+    _differ: int = 0
+    """How many of the newest frames, in a row, differ from the one before."""
     _recent_ns: deque[int] = field(default_factory=deque)
     """When the frames of the last second were exposed, oldest first."""
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
@@ -40,17 +55,26 @@ class CameraStream:
         """When the newest frame was exposed, 0 before the first."""
         return self.exposed_ns or 0
 
-    def advance(self, exposed_ns: int, own_times: bool) -> bool:
+    def judge_noise(self) -> None:
+        """Find out whether poses are noisy; to be called before robots are first driven."""
+        self.noisy = self._differ >= NOISE_FRAMES
+
+    def advance(self, frame: CameraFrame) -> bool:
         """Take a frame; return whether it is newer than all before, and count it as dropped if it
         is not.
         """
+        exposed_ns = frame.sampled_ns
         if self.exposed_ns is not None and exposed_ns <= self.exposed_ns:
             self.dropped += 1
             self.outdated += 1
             self.behind_ns = self.exposed_ns - exposed_ns
             return False
+        is_equal = self._newest is not None and _show_the_same(self._newest, frame)
+        self.repeats = is_equal and self.noisy
+        self._differ = 0 if is_equal else self._differ + 1
+        self._newest = frame
         self.exposed_ns = exposed_ns
-        self.own_times = own_times
+        self.own_times = bool(frame.exposed_ns)
         self.outdated = 0
         self._recent_ns.append(exposed_ns)
         while self._recent_ns[0] < exposed_ns - SECOND:
@@ -89,6 +113,11 @@ class CameraStream:
         while totals[0][0] < now_ns - SECOND:
             totals.popleft()
         return total - totals[0][1]
+
+
+def _show_the_same(before: CameraFrame, frame: CameraFrame) -> bool:
+    """Return whether two frames have the same bodies, each at the same pose to the last bit."""
+    return frame.poses == before.poses and frame.strangers == before.strangers
 
 
 def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:

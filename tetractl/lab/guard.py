@@ -99,6 +99,7 @@ DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
 BUSY = "; control steps were late just before: is this computer busy?"
 """Added to a reason that blames a robot or the camera."""
+FROZEN = "the frame repeats the one before to the last bit: is the camera frozen?"
 RARELY = 3.0
 """A robot may be unseen for so many times `untracked_abort`, though not all at once."""
 
@@ -201,6 +202,8 @@ class Guard:
         if self.state is not GuardState.READY:
             return
         self._enter(GuardState.RUN)
+        if not self._pace.driven:
+            self._stream.judge_noise()
         self._pace.ticked_ns = now_ns
         self._pace.directed_ns = now_ns
         self._pace.driven = True
@@ -319,7 +322,7 @@ class Guard:
         """
         if frame.fault:
             self.abort(frame.fault)
-        if not self._stream.advance(frame.sampled_ns, own_times=bool(frame.exposed_ns)):
+        if not self._stream.advance(frame):
             if self._in_run and self._stream.dropped == 1:
                 self._warn_once(f"a camera frame {self._stream.outdated_text} was dropped")
             return None
@@ -389,6 +392,7 @@ class Guard:
             there is none, or the run goes on without the robot     missing
             it is the measurement of a frame before                 None
             the robot is a ghost, or cannot have come there         refused
+            the frame repeats the one before, of a noisy camera     refused
             it is the robot's first one, or no run has begun yet    accepted
             no run is on, but one was: it may show a motion         accepted, and checks note it
             it equals the last one to the bit, so no motion         as checks find
@@ -406,6 +410,8 @@ class Guard:
         if not robot.is_new:
             return None
         fault = robot.ghost or robot.fault(pose, robot.read_ns, self._pace.driven)
+        if not fault and self._stream.repeats:
+            fault = FROZEN
         if fault:
             return PoseDecision(refused=fault)
         if last is None or not self._pace.driven:

@@ -528,6 +528,59 @@ def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():
     assert (guard.state, guard.refusals) == (GuardState.RUN, 5)
 
 
+def with_noise(pose, k):
+    """A pose with the noise of frame number k: no two are the same."""
+    return replace(pose, x=pose.x + 0.3 * math.sin(k))
+
+
+def begun_with_noise(noisy_frames=60):
+    """A course whose robots have just been allowed to drive, by a camera with noise."""
+    course = Course().pass_preflight()
+    for k in range(noisy_frames):
+        course.frame([with_noise(pose, k) for pose in PLACES])
+    return course.start_run()
+
+
+def test_a_noisy_camera_that_repeats_its_last_frame_is_frozen_whatever_is_commanded():
+    """Regression: robots that may obey 0.3 s late drove for so long after such a frame."""
+    course = begun_with_noise()
+    frozen = [with_noise(pose, 59) for pose in PLACES]
+    moving = [course.frames(1, frozen).moving for _ in range(8)]
+    assert moving[5] == (True, True)  # 48 ms
+    assert moving[6] == (False, False)  # 56 ms: as robots that are not tracked
+    course.frames(UNTIL_LOST, frozen)
+    assert course.guard.state is GuardState.ABORT
+    assert course.guard.reason.startswith("green is not tracked: the frame repeats the one before")
+
+
+def test_a_noisy_camera_that_freezes_after_the_run_shows_no_robot_at_rest():
+    """Regression: a trial counted whose last half second the camera had not seen."""
+    course = begun_with_noise()
+    course.guard.end_run()
+    frozen = [with_noise(pose, 60) for pose in PLACES]
+    course.frame(frozen)
+    assert course.accepted.fresh == (True, True)
+    course.frame(frozen)
+    assert course.accepted.fresh == (False, False)
+
+
+@pytest.mark.parametrize(
+    ("noisy_frames", "poses_of"),
+    [
+        pytest.param(0, lambda k: PLACES, id="poses without noise"),
+        pytest.param(20, lambda k: PLACES, id="too few frames to tell"),
+        pytest.param(60, lambda k: (with_noise(PLACES[0], k), PLACES[1]), id="one robot stands"),
+        pytest.param(60, lambda k: [with_noise(p, k // 2) for p in PLACES], id="each frame twice"),
+        pytest.param(60, lambda k: [with_noise(p, k) for p in PLACES], id="noise goes on"),
+    ],
+)
+def test_robots_that_stand_are_seen_though_poses_repeat(noisy_frames, poses_of):
+    course = begun_with_noise(noisy_frames)
+    for k in range(200, 300):
+        ruling = course.frames(1, poses_of(k))
+        assert (ruling.state, ruling.moving) == (GuardState.RUN, (True, True))
+
+
 def test_robots_that_stand_as_commanded_may_be_seen_so_to_the_last_bit():
     drive = Drive(commanded=0.0, done=(0.0, 0.0, 0.0), noise=0.0)
     assert drive.go(2.0).state is GuardState.RUN

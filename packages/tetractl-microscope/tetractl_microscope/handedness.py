@@ -90,15 +90,14 @@ def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
         return None
     to_field = turning_fit(turned_courses, field)
     to_image = turning_fit(turned_courses, lambda times: field(times).conj())
-    mirrored = to_image.explained > to_field.explained + ALIKE
-    fitted = to_image if mirrored else to_field
-    vectors = fitted.vectors
+    mirrored = to_image[0] > to_field[0] + ALIKE
+    share, vectors = to_image if mirrored else to_field
     turned = float(np.angle(vectors.sum()))
     # a cell without a magnet has a short vector, and so little weight
     across = (vectors * np.exp(-1j * turned)).imag
     total_length = max(abs(vectors.sum()), 1e-9)
     spread = float(np.linalg.norm(across) / total_length)
-    return Handedness(len(turned_courses), mirrored, turned, spread, fitted.explained)
+    return Handedness(len(turned_courses), mirrored, turned, spread, share)
 
 
 def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:

@@ -4,7 +4,7 @@ directions or speeds that robots were sent in another.
 
 import math
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -54,13 +54,19 @@ TRIALS_MAX = 10_000
 ORIGIN = "CSV"
 ONE_ROBOT = "robot"
 """The name of the robot of a table that names none."""
+POSES = "poses"
+DIRECTIONS = "directions"
+OF_WHEELS = "speeds of wheels"
 FORMS = {
-    "poses": ("x_mm", "y_mm", "heading_rad"),
-    "directions": ("direction_rad",),
+    DIRECTIONS: ("direction_rad",),
     "speeds": ("v_mm_s", "w_rad_s"),
-    "speeds of wheels": ("left_mm_s", "right_mm_s", "radius_mm"),
+    OF_WHEELS: ("left_mm_s", "right_mm_s", "radius_mm"),
+    POSES: ("x_mm", "y_mm", "heading_rad"),
 }
-"""The columns of each kind of table, besides the time."""
+"""The columns of each kind of table, besides the time. A table that has those of several is of the
+first."""
+UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
+"""The units in which a column may be instead of that in FORMS."""
 INSTEAD = {
     ("time_s", "frame"): "time_s is the number of the frame over the pictures per second",
     ("heading_rad", "theta"): "name theta heading_rad, or heading_deg",
@@ -135,99 +141,57 @@ class _Numbers:
 
 
 @dataclass(frozen=True, slots=True)
-class _PoseColumns:
+class _Columns:
+    """The columns of a table of one of FORMS: its times, and its `numbers` in the order of the
+    form; of a table of poses their `unit`, of one of directions what else it may state."""
+
     path: Path
-    unit: str
+    form: str
     time: NumberColumn
-    x: NumberColumn
-    y: NumberColumn
-    heading: NumberColumn
+    numbers: Sequence[NumberColumn]
+    unit: str = ""
+    observed: NumberColumn | None = None
+    lag: NumberColumn | None = None
 
-    def add(self, numbers: _Numbers, row: CsvRow) -> None:
-        """Add the pose in a row; it is unknown if it is not valid, or a number is missing."""
-        numbers.poses_path = self.path
-        name = row.cells.get("robot", "")
-        robot = numbers.robots.setdefault(name, len(numbers.robots))
-        valid = truth(self.path, row, "valid")
-        time = numbers.take_time(self.path, row, self.time, ("poses", name))
-        pose = [c.optional(self.path, row) for c in (self.x, self.y, self.heading)]
-        numbers.poses.extend((time, robot))
-        numbers.poses.extend(pose if valid else [math.nan] * len(pose))
-
-
-@dataclass(frozen=True, slots=True)
-class _DirectionColumns:
-    path: Path
-    time: NumberColumn
-    direction: NumberColumn
-    observed: NumberColumn | None
-    lag: NumberColumn | None
-
-    def add(self, numbers: _Numbers, row: CsvRow) -> None:
-        """Add the direction in a row; a row without one is a step at which nothing was sent."""
-        numbers.commands_path = self.path
-        if math.isnan(self.direction.optional(self.path, row)):
-            return
-        observed = self.observed.optional(self.path, row) if self.observed else math.nan
+    def add(self, trial: _Numbers, row: CsvRow) -> None:
+        """Add the pose or the command in a row: a pose is unknown if it is not valid or a number is
+        missing; a row without a direction or speed is a step at which nothing was sent."""
         robot = row.cells.get("robot", "")
-        time = numbers.take_time(self.path, row, self.time, ("directions", robot))
-        direction = self.direction.number(self.path, row)
-        numbers.commands.setdefault(robot, array("d")).extend((time, direction, observed, row.line))
-        numbers.direction = self.direction
-        if self.lag is not None:
-            numbers.lag_s = self.lag.number(self.path, row)
-            if numbers.lag_s < 0:
-                raise UsageError(
-                    f"{self.path}, line {row.line}: {self.lag.key} must not be negative"
-                )
-
-
-@dataclass(frozen=True, slots=True)
-class _TwistColumns:
-    path: Path
-    time: NumberColumn
-    speed: NumberColumn
-    rate: NumberColumn
-
-    def add(self, numbers: _Numbers, row: CsvRow) -> None:
-        """Add the speed and turning rate in a row; one without is a step at which nothing was
-        sent."""
-        numbers.commands_path = self.path
-        if math.isnan(self.speed.optional(self.path, row) + self.rate.optional(self.path, row)):
+        if self.form == POSES:
+            trial.poses_path = self.path
+            number = trial.robots.setdefault(robot, len(trial.robots))
+            valid = truth(self.path, row, "valid")
+            time = trial.take_time(self.path, row, self.time, ("poses", robot))
+            pose = [column.optional(self.path, row) for column in self.numbers]
+            trial.poses.extend((time, number))
+            trial.poses.extend(pose if valid else [math.nan] * len(pose))
             return
-        robot = row.cells.get("robot", "")
-        time = numbers.take_time(self.path, row, self.time, ("twists", robot))
-        speed = self.speed.number(self.path, row)
-        rate = self.rate.number(self.path, row)
-        numbers.twists.setdefault(robot, array("d")).extend((time, speed, rate))
-
-
-@dataclass(frozen=True, slots=True)
-class _WheelColumns:
-    path: Path
-    time: NumberColumn
-    left: NumberColumn
-    right: NumberColumn
-    radius: NumberColumn
-
-    def add(self, numbers: _Numbers, row: CsvRow) -> None:
-        """Add the speed and turning rate of the wheels in a row; one without is a step at which
-        nothing was sent."""
-        numbers.commands_path = self.path
-        if math.isnan(self.left.optional(self.path, row) + self.right.optional(self.path, row)):
+        trial.commands_path = self.path
+        commanded = self.numbers[:2]  # behind them is the radius of the wheels
+        if any(math.isnan(column.optional(self.path, row)) for column in commanded):
             return
-        left = self.left.number(self.path, row)
-        right = self.right.number(self.path, row)
-        radius = self.radius.number(self.path, row)
-        if radius <= 0:
-            raise UsageError(f"{self.path}, line {row.line}: {self.radius.key} must be above 0")
-        robot = row.cells.get("robot", "")
-        time = numbers.take_time(self.path, row, self.time, ("twists", robot))
-        twist = (time, (left + right) / 2, (right - left) / (2 * radius))
-        numbers.twists.setdefault(robot, array("d")).extend(twist)
+        values = [column.number(self.path, row) for column in self.numbers]
+        if self.form == DIRECTIONS:
+            observed = self.observed.optional(self.path, row) if self.observed else math.nan
+            time = trial.take_time(self.path, row, self.time, ("directions", robot))
+            of_robot = trial.commands.setdefault(robot, array("d"))
+            of_robot.extend((time, *values, observed, row.line))
+            trial.direction = self.numbers[0]
+            if self.lag is not None:
+                trial.lag_s = self.lag.number(self.path, row)
+                if trial.lag_s < 0:
+                    raise self._wrong(row, self.lag, "must not be negative")
+            return
+        if self.form == OF_WHEELS:
+            left, right, radius = values
+            if radius <= 0:
+                raise self._wrong(row, self.numbers[2], "must be above 0")
+            values = [(left + right) / 2, (right - left) / (2 * radius)]
+        time = trial.take_time(self.path, row, self.time, ("twists", robot))
+        trial.twists.setdefault(robot, array("d")).extend((time, *values))
 
-
-_Columns = _PoseColumns | _DirectionColumns | _TwistColumns | _WheelColumns
+    def _wrong(self, row: CsvRow, column: NumberColumn, problem: str) -> UsageError:
+        return UsageError(f"{self.path}, line {row.line}: {column.key} {problem}")
 
 
 def csv_tracks(
@@ -256,7 +220,7 @@ def csv_tracks(
         if first is None:
             raise UsageError(f"{path}: has no rows")
         columns = _columns(path, first.cells)
-        if isinstance(columns, _PoseColumns):
+        if columns.form == POSES:
             if unit and unit != columns.unit:
                 raise UsageError(f"{path}: its lengths are in {columns.unit}, others in {unit}")
             unit = columns.unit
@@ -340,22 +304,27 @@ def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
     time = find_date(headers) or find_time(path, headers)
     present: dict[str, int] = {}
     for form, columns in FORMS.items():
-        names = {name_and_unit(column)[0] for column in columns}
-        if names <= named and time is not None and form != "poses":
-            return _command_columns(path, form, headers, time)
-        present[form] = len(names & named)
-    if present["poses"] == len(FORMS["poses"]) and time is not None:
-        heading = find_column(path, headers, ("heading",), RADIANS)
-        assert heading is not None
-        unit, x, y = _position_columns(path, headers)
-        return _PoseColumns(path, unit, time, x, y, heading)
+        quantities = [name_and_unit(column) for column in columns]
+        present[form] = sum(name in named for name, _ in quantities)
+        if present[form] < len(columns) or time is None:
+            continue
+        if form == POSES:
+            unit, x, y = _position_columns(path, headers)
+            heading = _required(path, headers, "heading", RADIANS)
+            return _Columns(path, form, time, (x, y, heading), unit)
+        numbers = [_required(path, headers, name, UNITS[unit]) for name, unit in quantities]
+        if form != DIRECTIONS:
+            return _Columns(path, form, time, numbers)
+        observed = find_column(path, headers, ("observed",), SECONDS)
+        lag = find_column(path, headers, ("lag",), SECONDS)
+        return _Columns(path, form, time, numbers, observed=observed, lag=lag)
     raise _incomplete(path, headers, present)
 
 
 def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -> UsageError:
     """Return the error that a table lacks columns of the form of which it has most, `present`."""
     has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SAID])
-    likeliest = max(present, key=lambda form: present[form])
+    likeliest = max(reversed(present), key=lambda form: present[form])
     said = "contains neither poses nor commands"
     hint = (
         "poses have the columns time_s, robot, x_mm, y_mm, heading_rad; commands time_s and "
@@ -373,28 +342,6 @@ def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -
         ]
         hint = "; ".join(remedies) or hint
     return UsageError(f"{path}: {said}: its columns are {has}", hint)
-
-
-def _command_columns(
-    path: Path, form: str, headers: Collection[str], time: NumberColumn
-) -> _DirectionColumns | _TwistColumns | _WheelColumns:
-    """Return the columns of commands of a form, with speeds in m/s."""
-    if form == "directions":
-        observed = find_column(path, headers, ("observed",), SECONDS)
-        lag = find_column(path, headers, ("lag",), SECONDS)
-        return _DirectionColumns(
-            path, time, _required(path, headers, "direction", RADIANS), observed, lag
-        )
-    if form == "speeds":
-        speed = _required(path, headers, "v", METRES_S)
-        return _TwistColumns(path, time, speed, _required(path, headers, "w", RADIANS_S))
-    return _WheelColumns(
-        path,
-        time,
-        left=_required(path, headers, "left", METRES_S),
-        right=_required(path, headers, "right", METRES_S),
-        radius=_required(path, headers, "radius", METRES),
-    )
 
 
 def _required(
@@ -458,7 +405,8 @@ def _track(
     _refuse_copies(poses_path, names, time, poses, sent)
     remarks: list[str] = []
     if on_wheels:
-        refuse_sparse(str(poses_path), min(_seen_at(rows), key=_usual_gap))
+        seen_at = [rows[rows[:, 1] == number, 0] for number in robots.values()]
+        refuse_sparse(str(poses_path), min(seen_at, key=_usual_gap))
         valid, remarks = _measured(poses_path, names, begin + time, poses, valid)
     if not numbers.twists:
         _check_angles(poses_path, names, time, poses, valid)
@@ -531,11 +479,6 @@ def _brief_robots(numbers: _Numbers, rows: Floats, shortest_s: float) -> dict[st
         if np.ptp(rows[of_robot, 0]) < shortest_s:
             brief[robot] = number
     return brief
-
-
-def _seen_at(rows: Floats) -> list[Floats]:
-    """Return the times of each robot [s] in rows (R, 5) of time, robot, x, y and heading."""
-    return [rows[rows[:, 1] == robot, 0] for robot in np.unique(rows[:, 1])]
 
 
 def _usual_gap(times: Floats) -> float:

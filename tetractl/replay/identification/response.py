@@ -402,11 +402,11 @@ def _explained_after(
     """Return the share of the motion in some parts of the steps (S,) that what was sent explains
     after each of some delays [s] (P, D)."""
     explained = np.zeros((len(parts), len(delays)))
-    motions = [_Motion.of(steps.at(part)) for part in parts]
+    motions = [_usual_rates(steps.at(part)) for part in parts]
     for i, delay in enumerate(delays.tolist()):
         sent = np.concatenate([track.sent(delay) for track in tracks]) / steps.duration_s[:, None]
         for part, motion, of_part in zip(parts, motions, explained, strict=True):
-            of_part[i] = motion.explained(sent[part])
+            of_part[i] = _explained(motion, sent[part])
     return explained
 
 
@@ -424,36 +424,22 @@ def _check_clock_rate(source: str, track: _DrivenTrack, delay_s: float) -> None:
     refuse_drift(source, shares, delays, 2 * third_s)
 
 
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """The turning rates and speeds ahead and aside (S,) of a robot, clipped to usual ones."""
-
-    turn_rate: Floats
-    ahead: Floats
-    aside: Floats
-
-    @classmethod
-    def of(cls, steps: PoseSteps) -> "_Motion":
-        """Return the motion in some steps (S,)."""
-        return cls(
-            turn_rate=_clipped(steps.turned / steps.duration_s),
-            ahead=_clipped(steps.moved.real / steps.duration_s),
-            aside=_clipped(steps.moved.imag / steps.duration_s),
-        )
-
-    def explained(self, sent: Floats) -> float:
-        """Return the share of the motion that speeds and turning rates sent (S, 2) explain."""
-        speed, rate = sent.T
-        of_turns = _correlation(rate, self.turn_rate)
-        of_ways = math.hypot(_correlation(speed, self.ahead), _correlation(speed, self.aside))
-        unexplained = (1 - of_turns**2) * (1 - min(of_ways, 1.0) ** 2)
-        return (1 - unexplained) * (1.0 if of_turns > 0 else REVERSED)
+def _usual_rates(steps: PoseSteps) -> Floats:
+    """Return the turning rates and the speeds ahead and aside in some steps (3, S), clipped to
+    those that are usual: a tracker may take a body for another."""
+    motion = np.stack([steps.turned, steps.moved.real, steps.moved.imag]) / steps.duration_s
+    low, high = np.quantile(motion, (USUAL, 1 - USUAL), axis=1, keepdims=True)
+    return np.clip(motion, low, high)
 
 
-def _clipped(rates: Floats) -> Floats:
-    """Return rates (S,) clipped to those that are usual: a tracker may take a body for another."""
-    low, high = np.quantile(rates, (USUAL, 1 - USUAL))
-    return np.clip(rates, low, high)
+def _explained(motion: Floats, sent: Floats) -> float:
+    """Return the share of a motion (3, S) that speeds and turning rates sent (S, 2) explain."""
+    turn_rate, ahead, aside = motion
+    speed, rate = sent.T
+    of_turns = _correlation(rate, turn_rate)
+    of_ways = math.hypot(_correlation(speed, ahead), _correlation(speed, aside))
+    unexplained = (1 - of_turns**2) * (1 - min(of_ways, 1.0) ** 2)
+    return (1 - unexplained) * (1.0 if of_turns > 0 else REVERSED)
 
 
 def _correlation(first: Floats, second: Floats) -> float:
@@ -789,19 +775,15 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
     low, high = GAIN_OF_BASE
     if any(low < robot.turning_gain.value < high for robot in responses):
         note += "\na turning gain near 2: is radius, or that of w, the distance between the wheels?"
-    if any(_is_of_no_unit(robot) for robot in responses):
+    gains = np.array([(robot.turning_gain.value, robot.speed_gain.value) for robot in responses])
+    is_of_unit = (gains > 1 / UNIT_WITHIN) & (gains < UNIT_WITHIN)
+    if not is_of_unit.any(axis=1).all():  # a robot that obeys turns or drives as it is sent
         note += (
             "\ngains far from 1: are commands speeds in their unit, not counts or shares of power?"
         )
     for robot in responses:
         note += "".join(f"\n{stood}" for stood in robot.stood)
     return Table(title, tuple(columns), note)
-
-
-def _is_of_no_unit(robot: RobotResponse) -> bool:
-    """Return whether a robot both turns and drives as no robot does that obeys."""
-    gains = (robot.turning_gain.value, robot.speed_gain.value)
-    return all(not 1 / UNIT_WITHIN < gain < UNIT_WITHIN for gain in gains)
 
 
 def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.replay.identification.clocks import refuse_drift
 from tetractl.replay.identification.explained import EXPLAINED, Reading, check_explained
 
@@ -63,13 +63,9 @@ class TurnedCourse:
     times: Floats
     angle: Floats
 
-
-@dataclass(frozen=True, slots=True)
-class TurningFit:
-    """How directions explain turning: the share, and a exp(if) of each course (N,) [rad/s]."""
-
-    explained: float
-    vectors: NDArray[np.complex128]
+    def at(self, rows: Bools | slice) -> "TurnedCourse":
+        """Return the course at some of its times."""
+        return TurnedCourse(self.times[rows], self.angle[rows])
 
 
 @dataclass(frozen=True)  # without slots, for the cached property
@@ -91,14 +87,6 @@ class SentDirections:
         """Return the direction that acts at times [s], 0 before the first one."""
         now = np.searchsorted(self.times, times, side="right") - 1
         return np.where(now < 0, 0.0, self.acts[now])
-
-
-@dataclass(frozen=True, slots=True)
-class Delayed:
-    """The share of the turning that directions explain if they act `delay_s` [s] late."""
-
-    share: float
-    delay_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,11 +112,6 @@ def courses_of_headings(times: Floats, headings: Floats) -> list[TurnedCourse]:
     return [_of_headings(piece) for piece in _pieces(path)]
 
 
-def turning_fit(turned: Sequence[TurnedCourse], field: FieldAt) -> TurningFit:
-    """Return how a field explains the turning of courses, if it may be rotated."""
-    return _fit(turned, field, rotated)
-
-
 def check_directions(
     source: str,
     turned: Sequence[TurnedCourse],
@@ -143,20 +126,22 @@ def check_directions(
     Directions that are only rotated are no problem: the heading bias is the angle. Nothing is known
     of robots that were seen for less than ENOUGH_S, or hardly turn.
     """
-    longest = _longest(turned)
+    by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
+    begin = slice(round(COURSE_S / GRID_S))
+    longest = [course.at(begin) for course in by_length[:COURSES_MAX]]
     if sum(len(course.times) for course in longest) * GRID_S < ENOUGH_S:
         return
-    if _best_delay(longest, sent, delays_s, towards).share >= EXPLAINED:
+    share, _ = _best_delay(longest, sent, delays_s, towards)
+    if share >= EXPLAINED:
         return
     others = list[Reading]()
     for reading in readings:
-        best = _best_delay(longest, reading.sent, reading.delays_s, reading.response)
-        others.append(
-            Reading(best.share, reading.said.replace(WHEN, _when(best.delay_s)), reading.hint)
-        )
+        share, delay_s = _best_delay(longest, reading.sent, reading.delays_s, reading.response)
+        when = f"{abs(delay_s):.1f} s {'before' if delay_s < 0 else 'after'}"
+        others.append(Reading(share, reading.said.replace(WHEN, when), reading.hint))
     rates = np.concatenate([np.diff(course.angle) / GRID_S for course in longest])
     turns = rates.std() > TURNS
-    share = _best_delay(longest, sent, delays_s, rotated).share
+    share, _ = _best_delay(longest, sent, delays_s, rotated)
     check_explained(source, "turns", share, least if turns else 0.0, others)
 
 
@@ -173,23 +158,17 @@ def check_clock_rate(source: str, turned: Sequence[TurnedCourse], sent: SentDire
         return
     shares = np.zeros((3, len(DRIFTS_S)))
     for third, of_third in enumerate(shares):
-        part = [_from(course, begin_s + third * third_s, third_s) for course in turned]
+        from_s = begin_s + third * third_s
+        part = [
+            course.at((course.times >= from_s) & (course.times < from_s + third_s))
+            for course in turned
+        ]
         seen = [course for course in part if len(course.times) > 2 * SMOOTH][:COURSES_MAX]
         for i, delay_s in enumerate(DRIFTS_S.tolist()):
             field = replace(sent, times=sent.times + delay_s).at
-            of_third[i] = _fit(seen, field, rotated).explained if seen else 0.0
+            if seen:
+                of_third[i], _ = turning_fit(seen, field)
     refuse_drift(source, shares, DRIFTS_S, 2 * third_s)
-
-
-def _from(course: TurnedCourse, begin_s: float, length_s: float) -> TurnedCourse:
-    """Return what is of a course within a time of some length [s]."""
-    within = (course.times >= begin_s) & (course.times < begin_s + length_s)
-    return TurnedCourse(course.times[within], course.angle[within])
-
-
-def _when(delay_s: float) -> str:
-    """Return in words when robots turn."""
-    return f"{abs(delay_s):.1f} s {'before' if delay_s < 0 else 'after'}"
 
 
 def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReading:
@@ -229,41 +208,18 @@ def other_readings(source: str, sent: SentDirections, picture_s: float) -> list[
     return readings
 
 
-def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
-    """Return the COURSES_MAX longest courses, COURSE_S of each."""
-    by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
-    steps = round(COURSE_S / GRID_S)
-    return [
-        TurnedCourse(course.times[:steps], course.angle[:steps])
-        for course in by_length[:COURSES_MAX]
-    ]
-
-
 def _best_delay(
     turned: Sequence[TurnedCourse], sent: SentDirections, delays_s: Floats, response: Response
-) -> Delayed:
-    """Return the delay after which directions explain most of the turning by a response."""
-    fits = list[Delayed]()
+) -> tuple[float, float]:
+    """Return the largest share of the turning that directions explain by a response, and the delay
+    after which they act then [s]."""
+    best = (-np.inf, 0.0)
     for delay_s in delays_s.tolist():
         field = replace(sent, times=sent.times + delay_s).at
-        fits.append(Delayed(_fit(turned, field, response).explained, delay_s))
-    return max(fits, key=lambda fit: fit.share)
-
-
-def _fit(turned: Sequence[TurnedCourse], field: FieldAt, response: Response) -> TurningFit:
-    """Return how a field explains the turning of courses by a response."""
-    total = 0.0
-    unexplained = 0.0
-    vectors: list[complex] = []
-    for course in turned:
-        rate = np.gradient(course.angle, GRID_S)[SMOOTH:-SMOOTH]
-        vector, explained = response(_rates(course, field), rate)
-        residual = rate - explained
-        still = STILL**2 * len(rate)
-        total += float(rate @ rate) + still
-        unexplained += float(residual @ residual) + still
-        vectors.append(vector)
-    return TurningFit(1 - unexplained / total, np.array(vectors))
+        share, _ = turning_fit(turned, field, response)
+        if share > best[0]:
+            best = (share, delay_s)
+    return best
 
 
 def rotated(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
@@ -278,6 +234,25 @@ def towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
     squares = float(pull @ pull)
     a = max(0.0, float(rate @ pull) / squares) if squares > 0 else 0.0
     return complex(a), a * pull
+
+
+def turning_fit(
+    turned: Sequence[TurnedCourse], field: FieldAt, response: Response = rotated
+) -> tuple[float, NDArray[np.complex128]]:
+    """Return the share of the turning of N courses that a field explains by a response, and the
+    field's factor a exp(if) of each course (N,) [rad/s]."""
+    total = 0.0
+    unexplained = 0.0
+    vectors: list[complex] = []
+    for course in turned:
+        rate = np.gradient(course.angle, GRID_S)[SMOOTH:-SMOOTH]
+        vector, explained = response(_rates(course, field), rate)
+        residual = rate - explained
+        still = STILL**2 * len(rate)
+        total += float(rate @ rate) + still
+        unexplained += float(residual @ residual) + still
+        vectors.append(vector)
+    return 1 - unexplained / total, np.array(vectors)
 
 
 def _pieces(path: Floats) -> list[Floats]:

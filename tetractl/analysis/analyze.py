@@ -54,16 +54,6 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class MostAlike:
-    """The indices of the two robots whose turning rates a differ least, and `gap`, their difference
-    relative to the smaller rate."""
-
-    low: int
-    high: int
-    gap: float
-
-
-@dataclass(frozen=True, slots=True)
 class Analysis:
     """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
@@ -105,8 +95,9 @@ def analyze(
     gaps = GAPS if several else ()
     alike = most_alike(setup)
     tried: list[tuple[int, float]] = []
-    if alike is not None and alike.gap < TOO_ALIKE:
-        tried = list(_rates_to_try(setup, alike))
+    least_gap = math.inf if alike is None else _gap(setup, *alike)
+    if alike is not None and least_gap < TOO_ALIKE:
+        tried = list(_rates_to_try(setup, *alike))
 
     count = 1 + len(fewer) + len(gaps) + len(tried)
     predictor = _Predictor(experiment, plans, lambda done: on_done(done, count))
@@ -127,8 +118,8 @@ def analyze(
         tolerance=tolerance(predictor.section),
         plans=plans,
         steering=as_they_are,
-        alike=None if alike is None else (setup.names[alike.low], setup.names[alike.high]),
-        gap=math.inf if alike is None else alike.gap,
+        alike=None if alike is None else (setup.names[alike[0]], setup.names[alike[1]]),
+        gap=least_gap,
         by_gap=tuple(by_gap),
         by_count=(*by_count, (len(setup.names), error)),
         looked=bool(tried),
@@ -166,15 +157,21 @@ def _error(analysed: Steering | None) -> float:
     return math.nan if analysed is None else analysed.error
 
 
-def most_alike(setup: Setup) -> MostAlike | None:
-    """Return the two robots whose turning rates a differ least; None for one robot."""
+def most_alike(setup: Setup) -> tuple[int, int] | None:
+    """Return the indices of the two robots whose turning rates a differ least, the slower first;
+    None for one robot."""
     order = np.argsort(setup.a, kind="stable")
     if len(order) < 2:
         return None
     gaps = setup.a[order[1:]] / setup.a[order[:-1]] - 1
     least = int(np.argmin(gaps))
-    low, high = order[least : least + 2].tolist()
-    return MostAlike(low, high, float(gaps[least]))
+    slower, faster = order[least : least + 2].tolist()
+    return slower, faster
+
+
+def _gap(setup: Setup, slower: int, faster: int) -> float:
+    """Return the difference of the turning rates of two robots, relative to the smaller one."""
+    return float(setup.a[faster] / setup.a[slower] - 1)
 
 
 def respaced(setup: Setup, gap: float) -> Setup:
@@ -185,17 +182,19 @@ def respaced(setup: Setup, gap: float) -> Setup:
     return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))
 
 
-def _rates_to_try(setup: Setup, alike: MostAlike) -> Iterator[tuple[int, float]]:
+def _rates_to_try(setup: Setup, slower: int, faster: int) -> Iterator[tuple[int, float]]:
     """Yield an index of one of the two robots most alike, and another a for it, of three digits as
     is advised, which raises the least gap: the faster one turns faster, or the slower one more
     slowly."""
+    gap = _gap(setup, slower, faster)
     for step in STEPS:
-        higher = float(f"{setup.a[alike.low] * (1 + step):.3g}")
-        lower = float(f"{setup.a[alike.high] / (1 + step):.3g}")
-        for robot, a in ((alike.high, higher), (alike.low, lower)):
-            closest = most_alike(_with_rate(setup, robot, a))
+        higher = float(f"{setup.a[slower] * (1 + step):.3g}")
+        lower = float(f"{setup.a[faster] / (1 + step):.3g}")
+        for robot, a in ((faster, higher), (slower, lower)):
+            changed = _with_rate(setup, robot, a)
+            closest = most_alike(changed)
             assert closest is not None
-            if closest.gap > max(alike.gap, GAP_OF_STEP * step):
+            if _gap(changed, *closest) > max(gap, GAP_OF_STEP * step):
                 yield robot, a
 
 

@@ -79,13 +79,14 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
     path = predict(problem, signals)
     seconds = np.full(length, problem.period)
     seconds[0] = problem.first_period
-    step = _step_derivatives(problem, path[:-1, :, 2], signals, seconds)
+    of_steps = _step_derivatives(problem, path[:-1, :, 2], signals, seconds)
+    step_by_heading, step_by_signal, step_by_a, step_by_speed = of_steps
 
     # g_j, backwards in time
     by_heading = np.zeros((length + 1, robots, 2))
     for j in reversed(range(length)):
-        turned = by_heading[j + 1] * step.by_heading[j, :, 2:]
-        by_heading[j] = step.by_heading[j, :, :2] + turned
+        turned = by_heading[j + 1] * step_by_heading[j, :, 2:]
+        by_heading[j] = step_by_heading[j, :, :2] + turned
     later = by_heading[1:]
 
     def of_ends(of_step: Floats) -> Floats:
@@ -96,53 +97,38 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
     facing = np.stack([np.cos(ends[:, 2]), np.sin(ends[:, 2])], axis=-1)
     onward = problem.period * problem.speed[:, None] * facing
     to_targets = ends[:, :2] - problem.targets
-    by_signal = of_ends(step.by_signal).transpose(1, 2, 0)  # (N, 2, L)
+    by_signal = of_ends(step_by_signal).transpose(1, 2, 0)  # (N, 2, L)
     return Linear(
         miss=np.hypot(to_targets[:, 0], to_targets[:, 1]),
         by_signal=by_signal.reshape(2 * robots, length),
         by_heading=by_heading,
-        by_a=of_ends(step.by_a),
-        by_speed=of_ends(step.by_speed),
-        turn_by_a=step.by_a[..., 2],
+        by_a=of_ends(step_by_a),
+        by_speed=of_ends(step_by_speed),
+        turn_by_a=step_by_a[..., 2],
         onward=onward.reshape(2 * robots, 1),
         seconds=seconds,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class StepDerivatives:
-    """Derivatives (L, N, 3) of each step's displacement x, y and of the next heading, with respect
-    to the heading before the step, its signal, ln a and ln speed."""
-
-    by_heading: Floats
-    by_signal: Floats
-    by_a: Floats
-    by_speed: Floats
-
-
 def _step_derivatives(
     problem: Problem, headings: Floats, signals: Floats, seconds: Floats
-) -> StepDerivatives:
-    """Differentiate each step of each robot at its `headings` (L, N) before it [rad]."""
+) -> Floats:
+    """Return the derivatives (4, L, N, 3) of each step's displacement x, y and of the next heading
+    with respect to the heading (L, N) before the step [rad], its signal, ln a and ln speed."""
     lanes = MOTIONS.load(problem.motion).lanes
     robots = in_rows(problem)
-    shape = (*headings.shape, 3)
-    by_heading = np.empty(shape)
-    by_signal = np.empty(shape)
-    by_a = np.empty(shape)
-    by_speed = np.empty(shape)
+    derivatives = np.empty((4, *headings.shape, 3))
     for j, signal in enumerate(signals):
         cos_u = np.cos(signal)
         sin_u = np.sin(signal)
         for i, heading in enumerate(headings[j]):
             cos_heading = np.cos(heading)
             sin_heading = np.sin(heading)
-            derivatives = lanes.differentiate(
+            _, by_heading, by_signal, by_parameters = lanes.differentiate(
                 cos_heading, sin_heading, cos_u, sin_u, robots[i], seconds[j]
             )
-            _, by_heading[j, i], by_signal[j, i], by_parameters = derivatives
-            by_a[j, i], by_speed[j, i] = by_parameters
-    return StepDerivatives(by_heading, by_signal, by_a, by_speed)
+            derivatives[:, j, i] = (by_heading, by_signal, *by_parameters)
+    return derivatives
 
 
 TURN = float(np.pi / np.sqrt(3))

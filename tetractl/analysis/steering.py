@@ -146,11 +146,23 @@ def steering(
     reaching = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
     if not reaching:
         return None
-    predictions = [_predict(planned, noise, section.estimate) for planned in reaching]
-    errors = np.array([prediction.errors.sum() for prediction in predictions])
+    linears: list[Linear] = []
+    covariances: list[Floats] = []  # of the ends, (2N, 2N)
+    free_covariances: list[Floats] = []
+    errors_of_plans: list[Floats] = []
+    open_loop: list[float] = []
+    for planned in reaching:
+        linear = linearise(planned.problem, planned.plan.signals)
+        covariance = end_covariance(linear, noise, corrects=True, identifies=section.estimate)
+        free_covariance = end_covariance(linear, noise, corrects=False)
+        linears.append(linear)
+        covariances.append(covariance)
+        free_covariances.append(free_covariance)
+        errors_of_plans.append(mean_errors(covariance, linear.miss))
+        open_loop.append(mean_errors(free_covariance, linear.miss).sum())
+    errors = np.array([of_plan.sum() for of_plan in errors_of_plans])
     median = int(np.argsort(errors)[(len(errors) - 1) // 2])
-    at_median = predictions[median]
-    directions, spread, _ = np.linalg.svd(at_median.linear.by_signal, full_matrices=False)
+    directions, spread, _ = np.linalg.svd(linears[median].by_signal, full_matrices=False)
     singular = np.zeros(2 * len(setup.names))
     singular[: len(spread)] = spread  # with fewer signals than coordinates, some values stay 0
     weakest = directions[:, -1].reshape(-1, 2)
@@ -159,38 +171,12 @@ def steering(
         shortest=min(lengths, default=None),
         signal_s=section.signal_periods * section.period,
         errors=errors,
-        open_loop=np.array([prediction.open_loop.sum() for prediction in predictions]),
-        planned=np.array([prediction.linear.miss.sum() for prediction in predictions]),
+        open_loop=np.array(open_loop),
+        planned=np.array([linear.miss.sum() for linear in linears]),
         signals=len(reaching[median].plan.signals),
         singular=singular,
         weakest=(weakest**2).sum(axis=1),
-        robot_errors=at_median.errors,
-        covariance=of_each(at_median.covariance),
-        free_covariance=of_each(at_median.free_covariance),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Prediction:
-    """What is predicted along a plan for N robots: the joint covariance (2N, 2N) of the ends and
-    the mean errors (N,), with feedback and in `open_loop`."""
-
-    linear: Linear
-    covariance: Floats
-    free_covariance: Floats
-    errors: Floats
-    open_loop: Floats
-
-
-def _predict(planned: Planned, noise: Noise, identifies: bool) -> _Prediction:
-    """Predict where the robots end along a plan."""
-    linear = linearise(planned.problem, planned.plan.signals)
-    covariance = end_covariance(linear, noise, corrects=True, identifies=identifies)
-    free_covariance = end_covariance(linear, noise, corrects=False)
-    return _Prediction(
-        linear=linear,
-        covariance=covariance,
-        free_covariance=free_covariance,
-        errors=mean_errors(covariance, linear.miss),
-        open_loop=mean_errors(free_covariance, linear.miss),
+        robot_errors=errors_of_plans[median],
+        covariance=of_each(covariances[median]),
+        free_covariance=of_each(free_covariances[median]),
     )

@@ -1,7 +1,6 @@
 """`tetractl identify`: estimates from logs how robots turn and move, how late, how noisily."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +12,6 @@ from tetractl.log.read.find import find_logs
 from tetractl.tools.files import save_whole
 
 if TYPE_CHECKING:
-    from tetractl.core.poses import Floats
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.replay.identification.identify import IdentifiedRobots
     from tetractl.replay.identification.tracks import Track
@@ -63,33 +61,26 @@ def identify(
             "cannot be combined"
         )
     if tables:
-        data = _LogData(csv_tracks(tables))
-        tell_remarks(data.tracks)
-        wheels = data.tracks[0].twists.size > 0
+        tracks = csv_tracks(tables)
+        tell_remarks(tracks)
+        wheels = tracks[0].twists.size > 0
+        expected_a = None
+        dead_time_s = None
+        damaged = False
     else:
-        data = _log_data(find_logs(logs), wheels)
+        tracks, first, damaged = _read_logs(find_logs(logs), wheels)
+        expected_a = first.start.setup.a
+        dead_time_s = first.experiment.controller.dead_time
     if wheels:
-        _show_response(data.tracks, out, as_json)
+        _show_response(tracks, out, as_json)
     else:
-        show_found(identify_robots(data.tracks, data.expected_a, data.dead_time_s), out, as_json)
-    return Exit.FAILED if data.damaged else Exit.DONE
+        show_found(identify_robots(tracks, expected_a, dead_time_s), out, as_json)
+    return Exit.FAILED if damaged else Exit.DONE
 
 
-@dataclass(frozen=True, slots=True)
-class _LogData:
-    """What is known of the robots: their tracks, and what the first log's spec says, if any."""
-
-    tracks: "list[Track]"
-    expected_a: "Floats | None" = None
-    """The spec's turning rate a of each robot [rad/s]."""
-    dead_time_s: float | None = None
-    """The dead time that the controller was given."""
-    damaged: bool = False
-    """Whether a log is damaged."""
-
-
-def _log_data(paths: Sequence[Path], wheels: bool) -> _LogData:
-    """Read the logs in which directions were sent; UsageError if there is none.
+def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], TrialLog, bool]":
+    """Return the tracks of the logs in which directions were sent, the first of these logs, and
+    whether a log is damaged; UsageError if directions were sent in none.
 
     With `wheels`, the tracks hold the speeds of wheels that were sent, not the directions.
     """
@@ -110,12 +101,7 @@ def _log_data(paths: Sequence[Path], wheels: bool) -> _LogData:
             first = trial
     if first is None:
         raise UsageError("no direction was sent in any of the logs")
-    return _LogData(
-        tracks=tracks,
-        expected_a=first.start.setup.a,
-        dead_time_s=first.experiment.controller.dead_time,
-        damaged=damaged,
-    )
+    return tracks, first, damaged
 
 
 def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> None:

@@ -3,7 +3,6 @@
 import io
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
@@ -21,18 +20,6 @@ JPEG_QUALITY = 60
 """Of the pictures in a report, from 1 to 100."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReducedPicture:
-    """A picture in grey levels, reduced for display; when it was taken, on the trial's clock [ns],
-    and its original width and height [px].
-    """
-
-    time_ns: int
-    grey: Image.Image
-    width: int
-    height: int
-
-
 class DishPictures:
     """The readable pictures of one trial, at most `most`; only logs of a microscope have any.
 
@@ -45,20 +32,21 @@ class DishPictures:
         camera = log.experiment.plant.microscope
         logged = log.pictures if camera is not None else ()
         stride = 1 if most is None else max(1, math.ceil(len(logged) / most))
-        self._pictures: list[ReducedPicture] = []
-        for time_ns, data in logged[::stride]:
-            picture = _reduced(time_ns, data)
-            if picture is not None:
-                self._pictures.append(picture)
-        self.times = [picture.time_ns for picture in self._pictures]
+        self.times: list[int] = []
+        self._greys: list[Image.Image] = []
         self.corners: Floats = np.zeros((3, 2))
-        if camera is not None and self._pictures:
-            first = self._pictures[0]
-            width_um = first.width * camera.um_px
-            height_um = first.height * camera.um_px
-            metres = log.start.setup.metres
-            ends = ((0.0, 0.0), (width_um, 0.0), (0.0, height_um))
-            self.corners = np.array([camera.placed(x, y, metres) for x, y in ends])
+        for time_ns, data in logged[::stride]:
+            reduced = _reduced(data)
+            if reduced is None:
+                continue
+            grey, size_px = reduced
+            if camera is not None and not self._greys:
+                width_um, height_um = (side * camera.um_px for side in size_px)
+                ends = ((0.0, 0.0), (width_um, 0.0), (0.0, height_um))
+                metres = log.start.setup.metres
+                self.corners = np.array([camera.placed(x, y, metres) for x, y in ends])
+            self.times.append(time_ns)
+            self._greys.append(grey)
 
     def at(self, when_ns: int) -> int | None:
         """Return the index of the last picture taken up to a time [ns], 0 for an earlier time; None
@@ -68,27 +56,27 @@ class DishPictures:
 
     def grey(self, which: int) -> Grey:
         """Return the grey levels (height, width) of a picture, with the upper row first."""
-        return np.asarray(self._pictures[which].grey)
+        return np.asarray(self._greys[which])
 
     def jpeg(self, which: int) -> bytes:
         """Return a picture as a JPEG file."""
         file = io.BytesIO()
-        self._pictures[which].grey.save(file, "JPEG", quality=JPEG_QUALITY)
+        self._greys[which].save(file, "JPEG", quality=JPEG_QUALITY)
         return file.getvalue()
 
 
-def _reduced(time_ns: int, data: bytes) -> ReducedPicture | None:
-    """Return a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side; None if it
-    cannot be read.
+def _reduced(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
+    """Return a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side, and its original
+    width and height [px]; None if it cannot be read.
     """
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])
-        width, height = picture.size
-        if max(width, height) > LOGGED_SIDE_MAX:
+        size_px = picture.size
+        if max(size_px) > LOGGED_SIDE_MAX:
             return None
         picture.draft("L", (SHOWN_SIDE, SHOWN_SIDE))
         grey = picture.convert("L")
         grey.thumbnail((SHOWN_SIDE, SHOWN_SIDE))
-        return ReducedPicture(time_ns, grey, width, height)
+        return grey, size_px
     except Exception:  # Pillow's exceptions for hostile bytes are not documented
         return None

@@ -1,6 +1,6 @@
 """Makes the report of logs: one HTML file that needs no network and no other file.
 
-`report` reads the logs (`_read`), and puts the parts of the page together in their order: header,
+`report` reads the logs, and puts the parts of the page together in their order: header,
 player of the trials, errors over time, statistics, figures of the first trial, its provenance.
 """
 
@@ -70,26 +70,6 @@ class _CarriedTrial:
     data: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class _Contents:
-    """What a page shows of its logs: the statistics of each batch, the trials that it carries, the
-    figures of the batches' errors over time, "" for a batch without, the first trial, and what is
-    wrong with logs. Without plans and searches it is not `complete`.
-    """
-
-    groups: list[BatchStatistics]
-    complete: bool
-    trials: list[_CarriedTrial]
-    errors_over_time: list[str]
-    first: TrialLog | None
-    unread: list[str]
-
-    @property
-    def numbers(self) -> dict[str, int]:
-        """The number of each trial on the page, from 1, by the path of its log."""
-        return {trial.path: number for number, trial in enumerate(self.trials, 1)}
-
-
 def report(
     paths: Sequence[Path], title: str | None, progress: Callable[[int, int], None]
 ) -> tuple[str, list[str]]:
@@ -100,25 +80,26 @@ def report(
     results read and the number of all logs. Raises UsageError if there is no log, or if the trials
     of a batch belong to several experiments, LogError if no log can be read.
     """
-    contents = _read(paths, progress)
-    groups = contents.groups
-    first = contents.first
+    groups, unread = _batches(paths, progress)
+    complete = sum(len(group.batch.logs) for group in groups) <= MANY
+    trials, errors, first, unread_trials = _carried(groups, complete)
+    numbers = {trial.path: number for number, trial in enumerate(trials, 1)}
     experiments = dict.fromkeys(group.experiment.name for group in groups)
     of_study = len(paths) == 1 and len(groups) > 1
     name = title or (paths[0].resolve().name if of_study else ", ".join(experiments))
     compared = contrast(groups)
-    errors = "".join(contents.errors_over_time)
-    parts = [_header(name, compared, contents.numbers)]
+    parts = [_header(name, compared, numbers)]
     if first is not None:
-        parts.append(_player(contents.trials, groups[0].unit, _left_out(contents)))
+        note = "" if complete else _left_out(groups, len(trials))
+        parts.append(_player(trials, groups[0].unit, note))
     if errors:
         parts.append(f"<section><h2>Errors</h2>{errors}</section>")
-    parts.append(_statistics(compared, contents.numbers))
+    parts.append(_statistics(compared, numbers))
     if first is not None:
         figures = figures_of_trial(first)
         parts.append(f"<section><h2>Figures of the first trial</h2>{figures}</section>")
         parts.append(_provenance(first))
-    return _page(name, "".join(parts), bool(contents.trials)), contents.unread
+    return _page(name, "".join(parts), bool(trials)), [*unread, *unread_trials]
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +135,13 @@ def player(logs: Sequence[TrialLog]) -> PlayerPage:
 # ---- Reading ----
 
 
-def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Contents:
-    """Read the results of all logs, and then the trials that the page carries."""
-    groups, unread = _batches(paths, progress)
+def _carried(
+    groups: Sequence[BatchStatistics], complete: bool
+) -> tuple[list[_CarriedTrial], str, TrialLog | None, list[str]]:
+    """Return the trials that the page carries of some batches, all if `complete`; the figures of
+    the batches' errors over time; the first trial; and what is wrong with logs."""
     several = len(groups) > 1
-    complete = sum(len(group.batch.logs) for group in groups) <= MANY
+    unread: list[str] = []
     trials: list[_CarriedTrial] = []
     errors: list[str] = []
     first: TrialLog | None = None
@@ -179,7 +162,7 @@ def _read(paths: Sequence[Path], progress: Callable[[int, int], None]) -> _Conte
         if not complete:
             which.append(f"the {len(logs)} trials on this page")
         errors.append(errors_over_time(", ".join(which), logs))
-    return _Contents(groups, complete, trials, errors, first, unread)
+    return trials, "".join(errors), first, unread
 
 
 def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
@@ -313,13 +296,11 @@ def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
     return frame + "".join(data)
 
 
-def _left_out(contents: _Contents) -> str:
-    """Return which trials the page does not carry, "" if it carries all."""
-    if contents.complete:
-        return ""
-    count = sum(len(group.batch.logs) for group in contents.groups)
+def _left_out(groups: Sequence[BatchStatistics], carried: int) -> str:
+    """Return which trials a page does not carry that carries some number of them."""
+    count = sum(len(group.batch.logs) for group in groups)
     return (
-        f"<p>The page carries {len(contents.trials)} of {count} trials, without plans"
+        f"<p>The page carries {carried} of {count} trials, without plans"
         " and searches: of each batch those at evenly spaced ranks of the total error, from the"
         " best to the worst, and some that do not count. The tables hold all trials.</p>"
     )

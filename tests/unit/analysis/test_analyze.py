@@ -52,10 +52,10 @@ def analysis_without_plan():
 
 
 def test_the_smallest_gap_is_of_the_two_robots_that_are_most_alike():
-    pair = most_alike(SETUP)
-    assert pair.gap == pytest.approx(4 / 3 - 1)
-    assert SETUP.names[pair.low] == "red"
-    assert SETUP.names[pair.high] == "blue"
+    slower, faster = most_alike(SETUP)
+    assert SETUP.a[faster] / SETUP.a[slower] == pytest.approx(4 / 3)
+    assert SETUP.names[slower] == "red"
+    assert SETUP.names[faster] == "blue"
 
 
 def test_robots_spaced_anew_keep_their_order_and_their_mean():

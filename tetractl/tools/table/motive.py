@@ -17,7 +17,6 @@ Motive may export, y or z, it is that along which bodies move less. A body is at
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
@@ -39,14 +38,6 @@ ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 """Orders of Euler angles."""
 HEADER_ROWS = 10
 """Most lines above the numbers."""
-
-
-@dataclass(frozen=True, slots=True)
-class _BodyColumns:
-    """The columns of a rigid body: of its `rotation`, X, Y, Z and perhaps W, and its `position`."""
-
-    rotation: tuple[int, ...]
-    position: tuple[int, ...]
 
 
 def is_motive(path: Path) -> bool:
@@ -86,14 +77,14 @@ def motive_rows(path: Path) -> Iterator[CsvRow]:
         raise UsageError(f"{path}: has no rows")
     table = np.array(rows)
     names = list(bodies)
-    places = np.stack([table[:, bodies[name].position] for name in names])
+    places = np.stack([table[:, bodies[name][-3:]] for name in names])
+    axes = np.stack([_ahead(path, table[:, bodies[name][:-3]], rotation_type) for name in names])
     is_y_up = _is_y_up(places)
-    turned = [_rotation(path, table[:, bodies[name].rotation], rotation_type) for name in names]
-    headings = [_headings(axis, is_y_up) for axis in turned]
     across = -places[..., 2] if is_y_up else places[..., 1]
+    headings = np.arctan2(-axes[..., 2] if is_y_up else axes[..., 1], axes[..., 0])
     for frame, number in enumerate(numbers):
         for body, name in enumerate(names):
-            pose = (places[body, frame, 0], across[body, frame], headings[body][frame])
+            pose = (places[body, frame, 0], across[body, frame], headings[body, frame])
             texts = [repr(float(value)) for value in (table[frame, 1], *pose)]
             keys = ("time_s", f"x_{unit}", f"y_{unit}", "heading_rad")
             yield CsvRow(number, dict(zip(keys, texts, strict=True)) | {"robot": name})
@@ -109,8 +100,9 @@ def _length_unit(path: Path, name: str) -> str:
     return unit
 
 
-def _bodies(path: Path, header: Sequence[Sequence[str]], angles: int) -> dict[str, _BodyColumns]:
-    """Return the columns of each rigid body, by its name, of the rows above the numbers."""
+def _bodies(path: Path, header: Sequence[Sequence[str]], angles: int) -> dict[str, list[int]]:
+    """Return the columns of each rigid body, by its name, of the rows above the numbers: those of
+    its rotation, X, Y, Z and perhaps W, then the three of its position."""
     if header[-1][0] != "Frame" or len(header) < 4:
         raise UsageError(
             f"{path}: is no whole export of Motive: no row begins with Frame",
@@ -127,18 +119,16 @@ def _bodies(path: Path, header: Sequence[Sequence[str]], angles: int) -> dict[st
     for column, (kind, name, quantity, axis) in enumerate(above):
         if kind == BODY:
             columns.setdefault(name, {})[quantity, axis] = column
-    bodies: dict[str, _BodyColumns] = {}
+    keys = [("Rotation", axis) for axis in "XYZW"[:angles]]
+    keys += [("Position", axis) for axis in "XYZ"]
+    bodies: dict[str, list[int]] = {}
     for name, of_body in columns.items():
-        rotation = [("Rotation", axis) for axis in "XYZW"[:angles]]
-        position = [("Position", axis) for axis in "XYZ"]
-        if not {*rotation, *position} <= set(of_body):
+        if not set(keys) <= set(of_body):
             raise UsageError(
                 f"{path}: rigid body {printable(name)} lacks rotations or positions",
                 f"export both, in the coordinate space {GLOBAL}",
             )
-        bodies[name] = _BodyColumns(
-            tuple(of_body[key] for key in rotation), tuple(of_body[key] for key in position)
-        )
+        bodies[name] = [of_body[key] for key in keys]
     return bodies
 
 
@@ -161,7 +151,7 @@ def _is_y_up(places: Floats) -> bool:
     return bool(spread[1] <= spread[2])
 
 
-def _rotation(path: Path, turned: Floats, rotation_type: str) -> Floats:
+def _ahead(path: Path, turned: Floats, rotation_type: str) -> Floats:
     """Return the directions (M, 3) of a body's x axis, NaN where it was not tracked, by its
     quaternions x, y, z, w (M, 4) or Euler angles about X, Y, Z (M, 3) [degrees]."""
     axis = np.full((len(turned), 3), np.nan)
@@ -179,9 +169,3 @@ def _rotation(path: Path, turned: Floats, rotation_type: str) -> Floats:
     if tracked.any():
         axis[tracked] = rotations.apply([1.0, 0.0, 0.0])
     return axis
-
-
-def _headings(axis: Floats, is_y_up: bool) -> Floats:
-    """Return the headings (M,) [rad] of bodies' x axes (M, 3)."""
-    along = -axis[:, 2] if is_y_up else axis[:, 1]
-    return np.arctan2(along, axis[:, 0])

@@ -1,7 +1,7 @@
 """Base classes of disturbances; each kind is named in `core.registries`."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,9 +54,9 @@ class Disturbance:
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
         """Return the true turning rates a and speeds from `time_s` to the next call, (N,) each.
 
-        `a` and `speed` come from `parameters`, as varied by the disturbances before this one.
-        Called before every exposure of a camera frame and before each command acts; a robot with a
-        = 0 and speed 0 stands.
+        `a` and `speed` are what `parameters` returned, as varied by the disturbances before this
+        one. A robot with a = 0 and speed 0 is held still. Called when a camera frame is exposed and
+        when a command acts, after `moved` for the same time.
         """
         return a, speed
 
@@ -75,12 +75,12 @@ class Disturbance:
         return command
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the true poses at `time_s`; `poses` are the poses without this disturbance.
+        """Return the true poses at `time_s`, given the poses that the motion and the disturbances
+        before this one led to.
 
-        The disturbance acts over `seconds`, the time since the last call, on robots that move:
-        `moving` (N,) is 1 for them, 0 for robots that stand. A robot that this disturbance itself
-        holds, by a = 0 and speed 0 in `varied`, counts as moving while it is commanded to move.
-        Called just before each `varied`.
+        What is returned is what happened in `seconds`, the time since the last call; `moving` (N,)
+        says to which robots: 1 for a robot that was commanded to move and was not held still by
+        another disturbance, 0 for one that stood. Called when `varied` is, just before it.
         """
         return poses
 
@@ -100,13 +100,15 @@ class Disturbance:
         return received_ns
 
 
-def overriding(disturbances: Sequence[Disturbance], method: str) -> list[Disturbance]:
-    """Return the disturbances whose class overrides a method, in order."""
-    unchanged = getattr(Disturbance, method)
+def overriding(
+    disturbances: Sequence[Disturbance], method: Callable[..., Any]
+) -> list[Disturbance]:
+    """Return the disturbances that have their own form of a method of `Disturbance`, in order."""
+    name = method.__name__
     return [
         disturbance
         for disturbance in disturbances
-        if getattr(type(disturbance), method) is not unchanged
+        if getattr(type(disturbance), name) is not method
     ]
 
 

@@ -42,7 +42,7 @@ class CommandSender:
         self._transit = transit
         self._random = random
         # a stop to robots without wheels can be lost only by a disturbance
-        self._repeats_stops = host is not None or bool(overriding(disturbances, "sent"))
+        self._repeats_stops = host is not None or bool(overriding(disturbances, Disturbance.sent))
         self._held: Steer | Turn | FieldOff = FieldOff()
 
     def send(

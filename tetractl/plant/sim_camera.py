@@ -33,8 +33,8 @@ class SimCamera:
         self._unread: list[Sample] = []  # received, oldest first
         self._noise = np.array([[noise.position], [noise.position], [noise.heading]])
         self._random = random
-        self._measuring = overriding(disturbances, "measured")
-        self._delaying = overriding(disturbances, "received")
+        self._measuring = overriding(disturbances, Disturbance.measured)
+        self._delaying = overriding(disturbances, Disturbance.received)
         self._all_tracked = np.ones(robots, dtype=np.bool_)
         self._all_tracked.setflags(write=False)  # shared by all frames
         self._exposed = 0  # number of frames so far, lost ones too

@@ -20,7 +20,7 @@ class Transit:
     """
 
     def __init__(self, robots: int, disturbances: Sequence[Disturbance]) -> None:
-        self._disturbances = overriding(disturbances, "sent")
+        self._disturbances = overriding(disturbances, Disturbance.sent)
         self._in_flight = list[DelayedCommand]()  # by `due_ns`
         self._last_ns = [0] * robots  # when the command sent last acts on each robot [ns]
 

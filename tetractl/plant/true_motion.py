@@ -39,8 +39,8 @@ class MotionDisturbances:
     """
 
     def __init__(self, disturbances: Sequence[Disturbance], a: Floats, speed: Floats) -> None:
-        self._moving = overriding(disturbances, "moved")
-        self._varying = overriding(disturbances, "varied")
+        self._moving = overriding(disturbances, Disturbance.moved)
+        self._varying = overriding(disturbances, Disturbance.varied)
         self._a = a
         self._speed = speed
         # by the id of a disturbance that varies: the robots that it holds still at present, (N,)

@@ -10,7 +10,12 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
+from tetractl.experiment.disturbance import (
+    DelayedCommand,
+    Disturbance,
+    DisturbanceSection,
+    overriding,
+)
 from tetractl.testing.expect import SEED, expect, random_watched, same, true
 
 FRAME_NS = SECOND // 60
@@ -67,7 +72,7 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
     def call(bound: Callable[..., Any], *arguments: Any) -> Any:
         """Call a method, None if it is not overridden, and record the call."""
         method = bound.__name__
-        if not overriding([disturbance], method):
+        if not overriding([disturbance], getattr(Disturbance, method)):
             return None
         before = _flat(arguments)
         result = bound(*arguments)

@@ -20,24 +20,38 @@ UNNUMBERED = 0
 """MCAP's number of no schema."""
 
 
-class FileWriter(Writer):
-    """The file of a log, begun with its metadata.
+class NumberedWriter(Writer):
+    """A writer of MCAP whose channels have numbers of their own.
 
-    A channel and its schema are recorded before the channel's first message, so that viewers list
-    no channel without messages. `mcap.Writer` numbers channels in the order in which they are
-    recorded; here each topic has its number of the format, whichever others are in the file.
+    `mcap.Writer` has no public way to that: `register_channel` counts them. What it does is done
+    here with its private fields, and nothing else of the package needs them.
     """
 
     _Writer__channels: dict[int, Channel]
     _Writer__chunk_builder: Any
     _Writer__statistics: Statistics
 
+    def record_channel(self, channel: Channel) -> None:
+        """Record a channel under its number, which no other one has."""
+        self._Writer__channels[channel.id] = channel
+        self._Writer__statistics.channel_count += 1
+        self._Writer__chunk_builder.add_channel(channel)
+
+
+class FileWriter(NumberedWriter):
+    """The file of a log, begun with its metadata; it hashes the records that it writes.
+
+    A channel and its schema are recorded before the channel's first message, so that viewers list
+    no channel without messages. Each topic of the format has its number, whichever others are in
+    the file.
+    """
+
     def __init__(self, stream: BinaryIO) -> None:
         super().__init__(stream, use_summary_offsets=False, enable_data_crcs=True)
         self.digests = LogDigests()
-        self._numbers = dict[str, int]()
+        self._numbers = dict[str, int]()  # of the channels so far, by topic
         self._schemas = dict[tuple[str, bytes], int]()  # by name and data
-        self._others = dict[str, tuple[Channel, Schema | None]]()
+        self._others = dict[str, tuple[Channel, Schema | None]]()  # channels of another log
         self.start(library=f"{WRITER} {__version__}")
         # for other readers: some report a file without metadata as damaged
         self.add_metadata(*METADATA)
@@ -57,29 +71,25 @@ class FileWriter(Writer):
             return
         number = self._numbers.get(record.topic)
         if number is None:
-            number = self._record_channel(record.topic)
+            channel = self._channel(record.topic)
+            self.record_channel(channel)
+            number = self._numbers[record.topic] = channel.id
         self.add_message(number, record.log_ns, record.data, record.publish_ns)
 
-    def _record_channel(self, topic: str) -> int:
-        """Record a topic's schema and channel, and return the channel's number."""
+    def _channel(self, topic: str) -> Channel:
+        """Return the channel of a topic, whose schema is recorded."""
         if topic in NUMBERS:
-            channel = Channel(
+            return Channel(
                 id=NUMBERS[topic],
                 topic=topic,
                 message_encoding=MessageEncoding.Protobuf,
                 metadata={},
                 schema_id=self._record_schema(protobuf_schema(CHANNELS[topic])),
             )
-        else:
-            of_other_log, schema = self._others[topic]
-            schema_id = UNNUMBERED if schema is None else self._record_schema(schema)
-            number = max(*NUMBERS.values(), *self._numbers.values()) + 1
-            channel = replace(of_other_log, id=number, schema_id=schema_id)
-        self._Writer__channels[channel.id] = channel
-        self._Writer__statistics.channel_count += 1
-        self._Writer__chunk_builder.add_channel(channel)
-        self._numbers[topic] = channel.id
-        return channel.id
+        of_other_log, schema = self._others[topic]
+        schema_id = UNNUMBERED if schema is None else self._record_schema(schema)
+        number = max(*NUMBERS.values(), *self._numbers.values()) + 1
+        return replace(of_other_log, id=number, schema_id=schema_id)
 
     def _record_schema(self, schema: Schema) -> int:
         """Record a schema, unless the same one is recorded, and return its number."""

@@ -1,6 +1,6 @@
 """Other people's optimisers on our problems, each with the best settings we found for it.
 
-All but IPOPT and Fatrop evaluate J with our compiled kernel: what is compared is the search alone.
+All but IPOPT evaluate J with our compiled kernel: what is compared is the search alone.
 Each runs, restarting where it gets stuck, until the meter says that J <= GOOD or that time is up.
 """
 

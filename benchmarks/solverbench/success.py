@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.control.cost import Problem
 
-from . import peers, shooting, stages
+from . import peers, shooting
 from .peers import GOOD, Meter, Over, Peer, available
 from .problems import LENGTH, LONGEST, printed, recommended
 from .report import Report, Settings, load, progress
@@ -33,10 +33,6 @@ def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
             rows.append((name, peer))
         else:
             missing.append(module)
-    if stages.installed():
-        rows.append(("CasADi + Fatrop", stages.fatrop))
-    else:
-        missing.append("casadi with Fatrop")
     return rows, missing
 
 
@@ -69,7 +65,7 @@ def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
         report.say(f"Not installed, skipped: {', '.join(missing)}.")
     report.say(
         f"A search ends at J <= {GOOD:g} mm or after {settings.cap_s:g} s; times are processor "
-        f"times. All but IPOPT, Fatrop and the NumPy reference evaluate J by our compiled kernel. "
+        f"times. All but IPOPT and the NumPy reference evaluate J by our compiled kernel. "
         f"{load()}."
     )
     for problem, name in ((printed(), "as printed"), (recommended(), "as recommended")):
@@ -105,10 +101,7 @@ def _sweeps(report: Report, settings: Settings) -> None:
         progress(f"(b) sweep: {who}")
         if who.startswith("CasADi"):
             for length in lengths:
-                if "IPOPT" in who:
-                    shooting.shooter(problem, length, SWEEP_CAP_S)
-                else:
-                    stages.Stages.of(problem, length)
+                shooting.shooter(problem, length, SWEEP_CAP_S)
         count = settings.seeds if "ours" in who else settings.sweep_seeds
         if "ours" in who:
             peer = peers.ours_once  # as the controller does: it knows when to give a length up

@@ -1,18 +1,16 @@
-"""Cells that a trial finds in the emulated dish: steered through pictures, and surveyed.
+"""Three cells that a trial finds in the emulated dish, steered through pictures and simulated.
 
-    python benchmarks/dish.py trials    three cells through pictures, and the same cells simulated
-    python benchmarks/dish.py survey    predicted error of the cells chosen, over the best choice's
+    python benchmarks/dish.py --count 20
 
-Everything is emulated, in virtual time; pictures are synthetic. Seeds from 9000 on are those of the
-published figures; smaller ones were used in development.
+prints the figures of "Distinguished and steered" in cells-explained.md. Everything is emulated, in
+virtual time; pictures are synthetic. Seeds from 9000 on are those of the published figures; smaller
+ones were used in development.
 """
 
 import argparse
-import itertools
-import math
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,27 +18,18 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
-from scipy.optimize import linear_sum_assignment
 from support.virtual_lab import DISH, VirtualLab, virtual_dish
-from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.ranked import RankedChoice, ranked
 from tetractl_microscope.choice.section import choice_of
-from tetractl_microscope.choice.turn_field import turn_field
 
-from tetractl.analysis.closed_loop import Noise
 from tetractl.core.errors import TetractlError
-from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Start, Step
 from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.load import load_spec
-from tetractl.lab.rig import build_rig
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import ready_trial
 
 FIRST_SEED = 9000
-PLANS = 96
-TESTED = 192  # plans
 
 
 class Witness:
@@ -123,104 +112,7 @@ def trials(count: int) -> None:
     )
 
 
-def survey(count: int) -> None:
-    """Choices are compared from where the cells are when the survey ends.
-
-    Errors are predicted with the true a and speed along plans that no choice was made by; the best
-    is the least among the first choices with the estimates and with perfect knowledge. That of
-    perfect knowledge, by other random numbers, shows what ratio the number of plans allows.
-    """
-    noise = Noise.of(load_spec(DISH).experiment.plant)
-    ratios = []
-    floors = []
-    for seed in range(FIRST_SEED, FIRST_SEED + count):
-        experiment, cells, true_of = surveyed(seed)
-        with_truth = reseeded(experiment, seed + 10_000)
-        choices = [
-            ranked(experiment, cells, noise, PLANS),
-            ranked(with_truth, list(true_of.values()), noise, PLANS),
-        ]
-        test = reseeded(experiment, seed + 20_000)
-        errors = true_errors(itertools.chain(*choices), true_of, test, noise)
-        best = min(errors.values(), default=math.inf)
-        if not math.isfinite(best) or not all(choices):
-            print(f"seed {seed}: no choice of {len(cells)} cells can be steered", flush=True)
-            continue
-        ours, floor = (errors[numbers(choice[0].cells)] for choice in choices)
-        ratios.append(ours / best)
-        floors.append(floor / best)
-        print(
-            f"seed {seed}: {ours:.0f} um of {best:.0f}: {ratios[-1]:.2f}; with perfect knowledge "
-            f"and other random numbers {floors[-1]:.2f}",
-            flush=True,
-        )
-    for name, ratios_of in (("chosen", ratios), ("with perfect knowledge", floors)):
-        good = sum(ratio <= 1.2 for ratio in ratios_of)
-        print(
-            f"{len(ratios_of)} of {count} emulated dishes, predicted error of the cells {name} "
-            f"over the best: median {np.median(ratios_of):.2f}, worst {max(ratios_of):.2f}, "
-            f"at most 1.2: {good}"
-        )
-
-
-def surveyed(
-    seed: int,
-) -> tuple[Experiment, Sequence[RobotCandidate], dict[int, RobotCandidate]]:
-    """Turn the field in an emulated dish; return its experiment, the cells that were found, and
-    those cells with the numbers that they truly have."""
-    with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
-        experiment = dish.spec.experiment
-        rig = build_rig(experiment.plant, experiment.setup, dish.clock)
-        with rig:
-            cells = turn_field(rig, choice_of(experiment), seed, LabSupervision())
-        return experiment, cells, true_cells(cells, dish)
-
-
-def true_errors(
-    choices: Iterable[RankedChoice],
-    true_of: dict[int, RobotCandidate],
-    test: Experiment,
-    noise: Noise,
-) -> dict[frozenset[int], float]:
-    """The error predicted of each choice of cells with the a and speed that they truly have."""
-    errors = {}
-    for choice in choices:
-        true = tuple(true_of[cell.number] for cell in choice.cells)
-        if numbers(true) not in errors:
-            errors[numbers(true)] = RankedChoice(test, true, noise).along(TESTED).error
-    return errors
-
-
-def reseeded(experiment: Experiment, seed: int) -> Experiment:
-    """The experiment with another root seed."""
-    trials = experiment.trials.model_copy(update={"seed": seed})
-    return experiment.model_copy(update={"trials": trials})
-
-
-def true_cells(tracked: Sequence[RobotCandidate], dish: VirtualLab) -> dict[int, RobotCandidate]:
-    """The cells found, by number, with the a and speed that each truly has.
-
-    Where two have met, places alone do not say which is which: then the speed does.
-    """
-    cells = dish.cells
-    x, y, speed = np.array([(cell.pose.x, cell.pose.y, cell.speed) for cell in tracked]).T
-    gaps = np.hypot(x[:, None] - cells.x, y[:, None] - cells.y)
-    gaps += 100 * np.abs(np.log(np.maximum(speed, 1.0)[:, None] / cells.speed))
-    return {
-        tracked[i].number: replace(
-            tracked[i], a=float(cells.a[j]) or tracked[i].a, speed=float(cells.speed[j])
-        )
-        for i, j in zip(*linear_sum_assignment(gaps), strict=True)
-    }
-
-
-def numbers(cells: tuple[RobotCandidate, ...]) -> frozenset[int]:
-    return frozenset(cell.number for cell in cells)
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("part", choices=("trials", "survey"))
     parser.add_argument("--count", type=int, default=20)
-    chosen = parser.parse_args()
-    {"trials": trials, "survey": survey}[chosen.part](chosen.count)
+    trials(parser.parse_args().count)

@@ -78,13 +78,11 @@ def lab_trial(
     gain_error: float | None = None,
     camera: Mapping[str, float] = {},
     change: Callable[[VirtualLab], None] = lambda lab: None,
-    robots_of: int | None = None,
 ) -> TrialRecords:
     """Run one trial of `lab_spec` in the emulated lab, in virtual time.
 
     `gain_error` bounds that of each wheel, the bench's by default; `camera` are settings of the
-    emulated one, and `change` may change the lab before it starts. The robots are those of the
-    trial `robots_of`, by default its own.
+    emulated one, and `change` may change the lab before it starts.
     """
     experiment = spec.experiment
     setup = experiment.setup
@@ -97,24 +95,19 @@ def lab_trial(
 
     error = drive.gain_error if gain_error is None else gain_error
 
-    def drawn(rng: np.random.Generator) -> list[dict[str, object]]:
-        def wheel() -> dict[str, float]:
-            return {"gain_mm": drive.count * (1 + error * rng.uniform(-1, 1))}
+    def wheel() -> dict[str, float]:
+        return {"gain_mm": drive.count * (1 + error * rng.uniform(-1, 1))}
 
-        return [
-            {
-                "name": name,
-                "left": wheel(),
-                "right": wheel(),
-                "radius_mm": setup.wheel_radius * (1 + drive.radius_error * rng.uniform(-1, 1)),
-                "lag": drive.lag,
-            }
-            for name in setup.names
-        ]
-
-    robots = drawn(rng)
-    if robots_of is not None:
-        robots = drawn(np.random.default_rng([experiment.trials.seed, robots_of]))
+    robots = [
+        {
+            "name": name,
+            "left": wheel(),
+            "right": wheel(),
+            "radius_mm": setup.wheel_radius * (1 + drive.radius_error * rng.uniform(-1, 1)),
+            "lag": drive.lag,
+        }
+        for name in setup.names
+    ]
     off = rng.uniform(-1, 1, (3, len(robots))) * [[put.position], [put.position], [put.heading]]
     places = setup.starts.array() + off.T
     actuator = {"loss": part(RadioSection).loss, "robots": robots}

@@ -17,7 +17,6 @@ from tetractl.lab.guard_records import GuardState
 CAMERA_HZ = 120.0
 NOISE = {"noise_mm": 0.3, "noise_rad": 0.004}  # of a real capture
 WHEEL_M = 0.04  # from a wheel to the robot's centre
-KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn", "slip")
 NUMBERS = "numbers"
 PUSH_S = 0.2
 PUSHED = 0.6 + 0.8j  # the direction in which the origin goes, as do pushes and steps
@@ -224,10 +223,9 @@ def trial_of(
     change: Callable[[VirtualLab], None],
     trial: int = 0,
     rate_hz: float = CAMERA_HZ,
-    robots_of: int | None = None,
 ) -> Result:
     """Run a trial of the lab changed by `change`, with noisy frames and wheels up to 10 % off."""
     spec = lab_spec("controller.optimizer.rounds=2")
-    result = lab_trial(spec, trial, 0.1, NOISE | {"rate": rate_hz}, change, robots_of).result
+    result = lab_trial(spec, trial, 0.1, NOISE | {"rate": rate_hz}, change).result
     assert result is not None
     return result

@@ -17,9 +17,8 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from disturbed import run
 from scipy.stats import spearmanr
-from solverbench.problems import EXPERIMENTS
+from solverbench.problems import EXPERIMENTS, run
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import progress
 

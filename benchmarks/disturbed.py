@@ -1,29 +1,26 @@
-"""Measure the closed loop under disturbance: what each part of the controller brings.
+"""Measure the closed loop under disturbance: tables of docs/reference/measured.md.
 
-    python benchmarks/disturbed.py                          the ablation, 20 trials a row
-    python benchmarks/disturbed.py --trials 100 --rate 5    more trials, control at 5 Hz
-    python benchmarks/disturbed.py --part knowledge         what wrong assumptions cost
-    python benchmarks/disturbed.py --part accept --figure accept.svg    time against error
-    python benchmarks/disturbed.py --part hurting --trials 100      realisations that hurt
-    python benchmarks/disturbed.py --bench three_m3pi_bench.yaml    another world: this spec
+    python benchmarks/disturbed.py --part ablation --seed 59301             what each part brings
+    python benchmarks/disturbed.py --part knowledge --trials 40 --seed 60101    wrong assumptions
+    python benchmarks/disturbed.py --part hurting --seed 60201              what hurts
+    python benchmarks/disturbed.py --part floors --seed 60201               how near the floor
+    python benchmarks/disturbed.py --part accept --trials 40 --seed 60101   time against error
 
-All rows have the same seeds. Everything is simulated. The plant without --bench: dead time 0.14 s,
-a and speed each +-10 %, heading walk 0.05 rad/sqrt(s), 5 % of the commands lost. That of `hurting`:
-dead time 0.11 s, a +-20 %, speed +-10 %, heading walk 0.03 rad/sqrt(s), 8 % lost, camera 0.3 mm and
-4 mrad at 120 Hz, with one more disturbance a row; benchmarks/floors.py compares these rows with
-perfect knowledge.
+All rows of a part have the same seeds; `benchmarks/worlds` has their plants. The floor is the same
+controller with perfect knowledge of poses, a, speed, dead time and lost commands at each control
+step. It is no bound: it ends its trials by the same rules.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from solverbench.problems import OURS, PAPER, Build, as_specified, played
-from solverbench.problems import experiment as load_experiment
+from solverbench.problems import Build, as_specified
 from solverbench.report import load, progress
+from worlds.trials import HEAD, Task, line, run
 
 from tetractl.control.filter import FilterBank
 from tetractl.control.kernels.filter_state import Forecast
@@ -33,103 +30,13 @@ from tetractl.control.prior import nothing
 from tetractl.control.reception import Reception
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.commands import Command
-from tetractl.core.plan import Problem
+from tetractl.core.plan import End, Outcome, Plan, Problem
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import Controller, Plant
 from tetractl.core.setup import Setup
-from tetractl.core.trial import Result, Verdict
 from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
-from tetractl.results.estimate import distributions, percent
-
-WORLD = (
-    "plant.dead_time=0.14",
-    "plant.a_error=0.1",
-    "plant.speed_error=0.1",
-    "plant.heading_noise=0.05",
-    "plant.lost_commands=0.05",
-)
-FAR_MM = 100.0
-BODY_MM = 47.0  # radius of an m3pi, in every row, also of controllers that are not given it
-RATES = {
-    5: ("controller.period=0.2", "controller.signal_periods=1", "controller.time_limit=160"),
-    20: ("controller.period=0.05", "controller.signal_periods=4", "controller.time_limit=160"),
-}
-"""Settings for each rate of the control [Hz]."""
-PLAIN = (
-    "controller.estimate=false",
-    "controller.collision.stop_before_collision=false",
-    "controller.collision.adaptive=false",
-    "controller.collision.margin=20",
-    "controller.collision.radius=0",
-    "controller.collision.separation=0",
-)
-TOLD = "controller.dead_time={}"
-NOT_KEPT = ("controller.collision.adaptive=false", "controller.collision.margin=20")
-Row = tuple[str, Sequence[str]]
-
-
-def _more(disturbance: str) -> str:
-    return f"plant.disturbances=[{disturbance}]"
-
-
-ABLATION: list[Row] = [
-    ("whole", ()),
-    ("without identification, dead time given", ("controller.estimate=false", TOLD)),
-    ("without identification, dead time not given", ("controller.estimate=false",)),
-    ("without margins that follow: 20 mm and the radius", NOT_KEPT),
-    ("without the wheels' lag, on a bench", ("wheels.lag=0",)),
-    ("without identification and safety, dead time given", (*PLAIN, TOLD)),
-    ("without identification and safety, dead time not given", PLAIN),
-]
-KNOWLEDGE: list[Row] = [
-    ("dead time given", (TOLD,)),
-    ("dead time assumed 0", ()),
-    ("dead time assumed 50 ms less", (f"{TOLD}-0.05",)),
-    ("dead time assumed 50 ms more", (f"{TOLD}+0.05",)),
-    ("a up to 30 % off", ("plant.a_error=0.3",)),
-    ("two a 5 % apart, heading walk 0.05", ("robots.2.a=4.2", "plant.heading_noise=0.05")),
-]
-"""The dead time of the world, {}, is filled in."""
-ACCEPT: list[Row] = [
-    (f"accept {mm} mm", (f"controller.accept_error={mm}",)) for mm in (40, 30, 20, 15, 12, 10, 8)
-]
-
-
-HURT = (
-    "plant.dead_time=0.11",
-    "plant.a_error=0.2",
-    "plant.speed_error=0.1",
-    "plant.heading_noise=0.03",
-    "plant.lost_commands=0.08",
-    "plant.measurement_noise={position: 0.3, heading: 0.004}",
-)
-OFF = "markers 0.1 rad off"
-HURTING: list[Row] = [
-    ("none of these", ()),
-    (
-        "radio silent 1 s three times, 2 % lost",
-        ("plant.lost_commands=0.02", _more("{type: silent-radio, times: 3, duration: 1}")),
-    ),
-    ("each robot sticks 0.5 s every 5 s", (_more("{type: sticking, every: 5, duration: 0.5}"),)),
-    (
-        "old poses (0.2 s) shown as new, 0.4 s twice",
-        (_more("{type: stale-camera, times: 2, duration: 0.4, age: 0.2}"),),
-    ),
-    (
-        "last picture shown as new, 0.4 s twice",
-        (_more("{type: frozen-camera, times: 2, duration: 0.4}"),),
-    ),
-    (
-        "no frames, 0.4 s twice",
-        (_more("{type: frozen-camera, repeats: false, times: 2, duration: 0.4}"),),
-    ),
-    (OFF, (_more("{type: marker-off, heading: 0.1}"),)),
-    ("speed falls by 15 % in 20 s", (_more("{type: battery, speed: 0.15, over: 20}"),)),
-    ("a and speed wander by 10 %", (_more("{type: wander, a: 0.1, speed: 0.1, time: 5}"),)),
-]
-PARTS = {"ablation": ABLATION, "knowledge": KNOWLEDGE, "accept": ACCEPT, "hurting": HURTING}
-
+from tetractl.plant.simulation import SimPlant
 
 M = TypeVar("M", bound=Mpc)
 
@@ -190,157 +97,133 @@ def counted(kind: type[M], section: RecommendedMpc, setup: Setup, key: int) -> M
     return kind(section, setup, key, Host(work.wrap, work))
 
 
-def run(spec: Experiment, trials: int, build: Build = as_specified) -> list[Result]:
-    """Run trials in virtual time without any log."""
-    return [played(spec, trial, build)[0] for trial in range(trials)]
+class Seeing(Knowing):
+    """A controller that knows the true poses, a and speed of a simulation at each control step."""
+
+    plant: SimPlant
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        a, speed = self.plant.rates
+        stands = speed == 0  # and will go on as before
+        rates = {
+            "a": np.where(stands, self.plant.a, a),
+            "speed": np.where(stands, self.plant.speed, speed),
+        }
+        self.estimator.problem = replace(self.estimator.problem, **rates)
+        for i, bank in enumerate(self.heard.banks):
+            bank.model.parameters[:] = np.column_stack([rates["a"][i], rates["speed"][i]])
+        now = self.plant.clock.now()
+        all_valid = np.ones_like(observation.valid)
+        true = {
+            "poses": self.plant.poses,
+            "valid": all_valid,
+            "sampled_ns": now,
+            "received_ns": now,
+        }
+        return super().plan(replace(observation, **true), last_command, earlier)
 
 
-HEAD = (
-    "controller",
-    "total error [mm], mean and 95 % interval",
-    "median",
-    "p95",
-    "worst",
-    "above 100 mm",
-    "centres in an obstacle / over the edge",
-    f"bodies of {BODY_MM:g} mm in an obstacle / over the edge / touching",
-    "trial [s]",
-    "step p50 / p99 / max [ms]",
+def seeing(dead_time_s: float, spec: Experiment, key: int, plant: Plant) -> Controller:
+    """The same controller, which knows the dead time and what `Seeing` does."""
+    assert isinstance(plant, SimPlant)
+    settings = {"estimate": False, "dead_time": dead_time_s}
+    section = spec.controller.model_copy(update=settings)
+    controller = counted(Seeing, section, spec.setup, key)
+    controller.plant = plant
+    return controller
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a table: the trials of a place by a controller."""
+
+    name: str
+    place: str
+    build: Build = as_specified
+
+
+TOLD = "controller.dead_time=0.06"  # of the bench [s]
+NOT_IDENTIFIED = "controller.estimate=false"
+NOT_KEPT = ("controller.collision.adaptive=false", "controller.collision.margin=20")
+NOT_SAFE = (
+    *NOT_KEPT,
+    "controller.collision.stop_before_collision=false",
+    "controller.collision.radius=0",
+    "controller.collision.separation=0",
 )
 
 
-def unsafe(
-    results: list[Result], *flags_of: Callable[[Verdict, float], list[bool]], radius: float = 0.0
-) -> str:
-    """In how many trials a robot of some radius did each of some things."""
-    counts = []
-    for flag_of in flags_of:
-        flagged = [result for result in results if any(flag_of(result.verdict, radius))]
-        counts.append(f"{len(flagged)}")
-    return f"{' / '.join(counts)} of {len(results)}"
+def _bench(name: str, *settings: str, build: Build = as_specified) -> Line:
+    return Line(name, " --set ".join(["bench", *settings]), build)
 
 
-def row(name: str, results: list[Result]) -> str:
-    """One line of a table in Markdown."""
-    errors = np.array([result.total_error for result in results])
-    (described,) = distributions(errors[None], FAR_MM)
-    steps = np.concatenate([result.solve_ns[1:] for result in results]) / 1e6
-    cells = (
-        name,
-        f"{errors.mean():.1f} [{described.ci95.low:.1f}, {described.ci95.high:.1f}]",
-        f"{np.median(errors):.1f}",
-        f"{np.quantile(errors, 0.95):.1f}",
-        f"{errors.max():.1f}",
-        f"{described.tail.above}{percent(described.tail.ci95)}",
-        unsafe(results, Verdict.in_obstacle, Verdict.over_edge),
-        unsafe(results, Verdict.in_obstacle, Verdict.over_edge, Verdict.touched, radius=BODY_MM),
-        f"{np.mean([result.duration_s for result in results]):.1f}",
-        " / ".join(f"{x:.1f}" for x in (*np.quantile(steps, [0.5, 0.99]), steps.max())),
-    )
-    return f"| {' | '.join(cells)} |"
-
-
-def table(rows: list[Row], world: "World", trials: int) -> dict[str, list[Result]]:
-    """Run every row, print the table, and return the results by name."""
-    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
-    results_of = {}
-    for name, settings in rows:
-        progress(name)
-        results_of[name] = run(world.spec(OURS, settings), trials)
-        print(row(name, results_of[name]), flush=True)
-    return results_of
-
-
-def references(world: "World", trials: int, published: bool) -> None:
-    """Print the rows to compare others with: perfect knowledge and, if `published`, the paper's
-    controller and a world without disturbances."""
-    progress("given a, speed, dead time, losses")
-    spec = world.spec(OURS, (TOLD,))
-    print(row("given a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
-    if published:
-        paper = world.spec(PAPER, (), slow=True)
-        print(row("the paper's, 5 Hz", run(paper, trials)))
-        undisturbed = load_experiment(OURS, *world.rate)
-        print(row("undisturbed", run(undisturbed, trials)), flush=True)
-
-
-def draw(results_of: dict[str, list[Result]], title: str, path: Path) -> None:
-    """Draw the mean total error of each row over its mean time, with 95 % intervals."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5, 3.6), layout="constrained")
-    axes = figure.subplots()
-    for name, results in results_of.items():
-        points = np.array([(result.duration_s, result.total_error) for result in results])
-        time_s, error = distributions(points.T)
-        x = time_s.mean
-        y = error.mean
-        wide = [[x - time_s.ci95.low], [time_s.ci95.high - x]]
-        high = [[y - error.ci95.low], [error.ci95.high - y]]
-        axes.errorbar(x, y, high, wide, fmt="o", color="C0", capsize=2)
-        axes.annotate(name, (x, y), textcoords="offset points", xytext=(5, 4), fontsize=8)
-    axes.set(xlabel="time of a trial [s]", ylabel="total error [mm]", yscale="log", title=title)
-    axes.title.set_fontsize(8)
-    figure.savefig(path)
-
-
-class World:
-    """Where the trials take place: the disturbances above, or the plant of another spec."""
-
-    def __init__(
-        self, bench: str | None, rate_hz: int, dead_time_s: float, plain: Sequence[str] = WORLD
-    ) -> None:
-        self.plain = plain
-        self.bench = bench
-        self.rate = RATES[rate_hz]
-        self.dead_time_s = dead_time_s
-
-    def spec(self, file: str, settings: Sequence[str], slow: bool = False) -> Experiment:
-        rate = () if slow else self.rate
-        settings = [self._filled(setting) for setting in settings]
-        if self.bench is None:
-            return load_experiment(file, *self.plain, *rate, *settings)
-        if file == OURS:
-            return load_experiment(self.bench, *self.plain, *rate, *settings)
-        plant = load_experiment(self.bench).plant
-        return load_experiment(file, *self.plain).model_copy(update={"plant": plant})
-
-    def _filled(self, setting: str) -> str:
-        head, placeholder, more = setting.partition("{}")
-        return f"{head}{self.dead_time_s + float(more or 0):.6g}" if placeholder else setting
+GIVEN = _bench("given a, speed, dead time, losses", TOLD, build=knowing)
+PARTS = {
+    "ablation": [
+        _bench("whole"),
+        _bench("without identification, dead time given", NOT_IDENTIFIED, TOLD),
+        _bench("without identification, dead time not given", NOT_IDENTIFIED),
+        _bench("without margins that follow: 20 mm and the radius", *NOT_KEPT),
+        _bench("without the wheels' lag, on a bench", "wheels.lag=0"),
+        _bench(
+            "without identification and safety, dead time given", NOT_IDENTIFIED, *NOT_SAFE, TOLD
+        ),
+        GIVEN,
+        Line("the paper's, 5 Hz", "paper-on-bench"),
+    ],
+    "knowledge": [
+        _bench("dead time given", TOLD),
+        _bench("dead time assumed 0"),
+        _bench("dead time assumed 50 ms less", "controller.dead_time=0.01"),
+        _bench("dead time assumed 50 ms more", "controller.dead_time=0.11"),
+        _bench("a up to 30 % off", "plant.a_error=0.3"),
+        _bench("two a 5 % apart, heading walk 0.05", "robots.2.a=4.2", "plant.heading_noise=0.05"),
+        GIVEN,
+    ],
+    "hurting": [
+        Line("none of these", "base"),
+        Line("radio silent 1 s three times, 2 % lost", "silent"),
+        Line("each robot sticks 0.5 s every 5 s", "sticking"),
+        Line("old poses (0.2 s) shown as new, 0.4 s twice", "stale"),
+        Line("last picture shown as new, 0.4 s twice", "repeating"),
+        Line("no frames, 0.4 s twice", "no-frames"),
+        Line("markers 0.1 rad off", "marker"),
+        Line("speed falls by 15 % in 20 s", "battery"),
+        Line("a and speed wander by 10 %", "wander"),
+    ],
+    "floors": [
+        Line(f"{world}, {who} {mm} mm", f"{world} --set controller.accept_error={mm}", build)
+        for world, dead_time_s in (("bench", 0.06), ("base", 0.11))
+        for mm in (24, 12, 6, 3)
+        for who, build in (("accept", as_specified), ("floor", partial(seeing, dead_time_s)))
+    ],
+    "accept": [
+        _bench(f"accept {mm} mm", f"controller.accept_error={mm}")
+        for mm in (40, 30, 20, 15, 12, 10, 8)
+    ],
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--part", choices=tuple(PARTS), default="ablation")
+    parser.add_argument("--part", choices=PARTS, default="ablation")
     parser.add_argument("--only", metavar="ROW", help="print this row alone")
     parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--seed", type=int, help="root seed, in place of that of the spec")
-    parser.add_argument(
-        "--rate", type=int, choices=tuple(RATES), default=20, help="of the control [Hz]"
-    )
-    parser.add_argument("--bench", help="the spec in experiments/ whose plant is the world")
-    parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
-    parser.add_argument("--figure", type=Path, help="of the rows: error over time")
+    parser.add_argument("--seed", type=int, default=1)
     chosen = parser.parse_args()
-    rows = [row for row in PARTS[chosen.part] if chosen.only in (None, row[0])]
+    rows = [row for row in PARTS[chosen.part] if chosen.only in (None, row.name)]
     if not rows:
         parser.error(f"--only: no row {chosen.only!r} of the part {chosen.part}")
-    plain = HURT if chosen.part == "hurting" else WORLD
-    if chosen.bench:
-        plain = ()
-    if chosen.seed is not None:
-        plain = (*plain, f"trials.seed={chosen.seed}")
-    world = World(chosen.bench, chosen.rate, chosen.dead_time, plain)
-    where = ", ".join(([chosen.bench] if chosen.bench else []) + [f"`{name}`" for name in plain])
-    print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
-    results_of = table(rows, world, chosen.trials)
-    if chosen.part != "hurting" and not chosen.only:
-        references(world, chosen.trials, published=chosen.part == "ablation")
-    if chosen.figure:
-        where = chosen.bench or "the world of benchmarks/disturbed.py"
-        title = f"simulated, {where}, {chosen.rate} Hz, {chosen.trials} trials a point"
-        draw(results_of, title, chosen.figure)
+    print(f"Simulated, {chosen.trials} trials a row, seed {chosen.seed}. {load()}.\n\n{HEAD}")
+    for row in rows:
+        progress(row.name)
+        tasks = [Task(chosen.seed, row.place, trial) for trial in range(chosen.trials)]
+        print(line(row.name, [run(task, row.build) for task in tasks]), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,33 +1,29 @@
 """Ask every rule of the controller what it brings: pairs of trials with it, and without it.
 
     python benchmarks/rules.py --out logs/rules                    every rule, 6 pairs a world
-    python benchmarks/rules.py --rule detours turns --trials 20 --seed 90512 --out logs/rules
+    python benchmarks/rules.py --rule slack tree --trials 20 --seed 90512 --out logs/rules
     python benchmarks/rules.py --trials 0 --out logs/rules         the table of what there is
 
-prints the table of docs/reference/measured.md. A rule is taken out by a replacement of a function
-or a constant of the controller, in each world of unmodelled.py where it should help, and in those
-of `COMMON`, where it should not. Settings of a spec may follow a world's name. Everything is
-simulated; the trials of a pair have the same seed. --out keeps a CSV for each rule, to which pairs
+prints "Every rule, asked" of docs/reference/measured.md. A rule is taken out by a replacement of a
+function or a constant of the controller, in each world of `benchmarks/worlds` where it should
+help, and in those of `COMMON`, where it should not. --out keeps a CSV for each rule, to which trials
 are added. Differences are those of trials without the rule from trials with it, with bootstrap
 intervals (95 %). A trial touches if a body is over an edge, in an obstacle or at another.
 """
 
 import argparse
-import csv
 import math
 import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 from solverbench.report import load, progress
-from unmodelled import run
+from worlds.trials import PAIRS_HEAD, Row, Task, extended, pair_lines
 
 from tetractl.control import (
     corners,
@@ -50,29 +46,12 @@ from tetractl.control.passage import Tree
 from tetractl.control.prior import Sticks
 from tetractl.control.reception import Reception
 from tetractl.control.value import Worth
-from tetractl.core.poses import Floats
 
 COMMON = ("base", "bench", "base-5hz")
 WALLS = ("near-walls", "near-walls-5hz", "gap")
 TIME = ("near-equal", "five-robots")
 NEVER = Sticks(every_s=1e9)
-RESAMPLES = 4000
-FAR = 100.0  # a total error that no disturbance explains
 WHOLE = "whole"  # the controller with all its rules
-COLUMNS = "error", "seconds", "touches"
-HEAD = (
-    "rule",
-    "world",
-    "pairs, equal",
-    "error without it, more [mm] or [um]",
-    "trial [s]",
-    "touching with it, without",
-    "above 100 with it, without",
-)
-Task = tuple[int, str, int]
-"""Seed, world and number of a trial."""
-Row = dict[str, float]
-Rows = dict[Task, Row]
 
 
 @dataclass(frozen=True)
@@ -163,7 +142,10 @@ RULES = {
     # what robots do: tetractl.control.mpc
     "polish before a stop near the time limit": Rule(
         ((Mpc, "_near_the_limit", _as_usual),),
-        ("sticking-5hz controller.time_limit=20", "saturated-2 controller.time_limit=15"),
+        (
+            "sticking-5hz --set controller.time_limit=20",
+            "saturated-2 --set controller.time_limit=15",
+        ),
     ),
     "stop at the best moment": Rule(((Mpc, "_best_stop", _stop_now),), ("bench", "later")),
     "no late stop near a body": Rule(((Mpc, "_best_stop", _stop_unseen),), WALLS),
@@ -177,7 +159,9 @@ RULES = {
     "other turns after one in vain": Rule(((corners, "TURNS_IN_VAIN", 1),), WALLS),
     "stay in a hold": Rule(
         (_returns(Mpc, "_stay", None),),
-        tuple(f"{world} hold={{radius: 20, time: 10}}" for world in ("base", "bench", "sides")),
+        tuple(
+            f"{world} --set hold={{radius: 20, time: 10}}" for world in ("base", "bench", "sides")
+        ),
     ),
     # passages: tetractl.control.passage
     "tree": Rule(((mpc, "ways", lambda *_: iter(())),), ("gap", "eight")),
@@ -254,94 +238,22 @@ RULES = {
 """Each rule by its name."""
 
 
-def without(name: str, task: Task) -> Row:
-    """Run one trial in a process from which a rule is taken out already."""
-    seed, world, trial = task
-    name_of_world, *settings = world.split(" ", 1)
-    row = run(seed, settings, (name_of_world, trial))
-    touches = min(row["edge_mm"], row["obstacle_mm"], row["apart_mm"]) < 0
-    return {"error": row["error"], "seconds": row["seconds"], "touches": float(touches)}
-
-
-def take_out(name: str) -> None:
+def begin_without(name: str) -> None:
     """Begin a process without a rule."""
     if name != WHOLE:
         RULES[name].take_out()
 
 
-def add(name: str, tasks: Sequence[Task], folder: Path) -> Rows:
-    """Add trials without a rule to its CSV, as far as it lacks them; return all that it has."""
-    path = folder / f"{name.replace(' ', '-')}.csv"
-    rows = read(path)
-    lacking = [task for task in tasks if task not in rows]
-    if not lacking:
-        return rows
+def trials_of(name: str, tasks: Sequence[Task], folder: Path) -> dict[Task, Row]:
+    """Return all trials without a rule, after those of `tasks` that its CSV lacks."""
     # code compiled with other values of a kernel is kept apart from that of the user
     with tempfile.TemporaryDirectory() as cache:
         if name != WHOLE and RULES[name].assumed:
             os.environ["NUMBA_CACHE_DIR"] = cache
-        with get_context("spawn").Pool(1, take_out, (name,)) as pool:
-            found = pool.map(partial(without, name), lacking, chunksize=1)
+        file = folder / f"{name.replace(' ', '-')}.csv"
+        rows = extended(file, tasks, begin=begin_without, words=(name,))
         os.environ.pop("NUMBA_CACHE_DIR", None)
-    rows |= dict(zip(lacking, found, strict=True))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        for task, row in rows.items():
-            writer.writerow([*task, *row.values()])
     return rows
-
-
-def read(path: Path) -> Rows:
-    """Return the trials of a CSV, none if there is no file."""
-    if not path.exists():
-        return {}
-    with path.open(newline="") as file:
-        return {
-            (int(seed), world, int(trial)): dict(zip(COLUMNS, map(float, numbers), strict=True))
-            for seed, world, trial, *numbers in csv.reader(file)
-        }
-
-
-def interval(differences: Floats) -> str:
-    """Return the mean of differences and its bootstrap interval."""
-    random = np.random.default_rng(1)
-    means = random.choice(differences, (RESAMPLES, len(differences))).mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return f"{differences.mean():+.2f} [{low:.2f}, {high:.2f}]"
-
-
-def line(name: str, world: str, pairs: Sequence[tuple[Row, Row]]) -> str:
-    """Return the line of a rule in a world, of pairs with it and without it."""
-    with_rule, without_rule = (
-        {key: np.array([row[key] for row in rows]) for key in COLUMNS}
-        for rows in zip(*pairs, strict=True)
-    )
-    error = without_rule["error"] - with_rule["error"]
-    seconds = without_rule["seconds"] - with_rule["seconds"]
-    touch = [int(rows["touches"].sum()) for rows in (with_rule, without_rule)]
-    far = [int((rows["error"] > FAR).sum()) for rows in (with_rule, without_rule)]
-    cells = (
-        name,
-        world,
-        f"{len(pairs)}, {((error == 0) & (seconds == 0)).sum()}",
-        interval(error),
-        interval(seconds),
-        f"{touch[0]}, {touch[1]}",
-        f"{far[0]}, {far[1]}",
-    )
-    return f"| {' | '.join(cells)} |"
-
-
-def table(name: str, whole: Rows, rows: Rows) -> list[str]:
-    """Return the lines of a rule: one for each world, and those of all robots and all cells."""
-    pairs: dict[str, list[tuple[Row, Row]]] = {}
-    for task, row in rows.items():
-        world = task[1]
-        total = "all cells" if world.startswith("cells") else "all robots"
-        for place in (world, total):
-            pairs.setdefault(place, []).append((whole[task], row))
-    return [line(name, world, pairs[world]) for world in sorted(pairs)]
 
 
 def main() -> None:
@@ -352,14 +264,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=20261128)
     parser.add_argument("--out", type=Path, default=Path("logs/rules"))
     options = parser.parse_args()
-    print(f"Simulated. {load()}.\n\n| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    print(f"Simulated. {load()}.\n\n{PAIRS_HEAD}")
     for name in options.rule:
         progress(name)
         worlds = options.world or dict.fromkeys((*RULES[name].helps, *COMMON))
-        tasks = [(options.seed, world, k) for world in worlds for k in range(options.trials)]
-        whole = add(WHOLE, tasks, options.out)
-        rows = add(name, tasks, options.out)
-        print("\n".join(table(name, whole, rows)), flush=True)
+        tasks = [Task(options.seed, world, k) for world in worlds for k in range(options.trials)]
+        whole, without = (trials_of(rule, tasks, options.out) for rule in (WHOLE, name))
+        print("\n".join(pair_lines(name, whole, without)), flush=True)
 
 
 if __name__ == "__main__":

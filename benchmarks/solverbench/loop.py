@@ -12,16 +12,10 @@ from .problems import (
     OURS,
     PAPER,
     experiment,
-    played,
     recommended,
+    run,
 )
 from .report import Report, Settings, load, progress, spread
-
-
-def run(experiment: Experiment, trials: int) -> list[Result]:
-    """Run trials in virtual time without any log."""
-    return [played(experiment, trial)[0] for trial in range(trials)]
-
 
 HEAD = ["controller", "total error [mm], mean +- std", "worst [mm]", "entered obstacle"]
 TIMES = ["first step [ms], median", "later steps [ms]"]

@@ -56,6 +56,11 @@ def played(
     return Trial(start, plant, controller, clock, observers, Interrupt()).run(), plant
 
 
+def run(spec: Experiment, trials: int) -> list[Result]:
+    """Run trials in virtual time without any log; return their results."""
+    return [played(spec, trial)[0] for trial in range(trials)]
+
+
 def _problem(name: str) -> Problem:
     spec = experiment(name)
     return spec.controller.problem(spec.setup)

@@ -8,11 +8,11 @@ to chance.
 """
 
 import re
-import runpy
 import subprocess
 import sys
 from dataclasses import dataclass
 
+import disturbed
 import numpy as np
 import pytest
 from support.paths import ROOT
@@ -68,37 +68,25 @@ def run(*words: str) -> str:
     return done.stdout
 
 
-ON_BENCH = ("--bench", "three_m3pi_bench.yaml", "--dead-time", "0.06")
 ROWS = [
-    ("ablation", "whole", (*ON_BENCH, "--part", "ablation", "--seed", "59301")),
-    ("knowledge 20", "dead time given", (*ON_BENCH, "--part", "knowledge", "--seed", "60101")),
-    ("hurting", "none of these", ("--part", "hurting", "--seed", "60201")),
-    ("accept", "accept 30 mm", (*ON_BENCH, "--part", "accept", "--seed", "60101")),
+    ("ablation", "whole", "59301"),
+    ("knowledge", "dead time given", "60101"),
+    ("hurting", "none of these", "60201"),
+    ("floors", "bench, accept 24 mm", "60201"),
+    ("accept", "accept 30 mm", "60101"),
 ]
 
 
 @pytest.mark.release  # README prints the first of them to the last digit, of another seed
-@pytest.mark.parametrize(
-    ("mark", "row", "options"), ROWS, ids=lambda row_name: str(row_name).split()[0]
-)
-def test_a_row_of_what_disturbs_is_as_printed(mark, row, options, monkeypatch, capsys):
+@pytest.mark.parametrize(("part", "row", "seed"), ROWS, ids=[part for part, _, _ in ROWS])
+def test_a_row_of_what_disturbs_is_as_printed(part, row, seed, monkeypatch, capsys):
     """In this process, which loads once what is compiled."""
-    script = ROOT / "benchmarks" / "disturbed.py"
-    words = [script.name, *options, "--only", row, "--trials", "20"]
+    words = ["disturbed", "--part", part, "--only", row, "--seed", seed, "--trials", "20"]
     monkeypatch.setattr(sys, "argv", words)
-    monkeypatch.setattr(sys, "path", [str(script.parent), *sys.path])
-    runpy.run_path(str(script), run_name="__main__")
+    disturbed.main()
     now = capsys.readouterr().out
-    page = printed(MEASURED, mark)
+    page = printed(MEASURED, part)
     assert mean_in(line_of(now, row)).agrees(mean_in(line_of(page, row)))
-
-
-@pytest.mark.release
-def test_a_row_of_the_floor_is_as_printed():
-    now = run("benchmarks/floors.py", "--trials", "5", "--seed", "60201", "--rows", "0")
-    row = "three_m3pi_bench.yaml", "24"
-    page = printed(MEASURED, "floors")
-    assert mean_in(line_of(now, *row)).agrees(mean_in(line_of(page, *row)))
 
 
 @pytest.mark.parametrize(

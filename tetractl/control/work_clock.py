@@ -2,7 +2,7 @@
 
 A simulation must not depend on how fast its host is. There, a controller's timer therefore counts
 the evaluations that its searches report, at the processor time that they take on an ordinary
-computer. `benchmarks/anywhere.py` prints the counted and the measured time of a control step.
+computer.
 """
 
 from dataclasses import dataclass

@@ -41,9 +41,9 @@ def test_searches_advance_the_clock_while_they_run_and_after_them():
 @pytest.mark.long
 def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    from anywhere import instance
+    from worlds import WORLDS
 
-    text = instance(2, 6200).model_dump_json(exclude={"lab"})
+    text = WORLDS["anywhere"].spec(6200, 2).model_dump_json(exclude={"lab"})
     spec = parse_spec(
         text, "four.yaml", ["controller.time_limit=120.2", "controller.deadline=0.0015"]
     )

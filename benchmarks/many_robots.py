@@ -1,0 +1,83 @@
+"""First plans for many robots, without disturbances: "Many robots" of docs/reference/measured.md.
+
+    python benchmarks/many_robots.py
+
+With *grows*, knots of a start and iterations of a polish grow with the number of robots.
+"""
+
+import argparse
+import time
+
+import numpy as np
+from solverbench.report import load
+
+from tetractl.control.lengths import Searcher, least_length
+from tetractl.control.optimizers.multistart import Multistart
+from tetractl.core.plan import Limits, Problem, Search
+from tetractl.core.poses import Poses
+from tetractl.model.obstacles import Obstacles
+
+
+def many(robots: int, seed: int) -> Problem:
+    """Robots anywhere in 2 x 2 m; 1 m in one direction for all, and each 0.2 m or so by itself."""
+    rng = np.random.default_rng([robots, seed])
+    speed = rng.uniform(150, 200, robots)
+    starts = rng.uniform(0, 2000, (robots, 2))
+    bearing = rng.uniform(-np.pi, np.pi)
+    shift = 1000 * np.array([np.cos(bearing), np.sin(bearing)])
+    return Problem(
+        poses=Poses(*starts.T.copy(), np.zeros(robots)),
+        targets=starts + shift + 200 * rng.standard_normal((robots, 2)),
+        a=np.linspace(2, 6, robots),
+        speed=speed,
+        motion="exact",
+        period=0.2,
+        first_period=0.2,
+        obstacles=Obstacles.of(),
+        obstacle_weight=1000.0,
+        swept=False,
+    )
+
+
+def good(search: Search) -> bool:
+    """Whether a sequence ends at the targets."""
+    return search.cost <= Multistart().tolerance
+
+
+def first_plans(trials: int) -> None:
+    """First plans for many robots, each an instance of its own, up to 80 s long."""
+    print("| robots | optimiser | solved to 1 mm | signals, median | first plan [s], p50 / p95 |")
+    print("|---|---|---|---|---|")
+    for robots in (3, 5, 8, 12, 16):
+        for name, optimizer in (
+            ("grows", Multistart(rounds=2)),
+            ("does not", Multistart(rounds=2, grows=False)),
+        ):
+            optimizer.search(many(robots, trials), 10, None, 0, Limits())  # compile
+            solved = 0
+            signals = []
+            seconds = []
+            for seed in range(trials):
+                problem = many(robots, seed)
+                begin = time.thread_time()
+                searcher = Searcher(optimizer, problem, seed)
+                searcher.spread(least_length(problem), 400, good)
+                seconds.append(time.thread_time() - begin)
+                best = min(searcher.found, key=lambda way: (not good(way), way.length))
+                solved += best.cost <= 1
+                signals.append(best.length)
+            p50, p95 = np.quantile(seconds, [0.5, 0.95])
+            cells = robots, name, f"{solved} of {trials}", f"{np.median(signals):.0f}"
+            print(f"| {' | '.join(map(str, cells))} | {p50:.2f} / {p95:.2f} |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--trials", type=int, default=50, help="instances")
+    trials = parser.parse_args().trials
+    print(f"{trials} instances of each number of robots. {load()}.\n")
+    first_plans(trials)
+
+
+if __name__ == "__main__":
+    main()

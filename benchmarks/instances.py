@@ -5,11 +5,11 @@
     python benchmarks/instances.py --ipopt              IPOPT alone: 0.3 to 38 s a trial and more
     python benchmarks/instances.py --ours               the recommended controller alone
     python benchmarks/instances.py --report             print the page of what there is
-    python benchmarks/instances.py --report --figure benchmark.svg
 
 For each instance it writes a study and runs `tetractl study`, so it goes on where it was stopped.
 IPOPT is the package benchmarks/tetractl-ipopt, which is to be installed for it; a trial of eight
-robots takes it 38 s of processor, one of fourteen ten minutes. Everything is simulated.
+robots takes it 38 s of processor, one of fourteen ten minutes. Everything is simulated. The rows
+are those of docs/reference/benchmark.md; `tetractl stats` says more of each folder.
 
 Above each table is the plainest lower bound of a trial's time: the robot that needs most drives
 straight to the accepted error at its speed. It is by the spec's starts and speeds; disturbances
@@ -18,7 +18,6 @@ change both, so that a trial may take less. The column after the time is its rat
 
 import argparse
 import csv
-import hashlib
 import math
 import os
 import subprocess
@@ -34,7 +33,6 @@ from solverbench.problems import EXPERIMENTS
 from solverbench.report import progress
 
 from tetractl.control.mpc_section import RecommendedMpc
-from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
@@ -128,7 +126,6 @@ class Arm:
     left_arena: int
     seconds: float
     solving_s: float
-    digest: str
 
 
 def arms(folder: Path) -> list[Arm]:
@@ -150,7 +147,6 @@ def _read(path: Path) -> list[dict[str, str]]:
 
 def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
     column = next(key for key in rows[0] if key.startswith("total_error_"))
-    digests = "".join(row["content_digest"] for row in rows)
     steps = np.mean([float(row["steps"]) for row in rows])
     return Arm(
         name,
@@ -160,7 +156,6 @@ def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
         sum(row["outside_arena"] == "true" for row in rows),
         float(np.mean([float(row["duration_s"]) for row in rows])),
         float(steps * np.mean(step_ms)) / 1e3,
-        hashlib.sha256(digests.encode()).hexdigest()[:12],
     )
 
 
@@ -168,8 +163,6 @@ HEAD = (
     "controller",
     "n",
     "total error, mean and 95 % interval",
-    "median",
-    "p95",
     "more than recommended, pairs",
     "p, Holm",
     "entered",
@@ -177,7 +170,6 @@ HEAD = (
     "trial [s]",
     "over the bound",
     "solving [s]",
-    "digest",
 )
 
 
@@ -200,8 +192,6 @@ def table(arms: Sequence[Arm], least_s: float) -> list[str]:
             f"`{arm.name}`",
             f"{n}",
             f"{_mean(errors)} {arm.unit}",
-            f"{np.median(errors):.3g}",
-            f"{np.quantile(errors, 0.95):.3g}",
             _more(differences),
             _p_value(p),
             _share(arm.entered, n),
@@ -209,7 +199,6 @@ def table(arms: Sequence[Arm], least_s: float) -> list[str]:
             f"{arm.seconds:.1f}",
             f"{arm.seconds / least_s:.2f}",
             f"{arm.solving_s:.2f}",
-            f"`{arm.digest}`",
         ]
         lines.append(f"| {' | '.join(cells)} |")
     return lines
@@ -251,54 +240,14 @@ def found_in(folder: Path, name: str) -> list[Arm]:
     ]
 
 
-def report(folder: Path, names: Sequence[str], figure: Path | None) -> None:
-    """Print the page of results, and draw the errors as distribution functions."""
-    drawn = {}
+def report(folder: Path, names: Sequence[str]) -> None:
+    """Print the page of results."""
     for name in names:
         arms_of_instance = found_in(folder, name)
         if arms_of_instance:
-            drawn[name] = arms_of_instance
-    for name, drawn_arms in drawn.items():
-        spec = instance(name)
-        least_s = bound_s(spec)
-        bound = f"By the spec's starts and speeds, a trial takes at least {least_s:.2f} s."
-        about = f"{spec.description} {bound}"
-        print("\n".join([f"### `{name}`", "", about, "", *table(drawn_arms, least_s), ""]))
-    if figure:
-        draw(drawn, figure)
-
-
-def draw(drawn: Mapping[str, Sequence[Arm]], path: Path) -> None:
-    """Draw a panel an instance: the share of trials up to an error, over the error."""
-    from tetractl.core.colors import PALETTE
-    from tetractl.view import style
-
-    with style.styled():
-        import matplotlib as mpl
-
-        mpl.rcParams["svg.fonttype"] = "none"
-        rows = math.ceil(len(drawn) / 3)
-        figure = style.figure(style.PAGE_IN, 1.7 * rows + 0.5)
-        panels = figure.subplots(rows, 3, squeeze=False)
-        names = dict.fromkeys(arm.name for drawn_arms in drawn.values() for arm in drawn_arms)
-        colors = dict(zip(names, PALETTE, strict=False))
-        for axes, (name, drawn_arms) in zip(panels.flat, drawn.items(), strict=False):
-            for arm in drawn_arms:
-                errors = np.sort(list(arm.errors.values()))
-                share = np.arange(1, len(errors) + 1) / len(errors)
-                axes.step(errors, share, where="post", color=colors[arm.name], label=arm.name)
-            axes.set(xscale="log", ylim=(0, 1.02))
-            axes.set_title(f"{name} [{unit_of(drawn_arms[0].unit)}]", fontsize=8)
-        for axes in panels.flat[len(drawn) :]:
-            axes.set_axis_off()
-        handles = {
-            label: handle
-            for axes in panels.flat
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5)
-        figure.supylabel("share of the trials", fontsize=8)
-        figure.savefig(path)
+            spec = instance(name)
+            lines = table(arms_of_instance, bound_s(spec))
+            print("\n".join([f"### `{name}`", "", spec.description, "", *lines, ""]))
 
 
 def main() -> None:
@@ -313,7 +262,6 @@ def main() -> None:
     parser.add_argument("--ipopt", action="store_true", help="run IPOPT, and it alone")
     parser.add_argument("--ours", action="store_true", help=f"run `{OURS}` alone")
     parser.add_argument("--report", action="store_true", help="print what there is; run nothing")
-    parser.add_argument("--figure", type=Path, help="with --report: of the errors (.svg or .png)")
     options = parser.parse_args()
     names = options.only.split(",")
     unknown = [name for name in names if name not in all_names]
@@ -328,7 +276,7 @@ def main() -> None:
             else:
                 arms_run = {OURS: {}} if options.ours else controllers(name)
                 run(name, options.out / name, arms_run, options.trials, options.jobs)
-    report(options.out, names, options.figure)
+    report(options.out, names)
 
 
 if __name__ == "__main__":

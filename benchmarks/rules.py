@@ -6,9 +6,9 @@
 
 prints "Every rule, asked" of docs/reference/measured.md. A rule is taken out by a replacement of a
 function or a constant of the controller, in each world of `benchmarks/worlds` where it should
-help, and in those of `COMMON`, where it should not. --out keeps a CSV for each rule, to which trials
-are added. Differences are those of trials without the rule from trials with it, with bootstrap
-intervals (95 %). A trial touches if a body is over an edge, in an obstacle or at another.
+help, and in those of `COMMON`, where it should not. --out keeps a CSV for each rule, to which
+trials are added. Differences are those of trials without the rule from trials with it, with
+bootstrap intervals (95 %). A trial touches if a body is over an edge, in an obstacle or at another.
 """
 
 import argparse

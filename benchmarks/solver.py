@@ -26,7 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="every row, hardly measured")
     parser.add_argument("--only", default="a,b,c", help="parts, such as a,b")
-    parser.add_argument("--peers", help="rows of (b), without its sweep, such as PSO,pycma")
+    parser.add_argument("--peers", help="rows of (b), such as PSO,pycma")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")  # of peers; figures are checked by their own J
     settings = Settings.of(chosen.quick)

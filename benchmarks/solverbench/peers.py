@@ -67,10 +67,6 @@ class Meter:
     def expired(self, _: int = 0) -> bool:
         return time.process_time() >= self.end
 
-    @property
-    def left_s(self) -> float:
-        return self.end - time.process_time()
-
 
 def race(peer: Peer, problem: Problem, length: int, seed: int, cap_s: float) -> tuple[float, float]:
     """Run a peer; return (processor time [s], best J)."""
@@ -80,15 +76,15 @@ def race(peer: Peer, problem: Problem, length: int, seed: int, cap_s: float) -> 
     return time.process_time() - meter.begin, meter.best
 
 
-def _ours(optimizer: OptimizerSection, restarts: int = 10**9) -> Peer:
+def _ours(optimizer: OptimizerSection) -> Peer:
     def run(meter: Meter, seed: int) -> NoReturn:
         problem = meter.problem
         length = meter.length
-        for again in range(1 + restarts):
+        for again in itertools.count():
             key = mix(seed, again)
             plan = optimizer.search(problem, length, None, key, Limits(expired=meter.expired))
             meter.note(float(evaluate(problem, plan.signals[None]).total[0]))
-        raise Over
+        raise AssertionError
 
     return run
 
@@ -96,7 +92,6 @@ def _ours(optimizer: OptimizerSection, restarts: int = 10**9) -> Peer:
 _TARGET = TargetStop(type="target", cost=GOOD)
 _MULTISTART = Multistart(tolerance=GOOD, rounds=8)
 ours = _ours(_MULTISTART)
-ours_once = _ours(_MULTISTART, restarts=0)
 _SWARM = Pso(particles=PARTICLES, iterations=400, stop=_TARGET)
 our_pso = _ours(_SWARM)
 

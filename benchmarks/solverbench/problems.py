@@ -27,7 +27,6 @@ PARTICLES = 128
 SIGNALS = 41
 ITERATIONS = 100
 LENGTH = 44
-LONGEST = 51
 SWARM = Pso(particles=PARTICLES, iterations=ITERATIONS, stop=BudgetStop(type="budget"))
 
 
@@ -80,36 +79,8 @@ Cost = Callable[[Floats], Floats]
 """J (P,) of sequences (P, L)."""
 
 
-def plain_cost(problem: Problem) -> Cost:
-    """J of the printed problem as one writes it in NumPy: arrays (P, N), one step after another."""
-    assert problem.motion == "euler" and not problem.swept
-    t = problem.period
-    a = problem.a
-    v = problem.speed
-    weight = problem.obstacle_weight
-    (box,) = problem.obstacles.shapes
-    west, south, east, north = box.box
-    poses = problem.poses
-    targets = problem.targets
-
-    def cost(signals: Floats) -> Floats:
-        shape = (len(signals), len(a))
-        x, y, heading = (np.broadcast_to(s, shape) for s in (poses.x, poses.y, poses.heading))
-        hits = np.zeros(shape)
-        for j in range(signals.shape[1]):
-            u = signals[:, j, None]
-            x = x + t * v * np.cos(heading)
-            y = y + t * v * np.sin(heading)
-            heading = heading + t * a * np.sin(u - heading)
-            hits = hits + ((west <= x) & (x <= east) & (south <= y) & (y <= north))
-        miss = np.hypot(x - targets[:, 0], y - targets[:, 1])
-        return (miss + weight * hits).sum(axis=1)
-
-    return cost
-
-
 def tuned_cost(problem: Problem) -> Cost:
-    """The same, tuned: particles contiguous, sums in place, constants taken out of the loop."""
+    """J of the printed problem in NumPy: particles contiguous, sums in place."""
     assert problem.motion == "euler" and not problem.swept
     turn = problem.a[:, None] * problem.period
     step = problem.speed[:, None] * problem.period

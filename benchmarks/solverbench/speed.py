@@ -10,7 +10,7 @@ from tetractl.control.optimizers.pso import Swarm
 from tetractl.core.plan import Problem
 
 from .peers import OPTIONS, available
-from .problems import PARTICLES, SIGNALS, SWARM, plain_cost, printed, tuned_cost
+from .problems import PARTICLES, SIGNALS, SWARM, printed, tuned_cost
 from .report import Pair, Report, Settings, in_pairs, load
 
 SHORT = 20
@@ -37,8 +37,7 @@ def iteration(settings: Settings) -> Report:
 
     add("our swarm, J by our NumPy reference", _reference(problem))
     if available("pyswarms"):
-        add("pyswarms, J in plain NumPy", _pyswarms(plain_cost(problem)))
-        add("pyswarms, J in tuned NumPy", _pyswarms(tuned_cost(problem)))
+        add("pyswarms, J in NumPy, tuned", _pyswarms(tuned_cost(problem)))
         add("pyswarms, J by our kernel", _pyswarms(_by_kernel(problem)))
     else:
         report.say("pyswarms is not installed: skipped.")

@@ -1,18 +1,13 @@
 """(b) share of seeds on which step 0 is solved to 1 mm, and how long that takes."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 
 import numpy as np
 
-from tetractl.control.cost import Problem
-
 from . import peers, shooting
-from .peers import GOOD, Meter, Over, Peer, available
-from .problems import LENGTH, LONGEST, printed, recommended
+from .peers import GOOD, Peer, available
+from .problems import LENGTH, printed, recommended
 from .report import Report, Settings, load, progress
-
-SWEEP_CAP_S = 0.02  # for each of the lengths of a sweep
 
 
 def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
@@ -86,45 +81,4 @@ def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
             rows.append(_row(who, times, best))
         report.say(f"**{LENGTH} signals, problem {name}**")
         report.table(HEAD, rows)
-    if not only:
-        _sweeps(report, settings)
     return report
-
-
-def _sweeps(report: Report, settings: Settings) -> None:
-    """Every length from 1 to LONGEST, each until solved or capped: step 0 of Algorithm 2."""
-    problem = printed()
-    rows = []
-    everybody, _ = _optimisers(SWEEP_CAP_S)
-    lengths = range(LONGEST - 2, LONGEST + 1) if settings.quick else range(1, LONGEST + 1)
-    for who, peer in everybody:
-        progress(f"(b) sweep: {who}")
-        if who.startswith("CasADi"):
-            for length in lengths:
-                shooting.shooter(problem, length, SWEEP_CAP_S)
-        count = settings.seeds if "ours" in who else settings.sweep_seeds
-        if "ours" in who:
-            peer = peers.ours_once  # as the controller does: it knows when to give a length up
-        runs = [_sweep(peer, problem, lengths, seed) for seed in range(count)]
-        times, best = zip(*runs, strict=True)
-        rows.append(_row(who, times, best))
-    report.say(
-        f"**All lengths {lengths[0]} to {lengths[-1]}, problem as printed**: each length is "
-        f"searched until it is solved, our optimiser gives up, or {SWEEP_CAP_S * 1e3:g} ms have "
-        f"passed; a sweep is solved if one of its lengths is. "
-        f"{load()}."
-    )
-    report.table(HEAD, rows)
-
-
-def _sweep(peer: Peer, problem: Problem, lengths: Sequence[int], seed: int) -> tuple[float, float]:
-    """Return the time of a sweep [s] and its best J [mm]."""
-    spent = 0.0
-    best = np.inf
-    for length in lengths:
-        meter = Meter(problem, length, SWEEP_CAP_S)
-        with suppress(Over):
-            peer(meter, seed)
-        spent += SWEEP_CAP_S - meter.left_s
-        best = min(best, meter.best)
-    return spent, best

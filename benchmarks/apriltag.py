@@ -1,7 +1,7 @@
 """What the apriltag camera promises, measured: `python benchmarks/apriltag.py [PART]...`.
 
     poses       error against the emulated truth, 640x480 and 1280x720
-    corners     corners refined by us and by OpenCV: error and time
+    corners     error of corners refined by us and by OpenCV
     tilt        what an unknown focal length costs as the camera looks straighter down
     blur        share of tags found as the lens blurs
 
@@ -15,7 +15,6 @@ import argparse
 import math
 import os
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -96,34 +95,15 @@ def errors(
 
 def poses(scale: float) -> None:
     """Errors of poses under several conditions."""
-    table(
-        "picture",
-        "case",
-        "found",
-        "mm, median",
-        "95 %",
-        "largest",
-        "mrad, median",
-        "95 %",
-        "tag px",
-    )
+    table("picture", "case", "found", "mm, 95 %", "mrad, 95 %", "tag px")
     for size in SIZES:
         bent = renderer(size, distortion=BENT)
         simple = renderer(size, distortion=(-0.2, 0.0, 0.0, 0.0))
-        straight = {"focal_px": bent.optics.focal_px}
-        lens = {**straight, "distortion": BENT}
+        lens = {"focal_px": bent.optics.focal_px, "distortion": BENT}
         cases: list[tuple[str, Renderer, dict[str, object], bool]] = [
             ("standing", renderer(size), {}, False),
-            ("at 200 mm/s and 3 rad/s, 4 ms exposure", renderer(size), {}, True),
-            ("the same, 15 ms exposure", renderer(size, exposure_s=0.015), {}, True),
-            (
-                "noise of 6 grey levels in half the light",
-                renderer(size, noise=6, gain=0.5),
-                {},
-                False,
-            ),
+            ("200 mm/s and 3 rad/s, 15 ms exposure", renderer(size, exposure_s=0.015), {}, True),
             ("lens with distortion k1 = -0.2", simple, {}, False),
-            ("the same, assumed free of distortion", simple, {"lens": straight}, False),
             ("lens with k1, k2, p1, p2, given", bent, {"lens": lens}, False),
             ("the same, not given", bent, {}, False),
             ("height_mm: 0 for tags at 90", renderer(size), {"robots": low()}, False),
@@ -131,16 +111,9 @@ def poses(scale: float) -> None:
         for name, drawn, changes, moving in cases:
             tracker = Tracker(section(**changes), NAMES, MM)
             mm, mrad, share, small = errors(tracker, drawn, round(300 * scale), moving)
-            spread = quantiles(mm, (0.5, 0.95, 1.0), ".2f")
-            turns = quantiles(mrad, (0.5, 0.95), ".1f")
-            row(told(size), name, f"{100 * share:.1f} %", *spread, *turns, f"{small:.0f}")
-
-
-def quantiles(values: np.ndarray, shares: tuple[float, ...], layout: str) -> list[str]:
-    """Cells of a row, dashes where nothing was found."""
-    if not len(values):
-        return ["-"] * len(shares)
-    return [format(value, layout) for value in np.quantile(values, shares)]
+            found = f"{100 * share:.1f} %"
+            errors_95 = f"{np.quantile(mm, 0.95):.2f}", f"{np.quantile(mrad, 0.95):.1f}"
+            row(told(size), name, found, *errors_95, f"{small:.0f}")
 
 
 def low() -> list[RobotTag]:
@@ -153,7 +126,7 @@ def told(size: tuple[int, int]) -> str:
 
 def corners(scale: float) -> None:
     """Corners by several methods against the truth."""
-    table("picture", "corners by", "error, rms px", "time of a picture, ms")
+    table("picture", "corners by", "error, rms px")
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     for size in SIZES:
         drawn = renderer(size)
@@ -169,14 +142,11 @@ def corners(scale: float) -> None:
             )
             detector = cv2.aruco.ArucoDetector(family, parameters)
             off = []
-            times_ms = []
             for truth, picture in shots:
-                began = time.perf_counter()
                 rough, numbers, _ = detector.detectMarkers(picture)
                 places = np.array(rough, float).reshape(-1, 4, 2)
                 if name == "sides":
                     places, _ = refined(picture, places, MODULES)
-                times_ms.append(time.perf_counter() - began)
                 for tag, place in zip(np.ravel(numbers), places, strict=True):
                     if tag < len(ROBOTS):
                         card = drawn.card(ROBOTS[tag], truth, tag)
@@ -186,43 +156,28 @@ def corners(scale: float) -> None:
                         off.append(gaps[int(np.argmin(squares))])
             way = "sides" if name == "sides" else f"OpenCV, {name}"
             rms = math.sqrt(np.mean(np.square(off)))
-            row(told(size), way, f"{rms:.3f}", f"{1e3 * np.median(times_ms):.1f}")
+            row(told(size), way, f"{rms:.3f}")
 
 
 def tilt(scale: float) -> None:
     """Error and doubt by tilt, without the lens in the spec and with it."""
-    table(
-        "picture",
-        "tilt, rad",
-        "mm, median",
-        "95 %",
-        "doubt_mm",
-        "with the focal length: mm, median",
-    )
+    table("picture", "tilt, rad", "mm, median", "doubt_mm", "with the focal length: mm, median")
     for size in SIZES:
-        for angle in (0.0, 0.05, 0.1, 0.2, 0.35, 0.5):
+        for angle in (0.0, 0.1, 0.2):
             drawn = renderer(size, tilt=angle)
             blind = Tracker(section(), NAMES, MM)
             tracker = Tracker(section(lens={"focal_px": drawn.optics.focal_px}), NAMES, MM)
             mm, _, _, _ = errors(blind, drawn, round(100 * scale))
             right, _, _, _ = errors(tracker, drawn, round(100 * scale))
-            plane = blind.floor.plane
-            doubt = f"{plane.doubt_mm:.2f}" if plane is not None else "-"
-            row(
-                told(size),
-                angle,
-                f"{np.median(mm):.2f}",
-                f"{np.quantile(mm, 0.95):.2f}",
-                doubt,
-                f"{np.median(right):.2f}",
-            )
+            doubt = f"{blind.floor.plane.doubt_mm:.2f}"
+            row(told(size), angle, f"{np.median(mm):.2f}", doubt, f"{np.median(right):.2f}")
 
 
 def blur(scale: float) -> None:
     """Share of robots found by blur of the lens."""
     table("picture", "blur, px", "found")
     for size in SIZES:
-        for sigma in (0.5, 0.7, 0.9, 1.1, 1.3, 1.5):
+        for sigma in (0.9, 1.1, 1.5):
             tracker = Tracker(section(), NAMES, MM)
             poses = scattered(np.random.default_rng(0))
             for _ in range(2):

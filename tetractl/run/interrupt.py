@@ -6,13 +6,13 @@ a program fault, such as SIGSEGV, nor for SIGPIPE and SIGXFSZ, which Python turn
 """
 
 import os
+import select
 import signal
 import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -136,7 +136,7 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
     could be printed as a traceback and then ignored. Main thread only.
     """
     _install(dict.fromkeys(STOP_SIGNALS, _Leave(code, say)))
-    listen_to_signals()
+    LISTENER.start()
 
 
 class _Leave:
@@ -153,27 +153,61 @@ class _Leave:
             os._exit(self._code)
 
 
-@cache
-def listen_to_signals() -> None:
-    """Start a thread that ends the process at a signal whose handler does; main thread only.
+class _Listener:
+    """Ends the process at a signal whose handler does, from a thread of its own.
 
     Python calls a handler once the main thread is back from compiled code, which may take minutes.
-    A process that is forked would send its own signals to its parent's thread: it sends none.
+    What came before handlers changed is forgotten: the main thread, which changes them, has called
+    or calls now the handler of each such signal.
     """
-    hears, tells = socket.socketpair()
-    tells.setblocking(False)
-    signal.set_wakeup_fd(tells.detach(), warn_on_full_buffer=False)
-    if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-        os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
 
-    def listen() -> None:
+    def __init__(self) -> None:
+        self._signals: socket.socket | None = None  # a byte, its number, for each signal
+        self._lock = threading.Lock()  # no handler changes between a signal and its handler
+
+    def start(self) -> None:
+        """Start the thread, once.
+
+        A process that is forked would send its own signals to its parent's thread: it sends none.
+        """
+        if self._signals is not None:
+            return
+        self._signals, tells = socket.socketpair()
+        self._signals.setblocking(False)
+        tells.setblocking(False)
+        signal.set_wakeup_fd(tells.detach(), warn_on_full_buffer=False)
+        if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
+            os.register_at_fork(after_in_child=self._end_in_child)
+        threading.Thread(
+            target=self._listen, args=(self._signals,), name="signals", daemon=True
+        ).start()
+
+    @contextmanager
+    def changing(self) -> Iterator[None]:
+        """Let handlers be changed in the block, and forget signals that came before its end; main
+        thread only."""
+        with self._lock:
+            yield
+            if self._signals is not None:
+                with suppress(BlockingIOError):
+                    while self._signals.recv(1024):
+                        pass
+
+    def _listen(self, signals: socket.socket) -> None:
         while True:
-            (number,) = hears.recv(1)
-            handler = signal.getsignal(number)
-            if isinstance(handler, _Leave):
-                handler(number)
+            select.select([signals], [], [])
+            with self._lock, suppress(BlockingIOError):  # it was forgotten
+                (number,) = signals.recv(1)
+                handler = signal.getsignal(number)
+                if isinstance(handler, _Leave):
+                    handler(number)
 
-    threading.Thread(target=listen, name="signals", daemon=True).start()
+    def _end_in_child(self) -> None:
+        signal.set_wakeup_fd(-1)
+        self._signals = None
+
+
+LISTENER = _Listener()
 
 
 def ignore_signals() -> None:
@@ -188,11 +222,12 @@ def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:
     except those of Ctrl-C and SIGTERM.
     """
     before: dict[int, Handler] = {}
-    for number, handler in handlers.items():
-        now = signal.getsignal(number)
-        stays = number == getattr(signal, "SIGHUP", None) and now == signal.SIG_IGN
-        if number not in (signal.SIGINT, signal.SIGTERM):
-            stays |= callable(now) and now.__module__ != __name__
-        if not stays and now is not None and handler is not None:
-            before[number] = signal.signal(number, handler)
+    with LISTENER.changing():
+        for number, handler in handlers.items():
+            now = signal.getsignal(number)
+            stays = number == getattr(signal, "SIGHUP", None) and now == signal.SIG_IGN
+            if number not in (signal.SIGINT, signal.SIGTERM):
+                stays |= callable(now) and now.__module__ != __name__
+            if not stays and now is not None and handler is not None:
+                before[number] = signal.signal(number, handler)
     return before

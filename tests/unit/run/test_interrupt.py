@@ -54,6 +54,23 @@ def test_the_first_signal_raises_and_the_cleaning_up_is_left_in_peace():
     assert cleaned
 
 
+def test_a_signal_is_taken_once():
+    """Regression: a process was ended by a signal that a block before had taken, as the thread that
+    listens heard of it after the block."""
+    program = """
+import os
+import signal
+from contextlib import suppress
+from tetractl.run.interrupt import interrupted_once, leave_on_signals
+
+leave_on_signals(3)
+for _ in range(100):
+    with suppress(KeyboardInterrupt), interrupted_once():
+        os.kill(os.getpid(), signal.SIGTERM)
+"""
+    assert subprocess.run([sys.executable, "-c", program], timeout=PATIENCE_S).returncode == 0
+
+
 def test_a_suspending_signal_is_a_request_only_where_robots_move():
     before = signal.getsignal(signal.SIGTSTP)
     interrupt = Interrupt()

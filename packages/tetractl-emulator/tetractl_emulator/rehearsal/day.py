@@ -26,7 +26,7 @@ from tetractl.cli.app import run_app
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.run.interrupt import listen_to_signals
+from tetractl.run.interrupt import LISTENER
 from tetractl_emulator.fault_rows import STRONG, Draw, FaultRow, scale_of
 from tetractl_emulator.script import Sides
 
@@ -253,7 +253,7 @@ def _run(words: list[str], folder: Path) -> None:
         sys.stderr = os.fdopen(2, "w")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
-        listen_to_signals()  # as each process does, so that a day leaves no more behind
+        LISTENER.start()  # as each process does, so that a day leaves no more behind
         running = set(threading.enumerate())
         before = _open_files()
         loaded = set(sys.modules)

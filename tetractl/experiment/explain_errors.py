@@ -1,7 +1,7 @@
 """Turns pydantic's errors in a spec into plain messages with their location in the YAML."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -107,8 +107,7 @@ def explain(error: ValidationError, document: Document, schema: Schema) -> Itera
             about=describe(loc, document.data, schema),
         )
         if not _is_reported_already(mistake, document):
-            problem_of = PROBLEMS.get(mistake.kind, _wrong_value)
-            yield problem_of(mistake, document, schema)
+            yield _problem(mistake, document, schema)
 
 
 def _is_reported_already(mistake: Mistake, document: Document) -> bool:
@@ -140,10 +139,30 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
     return (*steps, field) if isinstance(field, str) else tuple(steps)
 
 
-def _unknown_key(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    key = str(mistake.loc[-1])
-    meant = _meant_key(key, mistake.loc[:-1], document.data, schema)
-    return document.key(mistake.loc).problem(mistake.loc, f"unknown key{meant}")
+def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    """Return the problem that a mistake is."""
+    loc = mistake.loc
+    loc_of_type = (*loc, "type")
+    match mistake.kind:
+        case "extra_forbidden":
+            meant = _meant_key(str(loc[-1]), loc[:-1], document.data, schema)
+            return document.key(loc).problem(loc, f"unknown key{meant}")
+        case "missing":
+            return _missing(mistake, document, schema)
+        case "union_tag_not_found":
+            types = ", ".join(_types(mistake, schema).values())
+            return document.place(loc).problem(loc_of_type, f"is missing; must be one of {types}")
+        case "union_tag_invalid":
+            known = _types(mistake, schema)
+            guess = did_you_mean(str(child(mistake.value, "type")), list(known))
+            place = document.place(loc_of_type)
+            message = f"must be one of {', '.join(known.values())}{guess}"
+            return place.problem(loc_of_type, message, place.text)
+        case "not_installed":
+            loc_of_name = (*loc, mistake.context.get("key", "type"))
+            place = document.place(loc_of_name)
+            return place.problem(loc_of_name, mistake.context["why"], place.text)
+    return _wrong_value(mistake, document)
 
 
 def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
@@ -160,21 +179,6 @@ def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
     return place.problem(mistake.loc, message)
 
 
-def _without_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    types = ", ".join(_types(mistake, schema).values())
-    message = f"is missing; must be one of {types}"
-    return document.place(mistake.loc).problem((*mistake.loc, "type"), message)
-
-
-def _unknown_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    types = _types(mistake, schema)
-    wrong = child(mistake.value, "type")
-    guess = did_you_mean(str(wrong), list(types))
-    loc = (*mistake.loc, "type")
-    place = document.place(loc)
-    return place.problem(loc, f"must be one of {', '.join(types.values())}{guess}", place.text)
-
-
 def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
     """Return the texts of the types that may be chosen, by name."""
     if mistake.context.get("known"):
@@ -183,13 +187,7 @@ def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
     return {name: name for name in tags if name is not None}
 
 
-def _not_installed(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    loc = (*mistake.loc, mistake.context.get("key", "type"))
-    place = document.place(loc)
-    return place.problem(loc, mistake.context["why"], place.text)
-
-
-def _wrong_value(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
     message = _words(mistake)
     place = document.place(mistake.loc)
     is_written = mistake.loc in document.places
@@ -197,16 +195,6 @@ def _wrong_value(mistake: Mistake, document: Document, schema: Schema) -> SpecPr
         return place.problem(mistake.loc, f"has no value; {message}")
     text = place.text if is_written else None
     return place.problem(mistake.loc, message, mistake.context.get("value", text))
-
-
-PROBLEMS: dict[str, Callable[[Mistake, Document, Schema], SpecProblem]] = {
-    "extra_forbidden": _unknown_key,
-    "missing": _missing,
-    "union_tag_not_found": _without_type,
-    "union_tag_invalid": _unknown_type,
-    "not_installed": _not_installed,
-}
-"""What makes the problem of a mistake, by its kind; `_wrong_value` makes that of any other."""
 
 
 def _words(mistake: Mistake) -> str:

@@ -51,15 +51,25 @@ def _unknown_share(key: str, label: str, reason: str, unusual: bool = False) -> 
     return Figure(label, f"{NONE} ({reason})", items, unusual)
 
 
-def _recovered(trials: Sequence[ResultSummary]) -> list[Figure]:
-    recovered = sum(trial.recovered for trial in trials)
-    items = {"recovered": recovered}
-    return [Figure("read from damaged logs", str(recovered), items, unusual=recovered > 0)]
+def total(
+    key: str,
+    label: str,
+    number_in: Callable[[ResultSummary], int],
+    matters: Callable[[ResultSummary], bool] = lambda trial: True,
+) -> Statistic:
+    """Return a statistic: the sum of a number of what there should be none of. A reader must see it
+    where it `matters`, which the first trial tells of all."""
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        number = sum(map(number_in, trials))
+        return [Figure(label, str(number), {key: number}, number > 0 and matters(trials[0]))]
+
+    return Statistic(of_batch, lambda trial: {key: number_in(trial)})
 
 
 OUTCOMES = Statistic(_outcomes)
 ARRIVED = Statistic(_arrived)
-RECOVERED = Statistic(_recovered, lambda trial: {"recovered": trial.recovered})
+RECOVERED = total("recovered", "read from damaged logs", lambda trial: trial.recovered)
 
 # ---- How near robots came ----
 
@@ -216,16 +226,12 @@ def _solve_ms(trials: Sequence[ResultSummary]) -> list[Figure]:
     return [*figures, Figure("", "", {"solve_ms": times_ms})]
 
 
-def _deadline_misses(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return how many deadlines were missed; only where time is real did they delay a command."""
-    misses = sum(trial.result.deadline_misses for trial in trials)
-    unusual = misses > 0 and trials[0].experiment.plant.real_time
-    return [Figure("deadline misses", str(misses), {"deadline_misses": misses}, unusual)]
-
-
 SOLVE_MS = Statistic(_solve_ms)
-DEADLINE_MISSES = Statistic(
-    _deadline_misses, lambda trial: {"deadline_misses": trial.result.deadline_misses}
+DEADLINE_MISSES = total(
+    "deadline_misses",
+    "deadline misses",
+    lambda trial: trial.result.deadline_misses,
+    matters=lambda trial: trial.experiment.plant.real_time,  # elsewhere they delayed no command
 )
 
 # ---- Robots that turn by themselves ----

@@ -13,9 +13,9 @@ and then `_disagreements` looks for problems that concern several arms.
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -139,32 +139,6 @@ class LoadedStudy:
         return Store(folder, batches)
 
 
-@dataclass(frozen=True)
-class Base:
-    """The spec that every arm changes: a file, or contents that stand in the study."""
-
-    source: Path | dict[str, Any]
-
-    @cached_property
-    def document(self) -> Document:
-        """The base, parsed once for all arms; InvalidSpecError if it cannot be read."""
-        if isinstance(self.source, dict):
-            return parse_document(as_text(self.source, "base"), "base")
-        return read_document(self.source)
-
-    @property
-    def named(self) -> str | None:
-        """What a problem with the whole base quotes, None for contents."""
-        return None if isinstance(self.source, dict) else printable(self.source.name)
-
-    def load(self, sets: Sequence[str]) -> LoadedSpec:
-        """Return the spec with `path=value` settings; raises InvalidSpecError."""
-        if isinstance(self.source, dict):
-            with without_lines():
-                return load_document(self.document, sets)
-        return load_document(self.document, sets)
-
-
 def load_study(source: Path | Mapping[str, Any]) -> LoadedStudy:
     """Read and check a study, a file or its contents, and the spec of every arm.
 
@@ -181,21 +155,35 @@ def load_study(source: Path | Mapping[str, Any]) -> LoadedStudy:
 def _loaded(document: Document, folder: Path) -> LoadedStudy:
     """Check a study whose base is relative to `folder`."""
     study = _study(document)
-    base = Base(study.base if isinstance(study.base, dict) else folder / study.base)
-    if isinstance(base.source, Path) and not base.source.exists():
-        text = f"there is no such file: {printable(str(base.source))}{near_files(base.source)}"
-        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
-    if isinstance(base.source, Path) and is_study(base.document):
-        text = "is a study, not a spec, as a base must be"
-        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
-    arms = _arms(study, base, document)
+    arms = _arms(study, _base(study, document, folder), document)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
     if disagreements:
         raise InvalidSpecError(disagreements)
     return LoadedStudy(study, tuple(_with_unique_names(arms)))
 
 
-def _arms(study: Study, base: Base, document: Document) -> list[Arm]:
+def _base(study: Study, document: Document, folder: Path) -> Document:
+    """Return the spec that every arm changes, a file or contents that stand in the study;
+    InvalidSpecError if it cannot be read."""
+    if isinstance(study.base, dict):
+        return parse_document(as_text(study.base, "base"), "base")
+    path = folder / study.base
+    if not path.exists():
+        text = f"there is no such file: {printable(str(path))}{near_files(path)}"
+        raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
+    base = read_document(path)
+    if is_study(base):
+        text = "is a study, not a spec, as a base must be"
+        raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
+    return base
+
+
+def _named(study: Study) -> str | None:
+    """Return what a problem with the whole base quotes: its file's name, None for contents."""
+    return None if isinstance(study.base, dict) else printable(Path(study.base).name)
+
+
+def _arms(study: Study, base: Document, document: Document) -> list[Arm]:
     """Return all arms. InvalidSpecError has the problems of all of them, each once; its hint names
     the first arm with a problem that its settings bring out in the base."""
     arms: list[Arm] = []
@@ -284,7 +272,7 @@ def _points(study: Study) -> list[Mapping[str, Setting]]:
     return study.sweep.draw(np.random.default_rng(seeds))
 
 
-def _arm(base: Base, study: Study, combination: Combination, document: Document) -> Arm:
+def _arm(base: Document, study: Study, combination: Combination, document: Document) -> Arm:
     """Return one arm; InvalidSpecError with locations in the study if its settings are invalid."""
     settings = combination.settings
     for setting in settings:
@@ -295,14 +283,16 @@ def _arm(base: Base, study: Study, combination: Combination, document: Document)
     sets = tuple(setting.text for setting in settings)
     trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
     try:
-        spec = base.load((*sets, *trials))
+        # contents have no lines that a problem could name
+        with without_lines() if isinstance(study.base, dict) else nullcontext():
+            spec = load_document(base, (*sets, *trials))
     except InvalidSpecError as error:
         locations = {f"--set {printable(setting.text, 200)}": setting.loc for setting in settings}
         placed = [_placed(problem, locations, document) for problem in error.problems]
         raise InvalidSpecError(placed) from None
     if not spec.experiment.plant.simulated:
         text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
-        raise InvalidSpecError([document.problem_at(("base",), text, base.named)])
+        raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
     return Arm(
         name=combination.name,
         controller=combination.controller,

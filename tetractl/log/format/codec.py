@@ -239,7 +239,17 @@ def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
         cost=plan.cost,
         target_cost=plan.target_cost,
         obstacle_cost=plan.obstacle_cost,
-        searches=[_encode_search(search) for search in plan.searches],
+        searches=[
+            pb.Search(
+                length=search.length,
+                signals=search.signals.tolist(),
+                cost=search.cost,
+                history=search.history.tolist(),
+                evaluations=search.evaluations,
+                stopped=printable(search.stopped, STOP_REASON_MAX),
+            )
+            for search in plan.searches
+        ],
         chosen=plan.chosen,
         generator=plan.generator,
         path_x=path[:, 0].tolist(),
@@ -266,13 +276,24 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     x = _floats(message.path_x)
     y = _floats(message.path_y)
     path = np.stack([x, y, np.full_like(x, np.nan)], axis=-1)
+    searches = tuple(
+        Search(
+            length=search.length,
+            signals=_floats(search.signals),
+            cost=search.cost,
+            history=_floats(search.history),
+            evaluations=search.evaluations,
+            stopped=StopReason.read(printable(search.stopped, STOP_REASON_MAX)),
+        )
+        for search in message.searches
+    )
     plan = Plan(
         signals=_floats(message.signals),
         path=path.reshape(-1, robots, 3),
         cost=message.cost,
         target_cost=message.target_cost,
         obstacle_cost=message.obstacle_cost,
-        searches=tuple(_decode_search(search) for search in message.searches),
+        searches=searches,
         chosen=message.chosen,
         generator=message.generator,
         estimate=_decode_estimate(message.estimate, robots)
@@ -290,28 +311,6 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         command=command,
         solve_ns=timing.solve_ns if timing else 0,
         deadline_missed=timing.deadline_missed if timing else False,
-    )
-
-
-def _encode_search(search: Search) -> pb.Search:
-    return pb.Search(
-        length=search.length,
-        signals=search.signals.tolist(),
-        cost=search.cost,
-        history=search.history.tolist(),
-        evaluations=search.evaluations,
-        stopped=printable(search.stopped, STOP_REASON_MAX),
-    )
-
-
-def _decode_search(message: pb.Search) -> Search:
-    return Search(
-        length=message.length,
-        signals=_floats(message.signals),
-        cost=message.cost,
-        history=_floats(message.history),
-        evaluations=message.evaluations,
-        stopped=StopReason.read(printable(message.stopped, STOP_REASON_MAX)),
     )
 
 

@@ -31,7 +31,6 @@ from tetractl.core.colors import GREY, OBSTACLE, robot_colors
 from tetractl.core.errors import printable
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.core.shape import Shape
 from tetractl.core.trial import Note
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import Frames, drawn
@@ -162,23 +161,20 @@ class Scene:
         border = self._line(np.array(corners), _color(GREY), LinePrimitive.LINE_LOOP)
         entities = [self._entity("arena", unix_ns, lines=[border])]
         for i, obstacle in enumerate(self._setup.obstacles):
-            entities.append(self._obstacle(f"obstacle/{i}", unix_ns, obstacle))
+            # an upright prism over its outline, as high as a robot
+            corners, triangles = prism(obstacle.outline() * self._metres, self._body)
+            block = TriangleListPrimitive(
+                pose=Pose(orientation=_UPRIGHT),
+                points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
+                indices=triangles.ravel().tolist(),
+                color=_color(OBSTACLE),
+            )
+            entities.append(self._entity(f"obstacle/{i}", unix_ns, triangles=[block]))
         legs = self._setup.legs.swapaxes(0, 1)
         for name, color, points in zip(self._setup.names, self._colors, legs, strict=True):
             entities.append(self._target(name, color, points[:-1], points[-1], unix_ns))
             entities.append(self._robot(name, color, unix_ns))
         return SceneUpdate(entities=entities)
-
-    def _obstacle(self, entity_id: str, unix_ns: int, obstacle: Shape) -> SceneEntity:
-        """Return an upright prism over an obstacle's outline, as high as a robot."""
-        corners, triangles = prism(obstacle.outline() * self._metres, self._body)
-        block = TriangleListPrimitive(
-            pose=Pose(orientation=_UPRIGHT),
-            points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
-            indices=triangles.ravel().tolist(),
-            color=_color(OBSTACLE),
-        )
-        return self._entity(entity_id, unix_ns, triangles=[block])
 
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int

@@ -481,19 +481,6 @@ class ResponseParameters:
     heading_noise: float
     position_noise: float
 
-    @classmethod
-    def of_units(cls, dead_time: float, speed: float) -> "ResponseParameters":
-        """Return the parameters of a vector of zeros, for an expected dead time and a speed."""
-        return cls(
-            dead_time=dead_time,
-            turning_lag=LAG_UNIT_S,
-            speed_lag=LAG_UNIT_S,
-            heading_walk=HEADING_WALK_UNIT,
-            way_walk=WAY_WALK_UNIT * speed,
-            heading_noise=HEADING_NOISE_UNIT,
-            position_noise=POSITION_NOISE_UNIT_S * speed,
-        )
-
     def at(self, vector: Floats) -> "ResponseParameters":
         """Return the parameters of a vector (7,), if these are of a vector of zeros."""
         factor = np.exp(vector)
@@ -599,7 +586,15 @@ def _search(name: str, steps: _Steps, units: ResponseParameters) -> Floats:
 
 def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
     """Fit one robot and return its values with their intervals."""
-    units = ResponseParameters.of_units(steps.dead_time, steps.speed)
+    units = ResponseParameters(  # of a vector of zeros
+        dead_time=steps.dead_time,
+        turning_lag=LAG_UNIT_S,
+        speed_lag=LAG_UNIT_S,
+        heading_walk=HEADING_WALK_UNIT,
+        way_walk=WAY_WALK_UNIT * steps.speed,
+        heading_noise=HEADING_NOISE_UNIT,
+        position_noise=POSITION_NOISE_UNIT_S * steps.speed,
+    )
     vector = _search(name, steps, units)
     likeliest = units.at(vector)
     _check_commands(source, name, steps, likeliest)

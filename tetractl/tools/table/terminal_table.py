@@ -199,7 +199,10 @@ def _html(table: Table, links: Mapping[str, str]) -> str:
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
     rows = ""
     for first, *entries in table.rows:
-        cells = "".join(f"<td{_unbroken(entry)}>{escape(entry)}</td>" for entry in entries)
+        cells = ""
+        for entry in entries:
+            unbroken = ' class="short"' if len(entry) <= SHORT else ""  # such as "20 and 20"
+            cells += f"<td{unbroken}>{escape(entry)}</td>"
         rows += f'<tr><th scope="row">{named(first)}</th>{cells}</tr>'
     kind = ' class="words"' if table.words else ""
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
@@ -209,11 +212,6 @@ def _html(table: Table, links: Mapping[str, str]) -> str:
         f'<div class="scroll"><table{kind}>{caption}'
         f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}</div>"
     )
-
-
-def _unbroken(entry: str) -> str:
-    """Return the class of an entry that is too short to be broken, such as "20 and 20"."""
-    return ' class="short"' if len(entry) <= SHORT else ""
 
 
 TEXTS: Mapping[str, Callable[[Sequence[Table]], str]] = {

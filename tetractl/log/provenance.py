@@ -207,7 +207,7 @@ def _git(*arguments: str) -> str | None:
         done = run_tool(["git", "-C", str(HERE), *arguments], patience_s=5.0)
     except OSError:
         return None
-    return done.printed if done.code == 0 else None
+    return done.stdout.decode(errors="replace") if done.returncode == 0 else None
 
 
 def _cpu() -> str:

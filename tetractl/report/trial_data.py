@@ -7,8 +7,7 @@ import base64
 import json
 import math
 import zlib
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import unit_of
-from tetractl.core.setup import Bounds
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
 from tetractl.replay.player import end_ns, first_seen, tracked
+
+COARSER = 3
+"""By how many decimals plans are coarser than what is shown in digits: a thousandth of the arena at
+most."""
 
 
 def packed(trial: dict[str, Any]) -> str:
@@ -59,7 +61,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     setup = log.start.setup
     arena = setup.arena
     result = log.result
-    decimals = Decimals.of(arena)
+    decimals = 7 - math.ceil(math.log10(max(arena.width, arena.height)))  # of lengths
     until_ns = end_ns(log)
     return {
         "file": file,
@@ -81,21 +83,6 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class Decimals:
-    """Decimals of lengths: `coarse` of plans, for at most a thousandth of the arena, and `fine` of
-    what is shown in digits."""
-
-    coarse: int
-    fine: int
-
-    @classmethod
-    def of(cls, arena: Bounds) -> Self:
-        """Return the decimals for an arena."""
-        magnitude = math.ceil(math.log10(max(arena.width, arena.height)))
-        return cls(coarse=4 - magnitude, fine=7 - magnitude)
-
-
 def _robots(log: TrialLog) -> list[dict[str, Any]]:
     """Return each robot's name, colour, start, target, and way-points."""
     setup = log.start.setup
@@ -114,7 +101,7 @@ def _robots(log: TrialLog) -> list[dict[str, Any]]:
     ]
 
 
-def _frames(log: TrialLog, until_ns: int, decimals: Decimals) -> dict[str, Any]:
+def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
     """Return times and measured poses of the frames shown."""
     frames = _thinned(log, until_ns)
     valid = log.valid[frames]
@@ -123,7 +110,7 @@ def _frames(log: TrialLog, until_ns: int, decimals: Decimals) -> dict[str, Any]:
     heading = np.where(valid, poses[..., 2], np.nan)
     return {
         "t": rounded([log.elapsed_s(int(time_ns)) for time_ns in log.mocap_ns[frames]]),
-        "xy": rounded(xy, decimals.fine),
+        "xy": rounded(xy, decimals),
         "heading": rounded(heading),
     }
 
@@ -143,21 +130,21 @@ def _steps(log: TrialLog) -> dict[str, Any]:
     }
 
 
-def _final(log: TrialLog, decimals: Decimals) -> dict[str, Any] | None:
+def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
     """Return the poses and errors of the result; None if the log ends early."""
     result = log.result
     if result is None:
         return None
     return {
-        "xy": rounded(result.verdict.final.xy, decimals.fine),
-        "errors": rounded(result.robot_errors, decimals.fine),
+        "xy": rounded(result.verdict.final.xy, decimals),
+        "errors": rounded(result.robot_errors, decimals),
         "known": "true" if log.start.plant.simulated else "measured",
     }
 
 
-def _plans(log: TrialLog, decimals: Decimals) -> list[Any]:
+def _plans(log: TrialLog, decimals: int) -> list[Any]:
     """Return the positions that each step predicted."""
-    return [rounded(step.plan.path[..., :2], decimals.coarse) for step in log.steps]
+    return [rounded(step.plan.path[..., :2], decimals - COARSER) for step in log.steps]
 
 
 def _events(log: TrialLog) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ trials_listed  the trials of a batch, on the report page and in a notebook
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from tetractl.experiment.experiment import Experiment
@@ -82,22 +82,13 @@ def _verdict(contrast: Contrast) -> str:
     return f"{verdict}, {difference} ({basis})"
 
 
-@dataclass(frozen=True, slots=True)
-class _Remark:
-    """What a reader must see: `text` under a label, about the batch or trial `name`."""
-
-    label: str
-    text: str
-    name: str
-
-
 def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
     """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`: each text
     with those it is true of, without names if there is one batch."""
     names: dict[tuple[str, str], list[str]] = {}  # by label and text
     for group in groups:
-        for remark in _remarks(group, len(groups) > 1):
-            names.setdefault((remark.label, remark.text), []).append(remark.name)
+        for label, text, name in _remarks(group, len(groups) > 1):
+            names.setdefault((label, text), []).append(name)
     only_batch = [groups[0].name] if len(groups) == 1 else None
     texts: dict[str, list[str]] = {}  # by label
     for (label, text), of_text in names.items():
@@ -107,22 +98,23 @@ def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
         yield f"{label}: {listing(of_label, '; ')}"
 
 
-def _remarks(group: BatchStatistics, several: bool) -> Iterator[_Remark]:
-    """Yield what is unusual about a batch, shortly if it is one of several."""
+def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
+    """Yield what is unusual about a batch, shortly if it is one of several: the label of a text,
+    the text, and the name of the batch or trial that it is about."""
     for figure in figures_of(group):
         brief = figure.text if figure.brief is None else figure.brief
         text = brief if several else figure.text
         if figure.unusual and text:
-            yield _Remark(figure.label, text, group.name)
+            yield figure.label, text, group.name
     logs = flagged(group.batch)
     notes = [", ".join(log.notes) for log in logs]
     stems = [Path(log.log).stem for log in logs]
     if not several:
         for stem, note in zip(stems, notes, strict=True):
-            yield _Remark("flagged", note, stem)
+            yield "flagged", note, stem
     elif logs:  # the first one: `stats` of this batch alone names them all
         more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
-        yield _Remark("flagged", f"{stems[0]} ({notes[0]}){more}", group.name)
+        yield "flagged", f"{stems[0]} ({notes[0]}){more}", group.name
 
 
 # ---- The figures of a batch ----

@@ -3,8 +3,8 @@
 An arm is the combination of one point of the sweep with one controller. In the order of a study's
 arms,
 
-    _combinations    yields each with its settings, which have locations in the study's file
-    _arm             loads the base spec with these settings, and checks it
+    _combinations    yields each
+    _arm             loads the base spec with its settings, and checks it
     _placed          tells a problem of that spec at the setting that causes it
 
 and then `_disagreements` looks for problems that concern several arms.
@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -189,14 +190,14 @@ def _arms(study: Study, base: Document, document: Document) -> list[Arm]:
     arms: list[Arm] = []
     problems: dict[SpecProblem, None] = {}
     hint: str | None = None
-    for combination in _combinations(study, document):
+    for controller, point in _combinations(study, document):
         try:
-            arms.append(_arm(base, study, combination, document))
+            arms.append(_arm(base, study, controller, point, document))
         except InvalidSpecError as error:
             problems |= dict.fromkeys(error.problems)
             in_base = any(problem.origin != document.origin for problem in error.problems)
-            if hint is None and combination.settings and in_base:
-                hint = f"in the arm {combination.name} of {document.origin}"
+            if hint is None and in_base and (point or study.controllers.get(controller)):
+                hint = f"in the arm {arm_name(controller, _values(point))} of {document.origin}"
     if problems:
         raise InvalidSpecError(problems, hint)
     return arms
@@ -213,54 +214,15 @@ def _study(document: Document) -> Study:
     return study
 
 
-@dataclass(frozen=True, slots=True)
-class PlacedSetting:
-    """A setting `path=value` of a spec, and its location in the study."""
-
-    text: str
-    loc: Loc
-
-    @classmethod
-    def of(cls, path: str, value: Any, loc: Loc) -> "PlacedSetting":
-        """Return the setting of a value at a path."""
-        return cls(f"{path}={as_yaml(value)}", loc)
-
-
-@dataclass(frozen=True, slots=True)
-class Combination:
-    """A controller, "" for none, and a point of the sweep: the `values` of the swept fields by
-    path. The `settings` are those of both, in the order in which they are set."""
-
-    controller: str
-    values: Mapping[str, Any]
-    settings: tuple[PlacedSetting, ...]
-
-    @property
-    def name(self) -> str:
-        """The name of the arm."""
-        return arm_name(self.controller, self.values)
-
-
-def _combinations(study: Study, document: Document) -> Iterable[Combination]:
-    """Yield each controller with each point of the sweep."""
+def _combinations(study: Study, document: Document) -> Iterable[tuple[str, Mapping[str, Setting]]]:
+    """Yield each controller, "" for none, with each point of the sweep."""
     points = _points(study)
     controllers = study.controllers or {"": {}}
     count = len(points) * len(controllers)
     if count > MAX_ARMS:
         text = f"gives {count} arms; a study has at most {MAX_ARMS}"
         raise InvalidSpecError([document.problem_at(("sweep",), text)])
-    for controller, fields in controllers.items():
-        of_controller = [
-            PlacedSetting.of(path, value, ("controllers", controller, path))
-            for path, value in fields.items()
-        ]
-        for point in points:
-            of_point = [
-                PlacedSetting.of(path, setting.value, ("sweep", *setting.loc))
-                for path, setting in point.items()
-            ]
-            values = {path: setting.value for path, setting in point.items()}
-            yield Combination(controller, values, (*of_controller, *of_point))
+    return product(controllers, points)
 
 
 def _points(study: Study) -> list[Mapping[str, Setting]]:
@@ -272,32 +234,47 @@ def _points(study: Study) -> list[Mapping[str, Setting]]:
     return study.sweep.draw(np.random.default_rng(seeds))
 
 
-def _arm(base: Document, study: Study, combination: Combination, document: Document) -> Arm:
+def _values(point: Mapping[str, Setting]) -> dict[str, Any]:
+    """Return the values of the swept fields, by path, at a point of the sweep."""
+    return {path: setting.value for path, setting in point.items()}
+
+
+def _arm(
+    base: Document,
+    study: Study,
+    controller: str,
+    point: Mapping[str, Setting],
+    document: Document,
+) -> Arm:
     """Return one arm; InvalidSpecError with locations in the study if its settings are invalid."""
-    settings = combination.settings
-    for setting in settings:
-        path, _, _ = setting.text.partition("=")
+    fields = study.controllers.get(controller, {})
+    placed = [(path, value, ("controllers", controller, path)) for path, value in fields.items()]
+    placed += [(path, setting.value, ("sweep", *setting.loc)) for path, setting in point.items()]
+    sets: list[str] = []
+    locations: dict[str, Loc] = {}  # of the settings in the study, by the origin a problem names
+    for path, value, loc in placed:
         if path.split(".")[0] == "trials":
             text = "cannot be swept; give count and seed in the study's 'trials:'"
-            raise InvalidSpecError([document.problem_at(setting.loc, text)])
-    sets = tuple(setting.text for setting in settings)
+            raise InvalidSpecError([document.problem_at(loc, text)])
+        sets.append(f"{path}={as_yaml(value)}")
+        locations[f"--set {printable(sets[-1], 200)}"] = loc
     trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
     try:
         # contents have no lines that a problem could name
         with without_lines() if isinstance(study.base, dict) else nullcontext():
             spec = load_document(base, (*sets, *trials))
     except InvalidSpecError as error:
-        locations = {f"--set {printable(setting.text, 200)}": setting.loc for setting in settings}
-        placed = [_placed(problem, locations, document) for problem in error.problems]
-        raise InvalidSpecError(placed) from None
+        problems = [_placed(problem, locations, document) for problem in error.problems]
+        raise InvalidSpecError(problems) from None
     if not spec.experiment.plant.simulated:
         text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
         raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
+    values = _values(point)
     return Arm(
-        name=combination.name,
-        controller=combination.controller,
-        values=combination.values,
-        sets=sets,
+        name=arm_name(controller, values),
+        controller=controller,
+        values=values,
+        sets=tuple(sets),
         spec=spec,
         hash=arm_hash(spec.experiment),
         code=code_of(spec.experiment),

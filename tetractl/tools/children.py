@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from typing import IO, Any, Self, TextIO, TypeVar
@@ -127,26 +126,17 @@ class Child:
                 del self._said[:-SAID_BYTES]
 
 
-@dataclass(frozen=True, slots=True)
-class Done:
-    """How a tool ended: its exit code, what it printed, and the lines that it said."""
-
-    code: int
-    printed: str
-    said: list[str]
-
-
-def run_tool(command: Sequence[str], patience_s: float | None = None) -> Done:
+def run_tool(
+    command: Sequence[str], patience_s: float | None = None
+) -> subprocess.CompletedProcess[bytes]:
     """Run a tool, such as git or a compiler, to its end; OSError if it cannot be started, or does
-    not end within `patience_s`."""
+    not end within `patience_s`. What it says is for `shown_lines`."""
     try:
-        done = subprocess.run(
+        return subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, timeout=patience_s
         )
     except subprocess.TimeoutExpired as error:
         raise TimeoutError(f"{command[0]} does not end") from error
-    printed = done.stdout.decode(errors="replace")
-    return Done(done.returncode, printed, shown_lines(done.stderr))
 
 
 def open_in_browser(address: str) -> bool:

@@ -19,7 +19,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
 from tetractl.tools.cache import cache_folder, digest, read_own
-from tetractl.tools.children import run_tool
+from tetractl.tools.children import run_tool, shown_lines
 
 _P = ctypes.c_void_p
 _U8 = ctypes.c_uint8
@@ -107,8 +107,8 @@ def _build(codes: list[Path], path: Path) -> None:
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
         built = Path(scratch) / path.name
         done = run_tool([name, *FLAGS, *map(str, codes), "-o", str(built)])
-        if done.code:
-            line = (done.said or ["no message"])[0]
+        if done.returncode:
+            line = (shown_lines(done.stderr) or ["no message"])[0]
             raise TetractlError(f"{name} could not build the firmware's core: {line}")
         built.replace(path)  # atomic: other processes see the complete file or none
 

@@ -63,7 +63,7 @@ def test_bytes_that_are_no_text_are_shown_as_such():
 def test_a_tool_gives_its_code_its_print_and_its_words():
     code = "import sys; print('out'); sys.stderr.write('why'); exit(4)"
     done = run_tool([sys.executable, "-c", code])
-    assert (done.code, done.printed, done.said) == (4, "out\n", ["why"])
+    assert (done.returncode, done.stdout, done.stderr) == (4, b"out\n", b"why")
 
 
 def test_a_tool_that_does_not_end_or_does_not_exist_is_an_error_of_the_system():

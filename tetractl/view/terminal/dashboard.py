@@ -15,7 +15,7 @@ and lines of the terminal.
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,7 +27,6 @@ from rich.text import Text
 from tetractl.core.clock import milliseconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.plan import Outcome, State, StopReason
-from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Step
 from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
@@ -102,34 +101,6 @@ class _Block:
 
     rank: int
     lines: list[Text]
-
-
-@dataclass(frozen=True, slots=True)
-class _RobotColumns:
-    """Widths of a robot's line, `MARK NAME VALUE BAR`, and the decimals of its value."""
-
-    name: int
-    value: int
-    bar: int
-    decimals: int
-
-    @classmethod
-    def fit(
-        cls, width: int, names: Sequence[str], distances: Floats, full: float
-    ) -> "_RobotColumns":
-        """Return the columns that fit: names are cut before values are, bars have what is left.
-
-        Values have four digits at a distance of `full`: 854.0 mm.
-        """
-        digits = math.floor(math.log10(full)) + 1  # before the decimal point
-        decimals = min(max(4 - digits, 0), 6)
-        values = [f"{distance:.{decimals}f}" for distance in (full, *distances)]
-        value_width = max(len(value) for value in values)
-        rest = width - value_width - 5  # the mark, three gaps, and a column to spare
-        longest_name = max((len(name) for name in names), default=0)
-        name_width = min(longest_name, max(rest, 0))
-        bar_width = max(rest - name_width, 0)
-        return cls(name_width, value_width, min(bar_width, ROBOT_BAR_MOST), decimals)
 
 
 def _is_given(step: Step) -> bool:
@@ -262,36 +233,47 @@ class Dashboard:
         distances = self._moment.distances
         lines_most = max(height - LINES_OF_OTHERS, ROBOTS_LEAST)
         listed = len(distances) if len(distances) <= lines_most else lines_most - 1
-        at_start = setup.distances(setup.starts.xy)
-        full = max(float(np.nanmax(at_start)), SMALLEST)
-        columns = _RobotColumns.fit(width, setup.names[:listed], distances[:listed], full)
         what = f"to target [{setup.unit}]"
         how = "" if self._plain else f", {self._moment.known}"
         title = _first_fitting(width, f"distance {what}{how}", f"{what}{how}", what)
         lines = [Text(title, "dim", no_wrap=True)]
-        lines += [self._robot(glyphs, robot, columns, full) for robot in range(listed)]
+        lines += self._robot_lines(glyphs, width, listed)
         if listed < len(distances):
             worst = _number(float(distances[listed:].max()))
             lines.append(Text(f"and {len(distances) - listed} more, at most {worst}", "dim"))
         return lines
 
-    def _robot(self, glyphs: Glyphs, robot: int, columns: "_RobotColumns", full: float) -> Text:
-        """Return the line of one robot; a whole bar is a distance of `full`."""
-        moment = self._moment
-        name = moment.setup.names[robot]
-        color = self._colors[robot]
-        distance = float(moment.distances[robot])
-        mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, moment.poses[robot, 2])
-        line = Text.assemble(
-            (mark, f"bold {color}"),
-            (f" {name[: columns.name]:<{columns.name}} ", color),
-            f"{distance:{columns.value}.{columns.decimals}f} ",
-        )
-        if name in self._standing():
-            line.append(_first_fitting(columns.bar, "stands", ""), "yellow")
-        else:
-            line.append_text(bar(glyphs, columns.bar, distance / full, color))
-        return line
+    def _robot_lines(self, glyphs: Glyphs, width: int, count: int) -> Iterator[Text]:
+        """Yield the lines of the first robots, `MARK NAME VALUE BAR`: names are cut before values
+        are, bars have what is left. A whole bar is the greatest distance at the start, which has
+        four digits: 854.0 mm.
+        """
+        setup = self._moment.setup
+        distances = self._moment.distances[:count]
+        names = setup.names[:count]
+        at_start = setup.distances(setup.starts.xy)
+        full = max(float(np.nanmax(at_start)), SMALLEST)
+        digits = math.floor(math.log10(full)) + 1  # before the decimal point
+        decimals = min(max(4 - digits, 0), 6)
+        value_width = max(len(f"{distance:.{decimals}f}") for distance in (full, *distances))
+        rest = width - value_width - 5  # the mark, three gaps, and a column to spare
+        name_width = min(max((len(name) for name in names), default=0), max(rest, 0))
+        bar_width = min(max(rest - name_width, 0), ROBOT_BAR_MOST)
+        standing = self._standing()
+        for robot, (name, color) in enumerate(zip(names, self._colors, strict=False)):
+            heading = self._moment.poses[robot, 2]
+            mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, heading)
+            distance = float(distances[robot])
+            line = Text.assemble(
+                (mark, f"bold {color}"),
+                (f" {name[:name_width]:<{name_width}} ", color),
+                f"{distance:{value_width}.{decimals}f} ",
+            )
+            if name in standing:
+                line.append(_first_fitting(bar_width, "stands", ""), "yellow")
+            else:
+                line.append_text(bar(glyphs, bar_width, distance / full, color))
+            yield line
 
     def _standing(self) -> list[str]:
         """Return the names of the robots that stand by the newest plan's estimate."""

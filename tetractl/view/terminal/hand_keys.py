@@ -184,32 +184,25 @@ def task(setup: Setup, disturbed: bool) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class TimedKey:
-    """A key, and when it is pressed [s] after the first one."""
-
-    time_s: float
-    key: str
-
-
 class KeyScript:
-    """What a file of keys asks for."""
+    """What a file of keys asks for: each when it is pressed [s] after the first one, in order."""
 
-    def __init__(self, keys: list[TimedKey]) -> None:
+    def __init__(self, keys: list[tuple[float, str]]) -> None:
         self._keys = keys
 
     def ask(self, time_s: float) -> float | None:
         """Return the direction [rad] at a time after the first key [s], None to stop."""
         wish = Wish()
-        for timed in self._keys:
-            if timed.time_s <= time_s:
-                wish = wish.after(timed.key)
+        for pressed_s, key in self._keys:
+            if pressed_s <= time_s:
+                wish = wish.after(key)
         return wish.answer
 
 
 def read_script(path: Path) -> KeyScript:
     """Read a file of keys; UsageError with file and line for what is wrong."""
-    keys: list[TimedKey] = []
+    keys: list[tuple[float, str]] = []
+    last_s = 0.0
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = line.partition("#")[0].split()
         if not words:
@@ -218,17 +211,18 @@ def read_script(path: Path) -> KeyScript:
         if len(words) != 2:
             raise UsageError(f"{where}: is not SECONDS KEY", "such as `2.5 up`")
         time_s = _seconds(words[0], where)
-        if keys and time_s < keys[-1].time_s:
-            raise UsageError(f"{where}: {words[0]} s is before the {keys[-1].time_s:g} s above")
+        if time_s < last_s:
+            raise UsageError(f"{where}: {words[0]} s is before the {last_s:g} s above")
+        last_s = time_s
         if words[1] not in ARROWS | dict.fromkeys(STOPS):
             raise UsageError(
                 f"{where}: there is no key '{words[1]}'", "up, down, left, right, space"
             )
-        keys.append(TimedKey(time_s, words[1]))
-    if not keys or keys[0].key in STOPS:
+        keys.append((time_s, words[1]))
+    first_s, first_key = keys[0] if keys else (0.0, "")
+    if first_key not in ARROWS:
         raise UsageError(f"{path}: steers no robot", "begin with an arrow, such as `0 right`")
-    first_s = keys[0].time_s
-    return KeyScript([TimedKey(timed.time_s - first_s, timed.key) for timed in keys])
+    return KeyScript([(time_s - first_s, key) for time_s, key in keys])
 
 
 def _seconds(word: str, where: str) -> float:

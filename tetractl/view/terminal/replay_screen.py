@@ -4,7 +4,7 @@ it prints a line for each control step and event.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from operator import itemgetter
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
@@ -26,22 +26,6 @@ LOOK_S = 1 / 15
 """How long a key is waited for before a picture is due again [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class TrialOfSeveral:
-    """This is trial `index` of `count` that are played, from 0."""
-
-    index: int = 0
-    count: int = 1
-
-    def turned(self, key: str) -> "TrialOfSeveral":
-        """Return the place that a key leads to: this one if there is no trial there."""
-        index = self.index + TURNS.get(key, 0)
-        return TrialOfSeveral(index, self.count) if 0 <= index < self.count else self
-
-
-ALONE = TrialOfSeveral()
-
-
 def play(
     console: Console,
     player: Player,
@@ -54,7 +38,7 @@ def play(
     `turn_to(i, player)` returns the player of trial i, which goes on like `player`; without it,
     only the first is played. Returns whether a signal ended the play.
     """
-    place = TrialOfSeveral(0, count)
+    index = 0
     shows_help = False
     drawn = None
     screen = Screen(console)
@@ -63,35 +47,35 @@ def play(
         while player.state is not Playback.QUIT:
             player.update()
             # what a picture depends on: while it is the same, nothing is drawn
-            wanted = (place, player.now, player.rate, player.state, console.size, shows_help)
+            wanted = (index, player.now, player.rate, player.state, console.size, shows_help)
             if wanted != drawn:
                 glyphs = glyphs_for(console)
-                screen.show(Help(glyphs) if shows_help else dashboard(player, glyphs, place))
+                screen.show(Help(glyphs) if shows_help else dashboard(player, glyphs, index, count))
                 drawn = wanted
             for key in keyboard.read(LOOK_S):
-                turned = place.turned(key)
-                if turn_to and turned != place:
-                    place = turned
-                    player = turn_to(place.index, player)
+                next_index = index + TURNS.get(key, 0)
+                if turn_to and next_index != index and 0 <= next_index < count:
+                    index = next_index
+                    player = turn_to(index, player)
                 shows_help = key == "?" and not shows_help
                 player.press(key)
     return keyboard.interrupted
 
 
-def dashboard(player: Player, glyphs: Glyphs, place: TrialOfSeveral = ALONE) -> Dashboard:
-    """Return the dashboard at the player's time."""
+def dashboard(player: Player, glyphs: Glyphs, index: int = 0, count: int = 1) -> Dashboard:
+    """Return the dashboard at the player's time, of trial `index` of `count` that are played."""
     recording = player.recording
     log = recording.log
-    which = f" ({place.index + 1} of {place.count})" if place.count > 1 else ""
+    which = f" ({index + 1} of {count})" if count > 1 else ""
     return Dashboard(
         recording.at(player.now),
         heading=f"{log.start.setup.name}, trial {log.start.trial}{which}",
-        footer=_footer(player, glyphs, place),
+        footer=_footer(player, glyphs, has_next=index + 1 < count),
         notes=("damaged log", *log.damage.lost) if log.damage else (),
     )
 
 
-def _footer(player: Player, glyphs: Glyphs, place: TrialOfSeveral) -> Footer:
+def _footer(player: Player, glyphs: Glyphs, has_next: bool) -> Footer:
     """Return the rate, how far the trial is, and what keys do, the most useful first."""
     recording = player.recording
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
@@ -99,7 +83,7 @@ def _footer(player: Player, glyphs: Glyphs, place: TrialOfSeveral) -> Footer:
     end_s = recording.log.elapsed_s(recording.end_ns)
     end = f"{end_s:.1f}"
     hints = [f"space {SPACE.get(player.state, '')}", "? keys", "q quit"]
-    if place.index + 1 < place.count:
+    if has_next:
         hints.append("n next trial")
     hints += [f"{glyphs.left_right} {glyphs.plus_minus}1 s", ". step", "e event", "+/- rate"]
     return Footer(
@@ -159,39 +143,31 @@ def print_lines(
     lines = _lines(recording, start_ns, until_ns)
     while True:
         began_ns = wall.now()
-        for line in lines:
+        for time_ns, text in lines:
             if waits:
-                wall.sleep_until(began_ns + math.ceil((line.time_ns - start_ns) / speed))
-            print(line.text, flush=waits)
+                wall.sleep_until(began_ns + math.ceil((time_ns - start_ns) / speed))
+            print(text, flush=waits)
         if not loop or not lines:
             return
         wall.sleep_until(began_ns + math.ceil((until_ns - start_ns) / speed))
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    """A line to print, and the time [ns] of what it tells."""
-
-    time_ns: int
-    text: str
-
-
-def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[_Line]:
-    """Return the lines to print, in order of time; at the same time a step comes before events, and
-    the result comes last.
+def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
+    """Return the lines to print, each after the time [ns] of what it tells, in order of time; at
+    the same time a step comes before events, and the result comes last.
     """
     lines = [
-        _Line(step_ns, step_line(recording, index))
+        (step_ns, step_line(recording, index))
         for index, step_ns in enumerate(recording.step_ns.tolist())
     ]
     lines += [
-        _Line(event_ns, f"{event.time_s:6.2f} s  {event.level}: {event.text}")
+        (event_ns, f"{event.time_s:6.2f} s  {event.level}: {event.text}")
         for event_ns, event in zip(recording.event_ns.tolist(), recording.events, strict=True)
     ]
-    lines.sort(key=lambda line: line.time_ns)
+    lines.sort(key=itemgetter(0))
     if recording.log.result is not None:
-        lines.append(_Line(recording.end_ns, result_line(recording)))
-    return [line for line in lines if start_ns <= line.time_ns <= until_ns]
+        lines.append((recording.end_ns, result_line(recording)))
+    return [(time_ns, text) for time_ns, text in lines if start_ns <= time_ns <= until_ns]
 
 
 def result_line(recording: Recording) -> str:

@@ -107,20 +107,11 @@ def test_a_terminal_that_is_closed_or_hangs_stops_no_stop(lab, tmp_path, hangs):
     assert at_rest(record)
 
 
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        pytest.param((), 130, id="attended"),
-        pytest.param(  # a closed pipe changes nothing: test_signals_cli.py
-            ("--unattended",), 0, id="unattended", marks=pytest.mark.release
-        ),
-    ],
-)
-def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, words, code):
+def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path):
     """Regression: it drove on to its end, with no operator to stop it."""
     emulator, settings = lab()
-    sets = flags((*settings, *(LONG if code else ())))
-    command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", *words, "--out", "logs"]
+    sets = flags((*settings, *LONG))
+    command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs"]
     reading, writing = os.pipe()
     pipes = {"stdin": subprocess.DEVNULL, "stdout": writing, "stderr": writing}
     run = subprocess.Popen([*command, *sets], cwd=tmp_path, **pipes)
@@ -128,17 +119,15 @@ def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, words, code)
     try:
         emulator.wait_for("moving")
         os.close(reading)
-        assert run.wait(PATIENCE_S) == code
+        assert run.wait(PATIENCE_S) == 130
     finally:
         run.kill()
         run.wait()
-    outcome = read_trial(tmp_path / "logs" / "trial-000.mcap").result.outcome
-    assert outcome == "interrupted" if code else outcome.complete
+    assert read_trial(tmp_path / "logs" / "trial-000.mcap").result.outcome == "interrupted"
     assert at_rest(emulator.end()[1])
 
 
-@pytest.mark.parametrize("number", [pytest.param(None, marks=pytest.mark.release), signal.SIGSTOP])
-def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
+def test_stop_ends_the_suspended_run_that_has_the_port(lab, tmp_path):
     """Regression: it stopped nothing while a run, good or suspended, had the port."""
     emulator, settings = lab()
     sets = flags((*settings, *LONGER))
@@ -149,8 +138,7 @@ def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
         )
     try:
         emulator.wait_for("moving")
-        if number:
-            run.send_signal(number)
+        run.send_signal(signal.SIGSTOP)
         done = process(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
         code = run.wait(PATIENCE_S)
     finally:

@@ -73,9 +73,6 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
         ("light, share: 0.02", 2, "0 of 0 cells respond to the field"),
         ("off", 2, "the current driver does not answer"),
         ("light, share: 0.02", 6, "not tracked"),
-        pytest.param(  # without pictures: a day of test_rehearse.py
-            "repeat", 6, "no new camera frame", marks=pytest.mark.release
-        ),
     ],
 )
 def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at_s, says):
@@ -94,40 +91,19 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at_s, says)
         assert not dish.emulation.actuator.driver.running
 
 
-@pytest.mark.parametrize(
-    ("on_lost", "notes", "lost"),
-    [
-        pytest.param("stop", [], (), marks=pytest.mark.release),
-        pytest.param(  # as far as the others go, and of robots: test_losses.py
-            "drop", ["the run goes on without this robot"], (0, 1), marks=pytest.mark.release
-        ),
-        ("replace", ["the run goes on without this robot", "cell 2 is another cell now"], (0, 1)),
-    ],
-)
-def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, notes, lost, tmp_path):
+def test_a_cell_that_divides_is_replaced(tmp_path):
     script = "faults: [{fault: divides, cell: cell 1, at: 4.5}]"  # which is robot "cell 2" here
-    log, cells, _ = play(tmp_path, script, ("controller.accept_error=40", f"on_lost={on_lost}"))
+    log, cells, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=replace"))
     result = log.result
     assert len(cells) == 5
-    assert result.lost == lost
-    assert result.outcome.complete == (on_lost != "stop")
-    if on_lost == "stop":
-        assert result.reason == "cell 2 has divided, or has parted from an unknown cell"
-        return
+    assert result.lost == (0, 1)
+    assert result.outcome.complete
     text = " ".join(note.text for note in log.notes)
     assert "cell 2 has divided" in text
-    assert all(note in text for note in notes)
+    assert "the run goes on without this robot" in text
+    assert "cell 2 is another cell now" in text
     assert verify(tmp_path / "trial-000.mcap").problems == ()
-    steered = [0] if on_lost == "drop" else [0, 1]
-    assert max(result.robot_errors[i] for i in steered) < 60
-
-
-@pytest.mark.release  # followed alone: test_tracking.py
-def test_a_cell_that_rests_is_still_that_cell(tmp_path):
-    script = "faults: [{fault: rests, cell: cell 1, at: 6.5, for: 1}]"
-    log, _, _ = play(tmp_path, script, ("controller.accept_error=40", "on_lost=drop"), 7)
-    assert log.result.outcome.complete, log.result.reason
-    assert log.result.lost == ()
+    assert max(result.robot_errors) < 60
 
 
 def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkeypatch):
@@ -177,18 +153,15 @@ def test_a_key_is_the_emergency_stop_of_a_survey(tmp_path, monkeypatch):
     assert "emergency stop by the operator" in done.stderr
 
 
-@pytest.mark.parametrize("stated", [False, pytest.param(True, marks=pytest.mark.release)])
-def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(stated, tmp_path):
+def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(tmp_path):
     script = "emulation: {actuator: {cells: 7}, camera: {mirrored: true}}\n"
-    sets = (*SMALL, f"lab.camera.mirrored={stated}".lower())
-    with virtual_dish(tmp_path, 3, sets, script) as dish:
+    with virtual_dish(tmp_path, 3, SMALL, script) as dish:
         words = [word for setting in dish.settings for word in ("--set", setting)]
         done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "--plans", "1", *words)
         dish.clock.sleep_until(dish.clock.now() + SECOND)
         assert not dish.emulation.actuator.driver.running
-    warned = "warning: cells turn right where the field turns left" in done.stderr
-    assert warned is not stated
-    assert ("is towards the mirror image of the field" in done.stdout) is not stated
+    assert "warning: cells turn right where the field turns left" in done.stderr
+    assert "is towards the mirror image of the field" in done.stdout
 
 
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):

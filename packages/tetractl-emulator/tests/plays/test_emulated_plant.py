@@ -123,33 +123,6 @@ def test_what_cannot_be_emulated_is_one_line(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.release  # cells by this plant: a day of test_rehearse.py; surveyed: test_dish_lab.py
-@needs_compiler
-def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
-    pytest.importorskip("cv2")
-    small = flags(
-        (
-            "robots={choose: 2, targets: [[900, 900], [1400, 1400]], a: 4, speed: 420, seconds: 4}",
-            "lab.camera.um_px=4.5",
-            "arena.width=2300",
-            "arena.height=2300",
-            "controller.time_limit=1.8",
-            "trials.seed=3",
-            "controller.deadline=60",
-        )
-    )
-    words = ("lab", "survey", DISH, "--plant", "emulated", "--plans", "1", "-o", "found.yaml")
-    done = tetractl(tmp_path, *words, *small).ok()
-    run(tmp_path, "one", "--trials", "1", spec="found.yaml").ok()
-    wanted = read_trial(tmp_path / "one" / "trial-000.mcap").experiment
-    for robot, cell in zip(wanted.robots, wanted.chosen.wanted, strict=True):
-        assert robot.a == pytest.approx(cell.a, rel=0.15)
-    assert read_result(tmp_path / "one" / "trial-000.mcap").origin.value == "emulated lab"
-    done = tetractl(tmp_path, "rerun", "one/trial-000.mcap", "--plant", "emulated", "-o", "again")
-    assert "the content digests agree" in done.stderr, done.stderr
-
-
-@pytest.mark.long
 @needs_compiler
 def test_late_steps_between_punctual_ones_do_not_end_a_trial(tmp_path):
     script = tmp_path / "busy.yaml"

@@ -1,5 +1,5 @@
 """A lab of which camera, actuator, both or neither are real, in virtual time: the real ones are an
-emulated lab's, on wires in memory. `emulated/test_half_real.py` has it on real wires."""
+emulated lab's, on wires in memory."""
 
 from unittest import mock
 

@@ -7,9 +7,6 @@ import pytest
 from tetractl_emulator.pictures import pichel_2018
 from tetractl_emulator.pictures.pichel_2018 import PAPER, fitted
 from tetractl_papers.claim import Fate, assess
-from tetractl_papers.command import reproduce
-
-from tetractl.core.errors import Exit
 
 SPREAD = 0.15  # of the slopes of cells: the standard deviation of their logarithm
 
@@ -52,15 +49,6 @@ def make_films_small(monkeypatch):
     monkeypatch.setattr(pichel_2018, "STRENGTHS_MT", (6.0, 9.0))
     monkeypatch.setattr(pichel_2018, "CELLS", 6)
     monkeypatch.setattr(pichel_2018, "LOOK", replace(pichel_2018.LOOK, width=512, height=512))
-
-
-@pytest.mark.long
-@pytest.mark.slow
-@pytest.mark.release  # its film: below; papers are run by test_paper.py
-def test_the_paper_is_run_as_by_the_command(monkeypatch, tmp_path):
-    """Regression: no test did, and its field was refused for counting its half turns."""
-    make_films_small(monkeypatch)
-    assert reproduce(["pichel-2018"], trials=1, out=tmp_path) in (Exit.DONE, Exit.FAILED)
 
 
 @pytest.mark.long

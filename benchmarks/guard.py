@@ -38,13 +38,13 @@ from tetractl.core.errors import AbortError  # noqa: E402
 ALL = (0, 1, 2)
 ONE = (0,)
 ENDS = {
-    "at rest": "still moves|move alike",
-    "not noticed": "not noticed",
     "stopped": "another body|all robots drift|does not move|backward|the wrong way",
     "near something": "too close|about to leave|about to enter",
+    "not noticed": "not noticed",
+    "at rest": "still moves|move alike",
 }
-"""What the reason says of a trial that was stopped while robots drove, noticed when they stood, or
-ended because robots truly came near to another, the edge or an obstacle."""
+"""What the reason says first of a trial that was stopped while robots drove, ended because robots
+truly came near to another, the edge or an obstacle, or was noticed only when they stood."""
 NAMED = {
     "camera": "all robots (drift together|are seen to move)",
     "radio": "is the radio slow",

@@ -3,7 +3,7 @@ Tracking and Imaris, and GEFF graphs.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ import numpy as np
 from tetractl.core.errors import AbortError, UsageError, printable
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.csv_tracks import COLUMNS_SAID, POSES_MAX
-from tetractl.tools.table.csv_rows import CsvRow, columns_of, is_number, read_csv
+from tetractl.tools.table.csv_rows import columns_of, is_number, read_csv
 from tetractl.tools.table.quantities import (
     SECONDS,
     TIME_MAX,
@@ -23,8 +23,6 @@ from tetractl.tools.table.quantities import (
     factor,
     name_and_unit,
 )
-from tetractl_microscope.film.field_file import STRENGTH
-from tetractl_microscope.film.track_log import CELL
 from tetractl_microscope.number_columns import read_numbers
 
 NUMBERS = ("particle", "track_id", "trackid", "track", "tid", "track_n°", "trajectory", "id")
@@ -93,28 +91,6 @@ def spot_tracks(
     """
     spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
     return _scaled_tracks(path, spots, um_px, rate_hz)
-
-
-def has_poses(path: Path) -> bool:
-    """Return whether a file is a table of poses, as `track` writes it: with headings."""
-    return not path.is_dir() and any(name_and_unit(h)[0] == "heading" for h in columns_of(path))
-
-
-def pose_rows(path: Path) -> Iterator[CsvRow]:
-    """Yield the rows of a table of poses or of the field; cells as robots."""
-    for row in read_csv(path):
-        _require_full_field(path, row)
-        cell = row.cells.get("cell")
-        yield row if cell is None else replace(row, cells=row.cells | {"robot": CELL + cell})
-
-
-def _require_full_field(path: Path, row: CsvRow) -> None:
-    """Raise UsageError if a row states a strength of the field other than 1, which is used of films
-    alone."""
-    text = row.cells.get(STRENGTH, "")
-    if text and not (is_number(text) and float(text) == 1):
-        said = f"{path}, line {row.line}: {STRENGTH} {printable(text[:20])}: of tracks, a is found"
-        raise UsageError(f"{said} in a field of strength 1 only", "give the film itself")
 
 
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:

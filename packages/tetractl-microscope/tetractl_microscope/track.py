@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
-from tetractl.cli.identify import show_found, tell_remarks
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.tools.table.table_files import table_files
@@ -79,9 +78,7 @@ def track(
 
     Of tracks of another program, in GEFF or in a CSV file with the columns of TrackMate, napari,
     trackpy (particle or track_id, frame or t, y and x in pixels), MTrackJ, Manual Tracking or
-    Imaris, it prints the same of each cell; -o names the folder of cells.csv. Of the
-    poses.csv of `track` and --field, it identifies the cells as `tetractl identify` does robots; -o
-    names the YAML file of their values.
+    Imaris, it prints the same of each cell; -o names the folder of cells.csv.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
     bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film,
@@ -108,17 +105,12 @@ def track(
     from tetractl_microscope.film.pictures import open_film
     from tetractl_microscope.film.track_log import track_log_of
     from tetractl_microscope.film_files import write_results
-    from tetractl_microscope.foreign_tracks import has_poses
     from tetractl_microscope.organisms import named
     from tetractl_microscope.results.cell_tables import cell_tables
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
     if film.suffix.lower() in TABLES:
-        if has_poses(film):
-            if field is None or scale or rate or organism or y_down:
-                raise UsageError(f"{film}: poses need --field, and no other option")
-            return _identify(film, field, out, as_json)
         kind = None if organism is None else named(organism)
         return _show_tracks(film, field, scale, rate, kind, y_down, out, as_json)
     if log := track_log_of(film):
@@ -241,21 +233,4 @@ def _show_tracks(
         with table_files({"cells": out / "cells.csv"}) as add:
             add("cells", cell_data(record), "")
         ui.tell(printable(f"wrote {out}: cells.csv"))
-    return Exit.DONE
-
-
-def _identify(poses: Path, field: Path, out: Path | None, as_json: bool) -> int:
-    """Identify cells from their poses and the field's direction, and print what was found."""
-    from tetractl.replay.identification.csv_tracks import csv_tracks
-    from tetractl.replay.identification.identify import identify
-    from tetractl_microscope.film.fit_cell import SHORTEST_S
-    from tetractl_microscope.foreign_tracks import pose_rows
-
-    ui.refuse_existing(out)
-    identified = csv_tracks([poses, field], pose_rows, SHORTEST_S, on_wheels=False)
-    left_out = [name for track in identified for name in track.left_out]
-    if left_out:
-        ui.tell(f"seen for less than {SHORTEST_S:g} s, so left out: {', '.join(left_out)}")
-    tell_remarks(identified)
-    show_found(identify(identified, None, None), out, as_json)
     return Exit.DONE

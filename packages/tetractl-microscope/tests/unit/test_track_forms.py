@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.foreign_tracks import FROM_ONE, pose_rows, spot_tracks
+from tetractl_microscope.foreign_tracks import FROM_ONE, spot_tracks
 
 from tetractl.core.errors import UsageError
 
@@ -76,15 +76,6 @@ def test_a_graph_older_than_the_first_release_is_refused_with_its_version(within
     with pytest.raises(UsageError, match=r"old\.geff: is in GEFF 0\.1\.1, older than") as error:
         poses(path, UM, HZ)
     assert "as CSV" in str(error.value.hint)
-
-
-@pytest.mark.parametrize("strength", ["0", "inf", "0.5", "x"])
-def test_a_field_of_another_strength_is_not_taken_for_the_whole(strength, tmp_path):
-    """Regression: the column was left out, and cells without a field had an a of 1.6."""
-    path = tmp_path / "field.csv"
-    path.write_text(f"time_s,direction_rad,strength\n0,1,1\n2,0,\n4,1,{strength}\n")
-    with pytest.raises(UsageError, match=r"line 4: strength .* in a field of strength 1 only"):
-        list(pose_rows(path))
 
 
 def test_a_table_that_is_not_there_is_named(tmp_path):

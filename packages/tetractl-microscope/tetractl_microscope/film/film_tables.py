@@ -123,8 +123,8 @@ def cell_items(cell: CellSummary, path: CellPath, guessed_scale: bool) -> dict:
 
 
 def pose_tables(followed: Followed) -> tuple[Table, Table]:
-    """Return the data tables with one row per cell and picture: `poses` in um, y upwards, which
-    `tetractl identify` reads, and `tracks` in pixels, y downwards.
+    """Return the data tables with one row per cell and picture: `poses` in um, y upwards, and
+    `tracks` in pixels, y downwards.
 
     In `tracks` the first four columns are those of napari's tracks, and `particle`, `frame`, `y`
     and `x` are trackpy's; `sure` and `found` are those of `poses`; (0, 0) is the

@@ -120,16 +120,6 @@ def ffv1(path, pictures):
     return video(path, pictures, RATE_HZ, "FFV1")
 
 
-def czi(path, pictures):
-    from pylibCZIrw.czi import create_czi
-
-    with create_czi(str(path)) as document:
-        for k, picture in enumerate(pictures):
-            document.write(picture[..., None], plane={"T": k, "C": 0, "Z": 0})
-        document.write_metadata("film", scale_x=UM_PX * 1e-6, scale_y=UM_PX * 1e-6)
-    return path
-
-
 # name: (writer, does it state the scale, does it state the rate)
 CONTAINERS = {
     "png": (folder, False, False),
@@ -146,5 +136,4 @@ CONTAINERS = {
     "split OME": (ome_split, True, True),
     "split Micro-Manager": (micro_manager, True, False),
     "film.avi": (ffv1, False, True),
-    "film.czi": (czi, True, False),
 }

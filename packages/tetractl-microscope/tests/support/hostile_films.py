@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import tifffile
 from support.cli import tetractl
-from support.film_containers import czi, folder
+from support.film_containers import folder
 from support.needs_opencv import cv2
 
 SECONDS_MAX = 60.0
@@ -80,15 +80,6 @@ def in_folder(name):
 
 def written(data):
     return lambda path: path.write_bytes(data() if callable(data) else data)
-
-
-def czi_of_many(path):
-    """One picture's entry in the index gives it the number of six millions."""
-    film = czi(path, small())
-    data = bytearray(film.read_bytes())
-    entry = data.rindex(b"T\0\0\0")
-    struct.pack_into("<i", data, entry + 4, 6_000_000)
-    path.write_bytes(data)
 
 
 def pixels(attributes, inside="<TiffData/>"):
@@ -183,8 +174,6 @@ BOMBS: dict[str, Callable[[Path], object]] = {
         path, "ImageJ=1.53c\nimages=4\nframes=4\nfinterval=-nan\nunit=um\nfps=0\n"
     ),
     "mjpeg of 64 Mpx": mjpeg,
-    "czi of nothing": written(b"ZISRAWFILE" + bytes(10_000)),
-    "czi of 6 million pictures": czi_of_many,
     "nd2 of nothing": written(b"\xda\xce\xbe\n" + bytes(10_000)),
     "times without end": lambda path: (
         folder(path, small()), (path / "times.csv").write_text("time_s\n" + "1e999\n" * 4)

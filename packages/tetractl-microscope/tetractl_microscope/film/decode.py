@@ -31,16 +31,16 @@ MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B
 # longest time of the processor to read the tags, or to decode a picture [s]; chosen: 24 noisy
 # pictures of 2048 x 2048 px take 0.6 s as mp4v
 PATIENCE_S = 20.0
-HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index take, CZI and ND2
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
 NO_SIZE = (0, 0)  # of a picture that cannot be read
 FUNCTIONS = ("read", "clock")  # of a film, which cannot be written
-NO_FILMS = {
+NOT_READ = {
     b"<?xm": ("is XML, and no film", "of TrackMate, export the table of spots, or a GEFF graph"),
     b"PK\3\4": ("is a zip archive, and no film", "unpack it"),
+    b"ZISR": ("is a film of Zeiss, CZI, which is not read", "export it as OME-TIFF"),
 }
-"""By their first bytes, files that are taken for films: what they are, and what to do."""
-MICROSCOPES = {b"ZISR": films.czi_film, b"\xda\xce\xbe\n": films.nd2_film}
+"""By their first bytes, files that are not read: what they are, and what to do."""
+ND2 = b"\xda\xce\xbe\n"
 
 
 def main(path: Path, out: BinaryIO) -> None:
@@ -92,15 +92,10 @@ def _opened(path: Path) -> films.FilmSource:
             from tetractl_microscope.film.tiff_film import tiff_film
 
             return tiff_film(path)
-        if head in NO_FILMS:
-            said, hint = NO_FILMS[head]
+        if head in NOT_READ:
+            said, hint = NOT_READ[head]
             raise UsageError(f"{path}: {said}", hint)
-        source = MICROSCOPES.get(head, films.video_film)(path)
-        size = path.stat().st_size
-        if (source.count or 0) * HEADER_B > size:  # the libraries make up pictures that are missing
-            said = f"{path}: cannot have {source.count} pictures in {size} bytes"
-            raise UsageError(said, "is the film damaged?")
-        return source
+        return films.nd2_film(path) if head == ND2 else films.video_film(path)
     except (TetractlError, MemoryError):
         raise
     except ModuleNotFoundError as error:

@@ -1,6 +1,6 @@
-"""Films that are open: those that OpenCV reads, Nikon's ND2 and Zeiss' CZI; their grey levels.
+"""Films that are open: those that OpenCV reads, and Nikon's ND2; their grey levels.
 
-`nd2` and `pylibCZIrw` are the libraries on which bioio's readers of ND2 and CZI are built.
+`nd2` is the library on which bioio's reader of ND2 is built.
 """
 
 import itertools
@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
-from tetractl_microscope.film.czi_file import czi_times
 from tetractl_microscope.film.picture_times import increasing, mean_rate_hz
 
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
@@ -39,6 +38,7 @@ TIMES_S = {
     **dict.fromkeys(("h", "hr", "hour", "hours"), 3600.0),
     **dict.fromkeys(("d", "day", "days"), 86400.0),
 }
+HEADER_B = 64  # fewer bytes than a picture's header and its entry in the index take, in ND2
 DIFFERENT = 0.01  # relative difference of two statements of a value that is said
 Raw = np.ndarray | None
 """A picture (height, width) of any type, or (height, width, 3) in colour; None if it is damaged."""
@@ -231,63 +231,13 @@ def nd2_film(path: Path) -> FilmSource:
     source = FilmSource(read, um_px=file.voxel_size().x)
     loops = [(axis, length) for axis, length in sizes.items() if axis not in "CYXS"]
     chosen = source.over_time("".join(a for a, _ in loops), [length for _, length in loops])
+    size_b = path.stat().st_size
+    if len(chosen) * HEADER_B > size_b:  # the library makes up pictures that are missing
+        said = f"{path}: cannot have {len(chosen)} pictures in {size_b} bytes"
+        raise UsageError(said, "is the film damaged?")
     if sizes.get("C", 1) > 1:
         source.remarks.append(f"the first of {sizes['C']} channels is read")
     if loops:
         noted = (file.frame_metadata(frame).channels[0].time for frame in chosen)
         source.add_times([time.relativeTimeMs / 1000 for time in noted])
-    return source
-
-
-def _pixel_types(file: Any, axes: Sequence[str]) -> dict[tuple[int, ...], str]:
-    """Return the type of pixels of each plane that a CZI file has, by its indices along axes."""
-    types: dict[tuple[int, ...], str] = {}
-
-    def note(_: int, part: Any) -> bool:
-        indices = part.coordinate.to_dict()
-        types.setdefault(tuple(indices.get(axis, 0) for axis in axes), part.pixelType.name)
-        return True
-
-    file.enumerate_subblocks(note)
-    return types
-
-
-def czi_film(path: Path) -> FilmSource:
-    """Open a CZI file; `pylibCZIrw` knows the planned interval, the file the times themselves."""
-    from pylibCZIrw.czi import CziReader
-
-    file: Any = CziReader(str(path))
-    box = file.total_bounding_box
-    axes = [axis for axis in "TZC" if axis in box]
-    types = _pixel_types(file, axes)
-    # the library counts axes from 0, but reads by their own indices
-    begins = [min(indices) for indices in zip(*types, strict=True)] or [0] * len(axes)
-    lengths = [box[axis][1] - box[axis][0] for axis in axes]
-    scenes = sorted(file.scenes_bounding_rectangle)
-    scene = scenes[0] if len(scenes) > 1 else None  # else they are one picture, side by side
-
-    def read(index: int) -> Raw:
-        offsets = np.unravel_index(chosen[index], lengths)
-        plane = tuple(begin + int(k) for begin, k in zip(begins, offsets, strict=True))
-        if plane not in types:
-            return None  # of one that is missing, the library makes a black picture
-        places = dict(zip(axes, plane, strict=True))
-        pixels = file.read(plane=places, scene=scene, pixel_type=types[plane])
-        return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
-
-    xml = ElementTree.fromstring(file.raw_metadata)
-    metres = xml.findtext(".//Scaling/Items/Distance[@Id='X']/Value")
-    source = FilmSource(read, um_px=micrometres(metres, "m"))
-    step_s = source.seconds(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s")
-    source.rate_hz = 1 / (step_s or math.inf)
-    chosen = source.over_time("".join(axes), lengths)
-    if scene is not None:
-        source.remarks.append(f"the first of {len(scenes)} scenes is read")
-    times = czi_times(path)
-    if times is not None and len(times) == source.count:
-        source.add_times(times)
-    elif times is not None:
-        source.remarks.append(
-            f"its {len(times)} times are not those of its {source.count} pictures, and not used"
-        )
     return source

@@ -1,6 +1,6 @@
 """When the pictures of a film were taken: one answer for every source.
 
-A film states the times of its pictures in tags (OME, Micro-Manager, ND2, CZI), by the clock of its
+A film states the times of its pictures in tags (OME, Micro-Manager, ND2), by the clock of its
 container, or by the numbers in the names of its files; the user states them in `times.csv`. Without
 any, picture k is taken at k / rate. Times are in seconds from the first picture, except those of
 `times.csv`, which are on the clock of the field's file.

@@ -439,7 +439,11 @@ def test_a_cell_needs_no_way_beyond_its_length():
 
 @pytest.mark.parametrize(
     ("head", "says"),
-    [(b'<?xml version="1.0"?><TrackMate/>', "is XML"), (b"PK\3\4rest", "is a zip archive")],
+    [
+        (b'<?xml version="1.0"?><TrackMate/>', "is XML"),
+        (b"PK\3\4rest", "is a zip archive"),
+        (b"ZISRAWFILE", "is a film of Zeiss"),
+    ],
 )
 def test_a_file_that_is_no_film_says_what_it_is(tmp_path, head, says):
     """Regression: OpenCV could not read it, and it was to be converted to AVI."""

@@ -178,10 +178,15 @@ def test_nd2_is_read_through_its_library(tmp_path, monkeypatch):
     module = ModuleType("nd2")
     module.ND2File = ND2File
     monkeypatch.setitem(sys.modules, "nd2", module)
-    film = nd2_film(tmp_path / "film.nd2")
+    path = tmp_path / "film.nd2"
+    path.write_bytes(bytes(3 * 64))
+    film = nd2_film(path)
     assert [int(shot.pixels[0, 0]) for shot in film.pictures()] == [0, 2, 4]
     assert film.um_px == 0.65 and film.times == pytest.approx([0, 0.05, 0.1])
     assert film.remarks == ["the first of 2 slices is read", "the first of 2 channels is read"]
+    path.write_bytes(bytes(3 * 64 - 1))
+    with pytest.raises(UsageError, match=r"cannot have 3 pictures in 191 bytes"):
+        nd2_film(path)
 
 
 def test_a_missing_library_is_named_with_its_extra(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 from support.dish_films import Reel, film, record
-from support.film_containers import czi, folder, ome
+from support.film_containers import folder, ome
 from support.matroska import matroska
 from support.needs_opencv import cv2
 from tetractl_microscope.film.fit_cell import fit_cells
@@ -117,34 +117,6 @@ def test_a_unit_of_time_that_is_unknown_is_said(tmp_path, monkeypatch):
     path = ome(tmp_path / "film.ome.tif", drawn(4))
     path.write_bytes(path.read_bytes().replace(b'DeltaTUnit="ms"', b'DeltaTUnit="yr"'))
     with pytest.raises(UsageError, match="unit of time 'yr' is unknown"):
-        open_film(path)
-
-
-@pytest.mark.long
-def test_the_times_of_a_czi_file_are_its_pictures_times(tmp_path):
-    path = czi(tmp_path / "film.czi", drawn(4))
-    times = [0.0, 0.5, 0.6, 1.5]
-    data = bytearray(path.read_bytes())
-    content = struct.pack("<ii4d", 8 + 32, 4, *times)
-    directory = len(data)
-    attachment = directory + 32 + 256 + 128
-
-    def entry(place):
-        return struct.pack("<2s10xqi16s8s80s", b"A1", place, 0, bytes(16), b"CZTIMS", b"TimeStamps")
-
-    def segment(name, body):
-        return struct.pack("<16sqq", name, len(body), len(body)) + body
-
-    data += segment(b"ZISRAWATTDIR", struct.pack("<i252x", 1) + entry(attachment))
-    size = struct.pack("<i12x", len(content))
-    head = size + entry(attachment) + bytes(112)
-    data += segment(b"ZISRAWATTACH", head + content)
-    data[32 + 72 : 32 + 80] = struct.pack("<q", directory)
-    path.write_bytes(data)
-    assert seconds_of(open_film(path)) == pytest.approx(times)
-    place = attachment + 32 + 256 + 4
-    path.write_bytes(data[:place] + struct.pack("<i", 3) + data[place + 4 :])
-    with pytest.raises(UsageError, match="its 3 times are not those of its 4 pictures"):
         open_film(path)
 
 

@@ -15,12 +15,7 @@ from tifffile import COMPRESSION, PHOTOMETRIC, TiffFile, memmap, natural_sorted
 
 from tetractl.core.errors import UsageError
 from tetractl_microscope.film.film_source import FilmSource, Raw, micrometres
-from tetractl_microscope.film.picture_names import (
-    TIMES_FILE,
-    picture_names,
-    places_of,
-    require_one_film,
-)
+from tetractl_microscope.film.picture_names import TIMES_FILE, places_of, require_one_film
 
 TIFFS = frozenset({".tif", ".tiff"})
 PICTURES = TIFFS | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
@@ -74,15 +69,14 @@ def folder_film(folder: Path) -> FilmSource:
     its pages, the first one also scale and rate, or all files that its tags name.
     """
     files = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    remarks = list[str]()
-    names = picture_names(natural_sorted(p.name for p in files if p.is_file()), remarks)
-    places = places_of(names, remarks)
+    # those that begin with a dot, such as `._img_0001.png` of macOS, are no pictures
+    names = natural_sorted(p.name for p in files if p.is_file() and not p.name.startswith("."))
     if not names:
         hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
         raise UsageError(f"{folder}: contains no pictures", hint)
     pages: list[tuple[Path, int, bool]] = []
     times: list[float | None] = []
-    source = FilmSource(lambda index: _picture(*pages[index]), remarks=remarks)
+    source = FilmSource(lambda index: _picture(*pages[index]))
     for name in names:
         path = folder / name
         count = 1
@@ -103,10 +97,10 @@ def folder_film(folder: Path) -> FilmSource:
         pages += [(path, page, by_opencv) for page in range(count)]
     if not (folder / TIMES_FILE).exists():
         require_one_film(folder, names)
+        if len(pages) == len(names):
+            source.places = places_of(folder, names, source.remarks)
     source.count = len(pages)
     _require_codec(source)
-    if len(pages) == len(names):
-        source.places = places
     if any(time is not None for time in times) and len(times) == len(pages):
         source.add_times(times)
     return source

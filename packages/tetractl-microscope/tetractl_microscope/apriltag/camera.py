@@ -14,8 +14,7 @@ from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl_microscope.apriltag.detect import Detector, Sighting
-from tetractl_microscope.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor, Plane
-from tetractl_microscope.apriltag.print_scale import odd_robot, print_scale
+from tetractl_microscope.apriltag.floor import CORNER_PX, MISFIT_MM, MM, SQUARE, Floor, Plane
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
 from tetractl_microscope.pictures.searches import PictureSearch
@@ -115,6 +114,9 @@ class Tracker:
 
 
 BLURRED = 0.36  # blur [modules] above which some tags cannot be read
+SURE = 3.0  # standard deviations beyond which noise does not explain a size
+RULER_MM = 0.5  # error with which a black square's side is measured by a ruler [mm]
+HEIGHT_MM = 5.0  # error with which the height of a robot's tag is known [mm]
 MISPLACED_MM = 3.0  # error of a floor tag, or of a robot by a doubtful lens, that is reported
 
 
@@ -138,7 +140,6 @@ def _findings(
     plane = tracker.floor.plane or tracker.floor.misfit
     if plane is not None:
         yield from _calibrated(section, plane)
-    yield from _printed(section, tracker)
     above_mm = plane.above_mm if plane is not None else math.inf
     sides_px = [search.result.side_px for search in searches if search.result.side_px is not None]
     for i, robot in enumerate(tracker.robots):
@@ -149,11 +150,11 @@ def _findings(
             yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
         elif sizes:
             ratio = statistics.median(sizes)
-            if odd_robot(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
+            if _is_odd(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
                 yield (
                     abs(ratio - 1) >= ODD_SIZE,
                     f"{robot.name}: its tag looks {_larger(ratio)} than it should: are size_mm and "
-                    "height_mm right?",
+                    "height_mm right, and were all tags printed at 100 %?",
                 )
 
 
@@ -173,21 +174,14 @@ def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
         )
 
 
-def _printed(section: AprilTagSection, tracker: Tracker) -> Iterator[Finding]:
-    """Compare the floor tags' size with the distances between them."""
-    plane = tracker.floor.plane
-    corners = tracker.floor.mean
-    if plane is None or corners is None:
-        return
-    least_mm = min(tag.size_mm for tag in section.floor)
-    ratio = print_scale(corners, tracker.floor.places, section.lens, plane, least_mm)
-    if ratio is not None:
-        yield (
-            False,
-            f"the floor tags are {_larger(ratio)} than size_mm, by the distances "
-            f"between them: if they were printed at {100 * ratio:.1f} %, print them again "
-            "or measure size_mm, of the robots' tags too",
-        )
+def _is_odd(ratio: float, side_px: float, size_mm: float, distance_mm: float) -> bool:
+    """Return whether neither noise, a ruler nor the tag's height explain the size of a robot's tag.
+
+    `ratio` is the measured side divided by `size_mm`, `side_px` the side in the picture [px], and
+    `distance_mm` how far the camera is above the tag [mm].
+    """
+    noise = CORNER_PX / math.sqrt(2) / side_px  # of a side that is fitted to four corners
+    return abs(ratio - 1) > SURE * noise + RULER_MM / size_mm + HEIGHT_MM / distance_mm
 
 
 def _larger(ratio: float) -> str:

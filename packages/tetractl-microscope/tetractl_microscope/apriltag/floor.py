@@ -127,14 +127,14 @@ def calibrated(
         plane = _posed(matrix, np.array(lens.distortion, float), points, spots)
     else:
         usual, deviations = _fitted(points, spots, size[0], middle)
-        plane = _posed(*lens_of(usual, size[0], middle), points, spots)
+        plane = _posed(*_lens_of(usual, size[0], middle), points, spots)
         centres = pixels.mean(axis=1)
         # points between the tags, where robots may be
         between = (centres[:, None] + centres[None]) / 2
         positions = plane.locate(between, highest)
         for deviation in deviations:
             # a lens that is wrong by two standard deviations
-            wrong_plane = _posed(*lens_of(usual + 2.0 * deviation, size[0], middle), points, spots)
+            wrong_plane = _posed(*_lens_of(usual + 2.0 * deviation, size[0], middle), points, spots)
             gaps = np.linalg.norm(wrong_plane.locate(between, highest) - positions, axis=-1)
             doubt = math.hypot(doubt, float(gaps.max()) / MM)
     off = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
@@ -146,7 +146,7 @@ def _matrix(focal: float, centre: Sequence[float]) -> Floats:
     return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
 
 
-def lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
+def _lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
     """Return K and the distortion for `usual` (2,): log(f / width) and k1, each divided by its
     prior's standard deviation.
     """
@@ -175,14 +175,14 @@ def _fitted(
     All are divided by the priors' standard deviations. Each row of the second array is one standard
     deviation along an axis of the error ellipse.
     """
-    start = _posed(*lens_of(np.zeros(2), width, middle), points, spots)
+    start = _posed(*_lens_of(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
 
     def misfit(x: Floats) -> Floats:
         """Return the errors of the spots' pixels for pose and lens x (8,), and the lens's own, all
         in standard deviations.
         """
-        pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *lens_of(x[6:], width, middle))
+        pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *_lens_of(x[6:], width, middle))
         return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, x[6:])
 
     first = np.concatenate([turn.ravel(), start.shift, np.zeros(2)])
@@ -207,8 +207,7 @@ class Floor:
     Corners are averaged over `AVERAGED` pictures, since neither camera nor floor tags move. If a
     corner moves by more than `MOVED_PX`, the calibration is discarded until a picture shows all
     floor tags again. A calibration by which a floor tag is more than `MISFIT_MM` away from its
-    position in the spec is not used; it is kept in `misfit`. `mean` are the averaged corners
-    (F, 4, 2) [px] and `places` theirs in the spec's axes (F, 4, 2) [m].
+    position in the spec is not used; it is kept in `misfit`.
     """
 
     def __init__(
@@ -217,10 +216,10 @@ class Floor:
         self.plane: Plane | None = None
         self.misfit: Plane | None = None
         self._numbers = [tag.tag for tag in tags]
-        self.places = np.array([placed(tag, metres) for tag in tags])
+        self._places = np.array([placed(tag, metres) for tag in tags])
         self._lens = lens
         self._highest = highest_mm * MM
-        self.mean: Floats | None = None
+        self._mean: Floats | None = None  # averaged corners (F, 4, 2) [px]
         self._count = 0
 
     def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
@@ -230,19 +229,20 @@ class Floor:
         `size` is the picture's width and height [px].
         """
         by_tag = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
-        if self.mean is not None and any(
-            np.abs(tag_corners - self.mean[i]).max() > MOVED_PX for i, tag_corners in by_tag.items()
+        if self._mean is not None and any(
+            np.abs(tag_corners - self._mean[i]).max() > MOVED_PX
+            for i, tag_corners in by_tag.items()
         ):
-            self.mean = self.plane = self.misfit = None
+            self._mean = self.plane = self.misfit = None
         if len(by_tag) < len(self._numbers):
             return
         now = np.array([by_tag[i] for i in range(len(by_tag))])
-        if self.mean is None:
-            self.mean = now
+        if self._mean is None:
+            self._mean = now
             self._count = 0
         self._count += 1
-        self.mean = self.mean + (now - self.mean) / min(self._count, AVERAGED)
+        self._mean = self._mean + (now - self._mean) / min(self._count, AVERAGED)
         if self._count % AVERAGED == 0 or self._count.bit_count() == 1:
-            plane = calibrated(self.mean, self.places, size, self._lens, self._highest)
+            plane = calibrated(self._mean, self._places, size, self._lens, self._highest)
             fits = plane.worst_mm <= MISFIT_MM
             self.plane, self.misfit = (plane, None) if fits else (None, plane)

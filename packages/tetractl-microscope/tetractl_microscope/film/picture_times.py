@@ -7,10 +7,8 @@ any, picture k is taken at k / rate. Times are in seconds from the first picture
 """
 
 import math
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
@@ -100,9 +98,9 @@ def increasing(stated: Sequence[float | None]) -> tuple[list[float] | None, list
     """Return the times of all pictures [s] from the first on, by those that are stated, and lines
     on what was dropped; no times if those that are stated cannot be right.
 
-    Times that are missing, repeated, or off the order of the others are interpolated between their
+    Times that are missing, repeated, or before an earlier picture's are interpolated between their
     neighbours; of repeated ones the first is kept, as a coarse clock shows it. No times remain if
-    fewer than two differ, or more than BACKWARDS_MOST are off the order.
+    fewer than two differ, or more than BACKWARDS_MOST are before an earlier picture's.
     """
     numbers = [number for number, time in enumerate(stated) if _is_time(time)]
     times = [float(time) for time in stated if time is not None and _is_time(time)]
@@ -111,9 +109,11 @@ def increasing(stated: Sequence[float | None]) -> tuple[list[float] | None, list
     if len(set(times)) < 2:
         said = "state no time but the first" if len(times) < 2 else "all state the same time"
         return None, [f"its pictures {said}, which is not used"] if len(stated) > 1 else []
-    rising = _longest_rise(times)
+    latest = np.maximum.accumulate([-math.inf, *times[:-1]])  # before each
+    is_later = times > latest
+    rising = np.flatnonzero(is_later).tolist()
     missing = len(stated) - len(times)
-    repeated = sum(time == before for before, time in pairwise(times))
+    repeated = int((times == latest).sum())
     backwards = len(times) - len(rising) - repeated
     if backwards > BACKWARDS_MOST * len(times):
         return None, [
@@ -124,7 +124,7 @@ def increasing(stated: Sequence[float | None]) -> tuple[list[float] | None, list
     for count, what in (
         (missing, "no time"),
         (repeated, "the time of the picture before"),
-        (max(backwards, 0), "a time that is not in order"),
+        (backwards, "a time that is not in order"),
     ):
         if count:
             state = "picture states" if count == 1 else "pictures state"
@@ -135,28 +135,6 @@ def increasing(stated: Sequence[float | None]) -> tuple[list[float] | None, list
 
 def _is_time(time: float | None) -> bool:
     return time is not None and math.isfinite(time)
-
-
-def _longest_rise(times: Sequence[float]) -> list[int]:
-    """Return the indices of the longest part of a list that rises strictly; the first of equals."""
-    ends: list[float] = []  # the least end of a rise of each length
-    index_of_end: list[int] = []  # the index of that end
-    before: list[int] = []
-    for k, time in enumerate(times):
-        length = bisect_left(ends, time)
-        before.append(index_of_end[length - 1] if length else -1)
-        if length == len(ends):
-            ends.append(time)
-            index_of_end.append(k)
-        elif time < ends[length]:
-            ends[length] = time
-            index_of_end[length] = k
-    rise = []
-    k = index_of_end[-1]
-    while k >= 0:
-        rise.append(k)
-        k = before[k]
-    return rise[::-1]
 
 
 def _interpolated(numbers: Sequence[int], times: Sequence[float], count: int) -> list[float]:

@@ -43,6 +43,7 @@ def seconds_of(film):
         ([None, 0.1, 0.2, None], [0.0, 0.1, 0.2, 0.3], ["2 pictures state no time"]),
         ([*range(10), 0.0, 11.0], list(range(12)), ["1 picture states a time that is not in"]),
         ([0.0, 0.0, 1.0, 1.0, 2.0, 2.0], [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], ["3 pictures state the"]),
+        ([*range(10), 99.0, *range(11, 20)], None, ["9 of 20 times of its pictures are not in"]),
         ([0.4, 0.3, 0.2, 0.1], None, ["3 of 4 times of its pictures are not in order"]),
         ([0.0, 0.0, 0.0], None, ["all state the same time"]),
         ([0.0, None, None], None, ["state no time but the first"]),

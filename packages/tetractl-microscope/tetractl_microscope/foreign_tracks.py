@@ -3,8 +3,9 @@ Tracking and Imaris, and GEFF graphs.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from tetractl.core.errors import AbortError, UsageError, printable
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.csv_tracks import COLUMNS_SAID, POSES_MAX
-from tetractl.tools.table.csv_rows import columns_of, is_number, read_csv
+from tetractl.tools.table.csv_rows import is_number, read_csv
 from tetractl.tools.table.quantities import (
     SECONDS,
     TIME_MAX,
@@ -23,30 +24,45 @@ from tetractl.tools.table.quantities import (
     factor,
     name_and_unit,
 )
-from tetractl_microscope.number_columns import read_numbers
 
-NUMBERS = ("particle", "track_id", "trackid", "track", "tid", "track_n°", "trajectory", "id")
-"""Names of the column of a track's number, with _ for a blank; the first that a table has counts:
-spots have an id of their own, too."""
-FRAMES = ("frame", "slice_n°", "slice", "t", "time")
-"""Names of the column of the numbers of pictures."""
-PLACES = (("x", "position_x"), ("y", "position_y"))
-"""Names of the columns of places, before their units."""
-PIXELS = ("", "px", "pixel", "pixels")
-"""Units of places that need a scale."""
 AXES = (("t", "time", "frame"), ("x",), ("y",))
 """Names of the axes of a graph of which no types are stated."""
 SPARSE = 10
 """Least common step of the numbers of all pictures that is said: times in ms have such a one."""
 SAID_MAX = 200
 """Most characters of an error of the library geff that are shown."""
-TRACKMATE = ("track_id", "position_x", "position_y", "frame")
-"""Columns of a table of TrackMate's spots, below whose header stand their names in words, twice,
-and units; `position_t` has times."""
-
-
 MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
 """Units of lengths [um]."""
+PIXELS = ("", "px", "pixel", "pixels")
+"""Units of places that need a scale."""
+
+
+def _is_count(unit: str) -> bool:
+    return unit == ""
+
+
+def _is_time(unit: str) -> bool:
+    return factor(unit, SECONDS) is not None
+
+
+def _is_place(unit: str) -> bool:
+    return unit in PIXELS or factor(unit, MICROMETRES) is not None
+
+
+COLUMNS = {
+    "track": (
+        ("particle", "track_id", "trackid", "track", "tid", "track_n°", "trajectory", "id"),
+        _is_count,
+    ),
+    "frame": (("frame", "slice_n°", "slice", "t", "time"), _is_count),
+    "time": ((*TIME_NAMES, "position_t"), _is_time),
+    "x": (("x", "position_x"), _is_place),
+    "y": (("y", "position_y"), _is_place),
+}
+"""The names of each column in the tables of other programs, before its unit, and which units it may
+have; the first name that a table has counts: spots have an id of their own, too."""
+WORDS_BELOW = "position_x"
+"""Where TrackMate's tables have rows of words below the header, of which the last states units."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,67 +110,66 @@ def spot_tracks(
 
 
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
-    """Return the spots of a table of tracks; UsageError if a column of it is missing.
+    """Return the spots of tracks in a table; UsageError if a column of it is missing.
 
     Their times are those of a column with a unit of time, or else the numbers of pictures from the
     first one on, which a rate that is given makes of any table.
     """
-    headers = columns_of(path)
-    if not headers:
+    rows = read_csv(path)
+    first = next(rows, None)
+    if first is None:
         raise UsageError(f"{path}: has no rows")
-    names = {name.lower(): name for name in headers}
-    if set(TRACKMATE) <= set(names):
-        return _trackmate(path, names, rate_hz, remarks)
-    by_name = {name.lower().replace(" ", "_"): name for name in headers}
-    number = next((by_name[name] for name in NUMBERS if name in by_name), "")
-    frame = next((by_name[name] for name in FRAMES if name in by_name), "")
-    timed = next((header for header in headers if _is_time(header)), "")
-    places = [_place_column(headers, axis_names) for axis_names in PLACES]
-    missing = list[str]()
-    if not number:
-        missing.append("particle, track_id or id")
-    if not frame and not timed:
-        missing.append("frame, t or time_s")
-    missing += [
-        axis_names[0] for axis_names, place in zip(PLACES, places, strict=True) if not place
+    quantities = {header: _name_and_unit(header) for header in first.cells}
+    words = [header for header, (name, _) in quantities.items() if name == WORDS_BELOW]
+    while first and words and not is_number(first.cells[words[0]]):
+        for header, text in first.cells.items():
+            unit = text.strip("()") if text.startswith("(") else ""
+            quantities[header] = quantities[header][0], unit
+        first = next(rows, None)
+    headers = {what: _column(quantities, *COLUMNS[what]) for what in COLUMNS}
+    _require_columns(path, headers, list(quantities))
+    units = {what: quantities[header][1] for what, header in headers.items() if header}
+    columns = {what: NumberColumn(headers[what]) for what in units}
+    if "time" in units:
+        second = factor(units["time"], SECONDS) or 1.0
+        columns["time"] = NumberColumn(headers["time"], second, TIME_MAX)
+    numbers = [
+        [column.number(path, row) for column in columns.values()]
+        for row in chain([first] if first else [], rows)
+        if not math.isnan(columns["track"].optional(path, row))  # else a spot of no track
     ]
-    if missing:
-        has = ", ".join(printable(header) for header in headers[:COLUMNS_SAID])
-        said = f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {has}"
-        raise UsageError(said, "tracks have the columns particle, frame, x, y, in the first line")
-    um_across, um_up = (factor(_place_and_unit(place)[1], MICROMETRES) for place in places)
-    tracks, x, y = read_numbers(path, (number, *places)).T
-    across = AxisStep(um_across, um_across is None)
-    tall = um_up / um_across if um_across and um_up else 1.0
-    if not timed:
-        frames = read_numbers(path, (frame,))[:, 0]
-        _require_whole(path, frame, frames)
+    if not numbers:
+        raise UsageError(f"{path}: has no spot of a track")
+    values = dict(zip(columns, np.array(numbers).T, strict=True))
+    frames = values.get("frame")
+    times = values.get("time")
+    if frames is not None and times is None:
+        _require_whole(path, headers["frame"], frames)
+        _note_sparse(path, headers["frame"], frames, remarks)
+    if frames is not None and (times is None or rate_hz is not None):
         frames = _from_first_picture(path, frames, remarks)
-        _note_sparse(path, frame, frames, remarks)
-        return SpotTable(np.column_stack([tracks, frames, x, y]), across, tall=tall)
-    column = NumberColumn(timed, SECONDS[name_and_unit(timed)[1]], TIME_MAX)
-    times = np.array([column.number(path, row) for row in read_csv(path)])
-    if not frame:
-        rows = np.column_stack([tracks, times, x, y])
-        return SpotTable(rows, across, AxisStep(1.0, False), tall)
-    frames = read_numbers(path, (frame,))[:, 0]
-    if rate_hz is not None:
-        frames = _from_first_picture(path, frames, remarks)
-    counted = SpotTable(np.column_stack([tracks, frames, x, y]), across, tall=tall)
-    return _timed(path, counted, times, rate_hz, remarks)
+    um_across = factor(units["x"], MICROMETRES)
+    um_up = factor(units["y"], MICROMETRES)
+    spots = SpotTable(
+        np.column_stack(
+            [
+                values["track"],
+                values["time"] if frames is None else frames,
+                values["x"],
+                values["y"],
+            ]
+        ),
+        across=AxisStep(um_across, um_across is None),
+        time=AxisStep(1.0, False) if frames is None else AxisStep(),
+        tall=um_up / um_across if um_across and um_up else 1.0,
+    )
+    if frames is None or times is None:
+        return spots
+    return _timed(path, spots, times, rate_hz, remarks)
 
 
-def _place_column(headers: Sequence[str], names: Sequence[str]) -> str:
-    """Return the column of places with one of some names, "" if there is none."""
-    for header in headers:
-        name, unit = _place_and_unit(header)
-        if name in names and (unit in PIXELS or factor(unit, MICROMETRES) is not None):
-            return header
-    return ""
-
-
-def _place_and_unit(header: str) -> tuple[str, str]:
-    """Return the name of a column of places and its unit, "" if it states none."""
+def _name_and_unit(header: str) -> tuple[str, str]:
+    """Return the name of a column, with _ for a blank, and its unit, "" if it states none."""
     name, unit = name_and_unit(header)
     for pixels in PIXELS[1:]:
         if not unit and name.endswith(f"_{pixels}"):
@@ -162,9 +177,32 @@ def _place_and_unit(header: str) -> tuple[str, str]:
     return name, unit
 
 
-def _is_time(header: str) -> bool:
-    name, unit = name_and_unit(header)
-    return name in TIME_NAMES and unit in SECONDS
+def _column(
+    quantities: Mapping[str, tuple[str, str]], names: Sequence[str], fits: Callable[[str], bool]
+) -> str:
+    """Return the column with the first of some names that one with a unit that fits has; "" if none
+    has one."""
+    for wanted in names:
+        for header, (name, unit) in quantities.items():
+            if name == wanted and fits(unit):
+                return header
+    return ""
+
+
+def _require_columns(path: Path, headers: Mapping[str, str], has: Sequence[str]) -> None:
+    """Raise UsageError if a table that `has` some columns lacks one of tracks."""
+    missing = list[str]()
+    if not headers["track"]:
+        missing.append("particle, track_id or id")
+    if not headers["frame"] and not headers["time"]:
+        missing.append("frame, t or time_s")
+    missing += [axis for axis in ("x", "y") if not headers[axis]]
+    if missing:
+        listed = ", ".join(printable(header) for header in has[:COLUMNS_SAID])
+        said = (
+            f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {listed}"
+        )
+        raise UsageError(said, "tracks have the columns particle, frame, x, y, in the first line")
 
 
 def _require_whole(path: Path, column: str, frames: Floats) -> None:
@@ -216,32 +254,6 @@ def _timed(
             f"warning: {path}: --rate {rate_hz:g} replaces its times, up to {most:.3g} s off"
         )
     return counted
-
-
-def _trackmate(
-    path: Path, names: Mapping[str, str], rate_hz: float | None, remarks: list[str]
-) -> SpotTable:
-    """Return the spots of a table of TrackMate that belong to tracks.
-
-    The rows below the header that name columns and units have no number in the frame's column.
-    """
-    track, x, y, frame = (NumberColumn(names[name]) for name in TRACKMATE)
-    timed = NumberColumn(names.get("position_t", frame.key))
-    units: dict[str, str] = {}
-    rows: list[list[float]] = []
-    for row in read_csv(path):
-        if not is_number(row.cells[frame.key]):
-            units = {key: text.strip("()") for key, text in row.cells.items()}
-        elif not math.isnan(track.optional(path, row)):  # else a spot of no track
-            columns = (track, frame, timed, x, y)
-            rows.append([column.number(path, row) for column in columns])
-    if not rows:
-        raise UsageError(f"{path}: has no spot of a track")
-    tracks, frames, times, *places = np.array(rows).T
-    seconds = factor(units.get(timed.key, ""), SECONDS)
-    um = factor(units.get(x.key, ""), MICROMETRES)
-    spots = SpotTable(np.column_stack([tracks, frames, *places]), AxisStep(um, um is None))
-    return spots if seconds is None else _timed(path, spots, times * seconds, rate_hz, remarks)
 
 
 def _scaled_tracks(

@@ -8,16 +8,7 @@ import numpy as np
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
 from tetractl.tools.table.csv_rows import columns_of, read_csv
-from tetractl.tools.table.quantities import NumberColumn, find_time
-
-
-def read_numbers(path: Path, names: Sequence[str]) -> Floats:
-    """Return the columns `names` (R, N) of a CSV file with at least one row. UsageError if one has
-    a text or no finite number.
-    """
-    columns = [NumberColumn(name) for name in names]
-    numbers = [column.number(path, row) for row in read_csv(path) for column in columns]
-    return np.array(numbers).reshape(-1, len(names))
+from tetractl.tools.table.quantities import find_time
 
 
 def read_times(path: Path) -> Floats:

@@ -110,10 +110,9 @@ def increasing(stated: Sequence[float | None]) -> tuple[list[float] | None, list
         said = "state no time but the first" if len(times) < 2 else "all state the same time"
         return None, [f"its pictures {said}, which is not used"] if len(stated) > 1 else []
     latest = np.maximum.accumulate([-math.inf, *times[:-1]])  # before each
-    is_later = times > latest
-    rising = np.flatnonzero(is_later).tolist()
+    rising = np.flatnonzero(np.greater(times, latest)).tolist()
     missing = len(stated) - len(times)
-    repeated = int((times == latest).sum())
+    repeated = int(np.count_nonzero(np.equal(times, latest)))
     backwards = len(times) - len(rising) - repeated
     if backwards > BACKWARDS_MOST * len(times):
         return None, [

@@ -43,10 +43,9 @@ def written(folder, name, header, table):
     return name
 
 
-@pytest.mark.parametrize("header", ["particle,frame,y,x", "ID,T,Y,X", "track_id,t,y,x"])
-def test_tracks_of_others_are_identified(dish, header):
+def test_tracks_of_others_are_identified(dish):
     folder, rows = dish
-    name = written(folder, "theirs.csv", header, rows)
+    name = written(folder, "theirs.csv", "ID,T,Y,X", rows)
     words = ("track", name, "--field", "field.csv", "--scale", UM_PX, "--rate", RATE_HZ, "--json")
     done = tetractl(folder, *words).ok()
     printed = json.loads(done.stdout)["cells"]
@@ -73,56 +72,6 @@ def test_particles_that_drift_in_a_flow_get_no_a(dish):
     done = tetractl(folder, *words).ok()
     assert "all cells move together" in done.stderr
     assert "a [rad/s]" not in done.stdout
-
-
-TRACKMATE = """\
-LABEL,TRACK_ID,QUALITY,POSITION_X,POSITION_Y,POSITION_Z,POSITION_T,FRAME
-Label,Track ID,Quality,X,Y,Z,T,Frame
-Label,Track ID,Quality,X,Y,Z,T,Frame
-,,(quality),(micron),(micron),(micron),(sec),
-"""
-
-
-def test_a_table_of_trackmate_states_its_scale_and_rate(dish):
-    folder, rows = dish
-    lines = [
-        f"ID{i},{cell:g},1.5,{UM_PX * x},{UM_PX * y},0.0,{k / RATE_HZ},{k:g}\n"
-        for i, (cell, k, y, x) in enumerate(rows.tolist())
-    ]
-    spot_of_no_track = "ID0,,1.5,10,10,0.0,0.0,0\n"
-    (folder / "spots.csv").write_text("".join([TRACKMATE, spot_of_no_track, *lines]))
-    done = tetractl(folder, "track", "spots.csv", "--field", "field.csv", "--json").ok()
-    printed = json.loads(done.stdout)["cells"]
-    assert [cell["a_rad_s"]["value"] for cell in printed] == pytest.approx(A, rel=0.02)
-    speeds = [cell["speed_um_s"]["value"] for cell in printed]
-    assert speeds == pytest.approx([SPEED, SPEED], rel=0.02)
-
-
-@pytest.mark.parametrize("names", [("t", "y", "x"), ("time", "POSITION_Y", "POSITION_X")])
-def test_a_graph_states_its_scale_and_rate(dish, names):
-    """Regression: a graph whose axis of type "time" is named "time" was no graph of t, x, y."""
-    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
-    from geff import GeffMetadata
-    from geff_spec import Axis
-
-    folder, rows = dish
-    space = {"type": "space", "unit": "pixel", "scale": UM_PX, "scaled_unit": "micrometer"}
-    time = {"type": "time", "unit": "frame", "scale": 1 / RATE_HZ, "scaled_unit": "second"}
-    axes = [Axis(name=name, **how) for name, how in zip(names, (time, space, space), strict=True)]
-    ids = np.arange(len(rows), dtype=np.uint64)
-    same = np.diff(rows[:, 0]) == 0
-    path = folder / f"{names[0]}.geff"
-    core_io.write_arrays(
-        path,
-        ids,
-        {name: {"values": rows[:, k], "missing": None} for k, name in enumerate(names, 1)},
-        np.column_stack([ids[:-1], ids[1:]])[same],
-        {},
-        GeffMetadata(directed=True, axes=axes, node_props_metadata={}, edge_props_metadata={}),
-    )
-    done = tetractl(folder, "track", path.name, "--field", "field.csv", "--json").ok()
-    printed = json.loads(done.stdout)["cells"]
-    assert [cell["a_rad_s"]["value"] for cell in printed] == pytest.approx(A, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -171,23 +120,6 @@ def test_rare_pictures_show_no_turning_but_ways(dish):
     assert "film at 7 pictures/s or more" in refused.stderr
     done = tetractl(folder, *words, "--json").ok()
     assert [cell["speed_um_s"] for cell in json.loads(done.stdout)["cells"]] == [None, None]
-
-
-def test_particles_that_diffuse_have_no_a(dish):
-    """Regression: an a of 12.18 (11.85 to 12.52)."""
-    folder, _ = dish
-    random = np.random.default_rng(5)
-    steps = random.normal(0.0, 1.0, (4, 400, 2))
-    rows = [
-        (cell, k, *place)
-        for cell, places in enumerate(np.cumsum(steps, axis=1))
-        for k, place in enumerate(places.tolist())
-    ]
-    name = written(folder, "brown.csv", "particle,frame,y,x", np.array(rows))
-    words = ("track", name, "--field", "field.csv", "--scale", 2.5, "--rate", 20)
-    done = tetractl(folder, *words)
-    assert done.returncode == 1
-    assert "goes to and fro, as beads do: nothing swims" in done.stderr
 
 
 def test_a_reader_that_ends_early_is_no_fault_of_a_plugin(dish):

@@ -53,13 +53,18 @@ def graph(path, axes, values):
         ({"t": FRAME, "y": PIXEL, "x": PIXEL}, {"t": K, "y": Y, "x": X}),
         ({"Frame": FRAME, "X": PIXEL, "Y": PIXEL}, {"Frame": K, "X": X, "Y": Y}),
         ({"t": TIME, "row": SPACE, "col": SPACE}, {"t": K, "row": Y, "col": X}),
+        (
+            {"time": TIME, "POSITION_Y": SPACE, "POSITION_X": SPACE},
+            {"time": K, "POSITION_Y": Y, "POSITION_X": X},
+        ),
     ],
-    ids=["pixels twice as high as wide", "no types", "other names", "row and column"],
+    ids=["pixels twice as high as wide", "no types", "other names", "row and column", "TrackMate"],
 )
 def test_each_axis_of_a_graph_has_its_own_scale_whether_or_not_it_has_a_type(
     axes, values, tmp_path
 ):
-    """Regression: y had the scale of x, and axes without a type had none."""
+    """Regression: y had the scale of x, and axes without a type had none; and a graph whose axis of
+    type "time" is named "time" was no graph of t, x, y."""
     assert np.allclose(poses(graph(tmp_path / "tracks.geff", axes, values)), POSES)
 
 

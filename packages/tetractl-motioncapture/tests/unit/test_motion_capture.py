@@ -84,17 +84,21 @@ def test_poses_are_those_of_the_emulated_bodies_in_the_axes_of_the_system(up):
         assert frame.received_ns - frame.sampled_ns == 10_000_000
 
 
-def test_a_robot_without_a_body_is_named():
+def camera_of(*names):
+    """A camera that is shown bodies with these names, all at the origin."""
     lab, setup = lab_of()
-    port = types.SimpleNamespace(failure=None, close=lambda: None)
+    port = types.SimpleNamespace(failure=None, close=lambda: None, write=lambda data: 0)
+    line = {"bodies": {name: [0, 0, 0, 0, 0, 0, 1] for name in names}}
 
     def ports(name, baud, device, clock, heard, hint):
-        line = {"bodies": {"G": [0, 0, 0, 0, 0, 0, 1], "X": [0, 0, 0, 0, 0, 0, 1]}}
         port.open = lambda: heard(json.dumps(line).encode(), 10**9)
-        port.write = lambda data: 0
         return port
 
-    with MotionCapture(lab.camera, setup, LabClock(), lambda: None, ports) as camera:
+    return MotionCapture(lab.camera, setup, LabClock(), lambda: None, ports)
+
+
+def test_a_robot_without_a_body_is_named():
+    with camera_of("G", "X") as camera:
         assert camera.check().problems == ("blue has no rigid body B; streamed are G, X",)
         assert [pose is None for pose in camera.frames()[0].poses] == [False, True]
 
@@ -188,16 +192,7 @@ def test_the_real_library_streams_from_its_mock_in_the_process():
 
 def test_long_names_of_bodies_are_cut_and_many_are_counted():
     """Regression: a sender's names of 600 characters were printed whole, with their escapes."""
-    lab, setup = lab_of()
-    port = types.SimpleNamespace(failure=None, close=lambda: None)
-    bodies = {f"{number}\x1b" * 300: [0, 0, 0, 0, 0, 0, 1] for number in range(500)}
-
-    def ports(name, baud, device, clock, heard, hint):
-        port.open = lambda: heard(json.dumps({"bodies": bodies}).encode(), 10**9)
-        port.write = lambda data: 0
-        return port
-
-    with MotionCapture(lab.camera, setup, LabClock(), lambda: None, ports) as camera:
+    with camera_of(*(f"{number}\x1b" * 300 for number in range(500))) as camera:
         problem = camera.check().problems[0]
     assert problem.isprintable()
     assert len(problem) < 1500

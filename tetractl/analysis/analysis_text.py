@@ -153,7 +153,7 @@ def _noise(analysis: Analysis) -> str:
 
 def _shortest(analysis: Analysis) -> str:
     steering = analysis.steering
-    if steering is None or steering.shortest is None:
+    if steering is None:
         return NO_PLAN
     return f"{steering.shortest}, {steering.shortest * steering.signal_s:.3g} s"
 

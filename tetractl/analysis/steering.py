@@ -20,7 +20,7 @@ from tetractl.analysis.closed_loop import (
 from tetractl.control.collision import Collision
 from tetractl.control.mpc_section import RecommendedMpc, SearchFields
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.core.plan import Plan, Problem
+from tetractl.core.plan import Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import Host
@@ -32,21 +32,6 @@ POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False)
 UNHURRIED = Host(timer=lambda: 0)
 """The host of controllers whose searches no deadline ends: on a busy machine it would end them
 earlier, and the predictions would be others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """A plan of the robots at their starts, and the problem that it solves.
-
-    `reaches` is whether the plan's cost is at most the tolerance, without the cost of obstacles if
-    a robot starts within a margin. `shortest` is the least number of signals of the sequences found
-    that reach the targets, None if none does.
-    """
-
-    plan: Plan
-    problem: Problem
-    reaches: bool
-    shortest: int | None
 
 
 def planner(experiment: Experiment) -> RecommendedMpc:
@@ -77,8 +62,13 @@ def tolerance(section: RecommendedMpc) -> float:
     return max(section.optimizer.good_enough or 0.0, section.accept_error)
 
 
-def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Iterator[Planned]:
-    """Yield the plans with which the first `count` trials of a batch with this seed would begin."""
+def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Iterator[Plan | None]:
+    """Yield the plans with which the first `count` trials of a batch with this seed would begin,
+    None for one that does not reach the targets.
+
+    It does if its cost is at most the tolerance, without the cost of obstacles if a robot starts
+    within a margin.
+    """
     all_seen = np.ones(len(setup.names), dtype=np.bool_)
     observation = Observation(0, 0, 0, setup.starts, all_seen)
     problem = section.problem(setup)
@@ -88,17 +78,8 @@ def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Itera
         key, _ = trial_seeds(seed, trial)
         plan = section.build(setup, key, UNHURRIED).plan(observation)
         if isinstance(plan, Plan):
-            yield _planned(plan, problem, tolerance(section), within)
-
-
-def _planned(plan: Plan, problem: Problem, enough: float, within: bool) -> Planned:
-    """Return a plan with what it reaches: costs up to `enough` do, and `within` is whether a robot
-    starts within a margin."""
-    cost = plan.target_cost if within else plan.cost
-    lengths = [search.length for search in plan.searches if search.cost <= enough]
-    if cost <= enough:
-        lengths.append(len(plan.signals))
-    return Planned(plan, problem, cost <= enough, min(lengths, default=None))
+            cost = plan.target_cost if within else plan.cost
+            yield plan if cost <= tolerance(section) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +96,7 @@ class Steering:
     end, and `free_covariance` that covariance without feedback.
     """
 
-    shortest: int | None
+    shortest: int
     signal_s: float
     errors: Floats
     open_loop: Floats
@@ -143,7 +124,7 @@ def steering(
     """Search `count` plans for the robots of a setup, and analyse the plans that reach the targets;
     None if no plan reaches them.
     """
-    reaching = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
+    reaching = [plan for plan in plans(section, setup, seed, count) if plan is not None]
     if not reaching:
         return None
     linears: list[Linear] = []
@@ -151,8 +132,13 @@ def steering(
     free_covariances: list[Floats] = []
     errors_of_plans: list[Floats] = []
     open_loop: list[float] = []
-    for planned in reaching:
-        linear = linearise(planned.problem, planned.plan.signals)
+    problem = section.problem(setup)
+    lengths: list[int] = []  # of sequences that reach the targets
+    for plan in reaching:
+        enough = tolerance(section)
+        lengths.append(len(plan.signals))
+        lengths += [search.length for search in plan.searches if search.cost <= enough]
+        linear = linearise(problem, plan.signals)
         covariance = end_covariance(linear, noise, corrects=True, identifies=section.estimate)
         free_covariance = end_covariance(linear, noise, corrects=False)
         linears.append(linear)
@@ -166,14 +152,13 @@ def steering(
     singular = np.zeros(2 * len(setup.names))
     singular[: len(spread)] = spread  # with fewer signals than coordinates, some values stay 0
     weakest = directions[:, -1].reshape(-1, 2)
-    lengths = [planned.shortest for planned in reaching if planned.shortest is not None]
     return Steering(
-        shortest=min(lengths, default=None),
+        shortest=min(lengths),
         signal_s=section.signal_periods * section.period,
         errors=errors,
         open_loop=np.array(open_loop),
         planned=np.array([linear.miss.sum() for linear in linears]),
-        signals=len(reaching[median].plan.signals),
+        signals=len(reaching[median].signals),
         singular=singular,
         weakest=(weakest**2).sum(axis=1),
         robot_errors=errors_of_plans[median],

@@ -125,7 +125,7 @@ def test_the_steering_says_how_well_the_robots_can_be_corrected(analysis_of_thre
     steering = analysis_of_three.steering
     assert (np.diff(steering.singular) <= 0).all()
     assert steering.weakest.sum() == pytest.approx(1)
-    assert steering.shortest is not None
+    assert 0 < steering.shortest <= CONTROLLER["horizon_max"]
     assert (steering.open_loop > steering.errors).all()
 
 

@@ -36,11 +36,12 @@ class RankedChoice:
     def _predictions(trial: Experiment, noise: Noise) -> Iterator[float | None]:
         """Yield the mean total error along each plan, None if it does not reach the targets."""
         section = planner(trial)
-        for planned in plans(section, trial.setup, trial.trials.seed, PLANS_MAX):
-            if not planned.reaches:
+        problem = section.problem(trial.setup)
+        for plan in plans(section, trial.setup, trial.trials.seed, PLANS_MAX):
+            if plan is None:
                 yield None
                 continue
-            linear = linearise(planned.problem, planned.plan.signals)
+            linear = linearise(problem, plan.signals)
             covariance = end_covariance(linear, noise, True, section.estimate)
             yield float(mean_errors(covariance, linear.miss).sum())
 

@@ -149,7 +149,7 @@ def rules(chosen: argparse.Namespace) -> None:
     film = FilmInMemory(open_film(chosen.film, chosen.rate, chosen.scale))
     film.pictures = film.pictures[: chosen.pictures]
     bodies = body_masks(film.pictures, chosen.darker)
-    print("| taken out | no body | followed | F1 | IDF1 | wrong names, called sure | sure | new |")
+    print("| taken out | no body | followed | F1 | IDF1 | wrong names, called sure | sure |")
     for rule in ("", *(chosen.without or RULES)):
         with without(rule):
             rows, _ = unfitted(film, chosen.scale, named(chosen.organism))
@@ -163,7 +163,7 @@ def rules(chosen: argparse.Namespace) -> None:
             *("{} of {}".format(*m(rows, bodies)) for m in (no_body, followed)),
         ]
         cells += [f"{f1(scores):.4f}", f"{idf1(scores):.3f}", f"{len(wrong)}, {sum(wrong)}"]
-        cells += [f"{called_sure(scores):.3f}", f"{sum(score.renamed for score in scores)}"]
+        cells += [f"{called_sure(scores):.3f}"]
         print(f"| {' | '.join(cells)} |", flush=True)
 
 

@@ -53,11 +53,11 @@ def detections(film: Path, um_px: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["frame", "x", "y"])
 
 
-def trackpy_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
+def trackpy_rows(features: pd.DataFrame, way: float) -> pd.DataFrame:
+    """Return the features with the particle of each, which swims up to a `way` [px] a picture."""
     import trackpy
 
     trackpy.quiet()
-    way = RANGE_UM / um_px
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         predict = trackpy.predict.NearestVelocityPredict()
@@ -66,13 +66,13 @@ def trackpy_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
         )
 
 
-def laptrack_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
+def laptrack_rows(features: pd.DataFrame, way: float) -> pd.DataFrame:
+    """Return the same of laptrack, whose costs are squares of ways."""
     from laptrack import LapTrack
 
-    way = (RANGE_UM / um_px) ** 2
     linker = LapTrack(
-        cutoff=way,
-        gap_closing_cutoff=4 * way,
+        cutoff=way**2,
+        gap_closing_cutoff=4 * way**2,
         gap_closing_max_frame_count=MISSED,
         splitting_cutoff=False,
         merging_cutoff=False,
@@ -86,7 +86,8 @@ def laptrack_rows(features: pd.DataFrame, um_px: float) -> pd.DataFrame:
 
 def _linked(link: Callable[[pd.DataFrame, float], pd.DataFrame], folder: Path, um_px: float):
     features = detections(folder / "film.avi", um_px)
-    tracks = link(features.copy(), um_px) if len(features) else features.assign(particle=[])
+    way = RANGE_UM / um_px
+    tracks = link(features.copy(), way) if len(features) else features.assign(particle=[])
     long_tracks = []
     for _, track in tracks.groupby("particle"):
         way = np.hypot(track.x - track.x.iloc[0], track.y - track.y.iloc[0]).max() * um_px

@@ -32,10 +32,6 @@ def root(squares: str, count: str) -> Callable[[Sequence[FilmScore]], float]:
     return lambda films: (total(films, squares) / max(total(films, count), 1)) ** 0.5
 
 
-def an_hour(films: Sequence[FilmScore], count: float) -> float:
-    return count / max(total(films, "hours"), 1e-9)
-
-
 def share(hits: int, count: int) -> str:
     """A share with its interval after Clopper and Pearson."""
     low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
@@ -56,12 +52,9 @@ def over_films(
     return f"{value(films):.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def new_names(films: Sequence[FilmScore]) -> float:
-    return an_hour(films, total(films, "renamed"))
-
-
 def wrong_names(films: Sequence[FilmScore]) -> float:
-    return an_hour(films, sum(len(film.wrong) for film in films))
+    wrong = sum(len(film.wrong) for film in films)
+    return wrong / max(total(films, "hours"), 1e-9)
 
 
 def called_sure(films: Sequence[FilmScore]) -> float:
@@ -85,7 +78,6 @@ def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, s
         ("worst film's F1", f"{worst.f1:.3f} ({worst.film})"),
         ("position apart, um", over_films(films, root("place2", "near"), 2)),
         ("IDF1", over_films(films, idf1, 3)),
-        ("new names a cell-hour", over_films(films, new_names, 0)),
         ("wrong names that last, a cell-hour", over_films(films, wrong_names, 1)),
     ]
     return rows + _stated(films) if numbers else rows

@@ -12,7 +12,6 @@ REACH_UM = 25.0  # a cell is found by a row within half a body of it
 APART_UM = 60.0  # positions and axes count where no other cell is nearer than this
 TOGETHER_UM = 40.0  # bodies nearer than this are one blob: their names do not count
 LASTS_S = 0.5  # a wrong name that is borne for as long as this, or to its end, lasts
-GAP = 3  # pictures out of view after which a cell may bear another name
 LONG_S = 2.0  # least duration of a track whose numbers are scored
 
 
@@ -51,7 +50,6 @@ class FilmScore:
     headings: int = 0
     named: int = 0
     hours: float = 0.0
-    renamed: int = 0
     wrong: list[bool] = field(default_factory=list)
     right: int = 0
     covered: int = 0
@@ -89,7 +87,6 @@ def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
     score.named = _named(tracked, owner, inside)
     is_free = gaps_um > TOGETHER_UM
     free = rows[is_free]
-    score.renamed = _renamed(truth, tracked, owner, free)
     score.wrong = _wrong(truth, tracked, owner, free)
     first: dict[int, int] = {}  # the cell of each name's first true row
     for name, cell in zip(tracked.name[true].tolist(), owner[true].tolist(), strict=True):
@@ -163,25 +160,6 @@ def _named(tracked: Shown, owner, inside) -> int:
     count = np.zeros((owner.max() + 1, len(names)))
     np.add.at(count, (owner[inside], column[inside]), 1)
     return int(count[linear_sum_assignment(-count)].sum())
-
-
-def _renamed(truth: FilmTruth, tracked: Shown, owner, free) -> int:
-    """Return how often a cell that stays in view gets a name that no cell had before."""
-    last: dict[int, tuple[int, int]] = {}
-    named: set[int] = set()
-    count = 0
-    view = truth.view
-    for row in free:
-        i = int(owner[row])
-        name = int(tracked.name[row])
-        k = int(tracked.frame[row])
-        before = last.get(i)
-        if before is not None and before[0] != name and name not in named:
-            gone = (~view[before[1] : k, i]).sum()
-            count += int(gone <= GAP)
-        last[i] = name, k
-        named.add(name)
-    return count
 
 
 def _wrong(truth: FilmTruth, tracked: Shown, owner, free) -> list[bool]:

@@ -29,6 +29,7 @@ from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures, open_film
 from tetractl_microscope.organisms import Organism, named
 
+from .peers import trackpy_rows
 from .rows import share
 
 MEDIAN_OF = 60  # pictures of the film's median
@@ -256,9 +257,6 @@ def _trackpy(
     bodies: Sequence[np.ndarray], rate_hz: float, um_px: float, organism: Organism
 ) -> np.ndarray:
     """Return the rows of trackpy, which links the middles of bodies of the organism's size."""
-    import trackpy
-
-    trackpy.quiet()
     low, high = (area / um_px**2 for area in organism.outline_um2)
     places = []
     for number, mask in enumerate(bodies):
@@ -267,8 +265,7 @@ def _trackpy(
         places += [(number, *place) for place in middles[1:][(areas > low) & (areas < high)]]
     features = pd.DataFrame(places, columns=["frame", "x", "y"])
     way = FAST * organism.speed_um_s[1] / rate_hz / um_px
-    predict = trackpy.predict.NearestVelocityPredict()
-    linked = predict.link_df(features, way, memory=2, adaptive_stop=way / 4, adaptive_step=0.9)
+    linked = trackpy_rows(features, way)
     moved = linked.groupby("particle")[["x", "y"]].transform(lambda place: np.ptp(place))
     swum = linked[np.hypot(moved.x, moved.y) * um_px > organism.body_um[0]]
     told = np.ones(len(swum))

@@ -2,14 +2,12 @@
 
     python benchmarks/instances.py                      100 trials each, into logs/benchmark
     python benchmarks/instances.py --trials 20 --only paper,cells
-    python benchmarks/instances.py --ipopt              IPOPT alone: 0.3 to 38 s a trial and more
     python benchmarks/instances.py --ours               the recommended controller alone
     python benchmarks/instances.py --report             print the page of what there is
 
 For each instance it writes a study and runs `tetractl study`, so it goes on where it was stopped.
-IPOPT is the package benchmarks/tetractl-ipopt, which is to be installed for it; a trial of eight
-robots takes it 38 s of processor, one of fourteen ten minutes. Everything is simulated. The rows
-are those of docs/reference/benchmark.md; `tetractl stats` says more of each folder.
+Everything is simulated. The rows are those of docs/reference/benchmark.md; `tetractl stats` says
+more of each folder.
 
 Above each table is the plainest lower bound of a trial's time: the robot that needs most drives
 straight to the accepted error at its speed. It is by the spec's starts and speeds; disturbances
@@ -19,7 +17,6 @@ change both, so that a trial may take less. The column after the time is its rat
 import argparse
 import csv
 import math
-import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -40,8 +37,6 @@ from tetractl.results.estimate import distributions, proportion_interval
 from tetractl.results.mean_difference import holm, paired_t, signed_rank
 
 SETTING = Mapping[str, Any]
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # IPOPT's only wait for work
-FINE = 0.1  # share of the accepted error at which IPOPT's sequences are good enough
 OURS = "recommended"
 
 
@@ -75,12 +70,6 @@ def published(name: str) -> SETTING:
     return {"controller": section}
 
 
-def ipopt(name: str) -> dict[str, SETTING]:
-    """Return the arm of IPOPT, in the place of the recommended optimiser."""
-    accept = instance(name).controller.accept_error  # pyright: ignore[reportAttributeAccessIssue]
-    return {"ipopt": {"controller.optimizer": {"type": "ipopt", "tolerance": FINE * accept}}}
-
-
 def instance(name: str) -> Experiment:
     return load_spec(EXPERIMENTS / "benchmark" / f"{name}.yaml").experiment
 
@@ -110,9 +99,7 @@ def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: in
     study = out.with_name(f"{out.name}.yaml")
     study.write_text(study_text(name, out.name, arms, trials), encoding="utf-8")
     command = ["-m", "tetractl", "study", study, "--out", out, "--logs", "none"]
-    return subprocess.run(
-        [sys.executable, *command, "--jobs", str(jobs)], env=os.environ | ONE_THREAD
-    ).returncode
+    return subprocess.run([sys.executable, *command, "--jobs", str(jobs)]).returncode
 
 
 @dataclass(frozen=True)
@@ -229,24 +216,12 @@ def _share(count: int, n: int) -> str:
     return f"{count} [{100 * interval.low:.0f}, {100 * interval.high:.0f} %]"
 
 
-def found_in(folder: Path, name: str) -> list[Arm]:
-    """Return all arms of an instance, IPOPT's from a study of its own."""
-    folders = folder / name, folder / f"{name}-ipopt"
-    return [
-        arm
-        for folder_of_arms in folders
-        if (folder_of_arms / "trials.csv").exists()
-        for arm in arms(folder_of_arms)
-    ]
-
-
 def report(folder: Path, names: Sequence[str]) -> None:
     """Print the page of results."""
     for name in names:
-        arms_of_instance = found_in(folder, name)
-        if arms_of_instance:
+        if (folder / name / "trials.csv").exists():
             spec = instance(name)
-            lines = table(arms_of_instance, bound_s(spec))
+            lines = table(arms(folder / name), bound_s(spec))
             print("\n".join([f"### `{name}`", "", spec.description, "", *lines, ""]))
 
 
@@ -259,7 +234,6 @@ def main() -> None:
         "--only", default=",".join(all_names), help="instances, such as paper,cells"
     )
     parser.add_argument("--out", type=Path, default=Path("logs/benchmark"))
-    parser.add_argument("--ipopt", action="store_true", help="run IPOPT, and it alone")
     parser.add_argument("--ours", action="store_true", help=f"run `{OURS}` alone")
     parser.add_argument("--report", action="store_true", help="print what there is; run nothing")
     options = parser.parse_args()
@@ -271,11 +245,8 @@ def main() -> None:
         options.out.mkdir(parents=True, exist_ok=True)
         for name in names:
             progress(name)
-            if options.ipopt:
-                run(name, options.out / f"{name}-ipopt", ipopt(name), options.trials, options.jobs)
-            else:
-                arms_run = {OURS: {}} if options.ours else controllers(name)
-                run(name, options.out / name, arms_run, options.trials, options.jobs)
+            arms_run = {OURS: {}} if options.ours else controllers(name)
+            run(name, options.out / name, arms_run, options.trials, options.jobs)
     report(options.out, names)
 
 

@@ -75,7 +75,6 @@ def build_all(problem: Problem, shortest: int) -> None:
     """Build the programmes a closed loop needs, outside its time."""
     import tetractl_ipopt
 
-    section = tetractl_ipopt.Ipopt(type="ipopt")
-    tetractl_ipopt.shooter(problem, LENGTH, section.iterations)
+    tetractl_ipopt.shooter(problem, LENGTH, tetractl_ipopt.ITERATIONS)
     for length in range(shortest, LENGTH + 1):
-        tetractl_ipopt.shooter(problem, length, section.polish, warm=True)
+        tetractl_ipopt.shooter(problem, length, tetractl_ipopt.POLISH, warm=True)

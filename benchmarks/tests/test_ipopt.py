@@ -14,7 +14,7 @@ LENGTH = 3  # signals, too few to reach a target
 class EchoedGuess:
     """A programme that returns each guess as its solution."""
 
-    iterations = 10
+    iterations = 75
 
     def solve(self, problem, guess):
         return guess
@@ -33,9 +33,9 @@ def package(monkeypatch):
 
 def test_a_search_solves_until_its_iterations_are_used(package):
     """Regression: a search asked a method that the progress of searches does not have any more."""
-    ipopt = package.Ipopt(type="ipopt", iterations_all=20)
-    search = ipopt.search(printed(), LENGTH, None, 0, Limits())
-    assert search.evaluations == 3  # the first start, and two solutions of 10 iterations
+    search = package.Ipopt(type="ipopt").search(printed(), LENGTH, None, 0, Limits())
+    assert 2 * EchoedGuess.iterations == package.ITERATIONS_ALL
+    assert search.evaluations == 3  # the first start, and two solutions
     assert search.stopped is StopReason.ITERATIONS
 
 

@@ -2,11 +2,11 @@
 
 States and directions are the variables, the motion is a constraint between neighbours in time, and
 the cost is the sum of the squared distances to the targets. Obstacles are constraints at the
-samples: a disc as it is, any other shape as a smooth curve round its bounds, since IPOPT
-differentiates twice. A shape that no robot can get round in time is a wall: bounds of the places.
+samples: smooth curves round their bounds, since IPOPT differentiates twice. A shape that no robot
+can get round in time is a wall: bounds of the places.
 
-A programme depends on numbers alone that seldom change: of robots, signals, discs and boxes. All
-else, what is estimated of the robots too, is a parameter, so that programmes are built once.
+A programme depends on numbers alone that seldom change: of robots, signals and boxes. All else,
+what is estimated of the robots too, is a parameter, so that programmes are built once.
 
 There are two for each size, for what was measured to converge. From a random start IPOPT
 approximates the Hessian by BFGS: with exact ones few starts converge. From a warm start, which is
@@ -19,7 +19,6 @@ from functools import cache
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
 
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.optimizers.sampling import bearing, interpolate
@@ -37,7 +36,10 @@ SCATTERED = 64  # random starts of which the best are taken
 TOUCH = 1e-3  # units that walls are kept away from: their edges belong to them
 NEAR = 1e-6  # weight of what a warm start is changed by: it makes the Hessian regular
 ENDLESS = 1e9  # s
-KEPT = 40_000  # poses in the programmes kept, some 10 kB each
+STARTS = 3  # of a search that has no warm start, the best of many random ones
+ITERATIONS = 60  # of IPOPT from one random start
+POLISH = 40  # from a warm start, and from what a random start has led to
+ITERATIONS_ALL = 150  # in one search, after which no further start is made
 
 PIVOT = 1e-8  # as IPOPT has it for MA57; with MUMPS's 1e-6 some solutions take eight times as long
 SHARED = {"print_level": 0, "sb": "yes", "mumps_pivtol": PIVOT}
@@ -59,21 +61,13 @@ class Ipopt(OptimizerSection):
     """IPOPT on the states and directions of all robots, from the warm start or random curves."""
 
     type: Literal["ipopt"]
-    starts: int = Field(default=3, ge=1, le=1000)
-    """Random starts of a search that has no warm start, the best of many."""
-    iterations: int = Field(default=60, ge=1, le=100_000)
-    """Iterations of IPOPT from one random start."""
-    polish: int = Field(default=40, ge=1, le=100_000)
-    """Iterations of IPOPT from a warm start, and from what a random start has led to."""
-    iterations_all: int = Field(default=150, ge=1, le=1_000_000)
-    """Iterations of IPOPT in one search, after which no further start is made."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
     @property
     def iterations_max(self) -> int:
         """The best random start as it is, and each start solved twice."""
-        return 2 * self.starts + 1
+        return 2 * STARTS + 1
 
     @property
     def evaluations_min(self) -> int:
@@ -92,29 +86,29 @@ class Ipopt(OptimizerSection):
 
         J (7) of what IPOPT returns decides. The time of one solution is not limited.
         """
-        solutions = _Solutions(self, problem, length, limits)
+        solutions = _Solutions(problem, length, limits, self.tolerance)
         if warm is not None:
             solutions.note(warm)
-            solutions.solve(warm, self.polish, warm=True)
+            solutions.solve(warm, POLISH, warm=True)
             return solutions.search()
         rng = np.random.default_rng(key)
-        starts = promising(problem, length, rng, self.starts if in_reach(problem, length) else 1)
+        starts = promising(problem, length, rng, STARTS)
         solutions.note(starts[0])
         for start in starts:
-            first = solutions.solve(start, self.iterations, warm=False)
+            first = solutions.solve(start, ITERATIONS, warm=False)
             if first is not None:
-                solutions.solve(first, self.polish, warm=True)
+                solutions.solve(first, POLISH, warm=True)
         return solutions.search()
 
 
 class _Solutions(Progress):
     """The progress of a search, and the iterations of IPOPT that are left to it."""
 
-    def __init__(self, section: Ipopt, problem: Problem, length: int, limits: Limits) -> None:
+    def __init__(self, problem: Problem, length: int, limits: Limits, tolerance: float) -> None:
         super().__init__(length, limits)
         self.problem = problem
-        self.tolerance = section.tolerance
-        self.left = section.iterations_all
+        self.tolerance = tolerance
+        self.left = ITERATIONS_ALL
 
     def note(self, signals: Floats) -> None:
         """Evaluate one sequence; the search is over where it is good enough."""
@@ -135,12 +129,6 @@ class _Solutions(Progress):
         return signals
 
 
-def in_reach(problem: Problem, length: int) -> bool:
-    """Return whether every robot could reach its target on a straight line in time."""
-    gaps = problem.poses.distances(problem.targets)
-    return bool((gaps <= problem.speed * problem.seconds(length)).all())
-
-
 def promising(
     problem: Problem, length: int, rng: np.random.Generator, count: int
 ) -> Sequence[Floats]:
@@ -159,13 +147,10 @@ def unit_of(problem: Problem) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What is in the way of robots, in a programme's unit.
-
-    Discs are (x, y, radius), boxes and `field` (left, bottom, right, top). Robots are to keep to
-    the field; infinite sides are open.
+    """What is in the way of robots, in a programme's unit: boxes (left, bottom, right, top), and a
+    `field` of the same form that robots are to keep to; its infinite sides are open.
     """
 
-    discs: Sequence[Floats]
     boxes: Sequence[Floats]
     field: Floats
 
@@ -184,16 +169,12 @@ class Scene:
         high = start.max(axis=0) + way
         grown = SWEPT * problem.period * float(problem.speed.max()) * problem.swept
         field = np.array([-np.inf, -np.inf, np.inf, np.inf])
-        discs: list[Floats] = []
         boxes: list[Floats] = []
         region: Any = problem.obstacles
         if region.inside is not None:  # the walls of the arena
             outside = np.array([-1.0, -1.0, 1.0, 1.0]) * TOUCH * unit
             field = (region.walls - outside) / unit
         for shape in region.shapes:
-            if len(shape.corners) == 1:
-                discs.append(np.array([*shape.corners[0], shape.grown(grown).radius]) / unit)
-                continue
             bare = np.array(shape.grown(TOUCH * unit).box) / unit
             box = np.array(shape.grown(grown).box) / unit
             if (box[:2] > high).any() or (box[2:] < low).any():
@@ -207,7 +188,7 @@ class Scene:
                 field[side] = min(field[side], bare[side - 2])
         field[:2] = np.minimum(field[:2], xy.min(axis=0))  # who is beyond a wall may be there
         field[2:] = np.maximum(field[2:], xy.max(axis=0))
-        return cls(discs, boxes, field)
+        return cls(boxes, field)
 
 
 def _side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
@@ -229,8 +210,7 @@ class Shooter:
     """The programme for sequences of one length; everything but counts is its parameter.
 
     Lengths are in `unit_of` the problem, so that variables are near 1. `near` weighs the change of
-    the directions; `options` are IPOPT's. `iterations` are those of the last solution, and `size`
-    is the number of poses.
+    the directions; `options` are IPOPT's. `iterations` are those of the last solution.
     """
 
     def __init__(
@@ -238,7 +218,6 @@ class Shooter:
         motion: str,
         count: int,
         length: int,
-        discs: int,
         boxes: int,
         near: float,
         options: Mapping[str, Any],
@@ -248,7 +227,7 @@ class Shooter:
         self.length = length
         self.near = near
         self.iterations = 0
-        self.size = stages = count * length
+        stages = count * length
         u = ca.MX.sym("u", 1, length)
         states = ca.MX.sym("s", 3, stages)
         start = ca.MX.sym("p", 3, count)
@@ -256,21 +235,19 @@ class Shooter:
         robots = ca.MX.sym("r", 2, count)
         held = ca.MX.sym("h", 1, length)
         guess = ca.MX.sym("n", 1, length)
-        scene = ca.MX.sym("d", 3, discs), ca.MX.sym("b", 4, boxes)
+        scene = ca.MX.sym("b", 4, boxes)
         signal = np.repeat(np.arange(length), count).tolist()  # of each column of `states`
         before = ca.horzcat(start, states[:, : stages - count])
         step = _step(motion).map(stages)
         after = step(before, u[:, signal], ca.repmat(robots, 1, length), held[:, signal])
         defects = [ca.vec(after - states)]
-        for outside, shapes in zip(_outside(), scene, strict=True):
-            for i in range(shapes.shape[1]):
-                shape = ca.repmat(shapes[:, i], 1, stages)
-                of_stages = outside.map(stages)
-                defects.append(ca.vec(of_stages(states[:2, :], shape)))
+        for i in range(boxes):
+            box = ca.repmat(scene[:, i], 1, stages)
+            defects.append(ca.vec(_outside().map(stages)(states[:2, :], box)))
         cost = ca.sumsqr(states[:2, stages - count :] - targets)
         programme = {
             "x": ca.vertcat(ca.vec(u), ca.vec(states)),
-            "p": ca.vertcat(*map(ca.vec, (start, robots, held, targets, *scene, guess))),
+            "p": ca.vertcat(*map(ca.vec, (start, robots, held, targets, scene, guess))),
             "f": cost + near * ca.sumsqr(u - guess),
             "g": ca.vertcat(*defects),
         }
@@ -299,15 +276,13 @@ class Shooter:
         high[..., :2] = scene.field[2:]
         free = np.full(length, np.inf)
         least = [np.zeros(path.size)]
-        for outside, shapes in zip(_outside(), (scene.discs, scene.boxes), strict=True):
-            for shape in shapes:
-                ends = np.vstack([poses[:, :2], targets])
-                shapes_of_ends = np.tile(shape[:, None], len(ends))
-                room = np.array(outside(ends.T, shapes_of_ends)).ravel()
-                robot = np.minimum(room, 0.0).reshape(2, -1).min(axis=0)
-                least.append(np.tile(robot, length))
+        ends = np.vstack([poses[:, :2], targets])
+        for box in scene.boxes:
+            room = np.array(_outside()(ends.T, np.tile(box[:, None], len(ends)))).ravel()
+            robot = np.minimum(room, 0.0).reshape(2, -1).min(axis=0)
+            least.append(np.tile(robot, length))
         lowest = np.concatenate(least)
-        parts = poses, robots, held, targets, *scene.discs, *scene.boxes, guess
+        parts = poses, robots, held, targets, *scene.boxes, guess
         solution = self.solver(
             x0=np.concatenate([guess, path.ravel()]),
             p=np.concatenate([np.ravel(part) for part in parts]),
@@ -323,26 +298,21 @@ class Shooter:
 def shooter(
     problem: Problem, length: int, iterations: int, cap_s: float = ENDLESS, warm: bool = False
 ) -> Shooter:
-    """Return the programme for a length, from random starts or warm ones, built once in a
-    process, unless it was dropped for KEPT others.
+    """Return the programme for a length, from random starts or warm ones, built once in a process.
 
     A solution ends after so many iterations or `cap_s` [s].
     """
-    scene = Scene.of(problem, length)
-    counts = problem.a.size, length, len(scene.discs), len(scene.boxes)
-    key = (problem.motion, *counts, iterations, cap_s, warm)
-    shooter = _built.pop(key, None)
-    if shooter is None:
-        options = SHARED | (WARM if warm else COLD)
-        options |= {"max_iter": iterations, "max_wall_time": cap_s}
-        shooter = Shooter(problem.motion, *counts, NEAR if warm else 0.0, options)
-    _built[key] = shooter  # as the latest used
-    while len(_built) > 1 and sum(built.size for built in _built.values()) > KEPT:
-        del _built[next(iter(_built))]
-    return shooter
+    counts = problem.a.size, length, len(Scene.of(problem, length).boxes)
+    return _built(problem.motion, *counts, iterations, cap_s, warm)
 
 
-_built: dict[tuple[Any, ...], Shooter] = {}
+@cache
+def _built(
+    motion: str, count: int, length: int, boxes: int, iterations: int, cap_s: float, warm: bool
+) -> Shooter:
+    options = SHARED | (WARM if warm else COLD)
+    options |= {"max_iter": iterations, "max_wall_time": cap_s}
+    return Shooter(motion, count, length, boxes, NEAR if warm else 0.0, options)
 
 
 @cache
@@ -379,25 +349,19 @@ def _step(motion: str) -> Any:
 
 
 @cache
-def _outside() -> tuple[Any, Any]:
-    """Return functions of a place and a disc, and of a place and a box, >= 0 outside of them.
-
-    Both are near the distance, in units, where they are 0. A box's is a smooth maximum of the
-    distances to its sides: it is 0 at the corners, and within BEND of the sides.
+def _outside() -> Any:
+    """Return a function of a place and a box, >= 0 outside of it, and near the distance, in units,
+    where it is 0. It is a smooth maximum of the distances to the sides: 0 at the corners, and
+    within BEND of the sides.
     """
     import casadi as ca
 
     time = ca.SX.sym("at", 2)
-    disc = ca.SX.sym("disc", 3)
     box = ca.SX.sym("box", 4)
     x = time[0]
     y = time[1]
-    round_one = (((x - disc[0]) ** 2 + (y - disc[1]) ** 2) / disc[2] - disc[2]) / 2
     sides = ca.vertcat(box[0] - x, x - box[2], box[1] - y, y - box[3]) / BEND
     largest = ca.mmax(sides)
     exponentials = ca.exp(sides - largest)
     soft = largest + ca.log(ca.sum1(exponentials)) - np.log(2)
-    return (
-        ca.Function("disc", [time, disc], [round_one]),
-        ca.Function("box", [time, box], [BEND * soft]),
-    )
+    return ca.Function("box", [time, box], [BEND * soft])

@@ -1,35 +1,30 @@
-"""Writes the results of a film: tables, a log, a figure, and a film with the tracks drawn in."""
+"""Writes the results of a film: tables, figures, and a film with the tracks drawn in."""
 
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from mcap_protobuf.writer import Writer
 
 from tetractl import __version__
-from tetractl.core.clock import SECOND
 from tetractl.core.colors import PALETTE
-from tetractl.core.errors import TetractlError
-from tetractl.core.poses import Grey
-from tetractl.log.format.channels import TRACK, TRANSFORMS
-from tetractl.log.format.scene import stamp
+from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.poses import Floats, Grey
+from tetractl.tools.files import save_whole
 from tetractl.tools.table.table_files import json_text, table_files
 from tetractl.view.style import SCREEN_DPI, save
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.picture_now import pixels_of
-from tetractl_microscope.figures.cells import cells_figure
+from tetractl_microscope.figures.cells import FilmTracks, cells_figure
 from tetractl_microscope.film.film_tables import pose_tables
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.pictures import FilmPictures
-from tetractl_microscope.film.track_log import CELL, PICTURE, PROFILE, UM, read_track
-from tetractl_microscope.pictures.whole_pictures import LENS, WHOLE_NS, jpeg_image
+from tetractl_microscope.registries import CELL_FIGURES
 from tetractl_microscope.results.cell_tables import cell_data
 from tetractl_microscope.results.geff_file import write_geff
 
@@ -48,50 +43,51 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     with table_files({name: folder / f"{name}.csv" for name in tables}) as add:
         for name, table in tables.items():
             add(name, table, "")
-    path = folder / "track.mcap"
+    versions = {"tetractl": __version__, "opencv": cv2.__version__}
+    save_whole(folder / "cells.json", json_text(record | versions, None).encode())
+    picture = _write_overlay(folder / "overlay.mp4", film, followed)
+    if followed.paths:
+        _draw_figures(folder, FilmTracks(record, _plain_paths(followed), picture))
+        if find_spec("geff") is not None:
+            rate_hz = followed.rate_hz if followed.timing.even else None
+            write_geff(folder / "tracks.geff", poses, tracks, rate_hz, followed.um_px)
+
+
+def _plain_paths(followed: Followed) -> list[tuple[int, Floats, Floats]]:
+    """Return number, times (K,), and x, y and heading (K, 3) of each cell that has two or more."""
+    return [
+        (
+            path.identity,
+            path.times,
+            np.array([(cell.x, cell.y, cell.heading) for cell in path.sightings]),
+        )
+        for path in followed.paths
+        if len(path.times) > 1
+    ]
+
+
+def _draw_figures(folder: Path, tracks: FilmTracks) -> None:
+    """Draw all panels for the screen, and each in a file of its own, for print."""
+    save(cells_figure(tracks), folder / "cells.png", SCREEN_DPI)
+    (folder / "figures").mkdir()
+    for kind in CELL_FIGURES.names():
+        with suppress(UsageError):  # this film has no field, or no cell
+            save(CELL_FIGURES.load(kind)(tracks), folder / "figures" / f"{kind}.png")
+
+
+def _write_overlay(path: Path, film: FilmPictures, followed: Followed) -> Grey:
+    """Write the film with the tracks drawn in; return its first picture."""
     cells = defaultdict[int, Cells](list)
     for path_of_cell in followed.paths:
         for _, number, cell in path_of_cell.pictures():
             cells[number].append(cell)
-    try:
-        _write_pictures(path, film, followed, record, cells)
-    except OSError as error:
-        raise TetractlError(f"{path}: cannot be written: {error.strerror}") from error
-    if followed.paths:
-        save(cells_figure(read_track(path)), folder / "cells.png", SCREEN_DPI)
-        if find_spec("geff") is not None:
-            rate_hz = followed.rate_hz if followed.timing.even else None
-            path = folder / "tracks.geff"
-            write_geff(path, poses, tracks, rate_hz, followed.um_px)
-
-
-def _write_pictures(
-    path: Path, film: FilmPictures, followed: Followed, record: Any, cells: dict[int, Cells]
-) -> None:
-    """Write a log: the record as an attachment, poses as transforms in metres, a whole picture a
-    second, and the background; and next to it the film with the tracks drawn in.
-    """
-    part = path.with_name(path.name + ".part")
-    with (
-        part.open("wb") as stream,
-        Writer(stream, profile=PROFILE) as log,
-        _overlay(path.with_name("overlay.mp4"), followed) as draw,
-    ):
-        about = {"kind": "cells of a film", "film": film.path.name, "tetractl": __version__}
-        log.add_metadata("tetractl_microscope.film", about | {"opencv": cv2.__version__})
-        text = json_text(record, None).encode()
-        log.add_attachment(0, 0, TRACK, "application/json", text)
-        background = cv2.imencode(".png", followed.background)[1].tobytes()
-        log.add_attachment(0, 0, "background.png", "image/png", background)
-        due_ns = 0
+    first: Grey | None = None
+    with _overlay(path, followed) as draw:
         for number, picture in film:
-            ns = round(film.seconds(number) * SECOND)
-            log.write_message(TRANSFORMS, _transforms(cells[number], ns), ns, ns)
-            if ns >= due_ns:
-                due_ns = ns + WHOLE_NS
-                log.write_message(PICTURE, jpeg_image(picture, stamp(ns)), ns, ns)
+            first = picture if first is None else first
             draw(picture, cells[number])
-    part.replace(path)
+    assert first is not None, "a film whose cells were followed has a picture"
+    return first
 
 
 @contextmanager
@@ -119,21 +115,6 @@ def _overlay(path: Path, followed: Followed) -> Iterator[Callable[[Grey, Cells],
         yield draw
     finally:
         writer.release()
-
-
-def _transforms(cells: Cells, ns: int) -> FrameTransforms:
-    message = FrameTransforms()
-    time = stamp(ns)
-    for cell in cells:
-        transform = message.transforms.add()
-        transform.timestamp.CopyFrom(time)
-        transform.parent_frame_id = LENS
-        transform.child_frame_id = f"{CELL}{cell.identity}"
-        transform.translation.x = cell.x * UM
-        transform.translation.y = cell.y * UM
-        transform.rotation.z = math.sin(cell.heading / 2)
-        transform.rotation.w = math.cos(cell.heading / 2)
-    return message
 
 
 def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[int, int]]) -> None:

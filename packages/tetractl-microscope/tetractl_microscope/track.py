@@ -1,6 +1,5 @@
 """`tetractl track`: follows the cells of a film."""
 
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,8 +21,7 @@ def track(
         Path,
         argument(
             "FILM",
-            "A film, a TIFF stack or a folder of pictures; what an earlier `track` wrote; or "
-            "tracks of another program.",
+            "A film, a TIFF stack or a folder of pictures; or tracks of another program.",
         ),
     ],
     field: Annotated[
@@ -65,16 +63,11 @@ def track(
     ] = False,
     out: Annotated[
         Path | None,
-        out_option(
-            "DIR", "Folder for the tables, a log, figures, and the film with the tracks drawn in."
-        ),
+        out_option("DIR", "Folder for the tables, figures, and the film with the tracks drawn in."),
     ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
-
-    Of a folder that it wrote, or of the log in it, it prints the tables again, and -o draws all
-    figures.
 
     Of tracks of another program, in GEFF or in a CSV file with the columns of TrackMate, napari,
     trackpy (particle or track_id, frame or t, y and x in pixels), MTrackJ, Manual Tracking or
@@ -85,8 +78,6 @@ def track(
     or if what swims is like no known organism.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
-
-    Example: tetractl track tracks -o figures
 
     Example: tetractl track tracks.csv --field field.csv --scale 2.3 --rate 30
     """
@@ -103,7 +94,6 @@ def track(
     from tetractl_microscope.film.fit_cell import fit_cells
     from tetractl_microscope.film.follow import follow
     from tetractl_microscope.film.pictures import open_film
-    from tetractl_microscope.film.track_log import track_log_of
     from tetractl_microscope.film_files import write_results
     from tetractl_microscope.organisms import named
     from tetractl_microscope.results.cell_tables import cell_tables
@@ -113,10 +103,6 @@ def track(
     if film.suffix.lower() in TABLES:
         kind = None if organism is None else named(organism)
         return _show_tracks(film, field, scale, rate, kind, y_down, out, as_json)
-    if log := track_log_of(film):
-        if field or scale or rate or organism or y_down:
-            raise UsageError(f"{film}: was analysed already", "options go with the film itself")
-        return _show(log, out, as_json)
     kind = None if organism is None else named(organism)
     ui.refuse_existing(out, folder=True)
     directions = None if field is None else read_field(field, y_down)
@@ -151,29 +137,6 @@ def track(
             f"contrast {followed.contrast:.0f} grey levels, {followed.um_px:.3g} um/px"
         )
     return Exit.DONE if followed.paths else Exit.FAILED
-
-
-def _show(log: Path, out: Path | None, as_json: bool) -> int:
-    """Print the cells in the log of a film; draw all figures and write the table into `out`."""
-    from tetractl.view.style import save
-    from tetractl_microscope.film.track_log import read_track
-    from tetractl_microscope.registries import CELL_FIGURES
-    from tetractl_microscope.results.cell_tables import cell_data, cell_tables
-
-    ui.refuse_existing(out, folder=True)
-    track = read_track(log)
-    ui.show(as_json, track.record, cell_tables(track.record))
-    ui.tell(*(f"damaged: {log}: {line}" for line in track.damage))
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        with table_files({"cells": out / "cells.csv"}) as add:
-            add("cells", cell_data(track.record), "")
-        for kind in CELL_FIGURES.names():
-            with suppress(UsageError):  # this film has no field, or no cell
-                save(CELL_FIGURES.load(kind)(track), out / f"{kind}.png")
-        names = sorted(path.name for path in out.iterdir())
-        ui.tell(printable(f"wrote {out}: {', '.join(names)}"))
-    return Exit.FAILED if track.damage else Exit.DONE
 
 
 def _show_tracks(

@@ -78,8 +78,6 @@ SPEC = "spec.yaml"
 RESOLVED_SPEC = "spec.resolved.yaml"
 ENVIRONMENT = "environment.json"
 LAYOUT = "layout.json"
-TRACK = "track.json"
-"""In the log of `tetractl track`, which is of no trial: what the command prints with --json."""
 
 HOST_RECORDS = frozenset({HOST_TIMING, HOST, HOST_END, ENVIRONMENT})
 """Topics and attachments that differ between two runs of the same trial."""

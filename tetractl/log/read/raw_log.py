@@ -14,7 +14,7 @@ from typing import Any
 from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Schema
 
-from tetractl.core.errors import LogError, UsageError, printable
+from tetractl.core.errors import LogError, printable
 from tetractl.core.trial import Result
 from tetractl.log.format import channels
 from tetractl.log.format.channels import Entry, Record
@@ -82,11 +82,7 @@ class RawLog:
 
     @cached_property
     def run(self) -> Run:
-        """What identifies the trial; LogError if it is lost, unreadable or of another format,
-        UsageError for a log that holds no trial."""
-        if channels.TRACK in self.attachments:
-            message = f"{self.path}: was written by `tetractl track`, and holds no trial"
-            raise UsageError(message, "tetractl track shows such a log")
+        """What identifies the trial; LogError if it is lost, unreadable or of another format."""
         if not self.by_topic[channels.RUN]:
             raise self._without_run()
         try:

@@ -6,7 +6,6 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from support.cli import tetractl
 from support.dish_films import film
 from support.film_containers import UM_PX, folder, stack
@@ -34,15 +33,16 @@ def tracks(dish):
 
 
 @pytest.mark.long
-def test_tables_a_log_and_a_film_are_written(tracks):
+def test_tables_figures_and_a_film_are_written(tracks):
     out, printed = tracks
     assert "magnet" in printed and "wrote found" in printed
     assert sorted(p.name for p in out.iterdir()) == [
         "cells.csv",
+        "cells.json",
         "cells.png",
+        "figures",
         "overlay.mp4",
         "poses.csv",
-        "track.mcap",
         "tracks.csv",
         *(["tracks.geff"] if find_spec("geff") else []),
     ]
@@ -50,66 +50,18 @@ def test_tables_a_log_and_a_film_are_written(tracks):
         cells = list(csv.DictReader(stream))
     assert any(cell["magnetised"] == "true" for cell in cells)
     assert all(0 < float(cell["lin"]) <= 1 for cell in cells)
-    with (out / "track.mcap").open("rb") as stream:
-        reader = make_reader(stream)
-        topics = {channel.topic for channel in reader.get_summary().channels.values()}
-        assert topics == {"/tf", "/picture"}
-        assert [a.name for a in reader.iter_attachments()] == ["track.json", "background.png"]
+    record = json.loads((out / "cells.json").read_text())
+    assert record["film"] == "dish.avi" and record["tetractl"]
+    assert [cell["cell"] for cell in record["cells"]] == [int(cell["cell"]) for cell in cells]
+    drawn = {path.stem for path in (out / "figures").glob("*.png")}
+    assert {"cells", "paths", "speeds", "turning", "msd"} <= drawn
+    for_print = cv2.imread(str(out / "figures" / "cells.png"))
+    for_screen = cv2.imread(str(out / "cells.png"))
+    assert len(for_print) == pytest.approx(1.5 * len(for_screen), abs=2)  # more dots for print
     overlay = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert overlay.get(cv2.CAP_PROP_FRAME_COUNT) == 120
     again = tetractl(out.parent, "track", "dish.avi", "-o", "found")
     assert again.returncode == 2 and "exists already" in again.stderr
-
-
-@pytest.mark.long
-def test_the_log_is_read_back_as_it_was_printed(tracks):
-    out, printed = tracks
-    for path in (".", "track.mcap"):
-        again = tetractl(out, "track", path).ok().stdout
-        assert again.startswith("Cells, with 95 % intervals")
-        assert printed.startswith(again)
-    record = json.loads(tetractl(out, "track", ".", "--json").ok().stdout)
-    assert record["film"] == "dish.avi"
-    assert len(record["cells"]) >= 3
-    refused = tetractl(out, "track", ".", "--scale", "2")
-    assert refused.returncode == 2 and "was analysed already" in refused.stderr
-
-
-@pytest.mark.long
-def test_all_figures_are_drawn_of_the_log(tracks, tmp_path):
-    out, _ = tracks
-    tetractl(out, "track", ".", "-o", tmp_path / "again").ok()
-    drawn = {path.stem for path in (tmp_path / "again").glob("*.png")}
-    assert {"cells", "paths", "speeds", "turning", "msd"} <= drawn
-    for_print = cv2.imread(str(tmp_path / "again" / "cells.png"))
-    for_screen = cv2.imread(str(out / "cells.png"))
-    assert len(for_print) == pytest.approx(1.5 * len(for_screen), abs=2)  # more dots for print
-    assert (tmp_path / "again" / "cells.csv").read_text() == (out / "cells.csv").read_text()
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("verify",), ("replay",), ("recover",), ("identify",), ("open",), ("rerun",),
-        ("export", "-o", "x.csv", "--table", "poses"), ("plot", "--kind", "trajectory"),
-        ("stats",), ("plot",), ("report",), ("info",), ("plot", "--kind", "video"),
-    ],
-)  # fmt: skip
-def test_what_needs_a_trial_says_so_of_a_film(tracks, words):
-    done = tetractl(tracks[0], words[0], "track.mcap", *words[1:])
-    assert done.returncode == 2
-    assert "hint: " in done.stderr and "damaged" not in done.stderr
-    assert len(done.stderr.splitlines()) == 2
-
-
-def test_a_log_that_is_cut_short_says_what_is_lost(tracks, tmp_path):
-    log = (tracks[0] / "track.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(log[: len(log) * 9 // 10])
-    (tmp_path / "stub.mcap").write_bytes(log[:300])
-    cut = tetractl(tmp_path, "track", "cut.mcap")
-    assert cut.returncode == 1 and "breaks off" in cut.stderr
-    stub = tetractl(tmp_path, "track", "stub.mcap")
-    assert stub.returncode == 1 and "cells of the film cannot be read" in stub.stderr
 
 
 def test_tracks_are_read_by_geff_as_they_are_in_the_table(tracks):
@@ -161,8 +113,6 @@ def test_speeds_have_intervals_in_json_unless_the_scale_is_guessed(dish):
     assert printed["scale_guessed"] is True and printed["pictures"] == 120
     speeds = [cell["speed_um_s"] for cell in printed["cells"] if cell["speed_um_s"]]
     assert speeds and all(isinstance(speed, float) for speed in speeds)
-    again = tetractl(dish, "track", "guessed").ok()
-    assert "none: the scale is a guess" in again.stdout
 
 
 @pytest.mark.long

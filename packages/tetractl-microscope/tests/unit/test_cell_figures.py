@@ -2,8 +2,13 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.figures.cells import cells_figure, msd_figure, turning_figure, turns
-from tetractl_microscope.film.track_log import TrackLog
+from tetractl_microscope.figures.cells import (
+    FilmTracks,
+    cells_figure,
+    msd_figure,
+    turning_figure,
+    turns,
+)
 from tetractl_microscope.registries import CELL_FIGURES
 
 from tetractl.core.errors import UsageError
@@ -45,14 +50,10 @@ def film(cells=6, field=True):
         "film": "dish.avi", "pictures": 180, "rate_hz": RATE_HZ, "um_per_px": 4.0, "width": 640,
         "height": 480, "scale_guessed": False, "cells": listed, "field": FIELD if field else None,
     }  # fmt: skip
-    return TrackLog(
-        path="track.mcap",
+    return FilmTracks(
         record=record,
-        time=np.concatenate([times for times, _ in paths]) if paths else np.zeros(0),
-        cell=np.repeat(np.arange(1, cells + 1), 180),
-        poses=np.concatenate([poses for _, poses in paths]) if paths else np.zeros((0, 3)),
+        paths=[(number, *path) for number, path in enumerate(paths, 1)],
         picture=np.tile(np.arange(640, dtype=np.uint8), (480, 1)),
-        damage=(),
     )
 
 
@@ -73,10 +74,10 @@ def test_a_film_without_a_field_or_without_cells_has_the_other_figures():
 
 
 def test_the_turning_stated_is_that_of_the_cells_that_respond():
-    log = film(7)
-    log.record["cells"][6] |= {"magnetised": None, "a_rad_s": None}  # a piece of 0.4 s
-    log.record["cells"][5] |= {"magnetised": False, "a_rad_s": {"value": 0.1, "ci95": [-1, 1]}}
-    (axes,) = turning_figure(log).axes
+    swimmers = film(7)
+    swimmers.record["cells"][6] |= {"magnetised": None, "a_rad_s": None}  # a piece of 0.4 s
+    swimmers.record["cells"][5] |= {"magnetised": False, "a_rad_s": {"value": 0.1, "ci95": [-1, 1]}}
+    (axes,) = turning_figure(swimmers).axes
     assert "a = 3.00 [3.00, 3.00], n = 5 cells" in axes.get_xlabel()
     squares, curve = (line.get_data()[1] for line in axes.lines[-2:])
     highest = np.nanmax(np.abs(squares))
@@ -91,8 +92,9 @@ def test_the_rate_of_turning_is_that_of_the_model_at_any_strength():
 
 
 def test_the_displacement_of_a_straight_path_is_the_square_of_the_lag():
-    log = film(1, field=False)
-    log.poses[:, :2] = np.column_stack([SPEED * log.time, 0 * log.time])
-    (axes,) = msd_figure(log).axes
+    swimmers = film(1, field=False)
+    ((_, times, poses),) = swimmers.paths
+    poses[:, :2] = np.column_stack([SPEED * times, 0 * times])
+    (axes,) = msd_figure(swimmers).axes
     lags, squares = axes.lines[0].get_data()
     assert np.asarray(squares, float) == pytest.approx((SPEED * np.asarray(lags)) ** 2)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
 from typing import Any, NamedTuple
@@ -14,10 +14,9 @@ from matplotlib.patheffects import withStroke
 
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, Grey
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.view import style
-from tetractl_microscope.film.track_log import TrackLog
 from tetractl_microscope.results.cell_tables import cell_mean, known_values
 
 BAR_SHARE = 0.25  # longest scale bar, as a share of the picture's width
@@ -31,19 +30,31 @@ LAG_SHARE = 0.5  # longest lag, as a share of a track
 VELOCITIES = ("vcl", "vap", "vsl")
 
 
+@dataclass(frozen=True, slots=True)
+class FilmTracks:
+    """What `tetractl track` found in a film: the `record` that it prints with --json; number, times
+    (K,) [s], and x, y [um] and heading [rad] (K, 3) of each cell that has two or more; and the
+    film's first `picture`.
+    """
+
+    record: dict[str, Any]
+    paths: Sequence[tuple[int, Floats, Floats]]
+    picture: Grey
+
+
 class Panel(NamedTuple):
     """A panel: its title, the function that draws it, and whether a film has what it shows."""
 
     title: str
-    draw: Callable[[Axes, TrackLog], None]
-    is_known: Callable[[TrackLog], bool]
+    draw: Callable[[Axes, FilmTracks], None]
+    is_known: Callable[[FilmTracks], bool]
 
 
 @style.styled()
-def cells_figure(log: TrackLog) -> Figure:
+def cells_figure(film: FilmTracks) -> Figure:
     """Draw all panels for which the film has data."""
-    names: list[Any] = [name for name, panel in PANELS.items() if panel.is_known(log)]
-    shape = log.record["height"] / log.record["width"]
+    names: list[Any] = [name for name, panel in PANELS.items() if panel.is_known(film)]
+    shape = film.record["height"] / film.record["width"]
     figure = style.figure(style.PAGE_IN, min(2 / 3 * style.PAGE_IN * shape, 5.2) + 2.2)
     count_below = 3 if len(names) > 5 else 2
     below = names[-count_below:] if len(names) > 2 else []
@@ -53,35 +64,33 @@ def cells_figure(log: TrackLog) -> Figure:
         first = [below[0]] * (8 - 2 * len(below))
         rows.append(first + [name for name in below[1:] for _ in range(2)])
     for letter, (name, axes) in zip("abcdef", figure.subplot_mosaic(rows).items(), strict=False):
-        PANELS[name].draw(axes, log)
+        PANELS[name].draw(axes, film)
         axes.set_title(f"({letter}) {PANELS[name].title}", loc="left")
-    return _headed(figure, log)
+    return _headed(figure, film)
 
 
 @style.styled()
-def _single(name: str, log: TrackLog) -> Figure:
+def _single(name: str, film: FilmTracks) -> Figure:
     """Draw one panel."""
-    if not PANELS[name].is_known(log):
-        raise UsageError(f"{log.path}: has no data for the figure {name!r}")
-    shape = log.record["height"] / log.record["width"]
+    if not PANELS[name].is_known(film):
+        raise UsageError(f"{film.record['film']}: has no data for the figure {name!r}")
+    shape = film.record["height"] / film.record["width"]
     size = (style.PAGE_IN, style.PAGE_IN * shape) if name == "paths" else (4.2, 3.2)
     figure = style.figure(*size)
     axes = figure.subplots()
-    PANELS[name].draw(axes, log)
+    PANELS[name].draw(axes, film)
     axes.set_title(PANELS[name].title, loc="left")
-    return _headed(figure, log)
+    return _headed(figure, film)
 
 
-def _headed(figure: Figure, log: TrackLog) -> Figure:
-    record = log.record
-    damage = "; ".join(log.damage[:1])
+def _headed(figure: Figure, film: FilmTracks) -> Figure:
+    record = film.record
     seconds = record["pictures"] / record["rate_hz"]
     guessed = " (guessed)" if record["scale_guessed"] else ""
     style.headline(
         figure,
         f"{record['film']}: {len(record['cells'])} tracks, {seconds:.3g} s, "
         f"{record['um_per_px']:.3g} µm/px{guessed}",
-        damage,
     )
     return figure
 
@@ -90,18 +99,18 @@ def _color(number: int) -> str:
     return PALETTE[number % len(PALETTE)]
 
 
-def _paths(axes: Axes, log: TrackLog) -> None:
+def _paths(axes: Axes, film: FilmTracks) -> None:
     """Draw each cell's path over the film's first picture, its number at the end."""
-    um_px = log.record["um_per_px"]
-    width, height = (log.record[side] * um_px for side in ("width", "height"))
-    low, high = np.percentile(log.picture, (0.5, 99.5))
+    um_px = film.record["um_per_px"]
+    width, height = (film.record[side] * um_px for side in ("width", "height"))
+    low, high = np.percentile(film.picture, (0.5, 99.5))
     span = {"extent": (0, width, 0, height), "vmin": low - 5, "vmax": high + 5}
-    axes.imshow(log.picture, cmap="gray", interpolation="antialiased", **span)
+    axes.imshow(film.picture, cmap="gray", interpolation="antialiased", **span)
     edge = [withStroke(linewidth=1.8, foreground="white", alpha=0.8)]
-    for number, _, poses in log.tracks:
+    for number, _, poses in film.paths:
         axes.plot(*poses[:, :2].T, color=_color(number), lw=1.1, path_effects=edge)
         axes.plot(*poses[-1, :2], "o", ms=2.5, color=_color(number), mec="white", mew=0.4)
-        if len(log.record["cells"]) <= NUMBERED:
+        if len(film.record["cells"]) <= NUMBERED:
             x, y = poses[-1, :2].tolist()
             position = sorted((0, x, 0.96 * width))[1], sorted((0, y, 0.96 * height))[1]
             look = {"color": _color(number), "weight": "bold", "path_effects": edge}
@@ -123,9 +132,9 @@ def _paths(axes: Axes, log: TrackLog) -> None:
     axes.set(xlim=(0, width), ylim=(0, height), xticks=[], yticks=[])
 
 
-def _speeds(axes: Axes, log: TrackLog) -> None:
+def _speeds(axes: Axes, film: FilmTracks) -> None:
     """Draw each cell's speed in order, with its 95 % interval if it has one, and their mean."""
-    cells, speeds = known_values(log.record["cells"], "speed_um_s")
+    cells, speeds = known_values(film.record["cells"], "speed_um_s")
     order = np.argsort(speeds, kind="stable").tolist()
     cells = [cells[k] for k in order]
     rows = range(len(cells))
@@ -176,17 +185,17 @@ def _stated(mean: Distribution, decimals: int = 0, lines: bool = False) -> str:
     return text.replace(" [", "\n[").replace(", n", "\nn") if lines else text
 
 
-def _turning(axes: Axes, log: TrackLog) -> None:
+def _turning(axes: Axes, film: FilmTracks) -> None:
     """Draw each cell's rate of turning against the angle from its heading to the field, a dot for
     each bin; the mean over the cells that respond; and a sin(angle) with the mean of their a.
     """
     edges = np.linspace(-math.pi, math.pi, BINS + 1)
     middle = (edges[:-1] + edges[1:]) / 2
     rates = []
-    cells, values = known_values(log.record["cells"], "a_rad_s")
+    cells, values = known_values(film.record["cells"], "a_rad_s")
     responds = [cell["cell"] for cell in cells]
-    for number, times, poses in log.tracks:
-        angle, rate = turns(times, poses[:, 2], log.record["field"])
+    for number, times, poses in film.paths:
+        angle, rate = turns(times, poses[:, 2], film.record["field"])
         binned = np.digitize(angle, edges) - 1
         counts = np.bincount(binned, minlength=BINS)[:BINS]
         sums = np.bincount(binned, rate, minlength=BINS)[:BINS]
@@ -231,20 +240,20 @@ def turns(times: Floats, heading: Floats, field: dict) -> tuple[Floats, Floats]:
     return (angle + math.pi) % (2 * math.pi) - math.pi, rate
 
 
-def _displacement(axes: Axes, log: TrackLog) -> None:
+def _displacement(axes: Axes, film: FilmTracks) -> None:
     """Draw each cell's mean squared displacement over the lag, and their mean with its interval."""
-    step = 1 / log.record["rate_hz"]
-    lengths = sorted((len(times) for _, times, _ in log.tracks), reverse=True)
+    step = 1 / film.record["rate_hz"]
+    lengths = sorted((len(times) for _, times, _ in film.paths), reverse=True)
     longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
     spaced = np.geomspace(1, max(longest, 2), LAGS)
     lags = np.unique(spaced.astype(int))
     rows = []
-    by_number = {cell["cell"]: cell for cell in log.record["cells"]}
-    for number, times, poses in log.tracks:
+    by_number = {cell["cell"]: cell for cell in film.record["cells"]}
+    for number, times, poses in film.paths:
         row = [_squared(times, poses[:, :2], lag, step) for lag in lags]
         axes.plot(lags * step, row, color=_color(number), lw=0.5, alpha=0.6)
         rows.append(row)
-    cells = [by_number[number] for number, _, _ in log.tracks]
+    cells = [by_number[number] for number, _, _ in film.paths]
     means, ends = _means(cells, rows)
     axes.plot(lags * step, [mean.mean for mean in means], color=style.INK, lw=1.8)
     axes.fill_between(lags * step, *ends, color=style.INK, alpha=0.2, lw=0)
@@ -267,12 +276,17 @@ def _squared(times: Floats, places: Floats, lag: int, step: float) -> float:
 
 
 def _strips(
-    names: dict[str, str], label: str, decimals: int, most: float | None, axes: Axes, log: TrackLog
+    names: dict[str, str],
+    label: str,
+    decimals: int,
+    most: float | None,
+    axes: Axes,
+    film: FilmTracks,
 ) -> None:
     """Draw a column of the cells' values for each quantity, with their mean."""
     labels = []
     for place, (key, name) in enumerate(names.items()):
-        cells, values = known_values(log.record["cells"], key)
+        cells, values = known_values(film.record["cells"], key)
         aside = 0.5 * (np.arange(len(values)) * 0.6180339887 % 1) - 0.25  # separates neighbours
         colors = [_color(cell["cell"]) for cell in cells]
         axes.scatter(place + aside, values, s=9, color=colors, alpha=0.8, linewidths=0)
@@ -286,12 +300,12 @@ def _strips(
     axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, most), ylabel=label)
 
 
-def _moves(log: TrackLog) -> bool:
-    return any(True for _ in log.tracks)
+def _moves(film: FilmTracks) -> bool:
+    return bool(film.paths)
 
 
-def _has(key: str) -> Callable[[TrackLog], bool]:
-    return lambda log: bool(known_values(log.record["cells"], key)[1])
+def _has(key: str) -> Callable[[FilmTracks], bool]:
+    return lambda film: bool(known_values(film.record["cells"], key)[1])
 
 
 _velocities = partial(
@@ -299,9 +313,9 @@ _velocities = partial(
 )
 _linearity = partial(_strips, {"lin": "LIN"}, "VSL / VCL", 2, 1.0)
 PANELS = {
-    "paths": Panel("paths over the first picture", _paths, lambda log: True),
+    "paths": Panel("paths over the first picture", _paths, lambda film: True),
     "speeds": Panel("speed", _speeds, _has("speed_um_s")),
-    "turning": Panel("turning", _turning, lambda log: bool(log.record["field"]) and _moves(log)),
+    "turning": Panel("turning", _turning, lambda film: bool(film.record["field"]) and _moves(film)),
     "msd": Panel("mean squared displacement", _displacement, _moves),
     "velocities": Panel("velocities", _velocities, _has("vcl_um_s")),
     "linearity": Panel("linearity", _linearity, _has("lin")),

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import cv2
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from google.protobuf.timestamp_pb2 import Timestamp
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Grey
@@ -15,11 +14,11 @@ WHOLE_NS = SECOND  # interval between whole pictures
 BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
 
 
-def jpeg_image(picture: Grey, time: Timestamp | None = None) -> CompressedImage:
-    """Encode a whole picture; `time` is that of its exposure, by default that of its message."""
+def _jpeg_image(picture: Grey) -> bytes:
+    """Return the message of a whole picture."""
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
     coded = data.tobytes() if done else b""
-    return CompressedImage(timestamp=time, frame_id=LENS, data=coded, format="jpeg")
+    return CompressedImage(frame_id=LENS, data=coded, format="jpeg").SerializeToString()
 
 
 @dataclass(slots=True)
@@ -36,8 +35,8 @@ class PictureLog:
         messages: list[tuple[str, bytes]] = []
         if exposed_ns - self._whole_ns >= WHOLE_NS:
             self._whole_ns = exposed_ns
-            messages.append((PICTURE, jpeg_image(picture).SerializeToString()))
+            messages.append((PICTURE, _jpeg_image(picture)))
         if background is not None and exposed_ns - self._background_ns >= BACKGROUND_NS:
             self._background_ns = exposed_ns
-            messages.append((BACKGROUND, jpeg_image(background).SerializeToString()))
+            messages.append((BACKGROUND, _jpeg_image(background)))
         return tuple(messages)

@@ -15,7 +15,6 @@ from tetractl.results.estimate import (
     t_quantile,
 )
 from tetractl.tools.table.table import NONE, Column, Table, fixed
-from tetractl_microscope.film.track_log import value_of
 
 Record = Mapping[str, Any]
 
@@ -87,6 +86,11 @@ def _text(entry: Any, decimals: int) -> str:
         low, high = (fixed(decimals)(end) for end in entry["ci95"])
         return f"{fixed(decimals)(entry['value'])} [{low}, {high}]"
     return fixed(decimals)(entry)
+
+
+def value_of(entry: Any) -> float | None:
+    """Return the value of an entry of a cell, with or without an interval; None if unknown."""
+    return entry["value"] if isinstance(entry, Mapping) else entry
 
 
 def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:

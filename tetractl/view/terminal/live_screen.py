@@ -2,7 +2,7 @@
 
     events of the trial -> TrialSoFar.moment --+
                                                +-> Dashboard -> Screen
-    events of the batch -> BatchSoFar.footer --+
+    events of the batch -> footer, Tally ------+
 
 In the lab it also prints notes, a line per trial, and where to place robots.
 """
@@ -144,47 +144,6 @@ class TrialSoFar:
         )
 
 
-class BatchSoFar:
-    """How far a batch is: the present trial, the trials that have ended, and the time they took.
-
-    `wall` returns the wall time [s].
-    """
-
-    def __init__(self, wall: Callable[[], float]) -> None:
-        self._wall = wall
-        self._tally = Tally()
-        self._trial = 0
-        self._count = 1
-        self._began_s: float | None = None
-
-    def trial_started(self, task: Task) -> None:
-        """Store the trial's number and the number of trials."""
-        self._trial = task.trial
-        self._count = task.count
-        if self._began_s is None:
-            self._began_s = self._wall()
-
-    def trial_ended(self, ending: Ending) -> None:
-        """Add the trial to the counts."""
-        if ending.result:
-            self._tally.add(ending.result)
-
-    def summary(self, unit: str) -> str:
-        """Return the results so far as text."""
-        return self._tally.summary(unit)
-
-    def footer(self, hints: tuple[str, ...]) -> Footer:
-        """Return the number of the trial, and how long the others will take."""
-        ended = len(self._tally.errors)
-        taken_s = 0.0 if self._began_s is None else self._wall() - self._began_s
-        time_left = ""
-        if ended and taken_s:
-            per_trial_s = taken_s / ended
-            time_left = f"{duration(per_trial_s * (self._count - ended))} left"
-        number = f"trial {self._trial + 1} of {self._count}"
-        return Footer(number, ended / self._count, time_left, hints)
-
-
 class LiveView(Observer):
     """Shows one trial after another on the terminal: an `Observer` of each trial and a
     `RunObserver`; a context manager.
@@ -208,7 +167,9 @@ class LiveView(Observer):
         self._aside = aside
         self._plain = plain
         self._screen = Screen(console)
-        self._batch = BatchSoFar(wall)
+        self._tally = Tally()
+        self._task: Task | None = None
+        self._began_s = 0.0  # when the first trial began
         self._trial: TrialSoFar | None = None
         self._drawn_s = -np.inf
 
@@ -221,11 +182,14 @@ class LiveView(Observer):
 
     def trial_started(self, task: Task) -> None:
         """Store the trial's number and the number of trials."""
-        self._batch.trial_started(task)
+        if self._task is None:
+            self._began_s = self._wall()
+        self._task = task
 
     def trial_ended(self, ending: Ending) -> None:
         """Add the trial to the counts."""
-        self._batch.trial_ended(ending)
+        if ending.result:
+            self._tally.add(ending.result)
 
     def on_start(self, start: Start) -> None:
         """Show a new trial."""
@@ -287,12 +251,23 @@ class LiveView(Observer):
             Dashboard(
                 self._of_trial.moment(),
                 heading=f"{start.setup.name}, {start.plant.kind}",
-                footer=Footer("", 0, "", hints) if self._plain else self._batch.footer(hints),
+                footer=Footer("", 0, "", hints) if self._plain else self._footer(hints),
                 notes=self._of_trial.warnings() if self._plain else (),
-                aside=self._aside or self._batch.summary(start.setup.unit),
+                aside=self._aside or self._tally.summary(start.setup.unit),
                 plain=self._plain,
             )
         )
+
+    def _footer(self, hints: tuple[str, ...]) -> Footer:
+        """Return the number of the trial, and how long the others will take."""
+        ended = len(self._tally.errors)
+        count = 1 if self._task is None else self._task.count
+        number = 1 if self._task is None else self._task.trial + 1
+        taken_s = self._wall() - self._began_s
+        time_left = ""
+        if ended and taken_s:
+            time_left = f"{duration(taken_s / ended * (count - ended))} left"
+        return Footer(f"trial {number} of {count}", ended / count, time_left, hints)
 
 
 class TerminalPrompt:

@@ -154,12 +154,12 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
         if field.exclude:  # the dump leaves it out, since no log is to have it
             merged.data["plant"][name] = getattr(experiment.plant, name)
     for device in ("camera", "actuator"):
-        section = MeasuredValue((device,), (device,), document.data.get(device, {}))
-        for measured in _single_values(section):
-            place = document.place(measured.loc)
-            loc = make_way(merged, ("plant", *measured.path), place)
-            if measured.value != {} or loc[-1] not in merged.holder(loc):
-                merged.put(loc, measured.value, place)
+        section = document.data.get(device, {})
+        for path, measured_loc, value in _single_values(section, (device,), (device,)):
+            place = document.place(measured_loc)
+            loc = make_way(merged, ("plant", *path), place)
+            if value != {} or loc[-1] not in merged.holder(loc):
+                merged.put(loc, value, place)
     updated = validated(Experiment, merged)
     for error in section_errors(updated):
         raise SpecError(f"{origin}: with this calibration, {dotted(error.where)} {error}")
@@ -180,32 +180,18 @@ def _calibration(text: str, origin: str) -> Document:
     return document
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredValue:
-    """A value of a calibration file: its path in the lab's section, by the names of entries, and
-    its location in the file.
-    """
-
-    path: tuple[str, ...]
-    loc: Loc
-    value: Any
-
-
-def _single_values(measured: MeasuredValue) -> Iterator[MeasuredValue]:
-    """Yield the values inside a mapping, or a list of entries with names; else the value itself."""
-    value = measured.value
-    inside: list[MeasuredValue] = []
+def _single_values(
+    value: Any, path: tuple[str, ...], loc: Loc
+) -> Iterator[tuple[tuple[str, ...], Loc, Any]]:
+    """Yield the path of each value inside a mapping, or a list of entries with names, in the lab's
+    section, by the names of entries; its location in the file; and the value. Of another value, or
+    one with nothing inside, that is itself."""
+    inside: list[tuple[str, str | int, Any]] = []
     if isinstance(value, dict):
-        inside = [
-            MeasuredValue((*measured.path, key), (*measured.loc, key), item)
-            for key, item in value.items()
-        ]
+        inside = [(key, key, item) for key, item in value.items()]
     elif isinstance(value, list) and all(isinstance(e, dict) and "name" in e for e in value):
-        inside = [
-            MeasuredValue((*measured.path, str(entry["name"])), (*measured.loc, i), entry)
-            for i, entry in enumerate(value)
-        ]
+        inside = [(str(entry["name"]), i, entry) for i, entry in enumerate(value)]
     if not inside:
-        yield measured
-    for part in inside:
-        yield from _single_values(part)
+        yield path, loc, value
+    for name, key, item in inside:
+        yield from _single_values(item, (*path, name), (*loc, key))

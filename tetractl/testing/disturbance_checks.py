@@ -1,7 +1,7 @@
 """Checks of a disturbance, each method called as the plant does."""
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, is_dataclass
+from dataclasses import astuple, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -37,14 +37,9 @@ FITS = {
 """What the result of each method must be; `_fits` tells whether it is."""
 
 
-@dataclass(frozen=True, slots=True)
-class Call:
-    """A call of a method: whether the result is what `FITS` says, whether the arguments are
-    unchanged, and the numbers in the result."""
-
-    fits: bool
-    unchanged: bool
-    numbers: Floats
+Call = tuple[bool, bool, Floats]
+"""A call of a method: whether the result is what `FITS` says, whether the arguments are unchanged,
+and the numbers in the result."""
 
 
 def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
@@ -54,10 +49,9 @@ def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
         calls_again = _calls(section, setup)
     expect("methods: at least one", "" if calls else "overrides none")
     for method, of_method in calls.items():
-        numbers = [call.numbers for call in of_method]
-        numbers_again = [call.numbers for call in calls_again[method]]
-        true(f"{method}: {FITS[method]}", [call.fits for call in of_method])
-        unchanged = [call.unchanged for call in of_method]
+        fits, unchanged, numbers = zip(*of_method, strict=True)
+        *_, numbers_again = zip(*calls_again[method], strict=True)
+        true(f"{method}: {FITS[method]}", fits)
         true(f"{method}: arguments unchanged", unchanged, "changed")
         same(f"{method}: same seed, same results", numbers, numbers_again)
     expect("random numbers: from rng", " and ".join(used))
@@ -79,7 +73,7 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
         unchanged = np.array_equal(before, _flat(arguments), equal_nan=True)
         fits = bool(_fits(method, section, arguments, result))
         of_method = calls.setdefault(method, [])
-        of_method.append(Call(fits, unchanged, _flat(result)))
+        of_method.append((fits, unchanged, _flat(result)))
         return result
 
     robots = len(setup.names)

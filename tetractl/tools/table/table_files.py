@@ -88,37 +88,26 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
     def add(name: str, table: Table, source: str) -> None:
         files[name].add(table, source)
 
-    with _write_errors():
-        try:
-            with ExitStack() as stack:
-                for file in files.values():
-                    stack.enter_context(file.opened())
-                yield add
-            for file in files.values():
-                file.complete()
-        finally:
-            for file in files.values():
-                file.discard()
-            for folder in missing:
-                with suppress(OSError):  # it holds the complete files, or was not made
-                    folder.rmdir()
-
-
-@contextmanager
-def _write_errors() -> Iterator[None]:
-    """Raise LogError with the file's name where a file cannot be written."""
     try:
-        yield
-    except OSError as error:
-        where = error.filename or "table"
-        raise LogError(f"{where}: cannot write the table: {error.strerror}") from error
+        with ExitStack() as stack:
+            for file in files.values():
+                stack.enter_context(file.opened())
+            yield add
+        for file in files.values():
+            file.complete()
+    finally:
+        for file in files.values():
+            file.discard()
+        for folder in missing:
+            with suppress(OSError):  # it holds the complete files, or was not made
+                folder.rmdir()
 
 
 class _GrowingFile:
     """The CSV file of one table, to which rows are added while it is open.
 
     It is `opened`, grows by `add`, and is then `complete`. Until then it is called NAME.part, which
-    `discard` deletes.
+    `discard` deletes. LogError if it cannot be written.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -131,19 +120,20 @@ class _GrowingFile:
     @contextmanager
     def opened(self) -> Iterator[None]:
         """Create the file, and close it at the end of the `with` block."""
-        self._part.parent.mkdir(parents=True, exist_ok=True)
-        self._stream = self._part.open("w", encoding="utf-8", newline="")
+        with self._writing():
+            self._part.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._part.open("w", encoding="utf-8", newline="")
         try:
             yield
         finally:
-            with self._naming():
+            with self._writing():
                 self._stream.close()
 
     def add(self, table: Table, source: str) -> None:
         """Write rows, the first ones below their header."""
         assert self._stream is not None, "rows are added to an open file"
         keys = [column.key for column in table.columns]
-        with self._naming():
+        with self._writing():
             if self._keys is None:
                 self._keys = keys
                 _write_header(table, self._stream)
@@ -158,19 +148,22 @@ class _GrowingFile:
 
     def complete(self) -> None:
         """Give the file its name."""
-        self._part.replace(self._path)
+        with self._writing():
+            self._part.replace(self._path)
 
     def discard(self) -> None:
         """Delete what is not complete."""
-        self._part.unlink(missing_ok=True)
+        with self._writing():
+            self._part.unlink(missing_ok=True)
 
     @contextmanager
-    def _naming(self) -> Iterator[None]:
-        """Name the file in an error of writing it, such as of a full disk."""
+    def _writing(self) -> Iterator[None]:
+        """Raise LogError for an error of writing the file, such as of a full disk."""
         try:
             yield
         except OSError as error:
-            raise OSError(error.errno, error.strerror, str(self._part)) from error
+            where = error.filename or self._part
+            raise LogError(f"{where}: cannot write the table: {error.strerror}") from error
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:

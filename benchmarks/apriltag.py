@@ -111,9 +111,8 @@ def poses(scale: float) -> None:
         for name, drawn, changes, moving in cases:
             tracker = Tracker(section(**changes), NAMES, MM)
             mm, mrad, share, small = errors(tracker, drawn, round(300 * scale), moving)
-            found = f"{100 * share:.1f} %"
             errors_95 = f"{np.quantile(mm, 0.95):.2f}", f"{np.quantile(mrad, 0.95):.1f}"
-            row(told(size), name, found, *errors_95, f"{small:.0f}")
+            row(told(size), name, f"{100 * share:.1f} %", *errors_95, f"{small:.0f}")
 
 
 def low() -> list[RobotTag]:
@@ -169,8 +168,8 @@ def tilt(scale: float) -> None:
             tracker = Tracker(section(lens={"focal_px": drawn.optics.focal_px}), NAMES, MM)
             mm, _, _, _ = errors(blind, drawn, round(100 * scale))
             right, _, _, _ = errors(tracker, drawn, round(100 * scale))
-            doubt = f"{blind.floor.plane.doubt_mm:.2f}"
-            row(told(size), angle, f"{np.median(mm):.2f}", doubt, f"{np.median(right):.2f}")
+            values = np.median(mm), blind.floor.plane.doubt_mm, np.median(right)
+            row(told(size), angle, *(f"{value:.2f}" for value in values))
 
 
 def blur(scale: float) -> None:

@@ -162,8 +162,8 @@ def rules(chosen: argparse.Namespace) -> None:
             rule or "none",
             *("{} of {}".format(*m(rows, bodies)) for m in (no_body, followed)),
         ]
-        cells += [f"{f1(scores):.4f}", f"{idf1(scores):.3f}", f"{len(wrong)}, {sum(wrong)}"]
-        cells += [f"{called_sure(scores):.3f}"]
+        cells += [f"{f1(scores):.4f}", f"{idf1(scores):.3f}"]
+        cells += [f"{len(wrong)}, {sum(wrong)}", f"{called_sure(scores):.3f}"]
         print(f"| {' | '.join(cells)} |", flush=True)
 
 

@@ -1,6 +1,5 @@
 """What logs promise, measured: `python benchmarks/log.py [PART]...`, all parts by default.
 
-    kills       seconds lost over 100 kills -9 at random times of a trial in real time
     torn        10,000 truncations and 10,000 changed bytes: chunks recovered of those complete
     tampering   each field of each channel, record and attachment changed: how many it notices
 
@@ -9,18 +8,15 @@ Prints the figures of docs/reference/durability.md. `--scale 0.1` does a tenth o
 
 import argparse
 import random
-import statistics
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "tests"))
 sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
-from support.durable import random_kill  # noqa: E402
 from support.fuzz import Original, fuzz  # noqa: E402
 from support.lab_logs import dish_log, lab_log  # noqa: E402
 from support.tampering import score, sim_log  # noqa: E402
@@ -38,17 +34,6 @@ robots:
 controller: {type: pso-mpc, horizon_max: 6, steps_max: 5, optimizer: {particles: 6, iterations: 14}}
 plant: {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1}
 """
-
-
-def kills(folder: Path, scale: float) -> None:
-    count = max(4, round(100 * scale))
-    rngs = [random.Random(seed) for seed in range(count)]
-    paths = [folder / f"{i}.mcap" for i in range(count)]
-    with ThreadPoolExecutor(2) as pool:
-        lost = [killed.lost_s for killed in pool.map(random_kill, paths, rngs)]
-    middle = statistics.median(lost)
-    print(f"{count} kills: lost {min(lost):.3f} s at least, {middle:.3f} s in the median,")
-    print(f"{max(lost):.3f} s at most; {sum(x > 1.2 for x in lost)} lost more than 1.2 s")
 
 
 def torn(folder: Path, scale: float) -> None:
@@ -91,7 +76,7 @@ def tampering(folder: Path, scale: float) -> None:
         print(f"| all | {recovered.total()} of {tried.total()} | |", flush=True)
 
 
-PARTS = {"kills": kills, "torn": torn, "tampering": tampering}
+PARTS = {"torn": torn, "tampering": tampering}
 
 
 def main() -> None:

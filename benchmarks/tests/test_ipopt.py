@@ -33,7 +33,8 @@ def package(monkeypatch):
 
 def test_a_search_solves_until_its_iterations_are_used(package):
     """Regression: a search asked a method that the progress of searches does not have any more."""
-    search = package.Ipopt(type="ipopt").search(printed(), LENGTH, None, 0, Limits())
+    ipopt = package.Ipopt(type="ipopt")
+    search = ipopt.search(printed(), LENGTH, None, 0, Limits())
     assert 2 * EchoedGuess.iterations == package.ITERATIONS_ALL
     assert search.evaluations == 3  # the first start, and two solutions
     assert search.stopped is StopReason.ITERATIONS

@@ -241,9 +241,10 @@ class Shooter:
         step = _step(motion).map(stages)
         after = step(before, u[:, signal], ca.repmat(robots, 1, length), held[:, signal])
         defects = [ca.vec(after - states)]
+        outside = _outside().map(stages)
         for i in range(boxes):
             box = ca.repmat(scene[:, i], 1, stages)
-            defects.append(ca.vec(_outside().map(stages)(states[:2, :], box)))
+            defects.append(ca.vec(outside(states[:2, :], box)))
         cost = ca.sumsqr(states[:2, stages - count :] - targets)
         programme = {
             "x": ca.vertcat(ca.vec(u), ca.vec(states)),
@@ -278,7 +279,8 @@ class Shooter:
         least = [np.zeros(path.size)]
         ends = np.vstack([poses[:, :2], targets])
         for box in scene.boxes:
-            room = np.array(_outside()(ends.T, np.tile(box[:, None], len(ends)))).ravel()
+            box_of_ends = np.tile(box[:, None], len(ends))
+            room = np.array(_outside()(ends.T, box_of_ends)).ravel()
             robot = np.minimum(room, 0.0).reshape(2, -1).min(axis=0)
             least.append(np.tile(robot, length))
         lowest = np.concatenate(least)

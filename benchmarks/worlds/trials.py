@@ -89,11 +89,12 @@ def read(path: Path) -> dict[Task, Row]:
     """Return the trials of a CSV, none if there is no file."""
     if not path.exists():
         return {}
+    rows = {}
     with path.open(newline="") as file:
-        return {
-            Task(int(seed), place, int(trial)): Row(*map(float, numbers))
-            for seed, place, trial, *numbers in csv.reader(file)
-        }
+        for seed, place, trial, *numbers in csv.reader(file):
+            task = Task(int(seed), place, int(trial))
+            rows[task] = Row(*map(float, numbers))
+    return rows
 
 
 def extended(

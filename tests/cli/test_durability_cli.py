@@ -45,7 +45,7 @@ def test_a_folder_in_use_is_refused(tmp_path, extra):
 @pytest.mark.system
 @pytest.mark.parametrize("seed", range(5))
 def test_a_kill_costs_little(tmp_path, seed):
-    """A hundred kills in benchmarks/log.py. What this host is late is no loss of the log's."""
+    """What this host is late is no loss of the log's."""
     with lateness() as host:
         killed = random_kill(tmp_path / "0.mcap", random.Random(seed), most_s=2.5)
     assert killed.lost_s <= LOSS_S + 2 * host.most_s

@@ -69,14 +69,12 @@ class Rule:
             patch.object(owner, name, replacement).start()
         if self.assumed:
             from tetractl.control.kernels import filter as kernel
-            from tetractl.control.kernels import filter_measure, filter_motion
+            from tetractl.control.kernels import filter_measure
 
-            assumed = filter_state.ASSUMED._replace(**dict(self.assumed))
-            for module in (kernel, filter_measure, filter_motion):
-                if hasattr(module, "ASSUMED"):
-                    patch.object(module, "ASSUMED", assumed).start()
-            patch.object(kernel, "LN_HEARD", math.log(1 - assumed.lost)).start()
-            patch.object(kernel, "LN_MISSED", math.log(assumed.lost)).start()
+            for name, value in self.assumed:
+                for module in (kernel, filter_measure):
+                    if hasattr(module, name):
+                        patch.object(module, name, value).start()
 
 
 def _prior(**changes: Any) -> tuple[Any, str, Any]:
@@ -214,9 +212,7 @@ RULES = {
     "shared dead times": Rule(
         ((filter.CommonTimes, "of", staticmethod(_alone)),), ("later", "late", "bench")
     ),
-    "a dead time of one's own": Rule(
-        ((filter_state, "GRID", filter_state.GRID._replace(own=0.0)),), ("late", "later")
-    ),
+    "a dead time of one's own": Rule(((filter_state, "OWN_PROBABILITY", 0.0),), ("late", "later")),
     "stuck": Rule((_model(sticks=NEVER),), ("sticking", "sticking-5hz", "cells-pause")),
     "frames shown again": Rule((_model(coarse=True),), ("stale", "repeating", "no-frames")),
     "watchdogs": Rule((_model(watchdog_s=math.inf),), ("silent", "sparse-radio", "lossy-radio")),
@@ -227,13 +223,17 @@ RULES = {
     "a cell's frequencies": Rule(
         ((filter_start, "FREQUENCIES", (1.0,)),), ("cells", "cells-body", "cells-pause")
     ),
-    "outlier gate": Rule((), ("stale", "marker", "cells-body"), (("gate", 1e12),)),
-    "missed commands": Rule((), ("lossy-radio", "silent"), (("lost", 1e-12),)),
-    "hypotheses alike are one": Rule((), ("lossy-radio",), (("alike", 0.0),)),
-    "scale of the noise": Rule(
-        (), ("cells", "slow-pictures"), (("scale_least", 1.0), ("scale_most", 1.0))
+    "outlier gate": Rule((), ("stale", "marker", "cells-body"), (("GATE", 1e12),)),
+    "missed commands": Rule(
+        (),
+        ("lossy-radio", "silent"),
+        (("LN_HEARD", math.log(1 - 1e-12)), ("LN_MISSED", math.log(1e-12))),
     ),
-    "the camera's pose if none fits": Rule((), ("stale", "marker"), (("lost_track_s", 1e9),)),
+    "hypotheses alike are one": Rule((), ("lossy-radio",), (("ALIKE", 0.0),)),
+    "scale of the noise": Rule(
+        (), ("cells", "slow-pictures"), (("SCALE_LEAST", 1.0), ("SCALE_MOST", 1.0))
+    ),
+    "the camera's pose if none fits": Rule((), ("stale", "marker"), (("LOST_TRACK_S", 1e9),)),
 }
 """Each rule by its name."""
 

@@ -6,11 +6,14 @@ import numpy as np
 
 from tetractl.control.filter import FilterBank
 from tetractl.control.kernels.filter_state import (
-    ASSUMED,
-    GRID,
+    FINEST_STEP_S,
+    LEAST_BLOCKS,
     LN_A,
     LN_SPEED,
     MARKER_BIAS,
+    OWN_PROBABILITY,
+    OWN_STD_S,
+    QUANTILE,
     SIDE,
     TURN_BIAS,
 )
@@ -26,12 +29,12 @@ def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
     bank = filters.bank
     prior = filters.prior
     steps = bank.step_s[0]
-    finest = GRID.finest_s
+    finest = FINEST_STEP_S
     times = np.arange(0, float(bank.dead_time_s.max()) + finest, finest / 2)
     gaps = times[:, None, None] - bank.dead_time_s
     width = np.maximum(steps, finest) / 2
-    near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
-    near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
+    near = (1 - OWN_PROBABILITY) * np.exp(-((gaps / width) ** 2) / 2) / width
+    near += OWN_PROBABILITY * np.exp(-((gaps / OWN_STD_S) ** 2) / 2) / OWN_STD_S
     ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
     ln_prior = -(((times - prior.dead_time) / prior.dead_time_std) ** 2) / 2
     ln_all = ln.sum(axis=1) + ln_prior
@@ -58,7 +61,7 @@ def estimate(filters: FilterBank) -> Estimate:
     cov = bank.cov[likeliest]
     weights = np.exp(ln_weight - ln_weight.max(axis=1, keepdims=True))
     squares = bank.square_sum[best]
-    blocks = np.maximum(bank.blocks[best], ASSUMED.least_blocks)[:, None]
+    blocks = np.maximum(bank.blocks[best], LEAST_BLOCKS)[:, None]
     more = np.sqrt(np.maximum(1, squares / blocks)).max(axis=1)
     std = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more[:, None]
     a = prior.a * np.exp(z[:, LN_A])
@@ -80,5 +83,5 @@ def estimate(filters: FilterBank) -> Estimate:
         dead_time_std=math.sqrt(np.mean((tau_std * more) ** 2) + np.var(tau)),
         own_dead_time=tau,
         own_dead_time_std=tau_std,
-        misfit=squares / (blocks * (1 - part + ASSUMED.quantile * np.sqrt(part)) ** 3),
+        misfit=squares / (blocks * (1 - part + QUANTILE * np.sqrt(part)) ** 3),
     )

@@ -9,11 +9,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.control.kernels import filter_state as kernel
-from tetractl.control.kernels.filter_motion import AT_REST, UNKNOWN_HEADING
+from tetractl.control.kernels.filter import (
+    ALIKE,
+    LEAST_LN_WEIGHT,
+    MEAN_CAPPED,
+    SCALE_LEAST,
+    SCALE_MEMORY,
+    SCALE_MOST,
+)
+from tetractl.control.kernels.filter_motion import (
+    AT_REST,
+    STILL_PACE,
+    SUBSTEP_S,
+    SUBSTEPS_MAX,
+    UNKNOWN_HEADING,
+)
 from tetractl.control.kernels.filter_state import (
-    ASSUMED,
     FLOW_X,
     FLOW_Y,
+    GATE,
     HEADING,
     HELIX_COSINE,
     HELIX_SINE,
@@ -21,6 +35,7 @@ from tetractl.control.kernels.filter_state import (
     LN_FREQUENCY,
     LN_SATURATION,
     LN_SPEED,
+    LOSS_PROBABILITY,
     MARKER_BIAS,
     PACE,
     SIDE,
@@ -34,8 +49,8 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.model.motion.exact import EXACT
 from tetractl.model.motion.turn_rate import by_turning, held, turning
 
-LN_HEARD = math.log(1 - ASSUMED.lost)
-LN_LOST = math.log(ASSUMED.lost)
+LN_HEARD = math.log(1 - LOSS_PROBABILITY)
+LN_LOST = math.log(LOSS_PROBABILITY)
 
 
 @dataclass
@@ -117,9 +132,9 @@ class RobotFilter:
             seconds -= driven_s
         hypothesis.watched_s -= seconds
         stands = math.isnan(hypothesis.u)
-        if stands and (self.lag == 0 or hypothesis.z[PACE] < ASSUMED.still):
+        if stands and (self.lag == 0 or hypothesis.z[PACE] < STILL_PACE):
             hypothesis.z[[SWING, PACE]] = 0.0
-        longest = max(ASSUMED.substep_s, seconds / ASSUMED.substeps)
+        longest = max(SUBSTEP_S, seconds / SUBSTEPS_MAX)
         while seconds > 0 and (not stands or hypothesis.z[PACE] > 0):
             t = min(seconds, longest)
             self.predict(hypothesis, t)
@@ -275,8 +290,8 @@ class RobotFilter:
         innovation_var = np.diag(h @ hypothesis.cov @ h.T) + var
         squares = off**2 / innovation_var
         means = np.array([squares[:2].mean(), squares[2]])
-        if squares.sum() > ASSUMED.gate:
-            return -(ASSUMED.gate + np.log(innovation_var).sum()) / 2, means
+        if squares.sum() > GATE:
+            return -(GATE + np.log(innovation_var).sum()) / 2, means
         ln_likelihood = 0.0
         before = hypothesis.z[:STATES_OF_CELLS].copy()
         for j in range(3):  # each number with the slopes of before the first
@@ -300,12 +315,12 @@ class RobotFilter:
         weights = np.array([hypothesis.ln_weight for hypothesis in hypotheses])
         total = float(np.logaddexp.reduce(weights))
         for hypothesis in hypotheses:
-            hypothesis.ln_weight = max(hypothesis.ln_weight - total, ASSUMED.least_ln_weight)
+            hypothesis.ln_weight = max(hypothesis.ln_weight - total, LEAST_LN_WEIGHT)
         of_likeliest = means[int(np.argmax(weights))]
-        if 2 * of_likeliest[0] + of_likeliest[1] <= ASSUMED.gate:
-            capped = np.minimum(of_likeliest, 4.0) / ASSUMED.mean_capped
-            scale = self.scale * (1 + (capped - 1) / ASSUMED.scale_memory)
-            self.scale = np.clip(scale, ASSUMED.scale_least, ASSUMED.scale_most)
+        if 2 * of_likeliest[0] + of_likeliest[1] <= GATE:
+            capped = np.minimum(of_likeliest, 4.0) / MEAN_CAPPED
+            scale = self.scale * (1 + (capped - 1) / SCALE_MEMORY)
+            self.scale = np.clip(scale, SCALE_LEAST, SCALE_MOST)
         return total
 
     def best(self) -> int:
@@ -380,7 +395,7 @@ class RobotFilter:
         for branch in branches:
             parent = branch.parent
             direction = u if branch.hears else parent.u
-            alike = ASSUMED.alike * parent.cov[HEADING, HEADING]
+            alike = ALIKE * parent.cov[HEADING, HEADING]
             for other_parent, child in zip(parents, children, strict=True):
                 apart = (other_parent.z[HEADING] - parent.z[HEADING]) ** 2
                 if child.u == direction and apart < alike:

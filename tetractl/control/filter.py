@@ -44,7 +44,7 @@ to be heard. `kernels.bank.forecast` fills what of it is published, the fields o
 **What happens next, if**
 
     a pose jumps                  it is an outlier beyond the gate: hypotheses are predicted on
-                                  without it; if none fits for ASSUMED.lost_track_s, the robot is
+                                  without it; if none fits for LOST_TRACK_S, the robot is
                                   placed at the camera's pose
     a frame is missing            robots are predicted on to the next one
     a command is missed           a hypothesis that follows the command before becomes the likeliest
@@ -76,9 +76,9 @@ from tetractl.control.filter_start import (
     tried_state,
 )
 from tetractl.control.kernels.filter_state import (
-    ASSUMED,
-    GRID,
+    LEAST_BLOCKS,
     LN_SATURATION,
+    REFINED,
     Bank,
     CommonTimes,
     Forecast,
@@ -231,7 +231,7 @@ class FilterBank:
         over blocks is larger than chance makes it once in a thousand times."""
         filters = self._likeliest_filters()
         robots = np.arange(len(filters))
-        blocks = np.maximum(self.bank.blocks[filters, robots], ASSUMED.least_blocks)
+        blocks = np.maximum(self.bank.blocks[filters, robots], LEAST_BLOCKS)
         limits = np.array([largest_square_sum(number) for number in blocks.tolist()])
         return self.bank.square_sum[filters, robots] > limits[:, None]
 
@@ -326,7 +326,7 @@ class FilterBank:
         """Let unlikely filters end, and refine each robot's grid around its likely dead times."""
         from tetractl.control.kernels.bank import select
 
-        most = max(len(self.bank.score), GRID.refined * GROUPS_MAX)
+        most = max(len(self.bank.score), REFINED * GROUPS_MAX)
         going_on = NextFilters.room_for(most, self.bank)  # filled by `select`
         commanded = self.commands.number > 0
         if select(self.bank, tried_state(self.prior), commanded, going_on):

@@ -10,9 +10,9 @@ tried later, where the heading does not fit.
 
 In each group, a robot gets one filter for each dead time of a grid around the prior's,
 
-    tau = tau_prior - reach, ... in steps of GRID.step_s ..., tau_prior + reach [s],
+    tau = tau_prior - reach, ... in steps of GRID_STEP_S ..., tau_prior + reach [s],
 
-and not below 0, where the reach is GRID.reach standard deviations.
+and not below 0, where the reach is GRID_REACH standard deviations.
 
 Arrays are those of a `Bank`: B filters, group by group, of N robots.
 """
@@ -25,7 +25,7 @@ import numpy as np
 from tetractl.control.kernels.filter_state import (
     FLOW_X,
     FLOW_Y,
-    GRID,
+    GRID_STEP_S,
     HEADING,
     HELIX_COSINE,
     HELIX_SINE,
@@ -71,6 +71,8 @@ FREQUENCY_WALK = 0.01
 """Walk of ln of the helix's frequency."""
 FREQUENCY_STD = 0.15
 """Prior deviation of ln of each of FREQUENCIES."""
+GRID_REACH = 3.0
+"""Half width of the grid of dead times at first, in standard deviations of the prior."""
 LEAST_SPEED = 1e-9
 """Least speed that a noise is taken over [length unit/s]: a robot may have none."""
 FREQUENCIES = 0.5, 0.75, 1.0, 1.4
@@ -232,9 +234,9 @@ def reopened_bank(
 
 def _dead_times(prior: Prior) -> Floats:
     """Return the grid of dead times to begin with [s]."""
-    reach_s = GRID.reach * prior.dead_time_std
+    reach_s = GRID_REACH * prior.dead_time_std
     least_s = max(0.0, prior.dead_time - reach_s)
-    return np.arange(least_s, prior.dead_time + reach_s + 1e-9, GRID.step_s)
+    return np.arange(least_s, prior.dead_time + reach_s + 1e-9, GRID_STEP_S)
 
 
 def _numbers(group: int, dead_times_s: Floats) -> Integers:

@@ -3,7 +3,6 @@ where robots will be, and the best moment to stop.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,14 +11,6 @@ from tetractl.control.evaluate import compiled_drive
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats
-
-
-@dataclass(frozen=True, slots=True)
-class StopForecast:
-    """A stop `delay_ns` from now, and the predicted sum of distances to the targets after it."""
-
-    delay_ns: int
-    error: float
 
 
 def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Search:
@@ -65,9 +56,9 @@ def least_error(problem: Problem, period_s: float) -> float:
 
 def best_stop(
     problem: Problem, direction: Floats, period_s: float, moments: int = 40
-) -> StopForecast:
-    """Return the stop, of `moments` in the coming control period, that leaves the least sum of
-    distances.
+) -> tuple[int, float]:
+    """Return in how long to stop [ns], at one of `moments` in the coming control period, to leave
+    the least sum of distances to the targets, and that sum.
 
     The problem's poses are those at which a stop sent now acts. Until a later stop acts, robots
     follow `direction` (N,) [rad], NaN for a robot that stands still.
@@ -78,4 +69,4 @@ def best_stop(
     errors = np.hypot(path[..., 0] - targets[:, 0], path[..., 1] - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
     delay_ns = round(float(delays[best]) * SECOND)
-    return StopForecast(delay_ns, error=float(errors[best]))
+    return delay_ns, float(errors[best])

@@ -73,7 +73,6 @@ from tetractl.control.discs import Discs
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import (
-    StopForecast,
     best_stop,
     given_search,
     least_error,
@@ -463,33 +462,33 @@ class Mpc:
         within_s = self.section.period if self._in_last_leg else 0.0
         if least_error(step.problem, within_s) > bound:
             return None  # no moment can be good enough: so it is in most steps, and costs no time
-        stop = self._best_stop(step.problem, within_s)
-        if stop.error > bound:
+        delay_ns, error = self._best_stop(step.problem, within_s)
+        if error > bound:
             return None
         if self._rests_at_the_end:
             rest = self._standing(step.problem, State.RESTING, searches)
-            return replace(rest, delay_ns=stop.delay_ns)
+            return replace(rest, delay_ns=delay_ns)
         outcome = Outcome.NO_BETTER_PLAN if len(warm) > 0 else Outcome.SEQUENCE_COMPLETED
-        if stop.delay_ns > 0:
-            return End(outcome, stop.delay_ns)
+        if delay_ns > 0:
+            return End(outcome, delay_ns)
         return outcome
 
-    def _best_stop(self, problem: Problem, within_s: float) -> StopForecast:
-        """Return the stop within a time that leaves the least error; until then robots follow what
-        they were sent last.
+    def _best_stop(self, problem: Problem, within_s: float) -> tuple[int, float]:
+        """Return in how long to stop [ns], within a time, to leave the least error, and that error.
+        Until then robots follow what they were sent last.
 
         It is a stop now if a body would come near something before a later one. The guard aborts a
         trial if a body would touch something within its time to react; it does not know that a stop
         is due.
         """
         held = self.estimator.held_at_action
-        stop = best_stop(problem, held, within_s)
-        if stop.delay_ns == 0 or not self.stands:
-            return stop
-        seconds = stop.delay_ns / SECOND + REACTION_S
+        delay_ns, error = best_stop(problem, held, within_s)
+        if delay_ns == 0 or not self.stands:
+            return delay_ns, error
+        seconds = delay_ns / SECOND + REACTION_S
         if self.course.discs.enters_if_held(problem, held, seconds):
             return best_stop(problem, held, 0.0)
-        return stop
+        return delay_ns, error
 
     def _go_on(self, searched: Searched) -> Plan:
         """Follow the plan of least value that does not collide soon. If there is none, rest, and

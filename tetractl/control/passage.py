@@ -25,8 +25,8 @@ and walls. Lengths are in the spec's length unit.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -67,22 +67,21 @@ TRUSTED_S = 1.0
 """Least time that a plan is driven before [s]."""
 
 
-class Level(NamedTuple):
-    """The nodes kept of one level: the node of the level before from which each grew, and the
-    direction of its branch [rad]."""
+class Nodes(NamedTuple):
+    """K nodes of one level, or branches that may become the next one."""
 
     parents: Integers
+    """(K,) numbers of the nodes of the level before from which they grew."""
     directions: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Branches:
-    """The branches grown from the nodes of a level: their `directions` (B,) [rad], the poses at
-    their ends (B, N, 3), and the numbers of the squares of these ends (B,)."""
-
-    directions: Floats
-    ends: Floats
+    """(K,) directions of the branches to them [rad]."""
+    poses: Floats
+    """(K, N, 3) where robots are."""
     squares: Integers
+    """(K,) numbers of the squares in which they are."""
+
+    def part(self, chosen: Integers) -> Self:
+        """Return some of the nodes."""
+        return self._make(column[chosen] for column in self)
 
 
 class Tree:
@@ -96,17 +95,18 @@ class Tree:
 
     def __init__(self, problem: Problem, key: int, held: int) -> None:
         count = len(problem.a)
-        self.levels: list[Level] = []
+        self.levels: list[Nodes] = []
         self._problem = problem
         self._key = key
         self._held = held
         self._side = SQUARE_SIDE * float((problem.speed / problem.a).max())
         self._factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
         """Odd numbers (2 N,): the sum of a node's squares times these is a number of its own."""
-        self._nodes: Floats = problem.poses.array()[None]
         self._squares_of_nodes: Integers = np.empty(0, dtype=np.int64)
-        """The numbers of all nodes of all levels."""
-        self._grown = Branches(np.empty(0), self._nodes, self._squares_of_nodes)
+        """Those of all nodes of all levels."""
+        none = np.zeros(1, dtype=np.int64)
+        self._nodes = Nodes(none, np.zeros(1), problem.poses.array()[None], squares=none)
+        self._grown = self._nodes
 
     def grow(self) -> Floats:
         """Grow BRANCHES of them from each node of the last level; return the poses
@@ -114,14 +114,16 @@ class Tree:
         count = len(self._problem.a)
         first = uniform(self._key, 2 * count + len(self.levels), 1)
         all_round = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
-        starts = self._nodes.repeat(BRANCHES, axis=0)
-        directions = np.tile(all_round, len(self._nodes))
+        nodes = len(self._nodes.poses)
+        parents = np.arange(nodes).repeat(BRANCHES)
+        starts = self._nodes.poses[parents]
+        directions = np.tile(all_round, nodes)
         turns = np.zeros(PARTS * self._held)
         part = self._problem.period / PARTS
         path = compiled_branches(self._problem, starts, directions, turns, part)[1:]
         squares = np.floor(path[-1, ..., :2].reshape(len(directions), -1) / self._side)
         numbers = (squares.astype(np.int64) * self._factors).sum(axis=1)
-        self._grown = Branches(directions, path[-1], numbers)
+        self._grown = Nodes(parents, directions, path[-1], numbers)
         return path
 
     def unlike(self, order: Integers) -> Integers:
@@ -135,9 +137,9 @@ class Tree:
 
     def keep(self, branches: Integers) -> None:
         """Make the ends of branches the nodes of the next level."""
-        self._squares_of_nodes = np.append(self._squares_of_nodes, self._grown.squares[branches])
-        self._nodes = self._grown.ends[branches]
-        self.levels.append(Level(branches // BRANCHES, self._grown.directions[branches]))
+        self._nodes = self._grown.part(branches)
+        self._squares_of_nodes = np.append(self._squares_of_nodes, self._nodes.squares)
+        self.levels.append(self._nodes)
 
     def sequence(self, node: int, levels: int | None = None) -> Floats:
         """Return the signals (L,) that lead to a node of the last of so many levels, or of all."""

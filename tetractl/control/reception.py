@@ -29,12 +29,12 @@ import math
 
 import numpy as np
 
-from tetractl.control.kernels.filter_state import ASSUMED, FOLLOWS, Bank, SentCommands
+from tetractl.control.kernels.filter_state import FOLLOWS, LOSS_PROBABILITY, Bank, SentCommands
 from tetractl.core.poses import Floats, Integers
 
 SELDOM = 0.05
 """Probability that a radio that works loses a direction for all robots; chosen as q above, which is
-`ASSUMED.lost`."""
+`LOSS_PROBABILITY`."""
 OFTEN = 0.75
 """The same of a sparse radio: it lets one in four through."""
 LN_SURE = 20.0
@@ -137,4 +137,4 @@ def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
             ln_missed = max(ln_missed, ln_weight)
     if math.isinf(ln_heard) or math.isinf(ln_missed):
         return 0.0
-    return math.log(ASSUMED.lost) + float(np.logaddexp(0.0, ln_heard - ln_missed))
+    return math.log(LOSS_PROBABILITY) + float(np.logaddexp(0.0, ln_heard - ln_missed))

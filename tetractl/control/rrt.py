@@ -122,11 +122,11 @@ class Rrt(PlainController):
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < self.section.ahead:
             return None
-        stopping = best_stop(problem, self.estimator.held_at_action, self.section.period)
-        if stopping.error > evaluate(problem, signals[None]).target[0]:
+        delay_ns, error = best_stop(problem, self.estimator.held_at_action, self.section.period)
+        if error > evaluate(problem, signals[None]).target[0]:
             return None
         done = Outcome.NO_BETTER_PLAN
-        return End(done, stopping.delay_ns) if stopping.delay_ns else done
+        return End(done, delay_ns) if delay_ns else done
 
 
 def grow(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tetractl.control.kernels.filter_state import (
-    ASSUMED,
+    LOSS_PROBABILITY,
     STATES,
     STATES_OF_WHEELS,
     Bank,
@@ -26,7 +26,7 @@ TESTED = 2
 def ln_product(heard):
     """ln P if frames show clearly which of the robots heard a direction, `heard` (N,)."""
     likelihood_ratio = np.exp(np.where(heard, LN_CLEAR, -LN_CLEAR))
-    return float(np.log((1 - ASSUMED.lost) * likelihood_ratio + ASSUMED.lost).sum())
+    return float(np.log((1 - LOSS_PROBABILITY) * likelihood_ratio + LOSS_PROBABILITY).sum())
 
 
 def after(heard):
@@ -125,7 +125,7 @@ def robot_ratio(directions, weights):
 @pytest.mark.parametrize("likelihood_ratio", [1e-3, 1.0, 1e3])
 def test_the_ratio_of_a_robot_is_that_of_its_frames(likelihood_ratio):
     """Of hypotheses that missed it, the likelier counts."""
-    lost = ASSUMED.lost
+    lost = LOSS_PROBABILITY
     weights = [1e-6, (1 - lost) * likelihood_ratio, lost, 1e-9]
     follows = [DIRECTIONS[0], DIRECTIONS[2], DIRECTIONS[1], DIRECTIONS[0]]
     assert robot_ratio(follows, weights) == pytest.approx((1 - lost) * likelihood_ratio + lost)

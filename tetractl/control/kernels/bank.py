@@ -21,15 +21,16 @@ import numpy as np
 from tetractl.control.kernels.filter import is_none, likeliest
 from tetractl.control.kernels.filter_motion import advance, parameters_of, rolled
 from tetractl.control.kernels.filter_state import (
-    ASSUMED,
+    FINEST_STEP_S,
     FLOW_X,
     FLOW_Y,
-    GRID,
     HEADING,
+    LEAST_BLOCKS,
     LN_A,
     LN_SPEED,
     MARKER_BIAS,
     PACE,
+    REFINED,
     SIDE,
     SWING,
     TURN_BIAS,
@@ -40,6 +41,10 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
+UNLIKELY = 25.0
+"""A filter is dropped if the ln of its probability is less than the likeliest's by this."""
+SAME_TRIED = 0.05
+"""Difference of the states of two groups below which they have become one: 5 %."""
 LEAST = 1e-300
 """Added to densities whose logarithm is taken: they may be 0."""
 
@@ -134,9 +139,9 @@ def select(bank, tried, commanded, going_on):
         if number < count:
             changed = True
         dead_times = _number_of_dead_times(bank, i, chosen[:number])
-        if dead_times > GRID.refined or not commanded:
+        if dead_times > REFINED or not commanded:
             continue
-        if going_on.step_s[i] > GRID.finest_s and dead_times == GRID.refined:
+        if going_on.step_s[i] > FINEST_STEP_S and dead_times == REFINED:
             going_on.step_s[i] /= 2
         elif _is_inside(bank, i, chosen[:number], best):
             continue
@@ -161,7 +166,7 @@ def _choose(bank, i, count, best, tried, chosen):
     The filters of one group follow each other, in the order of their dead times.
     """
     score = bank.shared_score
-    least = score[best, i] - GRID.unlikely
+    least = score[best, i] - UNLIKELY
     number = 0
     end = 0
     while end < count:
@@ -179,7 +184,7 @@ def _choose(bank, i, count, best, tried, chosen):
             end += 1
         same_group = bank.group[top, i] == bank.group[best, i]
         gap = _reached(bank, top, i, tried) - _reached(bank, best, i, tried)
-        stays_apart = same_group or not abs(gap) < GRID.same_tried
+        stays_apart = same_group or not abs(gap) < SAME_TRIED
         if first >= 0 and stays_apart:
             from_filter = max(begin, min(first, top - 1))
             to_filter = min(end - 1, max(last, top + 1))
@@ -335,7 +340,7 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
 def _misfit(bank, b, i, numbers):
     """Fill how far the sums of the innovations are from what the model allows; return the factor by
     which standard deviations grow: the root of the largest mean square, and not below 1."""
-    blocks = max(bank.blocks[b, i], ASSUMED.least_blocks)
+    blocks = max(bank.blocks[b, i], LEAST_BLOCKS)
     limit = _largest_square_sum(blocks)
     growth2 = 1.0
     for k in range(3):

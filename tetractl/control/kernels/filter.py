@@ -17,7 +17,7 @@ each robot and each filter it calls
     _predict         moves each hypothesis on to the time of the frame, by the motion's equations.
                      When a command acts on the way, hypotheses *branch* (`_branch`): the robot
                      heard it, and follows its direction from then on, or missed it, with the
-                     probability `ASSUMED.lost`
+                     probability `LOSS_PROBABILITY`
     _update          compares each hypothesis with the pose in the frame, by Bayes' rule:
                      w_s <- w_s + ln p(pose | s) - ln L,    L = sum_s exp(w_s) p(pose | s)
     _exchange_stuck  lets some probability pass from driving to being stuck, and back
@@ -39,9 +39,10 @@ from tetractl.control.kernels.filter_motion import advance, parameters_of, stand
 from tetractl.control.kernels.filter_state import (
     ACROSS,
     ALONG,
-    ASSUMED,
+    GATE,
     HEADING,
     HEADINGS,
+    LOSS_PROBABILITY,
     MARKER_BIAS,
     POSITIONS,
     TURN_BIAS,
@@ -56,9 +57,29 @@ from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlin
 
 _rates = inlined(exact.rates)
 
-LN_HEARD = math.log(1 - ASSUMED.lost)
+ALIKE = 0.1
+"""Squared difference of the headings of two hypotheses that are one, over the variance."""
+LEAST_LN_WEIGHT = -25.0
+"""Least ln of the probability of a hypothesis: its slot is not given up."""
+LOST_TRACK_S = 0.3
+"""Time without a fit after which the camera's pose is used [s]."""
+SCALE_MEMORY = 400.0
+"""Number of frames over which the noise is averaged."""
+SCALE_LEAST = 1e-3
+"""Least ratio of observed to expected variances."""
+SCALE_MOST = 10.0
+"""Greatest ratio of observed to expected variances."""
+CAPPED_SQUARE = 4.0
+"""Greatest square of a deviation that the average of the noise takes."""
+MEAN_CAPPED = 0.8
+"""Mean of such a square of a standard normal number, rounded."""
+BLOCK_FRAMES = 8
+"""Number of frames of a block of innovations."""
+MOST_SQUARE = 25.0
+"""Largest mean square of a block, five standard deviations."""
+LN_HEARD = math.log(1 - LOSS_PROBABILITY)
 """ln of the probability that a robot hears a command."""
-LN_MISSED = math.log(ASSUMED.lost)
+LN_MISSED = math.log(LOSS_PROBABILITY)
 """ln of the probability that it does not."""
 HEARD = 0
 """Row of the branches in which the robot heard a command."""
@@ -387,7 +408,7 @@ def _find_twin(parents, parent, u, hypotheses, parent_of):
     variance = parents.cov[parent, HEADING, HEADING]
     for slot in range(parent_of.size):
         gap = parents.state[parent_of[slot], HEADING] - parents.state[parent, HEADING]
-        if gap**2 < ASSUMED.alike * variance and hypotheses.direction[slot] == u:
+        if gap**2 < ALIKE * variance and hypotheses.direction[slot] == u:
             return slot
     return NO_SLOT
 
@@ -461,14 +482,14 @@ def _update(bank, model, b, i, pose, seconds, scratch):
     ln_likelihood = _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovation)
     square_xy = innovation[ALONG] ** 2 + innovation[ACROSS] ** 2
     square_heading = innovation[HEADING] ** 2
-    if square_xy + square_heading <= ASSUMED.gate:
+    if square_xy + square_heading <= GATE:
         bank.unfit_s[b, i] = 0.0
         noise_scale[POSITIONS] = _scale_after(noise_scale[POSITIONS], 0.5 * square_xy)
         noise_scale[HEADINGS] = _scale_after(noise_scale[HEADINGS], square_heading)
         _add_to_block(bank, b, i, innovation)
     else:
         bank.unfit_s[b, i] += seconds
-        if bank.unfit_s[b, i] > ASSUMED.lost_track_s:
+        if bank.unfit_s[b, i] > LOST_TRACK_S:
             _set_pose(bank, model, b, i, pose)
     return ln_likelihood
 
@@ -480,7 +501,7 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
 
         w_s <- w_s + ln p(pose | s) - ln L,    ln L = ln sum_s exp(w_s) p(pose | s)
 
-    The probabilities have the sum 1 then. After that, a w below `ASSUMED.least_ln_weight` is raised
+    The probabilities have the sum 1 then. After that, a w below `LEAST_LN_WEIGHT` is raised
     to it: what the robot does not do may become true again.
     """
     ln_weight = hypotheses.ln_weight
@@ -500,7 +521,7 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
     ln_likelihood = largest + math.log(total)
     for s in range(ln_weight.size):
         if not is_none(ln_weight[s]):
-            ln_weight[s] = max(ln_weight[s] - ln_likelihood, ASSUMED.least_ln_weight)
+            ln_weight[s] = max(ln_weight[s] - ln_likelihood, LEAST_LN_WEIGHT)
     return ln_likelihood
 
 
@@ -512,9 +533,9 @@ def _scale_after(scale, square):
 
     It is an average over some n frames, in which outliers count no more than q_max.
     """
-    change = min(square, ASSUMED.capped_square) / ASSUMED.mean_capped - 1
-    scale = scale * (1 + change / ASSUMED.scale_memory)
-    return min(max(scale, ASSUMED.scale_least), ASSUMED.scale_most)
+    change = min(square, CAPPED_SQUARE) / MEAN_CAPPED - 1
+    scale = scale * (1 + change / SCALE_MEMORY)
+    return min(max(scale, SCALE_LEAST), SCALE_MOST)
 
 
 @compiled(**INLINE_FAST)
@@ -531,11 +552,11 @@ def _add_to_block(bank, b, i, innovation):
     for j in range(3):
         block_sum[j] += innovation[j]
     bank.block_frames[b, i] += 1
-    if bank.block_frames[b, i] < ASSUMED.block:
+    if bank.block_frames[b, i] < BLOCK_FRAMES:
         return
     for j in range(3):
-        mean_square = block_sum[j] ** 2 / ASSUMED.block
-        bank.square_sum[b, i, j] += min(mean_square, ASSUMED.most_square)
+        mean_square = block_sum[j] ** 2 / BLOCK_FRAMES
+        bank.square_sum[b, i, j] += min(mean_square, MOST_SQUARE)
         block_sum[j] = 0.0
     bank.blocks[b, i] += 1
     bank.block_frames[b, i] = 0.0

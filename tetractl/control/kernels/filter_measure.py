@@ -22,7 +22,7 @@ from tetractl.control.kernels.filter_motion import parameters_of
 from tetractl.control.kernels.filter_state import (
     ACROSS,
     ALONG,
-    ASSUMED,
+    GATE,
     HEADING,
     HEADINGS,
     HELIX_COSINE,
@@ -97,8 +97,8 @@ def measure(model, i, z, cov, noise_scale, pose, scratch):
     """
     columns = _expect(model, i, z, scratch.expected, scratch.slopes)
     distance2, ln_variances = _compare(model, i, z, cov, noise_scale, pose, columns, scratch)
-    if not distance2 <= ASSUMED.gate:  # nor is a pose that is no number
-        return -0.5 * (ASSUMED.gate + ln_variances)
+    if not distance2 <= GATE:  # nor is a pose that is no number
+        return -0.5 * (GATE + ln_variances)
     off = scratch.off
     ln_likelihood = 0.0
     for j in range(3):

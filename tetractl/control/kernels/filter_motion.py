@@ -23,7 +23,6 @@ this turn and way, whose chord points to the heading in its middle.
 import math
 
 from tetractl.control.kernels.filter_state import (
-    ASSUMED,
     FLOW_X,
     FLOW_Y,
     HEADING,
@@ -55,6 +54,12 @@ held_turn_rate = inlined(held)
 with_turning = inlined(by_turning)
 scaled = inlined(times)
 
+STILL_PACE = 1e-3
+"""Pace below which a robot that was stopped counts as standing."""
+SUBSTEP_S = 0.025
+"""Longest step between two additions of random walks [s]."""
+SUBSTEPS_MAX = 4000
+"""Greatest number of such steps: beyond 100 s without a command they are longer."""
 NO_CHANGE = (0.0, 0.0, 0.0)
 """Of x, y and the heading."""
 AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(PARAMETERS + TURNING)
@@ -85,7 +90,7 @@ def advance(model, i, z, cov, u, noise_scale, seconds, products):
     Without a covariance, None, the compiler leaves out what it needs. `products` (3, n) is scratch.
     """
     drives = not stands(u)
-    if not drives and (model.lag_s == 0 or z[PACE] < ASSUMED.still):
+    if not drives and (model.lag_s == 0 or z[PACE] < STILL_PACE):
         z[SWING] = 0.0
         z[PACE] = 0.0
     parameters = parameters_of(model, i, z)
@@ -97,7 +102,7 @@ def advance(model, i, z, cov, u, noise_scale, seconds, products):
     if drives:
         cos_u = math.cos(u + z[TURN_BIAS])
         sin_u = math.sin(u + z[TURN_BIAS])
-    longest = max(ASSUMED.substep_s, seconds / ASSUMED.substeps)
+    longest = max(SUBSTEP_S, seconds / SUBSTEPS_MAX)
     remaining = seconds
     while remaining > 0 and (drives or z[PACE] > 0):
         t = min(remaining, longest)

@@ -98,73 +98,27 @@ LOG_FOLLOWS = 6
 """The same number for logs, where commands may follow each other sooner than the frames show
 whether a robot heard the one before: it may have heard any of them, and the likeliest are kept."""
 
-
-class Assumed(NamedTuple):
-    """What the filter assumes of radio, robots and camera. Without another source, a value was
-    chosen once, and docs/decisions/filter.md has the errors measured with it."""
-
-    still: float = 1e-3
-    """Pace below which a robot that was stopped counts as standing."""
-    substep_s: float = 0.025
-    """Longest step between two additions of random walks [s]."""
-    substeps: int = 4000
-    """Greatest number of such steps: beyond 100 s without a command they are longer."""
-    lost: float = 0.05
-    """Probability that a command does not arrive."""
-    alike: float = 0.1
-    """Squared difference of the headings of two hypotheses that are one, over the variance."""
-    gate: float = 30.0
-    """Squared deviation above which a pose is an outlier: chi-square of 3 numbers exceeds it once
-    in 700,000 poses."""
-    least_ln_weight: float = -25.0
-    """Least ln of the probability of a hypothesis: its slot is not given up."""
-    lost_track_s: float = 0.3
-    """Time without a fit after which the camera's pose is used [s]."""
-    scale_memory: float = 400.0
-    """Number of frames over which the noise is averaged."""
-    scale_least: float = 1e-3
-    """Least ratio of observed to expected variances."""
-    scale_most: float = 10.0
-    """Greatest ratio of observed to expected variances."""
-    capped_square: float = 4.0
-    """Greatest square of a deviation that the average of the noise takes."""
-    mean_capped: float = 0.8
-    """Mean of such a square of a standard normal number, rounded."""
-    block: int = 8
-    """Number of frames of a block of innovations."""
-    most_square: float = 25.0
-    """Largest mean square of a block, five standard deviations."""
-    least_blocks: int = 10
-    """Number of blocks for which those that are missing count as empty."""
-    quantile: float = 3.09
-    """Standard normal quantile of 0.999, the level of the test of innovations."""
-
-
-class BankGrid(NamedTuple):
-    """How a robot's filters are spread over dead times, and over groups (`filter_start`)."""
-
-    step_s: float = 0.02
-    """Spacing of the dead times at first [s]."""
-    finest_s: float = 0.005
-    """Spacing of dead times that is not refined further [s]: a sixth of the time between frames."""
-    refined: int = 3
-    """Number of dead times of a grid that is refined."""
-    reach: float = 3.0
-    """Half width of the grid at first, in standard deviations of the prior."""
-    unlikely: float = 25.0
-    """A filter is dropped if the ln of its probability is less than the likeliest's by this."""
-    own: float = 0.1
-    """Probability that a robot's dead time differs from that of the others."""
-    own_s: float = 0.06
-    """Standard deviation of such a difference [s]."""
-    same_tried: float = 0.05
-    """Difference of the states of two groups below which they have become one: 5 %."""
-
-
-ASSUMED = Assumed()
-"""The values of every filter."""
-GRID = BankGrid()
-"""The values of every bank."""
+# Without another source, a value was chosen once, and docs/decisions/filter.md has the errors
+# measured with it. Those of one module alone are there.
+LOSS_PROBABILITY = 0.05
+"""Probability that a command does not arrive."""
+GATE = 30.0
+"""Squared deviation above which a pose is an outlier: chi-square of 3 numbers exceeds it once
+in 700,000 poses."""
+LEAST_BLOCKS = 10
+"""Number of blocks for which those that are missing count as empty."""
+QUANTILE = 3.09
+"""Standard normal quantile of 0.999, the level of the test of innovations."""
+GRID_STEP_S = 0.02
+"""Spacing of the dead times at first [s]."""
+FINEST_STEP_S = 0.005
+"""Spacing of dead times that is not refined further [s]: a sixth of the time between frames."""
+REFINED = 3
+"""Number of dead times of a grid that is refined."""
+OWN_PROBABILITY = 0.1
+"""Probability that a robot's dead time differs from that of the others."""
+OWN_STD_S = 0.06
+"""Standard deviation of such a difference [s]."""
 
 
 class SentCommands(NamedTuple):
@@ -291,7 +245,7 @@ class Bank(NamedTuple):
             square_sum=np.zeros((*per_filter, 3)),
             blocks=np.zeros(per_filter),
             dead_time_s=np.repeat(dead_time_s[:, None], robots, axis=1),
-            step_s=np.full(per_filter, GRID.step_s),
+            step_s=np.full(per_filter, GRID_STEP_S),
             score=np.zeros(per_filter),
             shared_score=np.zeros(per_filter),
             next_command=np.zeros(per_filter, dtype=np.int64),
@@ -371,17 +325,17 @@ class CommonTimes(NamedTuple):
 
         If filter b of robot i is right, the robot's dead time is tau_b, give or take half the step
         of its grid, step_s. That of another robot is the same, but for a probability
-        GRID.own, with which it differs by GRID.own_s or so:
+        OWN_PROBABILITY, with which it differs by OWN_STD_S or so:
 
             near = (1 - own) g(t - tau_b, step_s / 2) + own g(t - tau_b, own_s),
 
         up to a factor, where g(d, s) = exp(-(d/s)^2 / 2) / s.
         """
-        times_s = np.arange(0, float(bank.dead_time_s.max()) + GRID.finest_s, GRID.finest_s / 2)
+        times_s = np.arange(0, float(bank.dead_time_s.max()) + FINEST_STEP_S, FINEST_STEP_S / 2)
         gaps_s = times_s[:, None, None] - bank.dead_time_s
-        width_s = np.maximum(bank.step_s, GRID.finest_s) / 2
-        near = (1 - GRID.own) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
-        near += GRID.own * np.exp(-((gaps_s / GRID.own_s) ** 2) / 2) / GRID.own_s
+        width_s = np.maximum(bank.step_s, FINEST_STEP_S) / 2
+        near = (1 - OWN_PROBABILITY) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
+        near += OWN_PROBABILITY * np.exp(-((gaps_s / OWN_STD_S) ** 2) / 2) / OWN_STD_S
         deviations = (times_s - prior.dead_time) / (prior.dead_time_std or 1.0)
         return cls(near=near, ln_prior=-(deviations**2) / 2)
 
@@ -485,4 +439,4 @@ def largest_square_sum(blocks: float) -> float:
     """Return the sum of a number of squares of standard normal numbers that chance exceeds once in
     a thousand times: chi-square by Wilson and Hilferty (1931)."""
     part = 2 / (9 * blocks)
-    return blocks * (1 - part + ASSUMED.quantile * math.sqrt(part)) ** 3
+    return blocks * (1 - part + QUANTILE * math.sqrt(part)) ** 3

@@ -76,20 +76,6 @@ POLISH_STATE = np.dtype(
 """How far a polish has come, which may be interrupted between two steps."""
 
 
-class Pulls(NamedTuple):
-    """How residuals depend on positions: entry e says that residual `residual[e]` has the
-    derivatives `east[e]` and `north[e]` by x and y of robot `robot[e]` after signal `signal[e]`.
-
-    A miss or a depth depends on one position, a meeting of two robots on two.
-    """
-
-    residual: Integers
-    robot: Integers
-    signal: Integers
-    east: Floats
-    north: Floats
-
-
 class Room(NamedTuple):
     """The working arrays for polishing one sequence at a time, of N robots, L signals, O obstacles
     and walls, at most R residuals; M = width(L)."""
@@ -104,7 +90,14 @@ class Room(NamedTuple):
     deepest: Integers  # (N, O) number of the signal after which it has that position
     meetings: Floats  # (pairs,) d_ik, separation minus the least distance of each pair of robots
     nearest: Integers  # (pairs,) number of the signal after which they have that distance
-    pulls: Pulls  # (R + pairs,) each
+    # how residuals depend on positions: entry e says that residual pull_residual[e] has the
+    # derivatives pull_east[e] and pull_north[e] by x and y of a robot after a signal; a miss or a
+    # depth depends on one position, a meeting of two robots on two
+    pull_residual: Integers  # (R + pairs,)
+    pull_robot: Integers  # (R + pairs,)
+    pull_signal: Integers  # (R + pairs,)
+    pull_east: Floats  # (R + pairs,)
+    pull_north: Floats  # (R + pairs,)
     rows: Floats  # (R, L) the Jacobian J
     residual: Floats  # (R,) r
     gram: Floats  # (R, R) J J', lower triangle
@@ -138,13 +131,11 @@ def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int)
         deepest=np.empty((robots, obstacles), dtype=np.int64),
         meetings=np.empty(pairs),
         nearest=np.empty(pairs, dtype=np.int64),
-        pulls=Pulls(
-            residual=np.empty(residuals + pairs, dtype=np.int64),
-            robot=np.empty(residuals + pairs, dtype=np.int64),
-            signal=np.empty(residuals + pairs, dtype=np.int64),
-            east=np.empty(residuals + pairs),
-            north=np.empty(residuals + pairs),
-        ),
+        pull_residual=np.empty(residuals + pairs, dtype=np.int64),
+        pull_robot=np.empty(residuals + pairs, dtype=np.int64),
+        pull_signal=np.empty(residuals + pairs, dtype=np.int64),
+        pull_east=np.empty(residuals + pairs),
+        pull_north=np.empty(residuals + pairs),
         rows=np.empty((residuals, length)),
         residual=np.empty(residuals),
         gram=np.empty((residuals, residuals)),
@@ -282,11 +273,11 @@ def linearise(problem, room, floor, slack):
     for e in range(pulls):
         backward(
             room.path,
-            room.pulls.robot[e],
-            room.pulls.signal[e],
-            room.pulls.east[e],
-            room.pulls.north[e],
-            room.rows[room.pulls.residual[e]],
+            room.pull_robot[e],
+            room.pull_signal[e],
+            room.pull_east[e],
+            room.pull_north[e],
+            room.rows[room.pull_residual[e]],
         )
     return residuals
 
@@ -301,9 +292,9 @@ def _pull_to_targets(problem, room, floor):
     for i in range(len(problem.robots)):
         r = 2 * i
         room.residual[r] = c * (path.x[i, last] - problem.targets[i, 0])
-        _write_pull(room.pulls, r, r, i, last, c, 0.0)
+        _write_pull(room, r, r, i, last, c, 0.0)
         room.residual[r + 1] = c * (path.y[i, last] - problem.targets[i, 1])
-        _write_pull(room.pulls, r + 1, r + 1, i, last, 0.0, c)
+        _write_pull(room, r + 1, r + 1, i, last, 0.0, c)
 
 
 @compiled(**INLINE_FAST)
@@ -321,7 +312,7 @@ def _push_out_of_obstacles(problem, room, floor, slack, residuals):
                 )
                 c = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 room.residual[r] = c * depth
-                _write_pull(room.pulls, r, r, i, signal, -c * east, -c * north)
+                _write_pull(room, r, r, i, signal, -c * east, -c * north)
                 r += 1
     return r
 
@@ -347,21 +338,21 @@ def _push_apart(problem, room, floor, slack, residuals):
                 c = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 share = c / distance if distance > 0 else 0.0
                 room.residual[r] = c * depth
-                _write_pull(room.pulls, e, r, i, signal, -share * dx, -share * dy)
-                _write_pull(room.pulls, e + 1, r, k, signal, share * dx, share * dy)
+                _write_pull(room, e, r, i, signal, -share * dx, -share * dy)
+                _write_pull(room, e + 1, r, k, signal, share * dx, share * dy)
                 e += 2
                 r += 1
     return e, r
 
 
 @compiled(**INLINE_FAST)
-def _write_pull(pulls, e, residual, robot, signal, east, north):
-    """Write entry e of `Pulls`."""
-    pulls.residual[e] = residual
-    pulls.robot[e] = robot
-    pulls.signal[e] = signal
-    pulls.east[e] = east
-    pulls.north[e] = north
+def _write_pull(room, e, residual, robot, signal, east, north):
+    """Write entry e of the pulls."""
+    room.pull_residual[e] = residual
+    room.pull_robot[e] = robot
+    room.pull_signal[e] = signal
+    room.pull_east[e] = east
+    room.pull_north[e] = north
 
 
 @compiled(**INLINE_FAST)

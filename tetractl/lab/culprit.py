@@ -29,6 +29,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, CameraFrame, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS, DOES_NOT_MOVE
 
 RECENT_NS = SECOND // 2
@@ -63,19 +64,16 @@ class Explanations:
 
 
 class Culprit:
-    """Asks what N robots `names` have done by `frames`: at least one, oldest first, of the last
-    RECENT_NS, with their poses as the camera shows them, accepted or not. `drift` follows their
-    motion; `mm` is the number of millimetres per length unit.
+    """Asks what the N robots of `rules` have done by `frames`: at least one, oldest first, of the
+    last RECENT_NS, with their poses as the camera shows them, accepted or not. `drift` follows
+    their motion.
     """
 
-    def __init__(
-        self, names: Sequence[str], drift: DriftCheck, mm: float, frames: Sequence[CameraFrame]
-    ) -> None:
-        self._names = names
+    def __init__(self, rules: GuardRules, drift: DriftCheck, frames: Sequence[CameraFrame]) -> None:
+        self._rules = rules
         self._drift = drift
-        self._mm = mm
         self._frames = frames
-        unknown = (0,) * len(names)
+        unknown = (0,) * len(rules.names)
         self._times = [frame.times(unknown) for frame in frames]  # of poses that are shown (N,)
 
     def why(self, suspect: int, reason: str) -> str:
@@ -116,7 +114,7 @@ class Culprit:
             exchanged = sum(self._misfits([suspect, robot], [robot, suspect]))
             if exchanged < min(CLEAR, as_own[suspect] + as_own[robot] - CLEAR):
                 first, second = sorted((suspect, robot))
-                return SWAPPED.format(self._names[first], self._names[second])
+                return SWAPPED.format(self._rules.names[first], self._rules.names[second])
         return ""
 
     def _misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
@@ -189,7 +187,8 @@ class Culprit:
         for i in robots:
             pose = poses[i]
             if pose is not None:
-                rows.append((pose.x * self._mm, pose.y * self._mm, pose.heading))
+                mm = self._rules.mm
+                rows.append((pose.x * mm, pose.y * mm, pose.heading))
         return np.array(rows)
 
 

@@ -32,8 +32,9 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort
-from tetractl.core.poses import UNSTATED, Floats, Pose, Sight
+from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import GuardCheck
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import (
     ANOTHER,
     KINDS,
@@ -161,31 +162,21 @@ class Changes:
 
 
 class DriftCheck(GuardCheck):
-    """Aborts a run of N robots of wheel distance `radius` and wheels that are wrong by up to
-    `share` if their motion over the whole trial is none that wheels can make. `motion` adds their
-    motion up; `mm` is the number of millimetres per length unit of what is given, `sight` what the
-    camera sees.
+    """Aborts a run of the N robots of `rules` if their motion over the whole trial, which `motion`
+    adds up, is none that their wheels can make.
 
     `worst` is the statistic at the worst moment of the grid, `blocks` how many have been fitted.
     """
 
-    def __init__(
-        self,
-        names: Sequence[str],
-        radius: float,
-        mm: float,
-        share: float,
-        motion: MotionCheck,
-        sight: Sight = UNSTATED,
-    ) -> None:
-        robots = len(names)
-        self._names = names
-        self._mm = mm
-        self._share = share
+    def __init__(self, rules: GuardRules, motion: MotionCheck) -> None:
+        robots = len(rules.names)
+        self._names = rules.names
+        self._mm = rules.mm
+        self._share = rules.limits.wheel_error
         self._motion = motion
-        self._radius = radius * mm
-        self._noise = np.hypot(NOISE, sight.spread)
-        self._coarse = sight.coarse
+        self._radius = rules.wheel_radius * rules.mm
+        self._noise = np.hypot(NOISE, rules.sight.spread)
+        self._coarse = rules.sight.coarse
         self.commands = CommandHistory(2, robots)  # speeds [mm/s] and turning rates [rad/s]
         self.worst = 0.0
         self.blocks = 0

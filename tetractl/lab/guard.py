@@ -249,7 +249,7 @@ class Guard:
             return
         self._suspect = None
         recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
-        culprit = Culprit(self.rules.names, self.drift, self.rules.mm, recent)
+        culprit = Culprit(self.rules, self.drift, recent)
         reason = culprit.why(suspect, self.reason) or self.reason
         late_ns = self._pace.late_ns
         is_busy = late_ns is not None and recent[-1].received_ns - late_ns <= COMPARED_NS

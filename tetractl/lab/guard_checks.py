@@ -37,19 +37,9 @@ ChecksOf = Callable[[GuardRules], GuardChecks]
 
 def robot_checks(rules: GuardRules) -> GuardChecks:
     """Return the checks of robots that stand still when they are stopped."""
-    wheel_error = rules.limits.wheel_error
-    noise = rules.largest_error
-    motion = MotionCheck(
-        rules.speeds, rules.wheel_radius, noise, wheel_error, rules.sight, rules.mm
-    )
-    drift = drift_of(rules, motion)
+    motion = MotionCheck(rules, rules.largest_error, rules.limits.wheel_error)
+    drift = DriftCheck(rules, motion)
     return GuardChecks((motion, StandsInPauses(motion), drift, Keeps(rules)), drift)
-
-
-def drift_of(rules: GuardRules, motion: MotionCheck) -> DriftCheck:
-    """Return the check of motion over the whole trial."""
-    error = rules.limits.wheel_error
-    return DriftCheck(rules.names, rules.wheel_radius, rules.mm, error, motion, rules.sight)
 
 
 class StandsInPauses(GuardCheck):

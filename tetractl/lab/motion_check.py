@@ -57,8 +57,9 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Finding, Refuse
-from tetractl.core.poses import UNSTATED, Bools, Floats, Pose, Sight
+from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.protocols import GuardCheck
+from tetractl.lab.guard_records import GuardRules
 
 ROOM = 256
 """Transmissions for which a history has room at first."""
@@ -164,38 +165,27 @@ class MotionSinceRest:
 
 
 class MotionCheck(GuardCheck):
-    """Refuses a pose if it moves as no command of the last 0.3 s does, of N robots whose greatest
-    speeds are `speeds` (N,).
+    """Refuses a pose if it moves as no command of the last 0.3 s does, of the N robots of `rules`.
 
-    `radius` is r, 0 for robots without wheels, and `share` the relative error g of the wheels.
-    `noise` is the largest error of a position; the slack holds it once, though a motion has the
-    errors of two. Both are in the spec's length unit, which has `mm` millimetres. `sight` is what
-    the camera can see.
+    `share` is the relative error g of the wheels. `noise` is the largest error of a position
+    [length unit]; the slack holds it once, though a motion has the errors of two.
     """
 
-    def __init__(
-        self,
-        speeds: Sequence[float],
-        radius: float,
-        noise: float,
-        share: float,
-        sight: Sight = UNSTATED,
-        mm: float = 1.0,
-    ) -> None:
-        robots = len(speeds)
-        self._radius = radius
+    def __init__(self, rules: GuardRules, noise: float, share: float) -> None:
+        robots = len(rules.speeds)
+        self._radius = rules.wheel_radius
         self._share = share
-        self._coarse = sight.coarse
-        driven = SLACK_S * np.array(speeds)
-        _, heading_error = sight.largest
+        self._coarse = rules.sight.coarse
+        driven = SLACK_S * np.array(rules.speeds)
+        _, heading_error = rules.sight.largest
         # by how much each part of a motion may be out of its bounds (N, 3)
         self._slack = np.column_stack(
             [driven + noise, driven + noise, np.full(robots, SLACK_RAD + 2 * heading_error)]
         )
         # how far (N, 3) a robot may move while its pose on a grid repeats: the diagonal of the
         # grid's square, or a step of the heading, and the slack without the errors of poses
-        diagonal = math.sqrt(2) * sight.grid_mm / mm
-        steps = np.array([diagonal, diagonal, sight.grid_rad])
+        diagonal = math.sqrt(2) * rules.sight.grid_mm / rules.mm
+        steps = np.array([diagonal, diagonal, rules.sight.grid_rad])
         self._unseen = steps + np.column_stack([driven, driven, np.full(robots, SLACK_RAD)])
         # times (N,) of the newest poses, 0 before the first frame: what is integrated from 0 to
         # that frame means nothing, as robots start from rest before anything is compared

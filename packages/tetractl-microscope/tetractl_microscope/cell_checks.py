@@ -9,7 +9,8 @@ from collections.abc import Iterator, Sequence
 from tetractl.core.guard_findings import Finding, Lose, RobotPlace, Warn
 from tetractl.core.poses import Pose
 from tetractl.core.protocols import GuardCheck
-from tetractl.lab.guard_checks import GuardChecks, drift_of
+from tetractl.lab.drift_check import DriftCheck
+from tetractl.lab.guard_checks import GuardChecks
 from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import MotionCheck
 from tetractl.lab.places import driven, outside, too_close
@@ -23,14 +24,14 @@ NOISE = 0.0
 def cell_checks(rules: GuardRules) -> GuardChecks:
     """Return the checks of cells."""
     swims = Swims(rules)
-    return GuardChecks((swims, Stays(rules)), drift_of(rules, swims), together=True)
+    return GuardChecks((swims, Stays(rules)), DriftCheck(rules, swims), together=True)
 
 
 class Swims(MotionCheck):
     """The operator is warned of a cell that moves as no command does, and it is compared again."""
 
     def __init__(self, rules: GuardRules) -> None:
-        super().__init__(rules.speeds, rules.wheel_radius, NOISE, WANDERS, rules.sight, rules.mm)
+        super().__init__(rules, NOISE, WANDERS)
         self._names = rules.names
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:

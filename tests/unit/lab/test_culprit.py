@@ -7,14 +7,18 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.setup import Bounds
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.culprit import CAMERA, RADIO, RECENT_NS, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
 
 NAMES = ("green", "blue", "red")
 PAIR = NAMES[:2]
 SPEEDS = (180.0, 200.0, 150.0)  # [mm/s]
 TURNING = (6.0, 4.0, 3.0)  # [rad/s]
+ARENA = Bounds(0.0, 0.0, 2000.0, 2000.0)
 OTHERWISE = ANOTHER.format("around")
 FRAME_NS = SECOND // 120
 FRAME_S = FRAME_NS / SECOND
@@ -106,7 +110,9 @@ def accused(
     random = np.random.default_rng(seed)
     count = len(names)
     motions = SimpleNamespace(travelled=np.zeros((count, 3)))
-    drift = DriftCheck(names, 40.0, 1.0, 0.12, motions)
+    limits = LabLimits(wheel_error=0.12)
+    rules = GuardRules(names, SPEEDS[:count], TURNING[:count], ARENA, limits, wheel_radius=40.0)
+    drift = DriftCheck(rules, motions)
     frames = []
     robots = Robots(random, count, delay_s, obeys)
     camera = Camera(random, false_by, ages[:count])
@@ -129,7 +135,7 @@ def accused(
             drift.frame(now_ns, times_ns, poses)
         before = poses
     shown = [frame for frame in frames if now_ns - frame.sampled_ns <= RECENT_NS]
-    return Culprit(names, drift, 1.0, shown).why(suspect, reason)
+    return Culprit(rules, drift, shown).why(suspect, reason)
 
 
 def pushed(who):

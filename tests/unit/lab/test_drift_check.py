@@ -9,12 +9,23 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
+from tetractl.core.setup import Bounds
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab import drift_check
 from tetractl.lab.drift_check import TOGETHER, DriftCheck
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import motion
 
 NAMES = ("green", "blue", "red")
 SPEED = 180.0  # [mm/s]
+RULES = GuardRules(
+    names=NAMES,
+    speeds=(SPEED,) * 3,
+    turning=(6.0,) * 3,
+    arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
+    limits=LabLimits(wheel_error=0.12),
+    wheel_radius=40.0,
+)
 FRAME_NS = SECOND // 120
 FRAME_S = FRAME_NS / SECOND
 RADIO_NS = SECOND // 20  # from a transmission until wheels obey it
@@ -68,7 +79,7 @@ class Watched:
 
     def __init__(self):
         self.motions = SimpleNamespace(travelled=np.zeros((3, 3)))
-        self.check = DriftCheck(NAMES, 40.0, 1.0, 0.12, self.motions)
+        self.check = DriftCheck(RULES, self.motions)
         self.before = None
 
     def see(self, now_ns, poses):

@@ -506,7 +506,11 @@ def test_a_drift_is_the_same_in_every_unit():
 
     def worst_drift(mm):
         motions = SimpleNamespace()
-        check = DriftCheck(("green",), 40.0 / mm, mm, 0.12, motions)
+        limits = LabLimits(wheel_error=0.12)
+        rules = GuardRules(
+            ("green",), (200.0 / mm,), (6.0,), RULES.arena, limits, mm=mm, wheel_radius=40.0 / mm
+        )
+        check = DriftCheck(rules, motions)
         seen_rates = np.array([[210.0 / mm, 3.0 / mm, 1.02]])
         for now_ns in range(0, 20 * SECOND, FRAME):
             t = now_ns / SECOND

@@ -9,6 +9,9 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
+from tetractl.core.setup import Bounds
+from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import DOES_NOT_MOVE, MotionCheck
 
 pytestmark = pytest.mark.slow
@@ -26,6 +29,13 @@ CHATTER = (1.2, -1.2)
 NOISE = np.array([0.3, 0.3, 0.004])  # of a pose [mm, mm, rad]
 FAULT_S = 1.0  # when a fault begins; times t count from it
 NEVER_S = 9.0  # after the end of every drive
+ARENA = Bounds(0.0, 0.0, 2000.0, 2000.0)
+
+
+def check_of_one(radius=RADIUS):
+    """A check of one robot whose poses are off by 2 mm at most, and its wheels by 12 %."""
+    rules = GuardRules(("one",), (SPEED,), (A,), ARENA, LabLimits(), wheel_radius=radius)
+    return MotionCheck(rules, 2.0, 0.12)
 
 
 class Packet(NamedTuple):
@@ -106,7 +116,7 @@ def drive(
     The direction u is the next one every 0.2 s. From FAULT_S on `seen_as` is what the camera makes
     of the robot's pose at t. It is commanded to `stop` at some t.
     """
-    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
+    check = check_of_one()
     random = np.random.default_rng(seed)
     robot = WheeledRobot(delay, lag, gains, stuck)
     next_ns = 0
@@ -200,7 +210,7 @@ def test_a_robot_of_stuck_wheels_is_noticed_within_0_3_s(stuck):
 
 def test_a_robot_that_is_to_turn_on_the_spot_and_stands_does_not_move():
     """Regression: it was said to move around as no command does."""
-    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
+    check = check_of_one()
     for k in range(40):
         check.sent(k * SEND, [0.0], [A])
     stands = Pose(900.0, 800.0, 0.0)
@@ -226,7 +236,7 @@ def test_a_standing_robot_that_is_seen_to_move_or_turn_is_noticed(camera, within
 
 
 def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
-    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
+    check = check_of_one()
     for k in range(20):
         check.sent(k * SEND, [SPEED], [0.0])
     last_ns = 19 * SEND  # of the packets
@@ -246,7 +256,7 @@ def refused_repeats(seen_as, goes_ns, rests_ns, *, ends=NEVER_S, delay=0.25):
     commanded to drive for `goes_ns`, to stand for `rests_ns`, and so on; nothing is sent from
     `ends` [s] on.
     """
-    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
+    check = check_of_one()
     robot = WheeledRobot(delay, FRAME_S / 50, (1.0, 1.0), (NEVER_S, NEVER_S))
     refused = []
     before = robot.pose
@@ -287,7 +297,7 @@ def test_a_robot_that_its_watchdog_has_stopped_may_repeat_its_pose():
 
 def test_a_gap_in_the_frames_is_bridged():
     """A robot on a circle of 60 mm, by 180 mm/s and 3 rad/s, is not seen for 0.29 s."""
-    check = MotionCheck([SPEED], RADIUS, 2.0, 0.12)
+    check = check_of_one()
     for step in range(60):
         check.sent(step * SEND, [SPEED], [3.0])
     before = None
@@ -302,7 +312,7 @@ def test_a_gap_in_the_frames_is_bridged():
 @pytest.mark.parametrize(("radius", "part"), [(RADIUS, "drive"), (0.0, "field's sign")])
 def test_a_cell_has_no_drive(radius, part):
     """It is seen to turn to the right while it is commanded to turn to the left."""
-    check = MotionCheck([SPEED], radius, 2.0, 0.12)
+    check = check_of_one(radius)
 
     def pose_at(now_ns):
         t = now_ns / SECOND

@@ -68,7 +68,6 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.control.corners import NOT_TURNING, Turning, next_facing
-from tetractl.control.cost import Foreseen
 from tetractl.control.discs import Discs
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
@@ -210,22 +209,12 @@ class ControlStep:
         return min(length, self.horizon_max) <= self.signals_left
 
 
-class Candidate(NamedTuple):
-    """A plan found: its value, the number of its search, and what is predicted for it."""
-
-    value: float
-    number: int
-    foreseen: Foreseen
-
-
 class Searched(NamedTuple):
-    """What the searches of a step found: all of them in order, and the `candidates`, that of
-    least value first. They are plans for the `problem`; `by_tree`: whether a tree led to the best.
-    """
+    """What the searches of a step found: the `plans` of all of them for the `problem`, that of
+    least value first; `by_tree`: whether a tree led to the best."""
 
     problem: Problem
-    searches: Sequence[Search]
-    candidates: Sequence[Candidate]
+    plans: Sequence[Plan]
     by_tree: bool = False
 
 
@@ -422,8 +411,8 @@ class Mpc:
         targets after a disturbance in its last signals, where the polished one comes near them.
         """
         searched = self._search_under_way(step, warm)
-        bound = searched.candidates[0].value
-        stop = self._stop(step, warm, bound, searched.searches)
+        best = searched.plans[0]
+        stop = self._stop(step, warm, self._value(step, best), best.searches)
         if stop is not None:
             return stop
         return self._go_on(searched)
@@ -434,7 +423,7 @@ class Mpc:
         """
         bound = np.inf
         if len(warm) > 0:
-            bound = self._value(step, warm, compiled_foresee(step.problem, warm))
+            bound = self._value(step, self._given(step.problem, warm))
         if step.allows(least_length(step.problem)):
             shortest_new = len(warm) + 2  # one signal more is still the plan under way
             bound = min(bound, step.value.plan(0.0, shortest_new, new=True))
@@ -496,18 +485,16 @@ class Mpc:
 
         Robots that cannot stand follow the first: there is nothing safer that they could do.
         """
-        for candidate in searched.candidates:
-            plan = self._planned(searched, candidate)
+        for plan in searched.plans:
             if not (self.stands and self._collides_soon(searched.problem, plan.signals)):
                 return plan
-        return self._standing(searched.problem, State.RESTING, searched.searches)
+        return self._standing(searched.problem, State.RESTING, searched.plans[0].searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
         """Polish the plan under way; shorten it if it is good, and search longer ones if it is not.
         Within a signal that is kept, it is followed as it is."""
         if self._is_kept(step, warm):
-            searches = [given_search(step.problem, warm, compiled_foresee(step.problem, warm))]
-            return Searched(step.problem, searches, [self._candidate(step, searches, 0)])
+            return Searched(step.problem, [self._given(step.problem, warm)])
         searcher = self._searcher(step)
         signals = warm if len(warm) > 0 else np.zeros(1)  # robots that cannot stand need a plan
         start = signals[: max(step.signals_max, 1)]
@@ -533,16 +520,15 @@ class Mpc:
         correct what has gone wrong. With one signal more it is still the plan under way."""
         if len(start) > 1:
             searcher.search(len(start) - 1, start[1:])
-        numbers = range(len(searcher.found))
-        least = min(self._candidate(step, searcher.found, number).value for number in numbers)
+        least = min(self._value(step, plan) for plan in self._plans(step.problem, searcher.found))
         for length in longer(len(start), step.signals_max):
             is_new = length > len(start) + 1
             if step.value.plan(0.0, length, is_new) >= least:
                 return  # it could not win even if it led exactly to the targets
             if searcher.search(length, None if is_new else resampled(start, length)) is None:
                 return  # the deadline has passed
-            found = len(searcher.found) - 1
-            least = min(least, self._candidate(step, searcher.found, found).value)
+            newest = self._planned(step.problem, searcher.found, len(searcher.found) - 1)
+            least = min(least, self._value(step, newest))
 
     # under way through a passage
 
@@ -566,8 +552,9 @@ class Mpc:
         if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
             return self._standing(step.problem, State.RESTING, [search])
         signals = np.append(search.signals, warm[AHEAD:])
-        plan = self._given(step.problem, signals, State.PASSING, [search])
-        return replace(plan, path=np.concatenate([foreseen.path, planned[AHEAD + 1 :]]))
+        plan = self._given(step.problem, signals, [search])
+        path = np.concatenate([foreseen.path, planned[AHEAD + 1 :]])
+        return replace(plan, state=State.PASSING, path=path)
 
     def _strays(self, planned: Poses, miss: float) -> bool:
         """Return whether robots that pass would miss their `planned` poses by too much.
@@ -592,7 +579,7 @@ class Mpc:
         if finish is not None:
             return finish
         searched = self._search_at_rest(step)
-        best = self._planned(searched, searched.candidates[0])
+        best = searched.plans[0]
         if not (self.stands and self._collides_soon(searched.problem, best.signals)):
             return self._drive(searched, best)
         turn = self._turn(searched)
@@ -635,7 +622,8 @@ class Mpc:
         facing = next_facing(searched.problem, self.course.discs, apart, turning)
         if facing is None:
             return None
-        standing = self._standing(searched.problem, State.TURNING, searched.searches)
+        searches = searched.plans[0].searches
+        standing = self._standing(searched.problem, State.TURNING, searches)
         return replace(standing, instead=Turn(facing))
 
     def _give_up(self, best: Plan) -> Plan:
@@ -678,12 +666,10 @@ class Mpc:
     def _searched(
         self, step: ControlStep, problem: Problem, searches: Sequence[Search], by_tree: bool
     ) -> Searched:
-        """Return all plans that searches found, as candidates for the problem."""
+        """Return all plans that searches found for the problem."""
         posed = replace(step, problem=problem)
-        numbers = range(len(searches))
-        candidates = [self._candidate(posed, searches, number) for number in numbers]
-        candidates.sort(key=lambda candidate: candidate.value)
-        return Searched(problem, searches, candidates, by_tree)
+        plans = sorted(self._plans(problem, searches), key=lambda plan: self._value(posed, plan))
+        return Searched(problem, plans, by_tree)
 
     # plans, their values, and what they might do to bodies
 
@@ -703,46 +689,38 @@ class Mpc:
         end_ns = self.timer() + round(seconds * SECOND)
         return lambda _: self.timer() >= end_ns
 
-    def _candidate(self, step: ControlStep, searches: Sequence[Search], number: int) -> Candidate:
-        """Return the plan that a search found as a candidate."""
-        search = searches[number]
-        foreseen = compiled_foresee(step.problem, search.signals)
-        value = self._value(step, search.signals, foreseen, search.cost)
-        return Candidate(value, number, foreseen)
+    def _plans(self, problem: Problem, searches: Sequence[Search]) -> list[Plan]:
+        """Return the plans that searches found, in their order."""
+        return [self._planned(problem, searches, number) for number in range(len(searches))]
 
-    def _value(
-        self, step: ControlStep, signals: Floats, foreseen: Foreseen, cost: float = np.inf
-    ) -> float:
-        """Return the value of a plan of given signals (L,), whose cost may be known.
+    def _planned(self, problem: Problem, searches: Sequence[Search], number: int) -> Plan:
+        """Return the plan that one of the searches found."""
+        foreseen = compiled_foresee(problem, searches[number].signals)
+        return make_plan(searches, number, self._step_key, foreseen)
+
+    def _value(self, step: ControlStep, plan: Plan) -> float:
+        """Return the value of a plan.
 
         A cost below the weight of an obstacle is the error itself, since nothing is touched.
         """
-        error = cost
+        error = plan.cost
         touches = False
-        if cost >= step.problem.obstacle_weight:
-            error = foreseen.target
-            touches = foreseen.obstacle > 0
-        return step.value.plan(error, len(signals), step.is_new(signals), touches)
+        if plan.cost >= step.problem.obstacle_weight:
+            error = plan.target_cost
+            touches = plan.obstacle_cost > 0
+        return step.value.plan(error, len(plan.signals), step.is_new(plan.signals), touches)
 
-    def _planned(self, searched: Searched, candidate: Candidate) -> Plan:
-        """Return the plan of a candidate."""
-        searches = searched.searches
-        return make_plan(searches, candidate.number, self._step_key, candidate.foreseen)
-
-    def _given(
-        self, problem: Problem, signals: Floats, state: State, searches: Iterable[Search] = ()
-    ) -> Plan:
+    def _given(self, problem: Problem, signals: Floats, searches: Iterable[Search] = ()) -> Plan:
         """Return a plan of given signals (L,); the `searches` before found no better one."""
         foreseen = compiled_foresee(problem, signals)
         all_searches = [*searches, given_search(problem, signals, foreseen)]
-        chosen = len(all_searches) - 1
-        return replace(make_plan(all_searches, chosen, self._step_key, foreseen), state=state)
+        return make_plan(all_searches, len(all_searches) - 1, self._step_key, foreseen)
 
     def _standing(self, problem: Problem, state: State, searches: Iterable[Search] = ()) -> Plan:
         """Return a plan by which robots stand; `searches` are those of this step, for the log. Its
         one signal is not sent: a stop is, or a turn."""
-        plan = self._given(problem, np.zeros(1), state, searches)
-        return replace(plan, instead=Stop())
+        plan = self._given(problem, np.zeros(1), searches)
+        return replace(plan, state=state, instead=Stop())
 
     def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `estimate`, None if certain."""

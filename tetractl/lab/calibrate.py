@@ -173,14 +173,13 @@ class _Bench:
         """The robot's first place."""
         self._late_s = 0.0
         """By how much frames may be later than GAP_S [s]."""
-        rig.loop.guard.change_rules(
-            replace(
-                rig.loop.guard.rules,
-                speeds=(FASTEST_MM_S / rig.mm,),
-                turning=(FASTEST_RAD_S,),
-                silence_ns=SILENCE_S * SECOND,
-            )
+        rules_of_fast_robots = replace(
+            rig.loop.guard.rules,
+            speeds=(FASTEST_MM_S / rig.mm,),
+            turning=(FASTEST_RAD_S,),
+            silence_ns=SILENCE_S * SECOND,
         )
+        rig.loop.restart(rules_of_fast_robots)
 
     def open(self) -> None:
         """Connect; AbortError unless the robot is tracked and answers."""

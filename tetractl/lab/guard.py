@@ -131,23 +131,19 @@ class Guard:
 
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
         self.rules = rules
+        self.checks_of = checks_of
         self.refusals = 0  # number of poses that were refused so far
         self.state = GuardState.PREFLIGHT
         self.reason = ""
         self.emergency = False
         self._state_lock = threading.Lock()
         self._suspect: int | None = None  # the robot that seems to be at fault for an abort
-        self._checks_of = checks_of
         self._stream = CameraStream()
         self._pace = Pace()
         self._warnings: list[str] = []  # that no ruling has passed on yet
         self._warned: set[str] = set()  # all that are given once only
-        self._make_tracks_and_checks()
-
-    def _make_tracks_and_checks(self) -> None:
-        names = self.rules.names
-        self._robots = [RobotTrack(name, self.rules, i) for i, name in enumerate(names)]
-        of_robots = self._checks_of(self.rules)
+        self._robots = [RobotTrack(name, rules, i) for i, name in enumerate(rules.names)]
+        of_robots = checks_of(rules)
         self._checks = of_robots.checks
         self.drift = of_robots.drift
         self.together = of_robots.together
@@ -186,11 +182,6 @@ class Guard:
         return self.reason or self._stream.frameless_text(silent_ns)
 
     # ---- states ----
-
-    def change_rules(self, rules: GuardRules) -> None:
-        """Use other rules from now on, before a run."""
-        self.rules = rules
-        self._make_tracks_and_checks()
 
     def pass_preflight(self) -> None:
         """Enter `ready`: the preflight has passed."""

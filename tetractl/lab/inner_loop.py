@@ -43,7 +43,7 @@ from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import Guard
-from tetractl.lab.guard_records import GuardState, Ruling
+from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
 from tetractl.tools.plugin_fault import plugin_fault
 from tetractl.tools.worker import WAITING_MAX, drained
 
@@ -153,11 +153,11 @@ class InnerLoop:
                 raise AbortError(self.guard.reason)
             yield self.guard
 
-    def restart(self, guard: Guard) -> None:
-        """Continue with the guard of newly found robots; forget the frames so far. AbortError if
-        the loop is within a step for too long."""
+    def restart(self, rules: GuardRules) -> None:
+        """Continue with a guard of other rules, as of newly found robots; forget the frames so far.
+        AbortError if the loop is within a step for too long."""
         with self.between_steps():
-            self.guard = guard
+            self.guard = Guard(rules, self.guard.checks_of)
             self.frames = FrameBuffer()
             self._stops.after_abort = False  # this guard has not aborted
 

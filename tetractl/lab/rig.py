@@ -46,7 +46,6 @@ class Rig:
         self.limits = limits
         self.setup = setup
         self.clock = clock
-        self._checks_of = checks_of
         self.loop = InnerLoop(
             camera,
             actuator,
@@ -122,7 +121,7 @@ class Rig:
         """
         self.setup = setup
         self.start_anywhere()
-        self.loop.restart(Guard(guard_rules(setup, self.limits), self._checks_of))
+        self.loop.restart(guard_rules(setup, self.limits))
         wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:

@@ -74,7 +74,19 @@ def test_the_controller_loses_no_robot_while_the_loop_is_within_a_step(hung):
 def test_a_guard_of_newly_found_robots_does_not_wait_for_a_loop_that_hangs(hung):
     """Regression: it waited without a limit."""
     with pytest.raises(AbortError, match="the inner loop did not answer"):
-        hung.plant.rig.loop.restart(hung.plant.rig.loop.guard)
+        hung.plant.rig.loop.restart(hung.plant.rig.loop.guard.rules)
+
+
+def test_a_guard_of_other_rules_has_the_checks_of_the_one_before():
+    """Regression: a robot faster than its spec was refused as a jump while it was calibrated."""
+    lab = fake_lab(experiment().setup)
+    loop = lab.plant.rig.loop
+    before = loop.guard
+    faster = replace(before.rules, speeds=(2000.0, 100.0, 100.0))
+    loop.restart(faster)
+    assert loop.guard is not before
+    assert loop.guard.rules is faster
+    assert loop.guard.checks_of is before.checks_of
 
 
 def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
@@ -188,7 +200,7 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(monkeypatch):
     class Asked:
         """Stands for who finds the culprit; it looks what was sent last when it is asked."""
 
-        def __init__(self, names, drift, mm, frames):
+        def __init__(self, rules, drift, frames):
             assert frames
 
         def why(self, suspect, reason):

@@ -19,7 +19,6 @@ advised (`best_change`).
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import count
 
 import numpy as np
 
@@ -100,32 +99,23 @@ def analyze(
     if alike is not None and least_gap < TOO_ALIKE:
         tried = list(_rates_to_try(setup, *alike))
 
-    section = planner(experiment)
-    noise = Noise.of(experiment.plant)
-    number = count(1)
-    number_of_all = 1 + len(fewer) + len(gaps) + len(tried)
-
-    def steered(variant: Setup) -> Steering | None:
-        """Analyse the plans of a variant; None if none reaches the targets."""
-        analysed = steering(section, variant, noise, experiment.trials.seed, plans)
-        on_done(next(number), number_of_all)
-        return analysed
-
-    as_they_are = steered(setup)
+    count = 1 + len(fewer) + len(gaps) + len(tried)
+    predictor = _Predictor(experiment, plans, lambda done: on_done(done, count))
+    as_they_are = predictor.steering(setup)
     error = _error(as_they_are)
-    by_count = [(n, _error(steered(setup.only(range(n))))) for n in fewer]
-    by_gap = [(gap, _error(steered(respaced(setup, gap)))) for gap in gaps]
+    by_count = [(n, predictor.error(setup.only(range(n)))) for n in fewer]
+    by_gap = [(gap, predictor.error(respaced(setup, gap))) for gap in gaps]
     changes: list[Change] = []
     for robot, a in tried:
-        changed_error = _error(steered(_with_rate(setup, robot, a)))
+        changed_error = predictor.error(_with_rate(setup, robot, a))
         changes.append(Change(setup.names[robot], float(setup.a[robot]), a, changed_error))
 
     return Analysis(
         setup=setup,
         reach=reach(experiment),
-        noise=noise,
+        noise=predictor.noise,
         left_out=left_out(experiment.plant),
-        tolerance=tolerance(section),
+        tolerance=tolerance(predictor.section),
         plans=plans,
         steering=as_they_are,
         alike=None if alike is None else (setup.names[alike[0]], setup.names[alike[1]]),
@@ -137,8 +127,33 @@ def analyze(
     )
 
 
+class _Predictor:
+    """Predicts the errors of setups as steered in one experiment, along a number of plans each;
+    `on_done` is called with the number of predictions so far."""
+
+    def __init__(
+        self, experiment: Experiment, plans: int, on_done: Callable[[int], object]
+    ) -> None:
+        self.section = planner(experiment)
+        self.noise = Noise.of(experiment.plant)
+        self._seed = experiment.trials.seed
+        self._plans = plans
+        self._on_done = on_done
+        self._done = 0
+
+    def steering(self, setup: Setup) -> Steering | None:
+        """Analyse the plans of a setup; None if none reaches the targets."""
+        analysed = steering(self.section, setup, self.noise, self._seed, self._plans)
+        self._done += 1
+        self._on_done(self._done)
+        return analysed
+
+    def error(self, setup: Setup) -> float:
+        """Return the predicted mean total error of a setup, NaN if no plan was found."""
+        return _error(self.steering(setup))
+
+
 def _error(analysed: Steering | None) -> float:
-    """Return the predicted mean total error, NaN if no plan was found."""
     return math.nan if analysed is None else analysed.error
 
 

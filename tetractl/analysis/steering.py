@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.analysis.closed_loop import (
-    Linear,
     Noise,
     end_covariance,
     linearise,
@@ -118,6 +117,13 @@ class Steering:
         return float(np.median(self.errors))
 
 
+def _shortest(plan: Plan, enough: float) -> int:
+    """Return the least length of the sequences found for a plan that cost `enough` or less, and of
+    the plan itself."""
+    lengths = [search.length for search in plan.searches if search.cost <= enough]
+    return min([len(plan.signals), *lengths])
+
+
 def steering(
     section: RecommendedMpc, setup: Setup, noise: Noise, seed: int, count: int
 ) -> Steering | None:
@@ -127,24 +133,16 @@ def steering(
     reaching = [plan for plan in plans(section, setup, seed, count) if plan is not None]
     if not reaching:
         return None
-    linears: list[Linear] = []
+    problem = section.problem(setup)
+    linears = [linearise(problem, plan.signals) for plan in reaching]
     covariances: list[Floats] = []  # of the ends, (2N, 2N)
-    free_covariances: list[Floats] = []
     errors_of_plans: list[Floats] = []
     open_loop: list[float] = []
-    problem = section.problem(setup)
-    lengths: list[int] = []  # of sequences that reach the targets
-    for plan in reaching:
-        enough = tolerance(section)
-        lengths.append(len(plan.signals))
-        lengths += [search.length for search in plan.searches if search.cost <= enough]
-        linear = linearise(problem, plan.signals)
+    for linear in linears:
         covariance = end_covariance(linear, noise, corrects=True, identifies=section.estimate)
-        free_covariance = end_covariance(linear, noise, corrects=False)
-        linears.append(linear)
         covariances.append(covariance)
-        free_covariances.append(free_covariance)
         errors_of_plans.append(mean_errors(covariance, linear.miss))
+        free_covariance = end_covariance(linear, noise, corrects=False)
         open_loop.append(mean_errors(free_covariance, linear.miss).sum())
     errors = np.array([of_plan.sum() for of_plan in errors_of_plans])
     median = int(np.argsort(errors)[(len(errors) - 1) // 2])
@@ -153,7 +151,7 @@ def steering(
     singular[: len(spread)] = spread  # with fewer signals than coordinates, some values stay 0
     weakest = directions[:, -1].reshape(-1, 2)
     return Steering(
-        shortest=min(lengths),
+        shortest=min(_shortest(plan, tolerance(section)) for plan in reaching),
         signal_s=section.signal_periods * section.period,
         errors=errors,
         open_loop=np.array(open_loop),
@@ -163,5 +161,5 @@ def steering(
         weakest=(weakest**2).sum(axis=1),
         robot_errors=errors_of_plans[median],
         covariance=of_each(covariances[median]),
-        free_covariance=of_each(free_covariances[median]),
+        free_covariance=of_each(end_covariance(linears[median], noise, corrects=False)),
     )

@@ -142,27 +142,32 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
 def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
     """Return the problem that a mistake is."""
     loc = mistake.loc
-    loc_of_type = (*loc, "type")
     match mistake.kind:
         case "extra_forbidden":
             meant = _meant_key(str(loc[-1]), loc[:-1], document.data, schema)
             return document.key(loc).problem(loc, f"unknown key{meant}")
         case "missing":
             return _missing(mistake, document, schema)
-        case "union_tag_not_found":
-            types = ", ".join(_types(mistake, schema).values())
-            return document.place(loc).problem(loc_of_type, f"is missing; must be one of {types}")
-        case "union_tag_invalid":
-            known = _types(mistake, schema)
-            guess = did_you_mean(str(child(mistake.value, "type")), list(known))
-            place = document.place(loc_of_type)
-            message = f"must be one of {', '.join(known.values())}{guess}"
-            return place.problem(loc_of_type, message, place.text)
+        case "union_tag_not_found" | "union_tag_invalid":
+            return _wrong_type(mistake, document, schema)
         case "not_installed":
             loc_of_name = (*loc, mistake.context.get("key", "type"))
             place = document.place(loc_of_name)
             return place.problem(loc_of_name, mistake.context["why"], place.text)
     return _wrong_value(mistake, document)
+
+
+def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    """Return the problem of a type that is missing, or is none that may be chosen."""
+    loc = (*mistake.loc, "type")
+    place = document.place(loc)
+    types = _types(mistake, schema)
+    message = f"must be one of {', '.join(types.values())}"
+    if mistake.kind == "union_tag_not_found":
+        return place.problem(loc, f"is missing; {message}")
+    wrong = str(child(mistake.value, "type"))
+    guess = did_you_mean(wrong, list(types))
+    return place.problem(loc, message + guess, place.text)
 
 
 def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:

@@ -276,24 +276,13 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     x = _floats(message.path_x)
     y = _floats(message.path_y)
     path = np.stack([x, y, np.full_like(x, np.nan)], axis=-1)
-    searches = tuple(
-        Search(
-            length=search.length,
-            signals=_floats(search.signals),
-            cost=search.cost,
-            history=_floats(search.history),
-            evaluations=search.evaluations,
-            stopped=StopReason.read(printable(search.stopped, STOP_REASON_MAX)),
-        )
-        for search in message.searches
-    )
     plan = Plan(
         signals=_floats(message.signals),
         path=path.reshape(-1, robots, 3),
         cost=message.cost,
         target_cost=message.target_cost,
         obstacle_cost=message.obstacle_cost,
-        searches=searches,
+        searches=tuple(map(_decode_search, message.searches)),
         chosen=message.chosen,
         generator=message.generator,
         estimate=_decode_estimate(message.estimate, robots)
@@ -311,6 +300,17 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         command=command,
         solve_ns=timing.solve_ns if timing else 0,
         deadline_missed=timing.deadline_missed if timing else False,
+    )
+
+
+def _decode_search(message: pb.Search) -> Search:
+    return Search(
+        length=message.length,
+        signals=_floats(message.signals),
+        cost=message.cost,
+        history=_floats(message.history),
+        evaluations=message.evaluations,
+        stopped=StopReason.read(printable(message.stopped, STOP_REASON_MAX)),
     )
 
 

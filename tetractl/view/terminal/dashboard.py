@@ -257,7 +257,8 @@ class Dashboard:
         decimals = min(max(4 - digits, 0), 6)
         value_width = max(len(f"{distance:.{decimals}f}") for distance in (full, *distances))
         rest = width - value_width - 5  # the mark, three gaps, and a column to spare
-        name_width = min(max((len(name) for name in names), default=0), max(rest, 0))
+        longest_name = max((len(name) for name in names), default=0)
+        name_width = min(longest_name, max(rest, 0))
         bar_width = min(max(rest - name_width, 0), ROBOT_BAR_MOST)
         standing = self._standing()
         for robot, (name, color) in enumerate(zip(names, self._colors, strict=False)):

@@ -169,7 +169,6 @@ class LiveView(Observer):
         self._screen = Screen(console)
         self._tally = Tally()
         self._task: Task | None = None
-        self._began_s = 0.0  # when the first trial began
         self._trial: TrialSoFar | None = None
         self._drawn_s = -np.inf
 
@@ -183,7 +182,7 @@ class LiveView(Observer):
     def trial_started(self, task: Task) -> None:
         """Store the trial's number and the number of trials."""
         if self._task is None:
-            self._began_s = self._wall()
+            self._tally.began_s = self._wall()
         self._task = task
 
     def trial_ended(self, ending: Ending) -> None:
@@ -263,7 +262,7 @@ class LiveView(Observer):
         ended = len(self._tally.errors)
         count = 1 if self._task is None else self._task.count
         number = 1 if self._task is None else self._task.trial + 1
-        taken_s = self._wall() - self._began_s
+        taken_s = self._wall() - self._tally.began_s
         time_left = ""
         if ended and taken_s:
             time_left = f"{duration(taken_s / ended * (count - ended))} left"

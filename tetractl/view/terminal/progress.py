@@ -20,9 +20,10 @@ BAR_PAUSE_S = 0.2  # least time between two changes of a notebook's bar [s]
 
 
 class Tally:
-    """Counts of the trials of a batch so far."""
+    """Counts of the trials of a batch so far; `began_s` is when its first one began [s]."""
 
     def __init__(self) -> None:
+        self.began_s = 0.0
         self.errors: list[float] = []
         self.aborted = 0
         self.entered = 0

@@ -4,7 +4,7 @@ import gc
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ DAYS_MAX = 1_000_000
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.lab_section import LabSection
-    from tetractl_emulator.rehearsal.day import Day, DayPlan
+    from tetractl_emulator.rehearsal.day import Day
     from tetractl_emulator.rehearsal.summary import DayRow
     from tetractl_emulator.rehearsal.truth import Truth, Violation
 
@@ -56,7 +56,7 @@ def rehearse(
     """Rehearse a lab against random faults, in virtual time: no hardware is involved.
 
     Each day is a trial with faults drawn by the seed. An observer that knows the truth asserts what
-    must hold. A day that breaks it is shrunk to a script of a few lines, for `plant.faults`. The 20
+    must hold. The faults of a day that breaks it are written to a script for `plant.faults`. The 20
     days take some minutes, of pictures up to five; without a terminal a line is printed for each.
 
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
@@ -95,14 +95,13 @@ def rehearse(
     store = RecordStore(folder, f"{loaded.hash} {seed} {faults} {DRAWN}", FIELDS)
     rows = store.records
     wanted = range(first, first + days)
-    play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults)
+    play = partial(rehearsed, spec, tuple(sets or ()), seed, bad=faults, folder=folder)
     began_s = time.monotonic()
     interrupted = False
     try:
         with store.opened(), interrupted_once(), ui.progress("days") as show:
             waiting = [day for day in wanted if day not in rows]
             for done, row in enumerate(called(play, waiting, jobs, ui.tell), start=1):
-                # a violation counts and is reported before it is shrunk, which may be interrupted
                 store.add(row["day"], row)
                 show(done, len(waiting))
                 if not sys.stderr.isatty():
@@ -112,10 +111,6 @@ def rehearse(
                     ui.tell(f"{done} of {len(waiting)}{more}: day {row['day']}: {row['ended']}")
                 for name, at_s, finding in row["violations"]:
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
-                if row["violations"]:
-                    script = folder / f"seed-{seed}-day-{row['day']}.yaml"
-                    smaller = shrunk_day(spec, tuple(sets or ()), seed, script, row, bad=faults)
-                    store.add(row["day"], smaller)
     except KeyboardInterrupt:
         interrupted = True
         ui.tell(f"interrupted; the same command with --out {folder} continues")
@@ -131,77 +126,42 @@ def rehearse(
     return Exit.INTERRUPTED if interrupted else Exit.DONE
 
 
-def rehearsed(spec: Path, sets: Sequence[str], seed: int, day: int, bad: bool = True) -> "DayRow":
-    """Play a day; return what is kept of it."""
-    plan, assessed = _day_of(spec, sets, seed, day, bad)
-    row, _ = assessed(plan)
-    return row
-
-
-def shrunk_day(
-    spec: Path, sets: Sequence[str], seed: int, script: Path, row: "DayRow", bad: bool = True
+def rehearsed(
+    spec: Path,
+    sets: Sequence[str],
+    seed: int,
+    day: int,
+    bad: bool = True,
+    folder: Path | None = None,
 ) -> "DayRow":
-    """Shrink the plan of a day that broke an invariant, and write it to a `script`, which has the
-    whole plan until then; return what is kept of the day.
-    """
-    from tetractl.experiment.yaml.core_yaml import dump
-    from tetractl_emulator.rehearsal.outcome_sentences import HANGS
-    from tetractl_emulator.rehearsal.shrink import PLAYS_MAX, shrunk
-
-    day = row["day"]
-    name = row["violations"][0][0]
-    plan, assessed = _day_of(spec, sets, seed, day, bad)
-    about = f"seed {seed}, day {day}: {name}, at seed {plan.seed} of the trial"
-
-    def breaks(smaller: "DayPlan") -> tuple[bool, float]:
-        again, seconds = assessed(smaller)
-        return name in [violation[0] for violation in again["violations"]], seconds
-
-    def save(day_plan: "DayPlan") -> None:
-        text = dump(day_plan.script() | {"about": about})
-        save_whole(script, text.encode())
-
-    small = plan
-    plays = 0
-    save(plan)
-    hangs = any(finding == HANGS for _, _, finding in row["violations"])
-    if not hangs:  # else each play of which would last until it is killed
-        ui.tell(f"  {script} has all its faults; shrinking it, up to {PLAYS_MAX} plays")
-        small, plays = shrunk(plan, breaks)
-        save(small)
-        ui.tell(f"  shrunk to {script}")
-    return {**row, "shrunk": len(small.faults), "plays": plays}
-
-
-def _day_of(
-    spec: Path, sets: Sequence[str], seed: int, day: int, bad: bool
-) -> "tuple[DayPlan, Callable[[DayPlan], tuple[DayRow, float]]]":
-    """Return the plan of a day, and what plays such a plan: it returns what is kept of the day, and
-    the virtual time that it took [s].
+    """Play a day, with faults if it is `bad`; return what is kept of it. The script of a day that
+    broke a sentence is written to a `folder`.
     """
     from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.plant.lab_plant import RigSection
     from tetractl_emulator.rehearsal.day import plan_of_day, play
     from tetractl_emulator.rehearsal.summary import row_of
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment
-    setup = experiment.setup
     lab = experiment.plant
     assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     if "deadline" in type(experiment.controller).model_fields:
         sets = (*sets, "controller.deadline=60")  # no search is cut short
-
-    def assessed(plan: "DayPlan") -> "tuple[DayRow, float]":
-        with tempfile.TemporaryDirectory() as scratch:
-            of_day = (*sets, *plan.settings)
-            played = play(spec, of_day, plan, Path(scratch))
-            began_s = time.process_time()
-            as_played = on_plant(load_spec(spec, of_day), "emulated").experiment
-            truth, violations = observed(played, as_played, lab)
-            return row_of(day, truth, violations, time.process_time() - began_s), truth.alive_s
-
-    return plan_of_day(seed, day, lab, setup, experiment.open, bad), assessed
+    plan = plan_of_day(seed, day, lab, experiment.setup, experiment.open, bad)
+    sets = (*sets, *plan.settings)
+    with tempfile.TemporaryDirectory() as scratch:
+        played = play(spec, sets, plan, Path(scratch))
+        began_s = time.process_time()
+        as_played = on_plant(load_spec(spec, sets), "emulated").experiment
+        truth, violations = observed(played, as_played, lab)
+        row = row_of(day, truth, violations, time.process_time() - began_s)
+    if violations and folder is not None:
+        about = f"seed {seed}, day {day}: {violations[0].name}, at seed {plan.seed} of the trial"
+        text = dump(plan.script() | {"about": about})
+        save_whole(folder / f"seed-{seed}-day-{day}.yaml", text.encode())
+    return row
 
 
 def observed(

@@ -20,8 +20,6 @@ KILLED = -9
 """The exit code that a day has of a process that was killed."""
 INTERRUPTED = 130
 """The exit code of a run that a signal has ended."""
-HANGS = "hangs"
-"""What is found of a run that hangs."""
 NO_ABORT_S = 1e6
 """Stands for the time of an abort that never came [s]: results have no infinite numbers."""
 PROGRAM_ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
@@ -77,7 +75,7 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
             yield _wrong_end(text[-500:])
             break
     if day.exit == HUNG:
-        yield _wrong_end(HANGS)
+        yield _wrong_end("hangs")
         return
     if day.left_behind:
         yield _wrong_end(f"left behind: {day.left_behind}")

@@ -13,7 +13,6 @@ from tetractl_emulator.rehearsal.truth import Truth, Violation, time_s
 DayRow = Mapping[str, Any]
 """What is kept of a day, by the names in FIELDS."""
 FIELDS = frozenset({"day", "digest", "seconds", "ended", "reason", "met", "violations"})
-NIGHT_S = 8 * 3600.0
 
 
 def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: float) -> DayRow:
@@ -70,13 +69,9 @@ def reasons(rows: Sequence[DayRow]) -> str:
 
 
 def summary(rows: Sequence[DayRow]) -> str:
-    """Return how the days ended, how small violations became, and what a day took."""
+    """Return how the days ended, and what a day took."""
     count = max(len(rows), 1)
     ended = Counter(row["ended"] for row in rows)
-    shares = ", ".join(f"{n} {how} ({n / count:.0%})" for how, n in ended.most_common())
-    small = [row["shrunk"] for row in rows if "shrunk" in row]
-    shrunk = f"{len(small)} shrunk, in the median to {np.median(small):g} faults" if small else ""
+    shares = "".join(f"{n} {how} ({n / count:.0%}); " for how, n in ended.most_common())
     mean_s = sum(row["seconds"] for row in rows) / count
-    a_night = f": {NIGHT_S / mean_s:.0f} days in 8 hours on one core" if mean_s else ""
-    parts = [shares, shrunk, f"{mean_s:.2f} s of processor time a day{a_night}"]
-    return "; ".join(filter(None, parts))
+    return f"{shares}{mean_s:.2f} s of processor time a day"

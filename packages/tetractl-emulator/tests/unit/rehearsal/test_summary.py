@@ -25,11 +25,8 @@ def test_times_are_of_days_with_one_fault():
 
 def test_shares_and_what_a_day_takes_are_said():
     assert summary(ROWS) == (
-        "2 aborted (50%), 1 complete (25%), 1 refused (25%)"
-        "; 2.00 s of processor time a day: 14400 days in 8 hours on one core"
+        "2 aborted (50%); 1 complete (25%); 1 refused (25%); 2.00 s of processor time a day"
     )
-    rows = [{**ROWS[0], "shrunk": count} for count in (0, 1, 3)]
-    assert "; 3 shrunk, in the median to 1 faults; " in summary(rows)
     assert summary([]) == "0.00 s of processor time a day"
 
 

@@ -28,8 +28,7 @@ class PoseCamera(ABC):
     """Exposes bodies `rate` times a second, each frame to be sent `latency_s` [s] later.
 
     Exposures are numbered from 1, without gaps. `shown_ns` is when each robot was exposed in the
-    newest frame sent in which it is tracked; `outdated` frames to come have times that are too
-    early.
+    newest frame sent in which it is tracked.
     """
 
     numbered: ClassVar[bool] = True
@@ -41,7 +40,6 @@ class PoseCamera(ABC):
         self.tracked = tracked
         self.view = view
         self.acting = stage.acting
-        self.outdated = 0
         self.shown_ns = [0] * len(tracked)
         self.timeline = stage.timeline
         self._stage = stage
@@ -90,10 +88,9 @@ class PoseCamera(ABC):
         frame_number = exposure_number - sum(fault.frames for fault in acting.of("counter_back"))
         self._stage.exposed(exposure_number, frame_number if self.numbered else 0)
         delay = self._delay_s()
-        self.view.creep(acting.of("picture"))
-        if self.outdated:
-            self.outdated -= 1
-            exposed = max(0, now - round(acting.newest("outdated").by * SECOND))
+        outdated = acting.newest("outdated")
+        if outdated is not None:
+            exposed = max(0, now - round(outdated.by * SECOND))
         frame = self._shot(frame_number, exposed, self._expose())
         leaves = now + round(delay * SECOND)
         times = 2 if acting.of("doubled_frames") else 1
@@ -134,7 +131,8 @@ class PoseCamera(ABC):
 
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
-        bodies = {body.robot.name: body.expose(self.view) for body in self.tracked}
+        view = self.view.exposed(self.acting.of("picture"))
+        bodies = {body.robot.name: body.expose(view) for body in self.tracked}
         for fault in self.acting.of("twin_id"):
             number = self.tracked_body(fault.other).asset.number
             bodies[fault.robot] = replace(bodies[fault.robot], id=number)

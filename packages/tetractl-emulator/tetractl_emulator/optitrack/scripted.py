@@ -10,7 +10,6 @@ or the newest holds.
 """
 
 import math
-from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -95,11 +94,6 @@ SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
 
 
-def _outdate(fault: Any, device: Any) -> Undo:
-    device.outdated = fault.frames
-    return partial(setattr, device, "outdated", 0)
-
-
 def _set_clock(fault: Any, device: Any) -> Undo:
     ahead_ns = round(fault.by * SECOND)
     return adding(device.clock_errors, lambda when_ns: ahead_ns)
@@ -112,14 +106,6 @@ def _run_clock(fault: Any, device: Any) -> Undo:
         return round((fault.rate - 1.0) * max(0, when_ns - since_ns))
 
     return adding(device.clock_errors, gained_ns)
-
-
-def _change_picture(fault: Any, device: Any) -> Undo | None:
-    """Change the picture at once; one that creeps changes it at each exposure, for good."""
-    if fault.creeps:
-        return None
-    device.view.apply(fault)
-    return partial(device.view.take_back, fault)
 
 
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -165,11 +151,10 @@ FAULTS = (
     ),
     fault_kind(
         "outdated",
-        "This number of frames has exposure times that are too early by this time [s].",
+        "Frames have exposure times that are too early by this time [s].",
         EXPOSED,
-        fields={"by": Positive, "frames": (Frames, 1)},
-        rows=[FaultRow("frames of the past", LATE, {"by": between(0.05, 30), "frames": 50})],
-        begin=_outdate,
+        fields={"by": Positive},
+        rows=[FaultRow("frames of the past", LATE, {"by": between(0.05, 30)})],
     ),
     fault_kind(
         "late_frames",
@@ -217,7 +202,6 @@ FAULTS = (
             FaultRow("scale creeps", MOVED, {"scale": factor(2e-3, 0.2, FRAME_S), "creeps": True}),
             FaultRow("axes creep", MOVED, {"turn": signed(0.02, 2, FRAME_S), "creeps": True}),
         ],
-        begin=_change_picture,
     ),
     fault_kind(
         "untracked",

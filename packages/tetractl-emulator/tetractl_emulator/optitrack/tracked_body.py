@@ -27,8 +27,7 @@ class View:
     vertical axis `up`, `origin` [mm] and `rotation` [rad].
 
     Faults change the picture: it is turned about the origin by `turned` [rad], `grown` by a factor
-    and then displaced by `shift` [mm]. As the shift comes last, and is neither turned nor grown,
-    changes may be taken back in any order.
+    and then displaced by `shift` [mm], which is neither turned nor grown.
     """
 
     up: UpAxis = UpAxis.Y
@@ -38,25 +37,24 @@ class View:
     grown: float = 1.0
     turned: float = 0.0
 
-    def creep(self, faults: Sequence[Any]) -> None:
-        """Let the picture change by those that creep from one exposure to the next: it stays where
-        that has brought it, as a camera does whose tripod has slipped.
+    def exposed(self, faults: Sequence[Any]) -> "View":
+        """Return the picture of an exposure, as faults change it. Those that creep change it from
+        one exposure to the next, and it stays where that has brought it, as a camera does whose
+        tripod has slipped.
         """
         for fault in faults:
             if fault.creeps:
-                self.apply(fault)
+                self._change(fault)
+        picture = replace(self)
+        for fault in faults:
+            if not fault.creeps:
+                picture._change(fault)
+        return picture
 
-    def apply(self, fault: Any) -> None:
-        """Change the picture as a fault says."""
+    def _change(self, fault: Any) -> None:
         self.shift += complex(*fault.by)
         self.grown *= fault.scale
         self.turned += fault.turn
-
-    def take_back(self, fault: Any) -> None:
-        """Take a change back; others that came since remain."""
-        self.shift -= complex(*fault.by)
-        self.grown /= fault.scale
-        self.turned -= fault.turn
 
     def rigid_body_at(
         self, number: int, x: float, y: float, heading: float, height: float

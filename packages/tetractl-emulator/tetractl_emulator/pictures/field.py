@@ -7,13 +7,12 @@ field of these currents.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 from tetractl_microscope.coils.driver import DriverStatus, decode_command
-from tetractl_microscope.coils.section import CoilPair, CoilsSection, FieldSection, Pair
+from tetractl_microscope.coils.section import FieldSection, Pair
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import UsageError
@@ -34,10 +33,8 @@ from tetractl_emulator.fault_rows import (
 )
 from tetractl_emulator.faults import (
     ActingFaults,
-    Begin,
     Fault,
     Share,
-    Undo,
     fault_kind,
     port_faults,
     switching,
@@ -165,25 +162,6 @@ class FieldSettings(Model):
     """The driver's supply voltage [mV]."""
 
 
-def _coils(change: Callable[[Any, CoilsSection], CoilsSection]) -> Begin:
-    """Return a function that starts a fault by a change of the true coils."""
-
-    def begin(fault: Any, device: Any) -> Undo:
-        return device.dish.field.change(partial(change, fault))
-
-    return begin
-
-
-def _weak(fault: Any, coils: CoilsSection) -> CoilsSection:
-    pair: CoilPair = {"x": coils.x, "y": coils.y}[fault.axis]
-    weakened = pair.model_copy(update={"gain_mt_a": fault.share * pair.gain_mt_a})
-    return coils.model_copy(update={fault.axis: weakened})
-
-
-def _turned(fault: Any, coils: CoilsSection) -> CoilsSection:
-    return coils.model_copy(update={"rotation": coils.rotation + fault.by})
-
-
 def _row(fault: Any, device: Any) -> int:
     names = [body.name for body in device.bodies]
     if fault.cell not in names:
@@ -269,14 +247,12 @@ FAULTS = (
         rows=[
             FaultRow("coils weak", SEEN, {"axis": one_of("x", "y"), "share": less(0.02, 2, -1.0)})
         ],
-        begin=_coils(_weak),
     ),
     fault_kind(
         "turned_coils",
         "The coils are turned by this angle [rad].",
         fields={"by": Finite},
         rows=[FaultRow("coils turned", SEEN, {"by": signed(0.02, 3.1)})],
-        begin=_coils(_turned),
     ),
     fault_kind(
         "mute", "The driver receives but does not reply.", rows=[FaultRow("driver silent", DRIVER)]
@@ -317,7 +293,7 @@ class EmulatedField(PluggedDevices):
             cells, names = culture(settings.cells, settings.strangers, walk, drawn)
         else:
             cells = cells_of(setup, walk, seed)
-        field = CoilField(section.coils, section.reference_mt(setup))
+        field = CoilField(section.coils, section.reference_mt(setup), stage.acting)
         self.dish = Dish(self.driver, field, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
 

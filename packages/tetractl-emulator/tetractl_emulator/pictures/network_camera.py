@@ -1,6 +1,7 @@
 """An emulated network camera, which serves drawn pictures as multipart MJPEG on this computer."""
 
 import queue
+import random
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -51,9 +52,8 @@ class EmulatedNetworkCamera:
 
     `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. A
     picture is sent when its `timing` says so, or as soon as it is drawn; a busy host skips some
-    exposures. Each of the `changes` changes the bytes of a part before they are sent, in this
-    order. A camera that `drips` sends an endless header byte by byte. TetractlError if the port is
-    in use.
+    exposures. `seed` draws which parts faults spoil. A camera that `drips` sends an endless header
+    byte by byte. TetractlError if the port is in use.
     """
 
     def __init__(
@@ -64,9 +64,11 @@ class EmulatedNetworkCamera:
         port: int = 0,
         drips: bool = False,
         acting: ActingFaults | None = None,
+        seed: int = 0,
     ) -> None:
         self.timing = timing
-        self.changes: list[Callable[[bytes], bytes]] = []
+        self._chance = random.Random(seed)
+        self._newest = b""  # the last part, before faults spoil it
         self.acting = acting or ActingFaults()
         self._drips = drips
         self._draw = draw
@@ -152,10 +154,14 @@ class EmulatedNetworkCamera:
         return slow or bool(self.acting.of("no_frames"))
 
     def changed(self, part: bytes) -> bytes:
-        """Return a part as it is sent."""
-        for change in self.changes:
-            part = change(part)
-        return part
+        """Return a part as it is sent: the one before if pictures repeat, and perhaps spoilt."""
+        if not self.acting.of("repeat") or not self._newest:
+            self._newest = part
+        sent = self._newest
+        for fault in self.acting.of("bad_pictures"):
+            if self._chance.random() < fault.share:
+                sent = SPOILT[fault.how](sent)
+        return sent
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
         # further pictures are dropped, for a client that reads slowly
@@ -190,3 +196,32 @@ def part(jpeg: bytes) -> bytes:
     """Return one part of the stream for a JPEG file, beginning with the boundary."""
     head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
     return head.encode() + jpeg + b"\r\n"
+
+
+def cut_short(sent_part: bytes) -> bytes:
+    """Return the first half of a part, as if the connection had lost the rest."""
+    return sent_part[: len(sent_part) // 2]
+
+
+def cut_before_its_end(sent_part: bytes) -> bytes:
+    """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
+    jpeg = sent_part.partition(b"\r\n\r\n")[2]
+    return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
+
+
+def oversized(sent_part: bytes) -> bytes:
+    """Return a part whose JPEG, if it has one, claims to have 32767 x 32767 pixels."""
+    size_at = sent_part.find(b"\xff\xc0") + 5
+    if size_at < 5:
+        return sent_part
+    return sent_part[:size_at] + b"\x7f\xff\x7f\xff" + sent_part[size_at + 4 :]
+
+
+SPOILT: dict[str, Callable[[bytes], bytes]] = {
+    "cut": cut_short,
+    "cut_ended": cut_before_its_end,
+    "oversized": oversized,
+    "lost": lambda sent_part: b"",
+    "doubled": lambda sent_part: sent_part + sent_part,
+}
+"""What becomes of a part, by the ways of the fault `bad_pictures`."""

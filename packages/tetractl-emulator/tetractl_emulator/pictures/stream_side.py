@@ -1,10 +1,9 @@
 """Settings and faults that all emulated cameras share that serve pictures as an MJPEG stream."""
 
-import random
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
@@ -24,36 +23,16 @@ from tetractl_emulator.fault_rows import (
     part,
     whole_number,
 )
-from tetractl_emulator.faults import Fault, Share, Undo, Visible, adding, fault_kind
+from tetractl_emulator.faults import Fault, Share, Visible, fault_kind
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
 from tetractl_emulator.pictures.network_camera import (
     EmulatedNetworkCamera,
     PictureTiming,
 )
-from tetractl_emulator.pictures.network_camera import part as part_of
 from tetractl_emulator.sides import Body, Facts, Stage
 
 SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
-
-
-def cut_short(sent_part: bytes) -> bytes:
-    """Return the first half of a part, as if the connection had lost the rest."""
-    return sent_part[: len(sent_part) // 2]
-
-
-def cut_before_its_end(sent_part: bytes) -> bytes:
-    """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
-    jpeg = sent_part.partition(b"\r\n\r\n")[2]
-    return part_of(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
-
-
-def oversized(sent_part: bytes) -> bytes:
-    """Return a part whose JPEG, if it has one, claims to have 32767 x 32767 pixels."""
-    size_at = sent_part.find(b"\xff\xc0") + 5
-    if size_at < 5:
-        return sent_part
-    return sent_part[:size_at] + b"\x7f\xff\x7f\xff" + sent_part[size_at + 4 :]
 
 
 class StreamSettings(Model):
@@ -73,34 +52,6 @@ class StreamSettings(Model):
     """Whether the camera sends an endless answer byte by byte."""
 
 
-WAYS: dict[str, Callable[[bytes], bytes]] = {
-    "cut": cut_short,
-    "cut_ended": cut_before_its_end,
-    "oversized": oversized,
-    "lost": lambda part: b"",
-    "doubled": lambda part: part + part,
-}
-
-
-def _spoil(fault: Any, device: Any) -> Undo:
-    chance = random.Random(device.seed)
-    way = WAYS[fault.how]
-
-    def spoilt(part: bytes) -> bytes:
-        return way(part) if chance.random() < fault.share else part
-
-    return adding(device.camera.changes, spoilt)
-
-
-def _repeat(fault: Any, device: Any) -> Undo:
-    sent: dict[str, bytes] = {}
-
-    def first(part: bytes) -> bytes:
-        return sent.setdefault("first", part)
-
-    return adding(device.camera.changes, first)
-
-
 STREAM_FAULTS = (
     fault_kind(
         "no_frames", "No pictures are exposed.", Visible.SENT, rows=[FaultRow("no pictures", SEEN)]
@@ -110,7 +61,6 @@ STREAM_FAULTS = (
         "The same picture is sent repeatedly, at the camera's rate.",
         Visible.SENT,
         rows=[FaultRow("picture frozen", SEEN)],
-        begin=_repeat,
     ),
     fault_kind(
         "half_rate",
@@ -148,7 +98,6 @@ STREAM_FAULTS = (
                 {"share": part(0.02, 1.3), "how": one_of("cut", "cut_ended", "oversized")},
             ),
         ],
-        begin=_spoil,
     ),
 )
 
@@ -237,6 +186,7 @@ class StreamedCamera(ABC):
             port=named if port is None else port,
             drips=settings.drips,
             acting=stage.acting,
+            seed=self.seed,
         )
         self._history = SceneHistory()
         self._shown: ShownBodies | None = None  # over HTTP, where it is not known what has come

@@ -1,14 +1,15 @@
 """Cells that swim between the coils of an emulated driver, in real or virtual time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from tetractl_microscope.coils.section import CoilsSection, Pair
+from tetractl_microscope.coils.section import CoilPair, CoilsSection, Pair
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.setup import Bounds, Setup
 from tetractl.model.swimmers import Swimmers
+from tetractl_emulator.faults import ActingFaults
 
 SWIM_NS = 2 * MILLISECOND  # time step of the cells' motion
 UM_MM = 1000.0
@@ -16,31 +17,26 @@ DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in wid
 
 
 class CoilField:
-    """The field of the true `coils`, which faults change. At the strength `reference_mt` [mT], the
-    cells' turning rates are their a of equation (3) of the paper.
+    """The field of coils, which are those of a section but for faults. At the strength
+    `reference_mt` [mT], the cells' turning rates are their a of equation (3) of the paper.
     """
 
-    def __init__(self, coils: CoilsSection, reference_mt: float) -> None:
-        self.coils = coils
-        self._unchanged = coils
+    def __init__(self, section: CoilsSection, reference_mt: float, acting: ActingFaults) -> None:
+        self._section = section
         self._reference_mt = reference_mt
-        self._changes: list[Callable[[CoilsSection], CoilsSection]] = []
+        self._acting = acting
 
-    def change(self, change: Callable[[CoilsSection], CoilsSection]) -> Callable[[], None]:
-        """Change the coils; return what takes it back."""
-        self._changes.append(change)
-        self._apply()
-
-        def take_back() -> None:
-            self._changes.remove(change)
-            self._apply()
-
-        return take_back
-
-    def _apply(self) -> None:
-        self.coils = self._unchanged
-        for change in self._changes:
-            self.coils = change(self.coils)
+    @property
+    def coils(self) -> CoilsSection:
+        """The coils as they are now."""
+        coils = self._section
+        for fault in self._acting.of("weak_coils"):
+            pair: CoilPair = getattr(coils, fault.axis)
+            weakened = pair.model_copy(update={"gain_mt_a": fault.share * pair.gain_mt_a})
+            coils = coils.model_copy(update={fault.axis: weakened})
+        for fault in self._acting.of("turned_coils"):
+            coils = coils.model_copy(update={"rotation": coils.rotation + fault.by})
+        return coils
 
     def field_mt(self, currents: Pair) -> Pair:
         """Return the field of currents [A] at the cells, in the spec's axes [mT]."""

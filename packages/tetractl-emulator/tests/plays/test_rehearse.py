@@ -88,7 +88,7 @@ def test_a_lab_with_a_real_device_is_not_rehearsed(tmp_path):
 @pytest.mark.long
 def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):
     """Regression: no row of the table had the reason."""
-    silent = {"kind": "server silent", "strength": 0.5, "fault": "no_server", "right": SIGHT}
+    silent = {"kind": "server silent", "fault": "no_server", "right": SIGHT}
     silent |= {"since": "start", "at": 0.0, "for": 2.778}
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent]))
     done = rehearse(tmp_path, "--days", "1").ok()
@@ -109,7 +109,7 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
 def test_a_day_of_cells_is_observed(monkeypatch):
     """Without pictures the field goes off; a guard whose clock stands with them is found."""
     pytest.importorskip("cv2")
-    lost = {"kind": "no pictures", "right": SEEN, "strength": 0.95, "fault": "no_frames"}
+    lost = {"kind": "no pictures", "right": SEEN, "fault": "no_frames"}
     lost |= {"at": 6.3}
     monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [lost]))
     of_day = EXAMPLES / "tetrahymena_dish.yaml", DISH[1::2], 1, 0
@@ -132,7 +132,7 @@ def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
     """A pose to which no cell can have swum ends the trial."""
     pytest.importorskip("tetractl_microscope")
     jump = {"fault": "jump", "right": SIGHT, "robot": "first", "by": [0.6, 0.0], "at": 2.0}
-    plan = day.DayPlan(1, {}, [{"kind": "pose jumps", "strength": 0.95, **jump}])
+    plan = day.DayPlan(1, {}, [{"kind": "pose jumps", **jump}])
     monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
     words = "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml", "--days", "1"
     done = tetractl(tmp_path, *words, "--out", "days").ok()

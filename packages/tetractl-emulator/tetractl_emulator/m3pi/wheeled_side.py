@@ -263,7 +263,7 @@ WHEELED_FAULTS = (
         "overtaken_packets",
         "Transmissions are late by a random time up to this one [s], so that some overtake others.",
         fields={"by": Positive},
-        rows=[FaultRow("packets overtaken", LINK, {"by": between(0.005, 0.3)})],
+        rows=[FaultRow("packets overtaken", LINK, {"by": between(0.02, 1)})],
     ),
     fault_kind(
         "doubled_packets",

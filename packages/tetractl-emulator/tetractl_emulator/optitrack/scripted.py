@@ -35,6 +35,7 @@ from tetractl_emulator.fault_rows import (
     one_of,
     part,
     signed,
+    whole_number,
 )
 from tetractl_emulator.faults import Share, Undo, Visible, adding, fault_kind
 
@@ -106,6 +107,11 @@ def _run_clock(fault: Any, device: Any) -> Undo:
         return round((fault.rate - 1.0) * max(0, when_ns - since_ns))
 
     return adding(device.clock_errors, gained_ns)
+
+
+def _creeping(name: str, **fields: Any) -> FaultRow:
+    """Return a row of a pose or a picture that creeps, on a third of the days from the start."""
+    return FaultRow(name, MOVED, fields, start=0.3)
 
 
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -198,9 +204,9 @@ FAULTS = (
             FaultRow("origin jumps", MOVED, {"by": off(3, 300)}),
             FaultRow("scale jumps", MOVED, {"scale": factor(2e-3, 0.2)}),
             FaultRow("axes jump", MOVED, {"turn": signed(2e-3, 1)}),
-            FaultRow("origin creeps", MOVED, {"by": off(2, 300, FRAME_S), "creeps": True}),
-            FaultRow("scale creeps", MOVED, {"scale": factor(2e-3, 0.2, FRAME_S), "creeps": True}),
-            FaultRow("axes creep", MOVED, {"turn": signed(0.02, 2, FRAME_S), "creeps": True}),
+            _creeping("origin creeps", by=off(2, 300, FRAME_S), creeps=True),
+            _creeping("scale creeps", scale=factor(2e-3, 0.2, FRAME_S), creeps=True),
+            _creeping("axes creep", turn=signed(0.02, 2, FRAME_S), creeps=True),
         ],
     ),
     fault_kind(
@@ -212,10 +218,13 @@ FAULTS = (
     ),
     fault_kind(
         "half_tracked",
-        "A body is not tracked in this fraction of the frames.",
+        "A body is not tracked in this fraction of the frames, or but in one of so many.",
         EXPOSED,
-        fields={"robot": Name, "share": Share},
-        rows=[FaultRow("tracked in part", SIGHT, {"share": lost})],
+        fields={"robot": Name, "share": (Share, 0.0), "every": (Frames, 1)},
+        rows=[
+            FaultRow("tracked in part", SIGHT, {"share": lost}),
+            FaultRow("tracked at times", SIGHT, {"every": whole_number(12, 34)}),
+        ],
     ),
     fault_kind(
         "jump",
@@ -231,10 +240,10 @@ FAULTS = (
         EXPOSED,
         fields={"robot": Name, "by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
         rows=[
-            FaultRow("ghost drives", MOVED, {"by": along(3, 600, 0.0), "axes": "robot"}),
-            FaultRow("ghost slides", MOVED, {"by": along(3, 600, math.pi / 2), "axes": "robot"}),
-            FaultRow("ghost drifts", MOVED, {"by": off(3, 600, FRAME_S)}),
-            FaultRow("ghost turns", MOVED, {"by": [0, 0], "turn": signed(0.02, 4, FRAME_S)}),
+            _creeping("ghost drives", by=along(3, 600, 0.0), axes="robot"),
+            _creeping("ghost slides", by=along(3, 600, math.pi / 2), axes="robot"),
+            _creeping("ghost drifts", by=off(3, 600, FRAME_S)),
+            _creeping("ghost turns", by=[0, 0], turn=signed(0.02, 4, FRAME_S)),
         ],
     ),
     fault_kind(

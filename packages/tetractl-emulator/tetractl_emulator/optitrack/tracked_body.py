@@ -104,7 +104,7 @@ class PoseNoise:
 class TrackedBody:
     """The rigid body on one robot, which is not tracked while it is `carried`. `shift` [mm] and
     `turned` [rad] are by how much it is seen off; ghosts have led it away by `strayed` and
-    `strayed_turn` until now. `last_pose` is its newest pose.
+    `strayed_turn` until now. It had so many `exposures`; `last_pose` is its newest pose.
     """
 
     robot: Body
@@ -116,6 +116,7 @@ class TrackedBody:
     turned: float = 0.0
     strayed: complex = 0j
     strayed_turn: float = 0.0
+    exposures: int = 0
     last_pose: RigidBody | None = None
 
     def expose(self, view: View) -> RigidBody:
@@ -126,6 +127,7 @@ class TrackedBody:
         The first exposure always gives it a pose.
         """
         name = self.robot.name
+        self.exposures += 1
         is_seen = self._is_seen_now()
         repeats = any(fault.robot in (None, name) for fault in self.acting.of("repeat"))
         if self.last_pose is None or (is_seen and not repeats):
@@ -148,6 +150,8 @@ class TrackedBody:
         frames miss it."""
         name = self.robot.name
         if self.carried or self.acting.of("untracked", name):
+            return False
+        if any(self.exposures % fault.every for fault in self.acting.of("half_tracked", name)):
             return False
         missing = self.acting.share("half_tracked", name)
         return missing == 0 or self.noise.random.random() >= missing

@@ -18,11 +18,15 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
+
 from tetractl.cli.app import run_app
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.yaml.core_yaml import dump
@@ -41,7 +45,7 @@ KEPT = 20_000
 """Blocks of memory that a run may leave in its process, if it has loaded no module."""
 START_SHARE = 0.16
 """Share of `start_mm` within which robots are put."""
-STOP_SHARE = 0.1
+STOP_SHARE = 0.2
 """Share of the faults that begin while robots stop, in a pause or at the end."""
 SPAN_S = 11.0
 """Latest begin of a fault after the first command that moves robots [s]."""
@@ -51,10 +55,14 @@ BLIND_SHARE = 0.1
 """Share of the days on which robots on wheels are driven blindly, until a limit stops them."""
 BLIND_S = 15
 """Time of a day's blind drive [s], in which each robot comes to a rim."""
+NEARER = 0.5
+"""Factor by which robots start nearer to their middle on such a day, so that they meet."""
+APART = 2.0
+"""Least distance of robots at such starts, as a multiple of `separation_mm`."""
 SHORT_SHARE = 0.15
 """Share of the days whose trial ends after SHORT_S, while robots drive."""
 SHORT_S = (2.0, 8.0)
-OWN = ("kind", "strength", "right")  # keys of a drawn fault that a script does not have
+OWN = ("kind", "right")  # keys of a drawn fault that a script does not have
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,27 +138,41 @@ def plan_of_day(
     for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
         if hasattr(side, "world_of_day"):
             emulation[name] = side.world_of_day(random, lab, setup)
-    if not chosen:
-        emulation["robots"] = _placed(random, setup, START_SHARE * lab.limits.start_mm)
+    starts = setup.starts.xy
+    settings: list[str] = []
     trial_seed = random.randrange(2**31)
-    is_wheeled = lab.actuator.type != "field"
-    settings = _settings(random, setup.period_s) if bad and is_wheeled else ()
+    drawn = random.random() if bad and lab.actuator.type != "field" else SHORT_SHARE
+    if drawn < SHORT_SHARE:
+        settings = [f"controller.time_limit={random.uniform(*SHORT_S):.1f}"]
+    elif drawn > 1 - BLIND_SHARE:
+        apart = APART * lab.limits.separation_mm / 1000 / setup.metres
+        starts = _nearer(random, starts, apart)
+        settings = [_blind(random, setup.period_s)]
+        settings += [f"robots.{i}.start={start}" for i, start in enumerate(starts.tolist())]
+    if not chosen:
+        near = START_SHARE * lab.limits.start_mm / 1000 / setup.metres
+        emulation["robots"] = _placed(random, setup, starts, near)
     return DayPlan(trial_seed, emulation, faults, settings)
 
 
-def _settings(random: Random, period_s: float) -> Sequence[str]:
-    """Draw what the spec's controller is on a day: as stated, soon at its end, or a blind one, of
-    which each direction is held for about a second.
+def _blind(random: Random, period_s: float) -> str:
+    """Draw a blind controller, of which each direction is held for about a second."""
+    held = round(1 / period_s)
+    drawn_rad = (round(random.uniform(-math.pi, math.pi), 2) for _ in range(BLIND_S))
+    directions = [direction for direction in drawn_rad for _ in range(held)]
+    return f"controller={{type: sequence, period: {period_s}, directions: {directions}}}"
+
+
+def _nearer(random: Random, starts: Floats, apart: float) -> Floats:
+    """Return starts (N, 2) that are nearer to their middle, but at least `apart` if they were, and
+    belong to robots in a random order.
     """
-    drawn = random.random()
-    if drawn < SHORT_SHARE:
-        return (f"controller.time_limit={random.uniform(*SHORT_S):.1f}",)
-    if drawn > 1 - BLIND_SHARE:
-        held = round(1 / period_s)
-        drawn_rad = (round(random.uniform(-math.pi, math.pi), 2) for _ in range(BLIND_S))
-        directions = [direction for direction in drawn_rad for _ in range(held)]
-        return (f"controller={{type: sequence, period: {period_s}, directions: {directions}}}",)
-    return ()
+    pairs = combinations(starts, 2)
+    nearest = min((float(math.dist(*pair)) for pair in pairs), default=math.inf)
+    factor = min(1.0, max(NEARER, apart / nearest))
+    middle = starts.mean(axis=0)
+    order = random.sample(range(len(starts)), len(starts))
+    return np.round(middle + factor * (starts[order] - middle), 4)
 
 
 def faults_of_day(
@@ -161,7 +183,7 @@ def faults_of_day(
     scale: float = 1.0,
 ) -> list[dict[str, Any]]:
     """Draw a day's faults as of a script; a third of the days have one, others two to six. Each
-    also says its `kind`, the name of the row; its `strength`; and which reasons are `right`.
+    also says its `kind`, the name of the row, and which reasons are `right`.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
     chosen = random.choices(rows, [row.weight for row in rows], k=count)
@@ -173,7 +195,6 @@ def _fault(
 ) -> dict[str, Any]:
     draw = Draw(random, random.sample(names, len(names)), random.random(), scale)
     fault: dict[str, Any] = {"kind": row.name, "right": row.right, "fault": row.fault}
-    fault["strength"] = round(draw.strength, 3)
     for key, value in row.fields.items():
         fault[key] = value(draw) if callable(value) else value
     when = random.random()
@@ -188,17 +209,17 @@ def _fault(
     return fault
 
 
-def _placed(random: Random, setup: Setup, near_mm: float) -> list[dict[str, Any]]:
-    """Return starts that are off by up to `near_mm`."""
+def _placed(random: Random, setup: Setup, starts: Floats, near: float) -> list[dict[str, Any]]:
+    """Return robots at places off their starts (N, 2) by up to `near` [length unit]."""
     placed = []
-    for i, name in enumerate(setup.names):
-        off = random.uniform(0, near_mm) / 1000 / setup.metres
+    for name, (x, y), heading in zip(
+        setup.names, starts.tolist(), setup.starts.heading.tolist(), strict=True
+    ):
+        off = random.uniform(0, near)
         angle = random.uniform(-math.pi, math.pi)
-        x = float(setup.starts.x[i] + off * math.cos(angle))
-        y = float(setup.starts.y[i] + off * math.sin(angle))
-        heading = round(float(setup.starts.heading[i]) + random.uniform(-0.05, 0.05), 4)
-        start = [round(x, 2), round(y, 2)]
-        placed.append({"name": name, "start": start, "heading": heading})
+        start = [round(x + off * math.cos(angle), 2), round(y + off * math.sin(angle), 2)]
+        turned = round(heading + random.uniform(-0.05, 0.05), 4)
+        placed.append({"name": name, "start": start, "heading": turned})
     return placed
 
 

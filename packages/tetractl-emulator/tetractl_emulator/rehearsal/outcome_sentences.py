@@ -64,7 +64,8 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
 
 def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
     """A run does not hang, prints no error of our program, leaves nothing behind, ends with the
-    code of `_expected_code`, and a trial that ends with 0 deserves it, as of `_counts`.
+    code of `_expected_code`, and at the latest after `late_steps` that were late in a row; and a
+    trial that ends with 0 deserves it, as of `_counts`.
 
     A process that got a signal and never began a run, since it waited for robots, may also end with
     130. If it hangs, its end is not checked further.
@@ -83,6 +84,8 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
     waited = truth.began_s == np.inf and truth.met("signal")
     if day.exit != expected and not (waited and day.exit == INTERRUPTED):
         yield _wrong_end(f"{day.exit}, not {expected}")
+    if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
+        yield _wrong_end("a trial goes on though more than `late_steps` were late in a row")
     if day.exit == 0:
         yield from _counts(truth)
 
@@ -109,8 +112,8 @@ def _expected_code(truth: Truth) -> int:
 def _counts(truth: Truth) -> Iterator[Violation]:
     """A trial counts only if no emergency stop was pressed since its run began, but in the last
     `TRANSIT_S`; no robot was unseen for `stream_lost` at its end, unless poses froze as those of
-    robots that stand; no fault showed motion from the
-    end of driving to that of the process; and no more than `late_steps` were late in a row.
+    robots that stand; and no fault showed motion from the
+    end of driving to that of the process.
 
     Other limits of the spec are not checked here.
     """
@@ -127,8 +130,6 @@ def _counts(truth: Truth) -> Iterator[Violation]:
         if fault.span.began_s < truth.ended_s + TRANSIT_S and fault.span.ended_s > end_s:
             finding = f"a trial counts though the camera shows motion: {fault.kind}"
             yield _wrong_end(finding, end_s)
-    if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
-        yield _wrong_end("a trial counts though more than `late_steps` were late in a row")
 
 
 def _late_in_a_row(truth: Truth) -> int:
@@ -136,7 +137,7 @@ def _late_in_a_row(truth: Truth) -> int:
 
     A step begins when its frame has come and the step before has ended: a silent camera makes
     frames old, and no step late. Robots stand from a step that stops them until the next has ended:
-    neither is late for any robot, and a row ends with them.
+    neither is late for any robot, and a row ends with them, as with robots that turn on the spot.
     """
     assert truth.trial is not None
     period_ns = truth.setup.period_s * 1e9
@@ -147,7 +148,7 @@ def _late_in_a_row(truth: Truth) -> int:
     for step in truth.trial.steps:
         began_ns = max(step.observation.received_ns, ended_ns)
         ended_ns = step.command.sent_ns
-        stops = isinstance(step.command.action, Stop)
+        stops = isinstance(step.command.action, Stop) or step.plan.facing is not None
         is_late = ended_ns - began_ns > period_ns
         in_row = is_late and not stops and not robots_stand
         count = count + 1 if in_row else 0

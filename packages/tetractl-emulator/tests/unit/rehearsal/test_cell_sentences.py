@@ -25,12 +25,11 @@ STARTS = [[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [2.0, 2.0, 0.0]]
 DARK = {
     "kind": "dark",
     "right": "not tracked",
-    "strength": 0.5,
     "fault": "light",
     "share": 0.1,
     "at": 1.0,
 }
-KEY = {"kind": "dark", "right": "not tracked", "strength": 0.5, "fault": "emergency", "at": 1.0}
+KEY = {"kind": "dark", "right": "not tracked", "fault": "emergency", "at": 1.0}
 ERROR = "error: trial 1: cell 1 is not tracked (0.70 s)\n"
 
 
@@ -108,7 +107,6 @@ def test_pictures_that_were_late_make_the_bound_later():
     late = {
         "kind": "pictures late",
         "right": "not tracked",
-        "strength": 0.5,
         "fault": "late_pictures",
         "by": 0.2,
         "at": 1,
@@ -165,7 +163,6 @@ def test_a_knock_is_of_a_class_only_where_nothing_that_stands_shows_it(specks, b
     knock = {
         "kind": "knocked",
         "right": "not tracked",
-        "strength": 0.5,
         "fault": "knocked",
         "by_um": [30.0, 0.0],
         "at": 0,

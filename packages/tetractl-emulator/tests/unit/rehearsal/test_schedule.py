@@ -6,7 +6,6 @@ from random import Random
 
 import pytest
 from support.paths import ROOT
-from tetractl_emulator.fault_rows import STRONG
 from tetractl_emulator.rehearsal.day import (
     BLIND_S,
     BLIND_SHARE,
@@ -25,7 +24,6 @@ SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 EXPERIMENT = load_spec(SPEC).experiment
 LAB = (EXPERIMENT.lab, EXPERIMENT.setup)
 ROWS = rows_of(*LAB)
-NAPS = ("stopped",)  # whose strength is their duration
 
 
 def test_a_day_depends_on_its_number_and_the_seed_alone():
@@ -71,19 +69,19 @@ def test_every_fault_is_drawn_often_and_its_strongest_lasts():
     random = Random(1)
     counts = Counter()
     met = Counter()
-    strong = Counter()
+    lasting = Counter()
     for _ in range(20_000):
         faults = faults_of_day(random, NAMES, ROWS)
         counts[len(faults)] += 1
         met.update({fault["kind"] for fault in faults})
-        strong.update(f["kind"] for f in faults if f["strength"] >= STRONG)
-        lasting = [f for f in faults if f["strength"] > STRONG and f["fault"] not in NAPS]
-        assert not any("for" in fault for fault in lasting)
+        lasting.update(fault["kind"] for fault in faults if "for" not in fault)
     assert counts[1] / 20_000 == pytest.approx(1 / 3, abs=0.01)
     assert max(counts) == 6
     assert {kind.name for kind in ROWS} == met.keys()
     assert min(met.values()) >= 100
-    assert min(strong.values()) >= 10
+    fixed = {kind.name for kind in ROWS if "for" in kind.fields}
+    assert lasting.keys() == met.keys() - fixed
+    assert min(lasting.values()) >= 10
 
 
 NAMED = """no_frames late_frames doubled_frames reordered freeze slow_frames half_tracked untracked
@@ -99,8 +97,8 @@ def test_the_table_has_each_fault_that_was_asked_for():
 
 def test_a_script_is_in_the_order_of_time_without_what_only_the_draw_has():
     faults = [
-        {"kind": "killed", "strength": 0.3, "fault": "signal", "signal": "KILL", "at": 4.0},
-        {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "red", "at": 2.0},
+        {"kind": "killed", "fault": "signal", "signal": "KILL", "at": 4.0},
+        {"kind": "untracked", "fault": "untracked", "robot": "red", "at": 2.0},
     ]
     script = DayPlan(1, {}, faults).script()
     assert script["about"] == "untracked, killed"

@@ -53,12 +53,12 @@ def starts(seconds):
     return at(seconds, "fault", phase="start", name="", row=0)
 
 
-LOST = {"kind": "untracked", "strength": 0.95, "fault": "untracked", "robot": "green", "at": 1.0}
-KEY = {"kind": "emergency stop", "strength": 0.5, "fault": "emergency", "at": 1.0}
+LOST = {"kind": "untracked", "fault": "untracked", "robot": "green", "at": 1.0}
+KEY = {"kind": "emergency stop", "fault": "emergency", "at": 1.0}
 PRESSED = at(2.0, "fault", phase="start", name="emergency", row=0)
-GHOST = {"kind": "ghost turns", "strength": 0.9, "fault": "ghost", "robot": "green", "at": 0.1}
+GHOST = {"kind": "ghost turns", "fault": "ghost", "robot": "green", "at": 0.1}
 GHOST |= {"by": [0, 0], "turn": 0.01}
-FREEZES = {"kind": "frames frozen", "strength": 0.5, "fault": "freeze", "at": 1.0}
+FREEZES = {"kind": "frames frozen", "fault": "freeze", "at": 1.0}
 RUN = [at(1.0, "run"), at(1.0, "guard", state="run", reason="")]
 DRIVES = [command(1.0 + k / 10, 20) for k in range(13)]
 STOPS = [command(2.31 + k / 50, 0, 0) for k in range(10)]
@@ -91,7 +91,7 @@ SEEN_SELDOM = [
     truth_at(1.0 + k / 60, unseen=(200.0, 10.0, 10.0) if k % 5 else (10.0, 10.0, 10.0))
     for k in range(300)
 ]
-LATE = {"kind": "frames late", "strength": 0.5, "fault": "late_frames", "by": 0.11, "at": 1.0}
+LATE = {"kind": "frames late", "fault": "late_frames", "by": 0.11, "at": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_a_plan_that_begins_in_the_tick_of_the_end_is_stopped_at_once():
     assert not broken([*GOOD, command(2.501, 20), command(2.503, 0, 0)])
 
 
-SLOW_RADIO = {"kind": "radio late", "strength": 0.5, "fault": "late_radio", "by": 0.6, "at": 1.0}
+SLOW_RADIO = {"kind": "radio late", "fault": "late_radio", "by": 0.6, "at": 1.0}
 DRIVEN_AGAIN = [truth_at(2.4), truth_at(2.6, 180.0, status=(1, 0, 0)), truth_at(2.9)]
 
 
@@ -543,7 +543,7 @@ def test_poses_may_be_false_that_move_no_faster_than_wheels_may_be_off(turn, wro
 @pytest.mark.parametrize(("ended_s", "unseen"), [(0.9, True), (2.2, False)])
 def test_a_camera_that_slipped_before_the_run_is_what_no_camera_shows(ended_s, unseen):
     """Regression: a picture that grew by 0.5 % before a run made its result "untrue", by 10 mm."""
-    slips = {"kind": "scale creeps", "strength": 0.5, "fault": "picture", "at": 0.8}
+    slips = {"kind": "scale creeps", "fault": "picture", "at": 0.8}
     slips |= {"scale": 0.999, "creeps": True}
     end = at(ended_s, "fault", phase="end", row=0)
     truth = day([starts(0.8), *RUN, truth_at(2.2, 180.0), end], fault=slips)

@@ -64,11 +64,10 @@ def rehearse(
     from tetractl.control.build import warm_up
     from tetractl.core.plan import Outcome
     from tetractl.experiment.load import load_spec
-    from tetractl.experiment.plants import lab_of, on_plant
+    from tetractl.experiment.plants import on_plant
     from tetractl.run.executors import called
     from tetractl.run.spec_trial import run_logged
     from tetractl.run.store import RecordStore
-    from tetractl_emulator.rehearsal.day import rows_of
     from tetractl_emulator.rehearsal.summary import FIELDS, reasons, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
@@ -78,8 +77,6 @@ def rehearse(
             "leave out the lab's `real`",
         )
     loaded.experiment.plant.require_devices()
-    lab = lab_of(loaded.experiment, loaded.name)
-    names = [row.name for row in rows_of(lab, loaded.experiment.setup)]
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
     short_sets = (*(sets or ()), "controller.time_limit=1")
     short = on_plant(load_spec(spec, short_sets), "emulated")
@@ -119,7 +116,7 @@ def rehearse(
     played_days = f"{len(played)} {plural('day', len(played))}"
     violations = f"{len(bad)} {plural('violation', len(bad))}"
     last = f"{played_days}, {violations}"
-    said = table(played, names), reasons(played), summary(played), last
+    said = table(played), reasons(played), summary(played), last
     print(*filter(None, said), sep="\n\n")
     if bad:
         return Exit.FAILED

@@ -165,10 +165,9 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
 
     - that the table of faults has for a fault which became visible,
     - `PLACE`, of robots near the rim, an obstacle or each other, or
-    - `MOTION`, on a day on which poses froze as those of robots that stand;
+    - `MOTION`, on a day on which poses froze as those of robots that stand.
 
-    and it names no robot but one that has the fault, as of `_robot_not_named`. On a day planned
-    without a fault each reason is wrong: the lab is as the spec allows.
+    On a day planned without a fault each reason is wrong: the lab is as the spec allows.
     """
     reason = truth.reason
     if not reason:
@@ -177,27 +176,6 @@ def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
     right = [PLACE, *(str(fault.fields["right"]) for fault in truth.faults)]
     if truth.froze_as_rest:
         right.append(MOTION)
-    if not truth.day.plan.faults or not _is_right(reason, right):
+    is_right = any(re.search(pattern, reason, re.IGNORECASE) for pattern in right)
+    if not truth.day.plan.faults or not is_right:
         yield Violation("reason", at_s, reason[:200])
-        return
-    robot = _robot_not_named(truth)
-    if robot:
-        yield Violation("reason", at_s, f"{reason[:200]}: it was {robot}")
-
-
-def _is_right(reason: str, patterns: list[str]) -> bool:
-    return any(re.search(pattern, reason, re.IGNORECASE) for pattern in patterns)
-
-
-def _robot_not_named(truth: Truth) -> str:
-    """Return the robot that has the only visible fault, if the reason names robots, but neither it
-    nor the fault's `other`; "" if not, and for a reason that is right without a fault.
-    """
-    needs_no_fault = _is_right(truth.reason, [PLACE])
-    if len(truth.faults) != 1 or needs_no_fault or "robot" not in truth.faults[0].fields:
-        return ""
-    fields = truth.faults[0].fields
-    names = truth.setup.names
-    named = {name for name in names if re.search(rf"\b{re.escape(name)}\b", truth.reason)}
-    has_fault = {fields["robot"], fields.get("other")}
-    return str(fields["robot"]) if named and not named & has_fault else ""

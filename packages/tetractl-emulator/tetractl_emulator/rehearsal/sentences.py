@@ -21,7 +21,6 @@ Distances are in mm, times in s. As in `truth`, T counts exposures and N robots.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -137,12 +136,12 @@ def _first_blind_command(truth: Truth) -> Violation | None:
     late_steps_s = (limits.late_steps + 1) * truth.setup.period_s
     undirected_max_s = max(limits.stream_lost, late_steps_s) + limits.reaction
     mute = truth.met(*MUTE) or truth.killed
-    off_floor = [span for span in hidden_spans(truth) if span.fault in OFF_FLOOR]
+    off_floor = [fault for fault in hiding(truth) if fault.name in OFF_FLOOR]
     for k, command in enumerate(truth.commands):
         driven = np.array(truth.drives(command), bool)
         if not driven.any():
             continue
-        unseen_s = _unseen_s(command, 0.0 if mute else truth.acting_s[k], off_floor)
+        unseen_s = _unseen_s(truth, command, 0.0 if mute else truth.acting_s[k], off_floor)
         undirected_s = truth.undirected_s[k]
         if unseen_s[driven].max() > driven_max_s or unseen_s.max() > any_max_s:
             finding = f"unseen for {unseen_s.max():.3f} s"
@@ -154,15 +153,18 @@ def _first_blind_command(truth: Truth) -> Violation | None:
     return None
 
 
-def _unseen_s(command: Event, acts_s: float, off_floor: "Sequence[HiddenSpan]") -> Floats:
+def _unseen_s(
+    truth: Truth, command: Event, acts_s: float, off_floor: Sequence[VisibleFault]
+) -> Floats:
     """Return for how long each robot has not been shown (N,) when a command has acted for `acts_s`;
-    a robot that is off the floor when it is sent, since it was taken off.
+    a robot that is `off_floor` when it is sent, since it was taken off.
     """
     unseen_s = np.array(command["unseen_ms"]) / 1000 + acts_s
     at_s = time_s(command)
-    for span in off_floor:
-        if span.began_s < at_s < span.ended_s:
-            unseen_s[span.robot] = max(unseen_s[span.robot], at_s + acts_s - span.began_s)
+    for fault in off_floor:
+        if fault.span.began_s < at_s < fault.span.ended_s:
+            robot = truth.robot_of(fault)
+            unseen_s[robot] = max(unseen_s[robot], at_s + acts_s - fault.span.began_s)
     return unseen_s
 
 
@@ -530,14 +532,14 @@ def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
     may be from before.
     """
     arrives_s = READING_WAITS_S if truth.setup.sight.coarse else 2 * FRAME_S
-    for span in hidden_spans(truth):
-        began_s = span.began_s + arrives_s
-        ended_s = span.ended_s - 2 * FRAME_S
+    for fault in hiding(truth):
+        began_s = fault.span.began_s + arrives_s
+        ended_s = fault.span.ended_s - 2 * FRAME_S
         is_hidden = (truth.times_s > began_s) & (truth.times_s < ended_s)
-        is_shown = is_hidden & truth.fresh[:, span.robot]
+        is_shown = is_hidden & truth.fresh[:, truth.robot_of(fault)]
         if is_shown.any():
             at_s = float(truth.times_s[is_shown.argmax()])
-            yield Violation("untrue", at_s, f"{truth.setup.names[span.robot]} is not hidden")
+            yield Violation("untrue", at_s, f"{fault.fields['robot']} is not hidden")
             return
 
 
@@ -569,19 +571,10 @@ def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
 # When no camera can show a robot
 
 
-@dataclass(frozen=True, slots=True)
-class HiddenSpan:
-    """A time in which a `fault` hides a robot, by its number, or its body is not on the floor."""
-
-    robot: int
-    fault: str
-    began_s: float
-    ended_s: float
-
-
-def hidden_spans(truth: Truth) -> Iterator[HiddenSpan]:
-    """Yield when robots were not tracked, or lifted or tipped by more than the spec allows and a
-    camera's noise; nothing if robots were swapped on the day: each is then shown as another.
+def hiding(truth: Truth) -> Iterator[VisibleFault]:
+    """Yield the faults by which a robot is not tracked, or is lifted or tipped by more than the
+    spec allows and a camera's noise; nothing if robots were swapped on the day: each is then shown
+    as another.
     """
     if truth.met("swap"):
         return
@@ -593,8 +586,7 @@ def hidden_spans(truth: Truth) -> Iterator[HiddenSpan]:
         tilt_max = limits.tilt + TILT_NOISE_RAD
         is_tilted = fault.name == "tipped" and abs(fields["angle"]) > tilt_max
         if is_untracked or is_high or is_tilted:
-            robot = truth.setup.names.index(fields["robot"])
-            yield HiddenSpan(robot, fault.name, fault.span.began_s, fault.span.ended_s)
+            yield fault
 
 
 def _highest_mm(truth: Truth, fault: VisibleFault) -> float:

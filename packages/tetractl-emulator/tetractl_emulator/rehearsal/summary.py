@@ -43,9 +43,9 @@ def _noticed_s(truth: Truth, began_s: float) -> float | None:
     return None
 
 
-def table(rows: Sequence[DayRow], names: Sequence[str]) -> str:
-    """Return on how many days faults of these names were met, on how many alone, and after what
-    times the guard noticed these, as a table in Markdown.
+def table(rows: Sequence[DayRow]) -> str:
+    """Return on how many days each fault was met, on how many alone, and after what times the guard
+    noticed these, as a table in Markdown.
     """
     days = Counter(name for row in rows for name, _ in row["met"])
     alone = [row["met"][0] for row in rows if len(row["met"]) == 1]
@@ -53,11 +53,11 @@ def table(rows: Sequence[DayRow], names: Sequence[str]) -> str:
         "| fault | met | alone | noticed | median [s] | p99 [s] | worst [s] |",
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
-    for name in names:
+    for name, count in days.most_common():
         noticed = [noticed_s for met, noticed_s in alone if met == name]
         times_s = [noticed_s for noticed_s in noticed if noticed_s is not None]
         quantiles = [f"{np.quantile(times_s, q):.3f}" if times_s else "" for q in (0.5, 0.99, 1.0)]
-        cells = [name, days[name], len(noticed), len(times_s), *quantiles]
+        cells = [name, count, len(noticed), len(times_s), *quantiles]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 

@@ -340,6 +340,10 @@ class Truth:
         """Return the visible faults of these names of scripts."""
         return [fault for fault in self.faults if fault.name in names]
 
+    def robot_of(self, fault: VisibleFault) -> int:
+        """Return which robot has a fault."""
+        return self.setup.names.index(fault.fields["robot"])
+
     def delay_s(self, *names: str) -> float:
         """Return by how much faults of these names, which state their delay, delay together [s]."""
         return sum(fault.fields["by"] for fault in self.faults_of(*names))

@@ -508,27 +508,14 @@ def test_a_trial_may_count_though_a_cameras_grid_hides_that_it_froze_at_the_end(
 
 
 @pytest.mark.parametrize(
-    ("said", "robot", "wrong"),
-    [
-        (ERROR, "green", False),
-        (ERROR, "blue", True),
-        ("error: trial 1: the moon is full\n", "green", True),
-    ],
+    ("said", "wrong"), [(ERROR, False), ("error: trial 1: the moon is full\n", True)]
 )
-def test_the_reason_names_a_fault_that_was_there(said, robot, wrong):
-    names = broken(GOOD, fault=LOST | {"robot": robot}, said=said)
+def test_the_reason_names_a_fault_that_was_there(said, wrong):
+    names = broken(GOOD, fault=LOST, said=said)
     assert ("reason" in names) == wrong
 
 
-def test_a_name_is_no_pattern_of_other_names():
-    """Regression: a reason that named axb counted as one that named a.b."""
-    setup = replace(SETUP, names=("a.b", "axb", "c"))
-    said = "error: trial 1: axb is not tracked (0.30 s)\n"
-    assert names_of(6, day(GOOD, LOST | {"robot": "a.b"}, said, setup=setup)) == {"reason"}
-
-
 def test_a_reason_that_is_right_without_a_fault_may_begin_with_a_capital():
-    """Regression: it then had to name the robot with the fault, too."""
     truth = day(GOOD, said="error: trial 1: About to leave the arena: blue\n")
     assert names_of(6, truth) == set()
 

@@ -6,6 +6,7 @@ leaves behind (threads, open files) can be seen.
 
 import gc
 import hashlib
+import importlib
 import json
 import math
 import os
@@ -15,6 +16,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -236,6 +238,7 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     os.close(ends)
     code, seconds = wait_for_child(pid, ended)
     os.close(ended)
+    _load_ahead(folder / "modules.txt")
     record = folder / "truth-000.jsonl"
     lines = record.read_text().splitlines() if record.exists() else []
     logs = sorted((folder / "log").glob("*.mcap*"))
@@ -287,6 +290,7 @@ def _run(words: list[str], folder: Path) -> None:
         new = sys.modules.keys() - loaded
         memory = [f"{kept_blocks} blocks of memory"] if kept_blocks > KEPT and not new else []
         (folder / "left.txt").write_text("; ".join([*threads, *files, *memory]))
+        (folder / "modules.txt").write_text("\n".join(new))
         sys.stdout.flush()
         sys.stderr.flush()
     except BaseException as error:
@@ -296,6 +300,13 @@ def _run(words: list[str], folder: Path) -> None:
             traceback.print_exception(error, file=out)
     finally:
         os._exit(code & 0xFF)
+
+
+def _load_ahead(modules: Path) -> None:
+    """Import what a day has imported, so that the next ones need not."""
+    for name in modules.read_text().split() if modules.exists() else ():
+        with suppress(ImportError):
+            importlib.import_module(name)
 
 
 def _open_files() -> set[str]:

@@ -223,7 +223,7 @@ FAULTS = (
         fields={"robot": Name, "share": (Share, 0.0), "every": (Frames, 1)},
         rows=[
             FaultRow("tracked in part", SIGHT, {"share": lost}),
-            FaultRow("tracked at times", SIGHT, {"every": whole_number(12, 34)}),
+            FaultRow("tracked at times", SIGHT, {"every": whole_number(22, 34)}),
         ],
     ),
     fault_kind(

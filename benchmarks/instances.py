@@ -16,11 +16,9 @@ change both, so that a trial may take less. The column after the time is its rat
 
 import argparse
 import csv
-import math
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +32,7 @@ from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
 from tetractl.results.estimate import distributions, proportion_interval
-from tetractl.results.mean_difference import holm, paired_t, signed_rank
+from tetractl.results.mean_difference import paired_t
 
 SETTING = Mapping[str, Any]
 OURS = "recommended"
@@ -102,48 +100,18 @@ def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: in
     return subprocess.run([sys.executable, *command, "--jobs", str(jobs)]).returncode
 
 
-@dataclass(frozen=True)
-class Arm:
-    """The trials of one controller on one instance, by number."""
-
-    name: str
-    unit: str
-    errors: dict[int, float]
-    entered: int
-    left_arena: int
-    seconds: float
-    solving_s: float
+Row = dict[str, str]
+"""A trial, as a row of a study's trials.csv."""
 
 
-def arms(folder: Path) -> list[Arm]:
-    """Return the arms of a study's folder, with the trials that count."""
-    rows: dict[str, list[dict[str, str]]] = {}
-    for row in _read(folder / "trials.csv"):
-        if row["counted"] == "true":
-            rows.setdefault(row["arm"], []).append(row)
-    step_ms: dict[str, list[float]] = {}
-    for row in _read(folder / "times.csv"):
-        step_ms.setdefault(row["arm"], []).append(float(row["solve_mean_ms"]))
-    return [_arm(name, rows_of_arm, step_ms[name]) for name, rows_of_arm in rows.items()]
-
-
-def _read(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def _arm(name: str, rows: list[dict[str, str]], step_ms: list[float]) -> Arm:
-    column = next(key for key in rows[0] if key.startswith("total_error_"))
-    steps = np.mean([float(row["steps"]) for row in rows])
-    return Arm(
-        name,
-        column.rpartition("_")[2],
-        {int(row["trial"]): float(row[column]) for row in rows},
-        sum(row["entered_obstacle"] == "true" for row in rows),
-        sum(row["outside_arena"] == "true" for row in rows),
-        float(np.mean([float(row["duration_s"]) for row in rows])),
-        float(steps * np.mean(step_ms)) / 1e3,
-    )
+def trials_by_arm(folder: Path) -> dict[str, list[Row]]:
+    """Return the trials that count of each arm of a study's folder."""
+    rows: dict[str, list[Row]] = {}
+    with (folder / "trials.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["counted"] == "true":
+                rows.setdefault(row["arm"], []).append(row)
+    return rows
 
 
 HEAD = (
@@ -151,49 +119,40 @@ HEAD = (
     "n",
     "total error, mean and 95 % interval",
     "more than recommended, pairs",
-    "p, Holm",
     "entered",
     "left the arena",
     "trial [s]",
     "over the bound",
-    "solving [s]",
 )
 
 
-def _p_value(p: float) -> str:
-    if math.isnan(p):
-        return ""
-    return f"{p:.1g}" if p >= 1e-4 else "< 0.0001"
-
-
-def table(arms: Sequence[Arm], least_s: float) -> list[str]:
+def table(rows_of: Mapping[str, Sequence[Row]], least_s: float) -> list[str]:
     """Return the lines of an instance's table; `least_s` is that of `bound_s`."""
-    ours = next(arm for arm in arms if arm.name == OURS)
-    against = [_differences(arm, ours) for arm in arms]
-    p_values = holm([signed_rank(d) if len(d) else math.nan for d in against])
+    column = next(key for key in rows_of[OURS][0] if key.startswith("total_error_"))
+    errors_of = {
+        name: {int(row["trial"]): float(row[column]) for row in rows}
+        for name, rows in rows_of.items()
+    }
+    ours = errors_of[OURS]
     lines = [f"| {' | '.join(HEAD)} |", f"|{'---|' * len(HEAD)}"]
-    for arm, differences, p in zip(arms, against, p_values, strict=True):
-        errors = np.array(list(arm.errors.values()))
-        n = len(errors)
+    for name, rows in rows_of.items():
+        errors = errors_of[name]
+        n = len(rows)
+        pairs = sorted(errors.keys() & ours.keys()) if name != OURS else []
+        differences = np.array([errors[trial] - ours[trial] for trial in pairs])
+        time_s = float(np.mean([float(row["duration_s"]) for row in rows]))
         cells = [
-            f"`{arm.name}`",
+            f"`{name}`",
             f"{n}",
-            f"{_mean(errors)} {arm.unit}",
+            f"{_mean(np.array(list(errors.values())))} {column.rpartition('_')[2]}",
             _more(differences),
-            _p_value(p),
-            _share(arm.entered, n),
-            _share(arm.left_arena, n),
-            f"{arm.seconds:.1f}",
-            f"{arm.seconds / least_s:.2f}",
-            f"{arm.solving_s:.2f}",
+            _share(sum(row["entered_obstacle"] == "true" for row in rows), n),
+            _share(sum(row["outside_arena"] == "true" for row in rows), n),
+            f"{time_s:.1f}",
+            f"{time_s / least_s:.2f}",
         ]
         lines.append(f"| {' | '.join(cells)} |")
     return lines
-
-
-def _differences(arm: Arm, ours: Arm) -> Floats:
-    shared_names = arm.errors.keys() & ours.errors.keys() if arm is not ours else set()
-    return np.array([arm.errors[trial] - ours.errors[trial] for trial in sorted(shared_names)])
 
 
 def _mean(errors: Floats) -> str:
@@ -221,7 +180,7 @@ def report(folder: Path, names: Sequence[str]) -> None:
     for name in names:
         if (folder / name / "trials.csv").exists():
             spec = instance(name)
-            lines = table(arms(folder / name), bound_s(spec))
+            lines = table(trials_by_arm(folder / name), bound_s(spec))
             print("\n".join([f"### `{name}`", "", spec.description, "", *lines, ""]))
 
 

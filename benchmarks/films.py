@@ -28,7 +28,7 @@ from pathlib import Path
 import cv2
 
 sys.path.insert(0, str(Path(__file__).parent))
-from filmworld.ours import SETTINGS, shown, track
+from filmworld.ours import SETTINGS, track
 from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.taken_out import RULES, take_out, without
@@ -154,7 +154,7 @@ def rules(chosen: argparse.Namespace) -> None:
         with without(rule):
             rows, _ = unfitted(film, chosen.scale, named(chosen.organism))
             scores = [
-                score_film(str(film.path), truth, shown(follow(film, truth.um_px, None)))
+                score_film(str(film.path), truth, Shown.of(follow(film, truth.um_px, None)))
                 for film, truth in drawn
             ]
         wrong = [sure for score in scores for sure in score.wrong]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -29,6 +30,19 @@ class Shown:
     heading: np.ndarray
     sure: np.ndarray
     numbers: dict[int, dict[str, tuple[float, float]]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, followed: Any) -> "Shown":
+        """Return what paths say: each has an `identity`, and `sightings` in some `frames`."""
+        rows = [
+            (frame, path.identity, c.x, c.y, c.heading, c.sure)
+            for path in followed.paths
+            for frame, c in zip(path.frames.tolist(), path.sightings, strict=True)
+        ]
+        table = np.array(sorted(rows), float).reshape(-1, 6)
+        frame = table[:, 0].astype(int)
+        name = table[:, 1].astype(int)
+        return cls(frame, name, *table[:, 2:5].T, table[:, 5] > 0)
 
 
 @dataclass(slots=True)

@@ -16,9 +16,7 @@ CELL_FIGURES = Registry(
         "paths": "tetractl_microscope.figures.cells:paths_figure",
         "speeds": "tetractl_microscope.figures.cells:speeds_figure",
         "turning": "tetractl_microscope.figures.cells:turning_figure",
-        "msd": "tetractl_microscope.figures.cells:msd_figure",
         "velocities": "tetractl_microscope.figures.cells:velocities_figure",
-        "linearity": "tetractl_microscope.figures.cells:linearity_figure",
     },
 )
 PICTURE_SOURCES = Registry(

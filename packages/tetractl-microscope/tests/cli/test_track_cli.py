@@ -54,7 +54,7 @@ def test_tables_figures_and_a_film_are_written(tracks):
     assert record["film"] == "dish.avi" and record["tetractl"]
     assert [cell["cell"] for cell in record["cells"]] == [int(cell["cell"]) for cell in cells]
     drawn = {path.stem for path in (out / "figures").glob("*.png")}
-    assert {"cells", "paths", "speeds", "turning", "msd"} <= drawn
+    assert drawn == {"cells", "paths", "speeds", "turning", "velocities"}
     for_print = cv2.imread(str(out / "figures" / "cells.png"))
     for_screen = cv2.imread(str(out / "cells.png"))
     assert len(for_print) == pytest.approx(1.5 * len(for_screen), abs=2)  # more dots for print

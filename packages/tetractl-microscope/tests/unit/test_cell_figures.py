@@ -5,7 +5,6 @@ import pytest
 from tetractl_microscope.figures.cells import (
     FilmTracks,
     cells_figure,
-    msd_figure,
     turning_figure,
     turns,
 )
@@ -62,12 +61,12 @@ def test_each_figure_is_drawn_and_states_the_film(kind):
     figure = CELL_FIGURES.load(kind)(film())
     words = [text.get_text() for text in figure.texts]
     assert any("dish.avi: 6 tracks, 6 s, 4 µm/px" in text for text in words)
-    assert len(figure.axes) == (6 if kind == "cells" else 1)
+    assert len(figure.axes) == (4 if kind == "cells" else 1)
 
 
 def test_a_film_without_a_field_or_without_cells_has_the_other_figures():
     titles = [axes.get_title(loc="left") for axes in cells_figure(film(field=False)).axes]
-    assert len(titles) == 5 and not any("turning" in title for title in titles)
+    assert len(titles) == 3 and not any("turning" in title for title in titles)
     assert len(cells_figure(film(0)).axes) == 1
     with pytest.raises(UsageError, match="has no data for the figure 'turning'"):
         turning_figure(film(field=False))
@@ -89,12 +88,3 @@ def test_the_rate_of_turning_is_that_of_the_model_at_any_strength():
     angle, rate = turns(times, poses[:, 2], FIELD)
     assert len(angle) > 100
     assert np.abs(rate - A * np.sin(angle)).max() < 0.2
-
-
-def test_the_displacement_of_a_straight_path_is_the_square_of_the_lag():
-    swimmers = film(1, field=False)
-    ((_, times, poses),) = swimmers.paths
-    poses[:, :2] = np.column_stack([SPEED * times, 0 * times])
-    (axes,) = msd_figure(swimmers).axes
-    lags, squares = axes.lines[0].get_data()
-    assert np.asarray(squares, float) == pytest.approx((SPEED * np.asarray(lags)) ** 2)

@@ -1,4 +1,4 @@
-"""The figures of a film's cells: paths, speeds, turning in the field, and how far they get."""
+"""The figures of a film's cells: paths, speeds, turning in the field, and velocities."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,8 +25,6 @@ NUMBERED = 60  # most cells that are numbered
 TURN_S = 0.2  # time over which the rate of turning is computed [s]
 BINS = 12  # bins of the angle to the field
 BIN_MIN = 3  # least number of values in a bin
-LAGS = 24  # lags of the mean squared displacement
-LAG_SHARE = 0.5  # longest lag, as a share of a track
 VELOCITIES = ("vcl", "vap", "vsl")
 
 
@@ -56,14 +54,12 @@ def cells_figure(film: FilmTracks) -> Figure:
     names: list[Any] = [name for name, panel in PANELS.items() if panel.is_known(film)]
     shape = film.record["height"] / film.record["width"]
     figure = style.figure(style.PAGE_IN, min(2 / 3 * style.PAGE_IN * shape, 5.2) + 2.2)
-    count_below = 3 if len(names) > 5 else 2
-    below = names[-count_below:] if len(names) > 2 else []
-    right = names[1 : len(names) - len(below)] or below
-    rows = [[names[0]] * 4 + [name] * 2 for name in (right * 2)[:2]] or [[names[0]] * 6]
-    if below:
-        first = [below[0]] * (8 - 2 * len(below))
-        rows.append(first + [name for name in below[1:] for _ in range(2)])
-    for letter, (name, axes) in zip("abcdef", figure.subplot_mosaic(rows).items(), strict=False):
+    first, *others = names
+    rows = [[first] * 4 + [others[0]] * 2] if others else [[first]]
+    if below := others[1:]:
+        rows.append([name for name in below for _ in range(6 // len(below))])
+    mosaic = figure.subplot_mosaic(rows, height_ratios=(2, 1)[: len(rows)])
+    for letter, (name, axes) in zip("abcd", mosaic.items(), strict=False):
         PANELS[name].draw(axes, film)
         axes.set_title(f"({letter}) {PANELS[name].title}", loc="left")
     return _headed(figure, film)
@@ -175,14 +171,13 @@ def _means(cells: Sequence[Any], rows: list[Any]) -> tuple[list[Distribution], F
     return means, np.array([(mean.ci95.low, mean.ci95.high) for mean in means]).T
 
 
-def _stated(mean: Distribution, decimals: int = 0, lines: bool = False) -> str:
-    """Return a mean with its interval and n, as text in one line or three."""
+def _stated(mean: Distribution, decimals: int = 0) -> str:
+    """Return a mean with its interval and n, as text."""
     ends = mean.ci95
     text = f"{mean.mean:.{decimals}f}"
     if ends.known:
         text += f" [{ends.low:.{decimals}f}, {ends.high:.{decimals}f}]"
-    text += f", n = {mean.n}"
-    return text.replace(" [", "\n[").replace(", n", "\nn") if lines else text
+    return f"{text}, n = {mean.n}"
 
 
 def _turning(axes: Axes, film: FilmTracks) -> None:
@@ -240,53 +235,11 @@ def turns(times: Floats, heading: Floats, field: dict) -> tuple[Floats, Floats]:
     return (angle + math.pi) % (2 * math.pi) - math.pi, rate
 
 
-def _displacement(axes: Axes, film: FilmTracks) -> None:
-    """Draw each cell's mean squared displacement over the lag, and their mean with its interval."""
-    step = 1 / film.record["rate_hz"]
-    lengths = sorted((len(times) for _, times, _ in film.paths), reverse=True)
-    longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
-    spaced = np.geomspace(1, max(longest, 2), LAGS)
-    lags = np.unique(spaced.astype(int))
-    rows = []
-    by_number = {cell["cell"]: cell for cell in film.record["cells"]}
-    for number, times, poses in film.paths:
-        row = [_squared(times, poses[:, :2], lag, step) for lag in lags]
-        axes.plot(lags * step, row, color=_color(number), lw=0.5, alpha=0.6)
-        rows.append(row)
-    cells = [by_number[number] for number, _, _ in film.paths]
-    means, ends = _means(cells, rows)
-    axes.plot(lags * step, [mean.mean for mean in means], color=style.INK, lw=1.8)
-    axes.fill_between(lags * step, *ends, color=style.INK, alpha=0.2, lw=0)
-    begin = means[0].mean
-    for power, look, name in ((2, ":", "∝ lag²"), (1, "--", "∝ lag")):
-        guide = 2 * begin * (lags / lags[0]) ** power
-        axes.plot(lags * step, guide, color=style.GREY, lw=0.8, ls=look, label=name)
-    axes.set(xscale="log", yscale="log", xlabel="lag [s]", ylabel="displacement² [µm²]")
-    axes.set_xlabel(f"lag [s]\nmean over cells, n = {means[0].n} to {means[-1].n}")
-    axes.legend(loc="upper left")
-
-
-def _squared(times: Floats, places: Floats, lag: int, step: float) -> float:
-    """Return the mean squared displacement over `lag` pictures; NaN if the track is too short."""
-    if lag > LAG_SHARE * len(times):
-        return math.nan
-    is_whole = np.abs(times[lag:] - times[:-lag] - lag * step) < step / 2  # no picture is missing
-    squares = np.square(places[lag:] - places[:-lag]).sum(axis=1)[is_whole]
-    return float(squares.mean()) if len(squares) else math.nan
-
-
-def _strips(
-    names: dict[str, str],
-    label: str,
-    decimals: int,
-    most: float | None,
-    axes: Axes,
-    film: FilmTracks,
-) -> None:
-    """Draw a column of the cells' values for each quantity, with their mean."""
+def _velocities(axes: Axes, film: FilmTracks) -> None:
+    """Draw a column of the cells' values for each velocity, with their mean."""
     labels = []
-    for place, (key, name) in enumerate(names.items()):
-        cells, values = known_values(film.record["cells"], key)
+    for place, name in enumerate(VELOCITIES):
+        cells, values = known_values(film.record["cells"], f"{name}_um_s")
         aside = 0.5 * (np.arange(len(values)) * 0.6180339887 % 1) - 0.25  # separates neighbours
         colors = [_color(cell["cell"]) for cell in cells]
         axes.scatter(place + aside, values, s=9, color=colors, alpha=0.8, linewidths=0)
@@ -294,32 +247,22 @@ def _strips(
         ends = [mean.ci95.low, mean.ci95.high]
         axes.plot([place, place], ends, color=style.INK, lw=3, zorder=4)
         axes.plot(place, mean.mean, "o", ms=5, color="white", mec=style.INK, zorder=5)
-        labels.append(f"{name}\n{_stated(mean, decimals, lines=True)}")
+        labels.append(f"{name.upper()}\n{_stated(mean)}".replace(" [", "\n[").replace(", n", "\nn"))
     axes.set_xticks(range(len(labels)), labels)
     axes.tick_params(axis="x", length=0)
-    axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, most), ylabel=label)
-
-
-def _moves(film: FilmTracks) -> bool:
-    return bool(film.paths)
+    axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, None), ylabel="velocity [µm/s]")
 
 
 def _has(key: str) -> Callable[[FilmTracks], bool]:
     return lambda film: bool(known_values(film.record["cells"], key)[1])
 
 
-_velocities = partial(
-    _strips, {f"{name}_um_s": name.upper() for name in VELOCITIES}, "velocity [µm/s]", 0, None
-)
-_linearity = partial(_strips, {"lin": "LIN"}, "VSL / VCL", 2, 1.0)
 PANELS = {
     "paths": Panel("paths over the first picture", _paths, lambda film: True),
     "speeds": Panel("speed", _speeds, _has("speed_um_s")),
-    "turning": Panel("turning", _turning, lambda film: bool(film.record["field"]) and _moves(film)),
-    "msd": Panel("mean squared displacement", _displacement, _moves),
+    "turning": Panel("turning", _turning, lambda film: bool(film.record["field"] and film.paths)),
     "velocities": Panel("velocities", _velocities, _has("vcl_um_s")),
-    "linearity": Panel("linearity", _linearity, _has("lin")),
 }
-paths_figure, speeds_figure, turning_figure, msd_figure, velocities_figure, linearity_figure = (
+paths_figure, speeds_figure, turning_figure, velocities_figure = (
     partial(_single, name) for name in PANELS
 )

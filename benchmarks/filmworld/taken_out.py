@@ -80,9 +80,6 @@ RULES = {
     ),
     "a lost cell may come back": ((Names, "_come_back", lambda *arguments: None),),
     "sizes tell which cell is which": ((cell_tracks, "SIZED", 0),),
-    "the least likely cell leaves a small shared blob": (
-        (CellTracker, "_left_unseen", lambda tracker, seconds: ()),
-    ),
     "a number ends where pictures do not show it": (
         (Whereabouts, "end_at_gaps", lambda where: None),
     ),

@@ -64,7 +64,7 @@ class CellTrack:
     expected them.
 
     The size of its blobs tells how many cells they show: a blob of its own last had the cell's size
-    at `size_seen_s`, and a shared one has been as small as one cell since `small_since_s` [s].
+    at `size_seen_s` [s].
 
     `Names` finds out its `identity`, which has the probability `certainty` as long as the cell is
     in no `meeting` and there is no open `question`; `together_s` is when it was last too near to
@@ -79,7 +79,6 @@ class CellTrack:
     missed_s: float = 0.0
     newest: TrackBlob | None = None  # in the newest picture
     size_seen_s: float = 0.0
-    small_since_s: float = math.inf
     start: Floats | None = None
     began_s: float = 0.0
     odd_in_turn: int = 0

@@ -1,6 +1,5 @@
 """What a blob says of the cell, or of the cells, that it shows."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -56,16 +55,8 @@ def note_own_blob(cell: CellTrack, newest: TrackBlob, seconds: float) -> None:
     elif seconds - cell.size_seen_s > GROWN_S:
         # nothing else has left the blob: this is its size
         cell.size = usual_size(np.array(cell.path))
-    cell.small_since_s = math.inf
     has_two_areas = size.area_um2 > LARGE * cell.size.area_um2
     newest.is_large = has_two_areas or size.long > LONGER * cell.size.long
-
-
-def note_shared_blob(cells: Sequence[CellTrack], place: Floats, seconds: float) -> None:
-    """Note since when a blob in `place` (5,) that cells share has been as small as one of them."""
-    is_small = _is_small(cells, place)
-    for cell in cells:
-        cell.small_since_s = min(cell.small_since_s, seconds) if is_small else math.inf
 
 
 def note_own_reading(reading: BlobReading) -> None:

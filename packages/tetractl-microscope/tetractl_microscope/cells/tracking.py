@@ -17,7 +17,7 @@ axis [rad], length and width [um] (5,), that of a cell x, y [um] and axis [rad] 
 
 import bisect
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +37,6 @@ from tetractl_microscope.cells.readings import (
     BlobReading,
     note_own_blob,
     note_own_reading,
-    note_shared_blob,
     own_reading,
     shared_readings,
 )
@@ -50,7 +49,6 @@ LOST_S = 0.5  # time without a blob after which a cell is lost
 # begun; for Tetrahymena, and longer for slower organisms
 LOST_SOON_S = 0.1
 NEAR_EDGE = 0.4  # distance to the picture's edge that counts as near, in lengths of the cell
-SHARED_SMALL_S = 1.5  # time for which cells may share a blob as small as one cell
 NEW = 1.15  # way that a cell has swum before it is new no more [lengths]
 REACH = 0.8  # reach about a cell in which the background is not updated, in lengths of the cell
 REACH_PX = 4  # what is added to that reach [px]
@@ -232,7 +230,6 @@ class CellTracker:
         for group in groups:
             if group.newest.is_shared:
                 self._meet(group.cells, now)
-                note_shared_blob(group.cells, group.newest.place, now.seconds)
         for group in groups:
             if not group.newest.is_shared:
                 self._note_own(group.cells[0], group.newest, now)
@@ -294,7 +291,6 @@ class CellTracker:
         """Drop cells that have not been seen for long or have left the picture; note which others
         have swum so far that they are new no more.
         """
-        left_unseen = self._left_unseen(now.seconds)
         remaining = list[CellTrack]()
         for cell in self._cells:
             x, y = self.bank.mean[cell.row, :2].tolist()
@@ -302,7 +298,7 @@ class CellTracker:
             lost_s = max(LOST_S, now.brief_s)
             if at_edge or cell.is_new:
                 lost_s = LOST_SOON_S / self.bank.organism.quickness
-            is_lost = cell in left_unseen or cell.missed_s > lost_s
+            is_lost = cell.missed_s > lost_s
             if is_lost or self._stays(cell, now) or not math.isfinite(x + y):
                 may_return = is_lost and not at_edge and not cell.is_new
                 self._names.give_up(cell, now.seconds, may_return)
@@ -327,26 +323,6 @@ class CellTracker:
         organism = self.bank.organism
         slowest_s = NEW * organism.body_um[0] / organism.slowest_um_s
         return not self._has_swum(cell) and now.seconds - cell.began_s > slowest_s
-
-    def _left_unseen(self, seconds: float) -> Collection[CellTrack]:
-        """Return the cells that have left a shared blob unseen: of each blob that has been as small
-        as one cell for too long the least likely cell, of equals the newest.
-        """
-        hidden = [
-            cell
-            for cell in self._cells
-            if cell.is_shared and seconds - cell.small_since_s > SHARED_SMALL_S
-        ]
-        probabilities = self._names.probabilities(hidden)
-        by_likelihood = sorted(
-            zip(probabilities, hidden, strict=True),
-            key=lambda likely_cell: (likely_cell[0], -likely_cell[1].number),
-        )
-        least_likely: dict[int, CellTrack] = {}  # by the index of the blob
-        for _, cell in by_likelihood:
-            assert cell.newest is not None
-            least_likely.setdefault(cell.newest.index, cell)
-        return least_likely.values()
 
     # ---- what is said of the cells ----
 

@@ -203,24 +203,6 @@ def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
     assert blob.is_large is large
 
 
-def test_of_two_tracks_in_a_blob_of_one_cell_one_ends():
-    def picture(k):  # a cell comes near another, swims next to it, and is not seen any more
-        middle = 30 + 5 * k
-        cells = [(middle, 60, 12, 6)]
-        if k < 25:
-            cells.append((middle, 60 + max(40 - 2 * k, 9), 12, 6))
-        return drawn(cells, (140, 600))
-
-    tracker = CellTracker(2.3, field_known=False, splits=True)
-    tracker.finder.learn([picture(12 * k) for k in range(9)])
-    counts = []
-    for k in range(100):
-        cells = tracker.see(picture(k), k / 30, no_field)
-        counts.append(len(cells))
-    assert counts[20:60] == [2] * 40
-    assert counts[-1] == 1
-
-
 @pytest.mark.parametrize(("came_from", "heading"), [(180.0, 0.0), (220.0, math.pi)])
 def test_a_cell_that_is_astray_heads_the_way_its_blob_has_moved(came_from, heading):
     bank = HelixFilter(field_known=False)

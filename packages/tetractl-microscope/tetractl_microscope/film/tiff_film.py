@@ -130,7 +130,8 @@ def _require_codec(source: FilmSource) -> None:
 
 
 def _pixels(page: Any) -> Raw:
-    """Return the pixels of a page (height, width), or (height, width, samples) in colour.
+    """Return the pixels of a page (height, width), or (height, width, samples) in colour. Of one in
+    which 0 is white, cells are as bright as they are dark otherwise: either are found.
 
     UsageError if its compression needs a package that is not installed.
     """
@@ -144,8 +145,6 @@ def _pixels(page: Any) -> Raw:
         if isinstance(error, ImportError) or IMAGECODECS in str(error):
             raise _codec_missing(page) from error
         raise
-    if _white_first(page) and pixels.dtype.kind == "u":
-        pixels = np.iinfo(pixels.dtype).max - pixels  # as OpenCV does
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
 
 
@@ -153,14 +152,6 @@ def _opencv_reads(page: Any) -> bool:
     """Return whether OpenCV reads a page as it is: of a palette, it gives colours."""
     is_palette = page.keyframe.photometric == PHOTOMETRIC.PALETTE
     return page.keyframe.compression in OF_OPENCV and not is_palette
-
-
-def _white_first(page: Any) -> bool:
-    """Return whether the brightest pixels of a page are those with the number 0."""
-    if page.keyframe.photometric == PHOTOMETRIC.PALETTE and page.keyframe.colormap is not None:
-        brightness = page.keyframe.colormap.mean(axis=0)
-        return bool(brightness[0] > brightness[-1])
-    return page.keyframe.photometric == PHOTOMETRIC.MINISWHITE
 
 
 def _axis_of_time(ome: Mapping[str, str]) -> str:

@@ -51,8 +51,6 @@ def write_geff(
         time = {"type": "time", "unit": "frame", "scale": 1 / rate_hz, "scaled_unit": "second"}
     order = np.lexsort((frame, cell))
     goes_on = np.diff(cell[order]) == 0
-    order = np.lexsort((frame, cell))
-    goes_on = np.diff(cell[order]) == 0
     about = {
         name: PropMetadata(identifier=name, dtype=str(values[name].dtype), description=text)
         for name, text in ABOUT.items()

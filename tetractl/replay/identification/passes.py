@@ -27,7 +27,7 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.model.motion.motion import PARAMETERS
-from tetractl.replay.identification.tracks import Track
+from tetractl.replay.identification.tracks import Track, rows_apart
 
 SHORTEST_S = 0.035
 """Shortest interval: a frame that follows sooner is left out."""
@@ -90,7 +90,9 @@ class TrackFrames:
         """
         if not len(track.sent):
             raise UsageError(f"{track.source}: no direction was sent")
-        rows = _frames_apart(track)
+        rows = np.flatnonzero(track.time <= track.until)
+        before_s = float(track.sent[0]) - SHORTEST_S
+        rows = rows[rows_apart(track.time[rows], SHORTEST_S, before_s)]
         time = track.time[rows]
         poses = np.nan_to_num(track.poses[rows])
         valid = track.valid[rows]
@@ -111,18 +113,6 @@ class TrackFrames:
             lag=track.lag,
             hold=_hold(track),
         )
-
-
-def _frames_apart(track: Track) -> list[int]:
-    """Return the rows of a track's frames that are at least SHORTEST_S apart, from the first
-    direction to the stop."""
-    rows: list[int] = []
-    last = float(track.sent[0]) - SHORTEST_S
-    for row in np.flatnonzero(track.time <= track.until).tolist():
-        if track.time[row] - last >= SHORTEST_S - 1e-9:
-            rows.append(row)
-            last = track.time[row]
-    return rows
 
 
 def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:

@@ -57,7 +57,7 @@ from tetractl.replay.identification.fit import (
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt
 from tetractl.replay.identification.motion_angle import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.standing import Stood, stands_of
-from tetractl.replay.identification.tracks import Track
+from tetractl.replay.identification.tracks import Track, rows_apart
 from tetractl.tools.table.table import Column, Table
 
 STEP_S = 0.1
@@ -283,12 +283,8 @@ class _DrivenTrack:
 def _driven_track(track: Track, robot: int) -> _DrivenTrack:
     """Return the steps of a robot in a track, and its commands."""
     times_s = track.exposed[:, robot]
-    frames: list[int] = []
-    last_s = -np.inf
-    for frame in np.flatnonzero(track.valid[:, robot]).tolist():
-        if times_s[frame] - last_s >= STEP_S - 1e-9:
-            frames.append(frame)
-            last_s = times_s[frame]
+    frames = np.flatnonzero(track.valid[:, robot])
+    frames = frames[rows_apart(times_s[frames], STEP_S)]
     commanded = np.isfinite(track.twists[:, robot]).all(axis=1)
     return _DrivenTrack(
         pose_s=times_s[frames],

@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.wheels import body_velocity
 
@@ -65,6 +65,17 @@ class Track:
         if self.own_times.size:
             return self.own_times
         return np.repeat(self.time[:, None], len(self.names), axis=1)
+
+
+def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Integers:
+    """Return the rows (K,) of increasing times (M,) [s] that are `least_s` [s] or more after the
+    row before, the first one after `last_s` [s]."""
+    rows: list[int] = []
+    for row, time_s in enumerate(times.tolist()):
+        if time_s - last_s >= least_s - 1e-9:
+            rows.append(row)
+            last_s = time_s
+    return np.array(rows, dtype=np.int64)
 
 
 def track_of(log: TrialLog) -> Track:

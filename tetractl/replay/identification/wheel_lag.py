@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from tetractl.core.poses import Floats, Integers
+from tetractl.core.poses import Floats
 from tetractl.replay.identification.motion_angle import Complex, robust_gains
-from tetractl.replay.identification.tracks import SETTLED_S, Track
+from tetractl.replay.identification.tracks import SETTLED_S, Track, rows_apart
 
 LAG_S = 0.02
 """Lag of the wheels that is tried [s]. A host that foresees their lag makes robots turn as if a
@@ -77,7 +77,7 @@ class _Turns:
         seen = drives & track.valid[:, robot]
         times = times[seen]
         headings = np.unwrap(track.poses[seen, robot, 2])
-        rows = _apart(times[::2])
+        rows = rows_apart(times[::2], TURN_S)
         ends = times[::2][rows]
         turned = np.diff(headings[::2][rows])
         is_seen = np.diff(ends) < GAP_S
@@ -107,15 +107,6 @@ class _Turns:
         total = np.concatenate([[0], np.cumsum(pull)])
         of_ends = np.interp(self.end, self.grid, total)
         return np.asarray(of_ends - np.interp(self.begin, self.grid, total), dtype=np.complex128)
-
-
-def _apart(times: Floats) -> Integers:
-    """Return which of some times (M,) [s] are TURN_S or more apart."""
-    rows: list[int] = []
-    for row, time in enumerate(times.tolist()):
-        if not rows or time - times[rows[-1]] >= TURN_S - 1e-9:
-            rows.append(row)
-    return np.array(rows, dtype=np.int64)
 
 
 def _unexplained(robots: Sequence[Sequence[_Turns]], lag_s: float, near_s: float) -> Floats:

@@ -57,7 +57,7 @@ from tetractl.replay.identification.fit import (
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt
 from tetractl.replay.identification.motion_angle import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.standing import Stood, stands_of
-from tetractl.replay.identification.tracks import Track, rows_apart
+from tetractl.replay.identification.tracks import Track, integrals_of_sent, rows_apart
 from tetractl.tools.table.table import Column, Table
 
 STEP_S = 0.1
@@ -268,11 +268,8 @@ class _DrivenTrack:
 
     def sent(self, delay: float) -> Floats:
         """Return the way and turn that were sent in each step (S, 2), a delay [s] before."""
-        total = np.zeros((len(self.sent_s), 2))
-        total[1:] = np.cumsum(np.diff(self.sent_s)[:, None] * self.commands[:-1], axis=0)
-        times = self.pose_s - delay
-        sums = [np.interp(times, self.sent_s, column) for column in total.T]
-        return np.diff(np.column_stack(sums), axis=0)
+        until = integrals_of_sent(self.sent_s, self.commands, self.pose_s - delay)
+        return np.diff(until, axis=0)
 
     def acts(self, dead_time: float) -> Bools:
         """Return in which steps (S,) a command acts."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats, wrap
-from tetractl.replay.identification.tracks import Track
+from tetractl.replay.identification.tracks import Track, integrals_of_sent
 
 BIN_S = 0.5
 STOOD_S = 3.0
@@ -101,9 +101,6 @@ def _is_asked(track: Track, robot: int, times: Floats) -> Bools:
     if not track.twists.size:
         return acts
     twists = np.abs(track.twists[is_sent, robot])
-    sums = np.vstack([np.zeros((1, 2)), np.cumsum(gaps_s[:, None] * twists[:-1], axis=0)])
-    ways, turns = (
-        np.interp(times + BIN_S / 2, sent_s, column) - np.interp(times - BIN_S / 2, sent_s, column)
-        for column in sums.T
-    )
+    until = integrals_of_sent(sent_s, twists, times + BIN_S / 2)
+    ways, turns = (until - integrals_of_sent(sent_s, twists, times - BIN_S / 2)).T
     return acts & ((ways > ASKED * np.quantile(ways, USUAL)) | (turns > ASKED_RAD))

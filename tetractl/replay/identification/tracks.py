@@ -78,6 +78,14 @@ def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Inte
     return np.array(rows, dtype=np.int64)
 
 
+def integrals_of_sent(sent_s: Floats, rates: Floats, times: Floats) -> Floats:
+    """Return the integrals (M, K) up to times (M,) [s] of rates (C, K), each of which is held from
+    when it was sent (C,) [s] until the next one."""
+    total = np.zeros_like(rates)
+    total[1:] = np.cumsum(np.diff(sent_s)[:, None] * rates[:-1], axis=0)
+    return np.column_stack([np.interp(times, sent_s, column) for column in total.T])
+
+
 def track_of(log: TrialLog) -> Track:
     """Return the track of a log: measured poses and commands, never the true poses; UsageError if
     its robots drove with the field off at times."""

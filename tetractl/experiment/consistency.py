@@ -54,7 +54,10 @@ def errors_of(experiment: Experiment, written: bool) -> Findings:
     if not written:
         yield from misplaced(experiment)
     yield from section_errors(experiment)
-    yield from too_large(experiment)
+    needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
+    if needed_gb > MEMORY_GB:
+        message = f"a control step would need some {needed_gb:.3g} GB of memory, more than 1 GB"
+        yield SpecFinding(("controller",), f"{message}; use fewer particles, robots or signals")
     if not written:
         yield from overlapping(experiment)
         yield from unreachable(experiment)
@@ -159,18 +162,7 @@ def section_errors(experiment: Experiment) -> Findings:
                 yield SpecFinding((name, *loc), message)
 
 
-# rules of places and memory
-
-
-def too_large(experiment: Experiment) -> Findings:
-    """A control step needs no more memory than `MEMORY_GB`."""
-    needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
-    if needed_gb > MEMORY_GB:
-        yield SpecFinding(
-            ("controller",),
-            f"a control step would need some {needed_gb:.3g} GB of memory, more than "
-            "1 GB; use fewer particles, robots or signals",
-        )
+# rules of places
 
 
 def overlapping(experiment: Experiment) -> Findings:

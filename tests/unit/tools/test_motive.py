@@ -8,7 +8,7 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
-from tetractl.tools.table.motive import is_motive, motive_rows
+from tetractl.tools.table.motive import table_rows
 
 TIMES_S = np.arange(40) / 20
 
@@ -138,8 +138,7 @@ def write(folder, text):
 def test_what_motive_exports_is_read(tmp_path, name):
     export = EXPORTS[name]
     path = write(tmp_path, export.text())
-    assert is_motive(path)
-    rows = list(motive_rows(path))
+    rows = list(table_rows(path))
     unit = {"Meters": "m", "Millimeters": "mm", "Centimeters": "cm"}[export.units]
     per_metre = {"m": 1.0, "mm": 1e3, "cm": 1e2}[unit]
     for body, robot in enumerate(export.bodies):
@@ -172,7 +171,7 @@ def test_poses_are_those_of_the_camera(tmp_path, up):
         head.append(",".join([str(frame), f"{frame / 20}", *numbers, "0"]))
         body = RigidBody(1, tuple(place), tuple(quaternion), tracking_valid=True)
         expected.append(planar_pose(body, UpAxis.Y if up == "y" else UpAxis.Z))
-    rows = list(motive_rows(write(tmp_path, "\n".join([*head, ""]))))
+    rows = list(table_rows(write(tmp_path, "\n".join([*head, ""]))))
     for row, pose in zip(rows, expected, strict=True):
         assert float(row.cells["x_m"]) == pytest.approx(pose.x, abs=1e-6)
         assert float(row.cells["y_m"]) == pytest.approx(pose.y, abs=1e-6)
@@ -200,16 +199,16 @@ REFUSED = {
 def test_what_cannot_be_read_is_refused(tmp_path, name):
     text, says = REFUSED[name]
     with pytest.raises(UsageError, match=says):
-        list(motive_rows(write(tmp_path, text)))
+        list(table_rows(write(tmp_path, text)))
 
 
 def test_a_coordinate_space_that_is_not_stated_is_global(tmp_path):
-    rows = list(motive_rows(write(tmp_path, PLAIN.replace(",Coordinate Space,Global", ""))))
+    rows = list(table_rows(write(tmp_path, PLAIN.replace(",Coordinate Space,Global", ""))))
     assert len(rows) == 3 * len(TIMES_S)
 
 
 def test_semicolons_of_a_spreadsheet_are_read(tmp_path):
     rows = list(
-        motive_rows(write(tmp_path, replace(Export(), markers=False).text().replace(",", ";")))
+        table_rows(write(tmp_path, replace(Export(), markers=False).text().replace(",", ";")))
     )
     assert len(rows) == 3 * len(TIMES_S)

@@ -27,8 +27,8 @@ from tetractl.replay.identification.sent_directions import (
     other_readings,
 )
 from tetractl.replay.identification.tracks import Track
-from tetractl.tools.table.csv_rows import CsvRow, read_csv
-from tetractl.tools.table.motive import is_motive, motive_rows
+from tetractl.tools.table.csv_rows import CsvRow
+from tetractl.tools.table.motive import table_rows
 from tetractl.tools.table.quantities import (
     METRES,
     METRES_S,
@@ -196,7 +196,7 @@ class _Columns:
 
 def csv_tracks(
     paths: list[Path],
-    rows_of: Callable[[Path], Iterator[CsvRow]] | None = None,
+    rows_of: Callable[[Path], Iterator[CsvRow]] = table_rows,
     shortest_s: float = 0.0,
     on_wheels: bool = True,
 ) -> list[Track]:
@@ -215,7 +215,7 @@ def csv_tracks(
     trials: dict[Trial, _Numbers] = {}
     unit = ""
     for path in paths:
-        rows = _rows(path) if rows_of is None else rows_of(path)
+        rows = rows_of(path)
         first = next(rows, None)
         if first is None:
             raise UsageError(f"{path}: has no rows")
@@ -280,11 +280,6 @@ def _unseen_robots(trials: list[_Numbers]) -> set[str]:
         known = set(rows[np.isfinite(rows).all(axis=1), 1].tolist())
         seen.update(robot for robot, number in numbers.robots.items() if number in known)
     return {robot for numbers in trials for robot in numbers.robots} - seen
-
-
-def _rows(path: Path) -> Iterator[CsvRow]:
-    """Return the rows of a file, which Motive may have exported."""
-    return motive_rows(path) if is_motive(path) else read_csv(path)
 
 
 def _refuse_twice(paths: list[Path]) -> None:

@@ -98,7 +98,10 @@ class TrackFrames:
         valid = track.valid[rows]
         driving = _driving(time, poses, valid, track.lag > 0)
         used = valid & np.logical_or.accumulate(driving, axis=0)
-        placed = used & (time[:, None] - _last_used(time, used) > UNSEEN_S)
+        # when each robot's pose was last used before each frame (M, N), -inf if never
+        latest = np.maximum.accumulate(np.where(used, time[:, None], -np.inf), axis=0)
+        last_used = np.vstack([np.full((1, used.shape[1]), -np.inf), latest])[: len(time)]
+        placed = used & (time[:, None] - last_used > UNSEEN_S)
         most = np.diff(np.searchsorted(track.sent, time)).max(initial=0)
         if most > DIRECTIONS_MAX:
             raise UsageError(f"{most} directions were sent between two frames", "log more frames")
@@ -127,13 +130,6 @@ def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
         first = np.where(driving.any(axis=0), time[driving.argmax(axis=0)], np.inf)
         driving |= time[:, None] >= first - AT_REST_S
     return driving
-
-
-def _last_used(time: Floats, used: Bools) -> Floats:
-    """Return when each robot's pose was last used before each of M frames (M, N), -inf if never."""
-    latest = np.maximum.accumulate(np.where(used, time[:, None], -np.inf), axis=0)
-    before_first = np.full((1, used.shape[1]), -np.inf)
-    return np.vstack([before_first, latest])[: len(time)]
 
 
 def _hold(track: Track) -> tuple[float, float, float]:
@@ -295,7 +291,10 @@ def run(
         if watch is not None:
             residuals += watch.residuals
             lost += watch.lost
-        _keep_likeliest(bank)
+        # each branch of a row goes on from the likeliest one
+        best = bank.ln_weight.argmax(axis=2)[..., None, None]
+        bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
+        bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
     variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., IDENTIFIED]
     return Passed(
         by_block=by_block,
@@ -387,13 +386,6 @@ class _Watch:
     def lost(self) -> Floats:
         """The expected number of lost directions (R,)."""
         return self._missed[:-1].sum(axis=0)
-
-
-def _keep_likeliest(bank: Bank) -> None:
-    """Let each branch of a row have the state of the likeliest one."""
-    best = bank.ln_weight.argmax(axis=2)[..., None, None]
-    bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
-    bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
 
 
 def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:

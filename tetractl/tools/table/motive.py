@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.tools.table.csv_rows import CsvRow, csv_entries, csv_lines, is_number
+from tetractl.tools.table.csv_rows import CsvRow, csv_entries, csv_lines, is_number, read_csv
 
 FIRST = "Format Version"
 """The first entry of such a file."""
@@ -40,10 +40,11 @@ HEADER_ROWS = 10
 """Most lines above the numbers."""
 
 
-def is_motive(path: Path) -> bool:
-    """Return whether a CSV file was exported by Motive."""
+def table_rows(path: Path) -> Iterator[CsvRow]:
+    """Return the rows of a CSV file: the poses in it if Motive exported it."""
     first = next(csv_lines(path), None)
-    return first is not None and first[1].startswith(FIRST)
+    is_of_motive = first is not None and first[1].startswith(FIRST)
+    return motive_rows(path) if is_of_motive else read_csv(path)
 
 
 def motive_rows(path: Path) -> Iterator[CsvRow]:

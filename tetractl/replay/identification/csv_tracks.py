@@ -4,8 +4,8 @@ directions or speeds that robots were sent in another.
 
 import math
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
@@ -194,28 +194,22 @@ class _Columns:
         return UsageError(f"{self.path}, line {row.line}: {column.key} {problem}")
 
 
-def csv_tracks(
-    paths: list[Path],
-    rows_of: Callable[[Path], Iterator[CsvRow]] = table_rows,
-    shortest_s: float = 0.0,
-    on_wheels: bool = True,
-) -> list[Track]:
+def csv_tracks(paths: list[Path]) -> list[Track]:
     """Return the tracks in some CSV files, each of poses or of commands.
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
     time_s, direction_rad and perhaps observed_s and lag_s, or of time_s, v_UNIT_s and w_rad_s, or
     of time_s, left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Times may be in other
     units and count from anywhere, angles may be in degrees. Columns log and trial, if present,
-    assign poses and commands to tracks. A table without robot is of one. `rows_of` reads the rows
-    of a file, by default of a table or of Motive. Robots that are seen for less than `shortest_s`
-    [s], or are not sent any speed where others are, are left out. `on_wheels` is False for cells.
+    assign poses and commands to tracks. A table without robot is of one; a file may be one of
+    Motive. Robots that are never seen, or are not sent any speed where others are, are left out.
     Raises UsageError if data are missing, very many, or of clocks that do not meet.
     """
     _refuse_twice(paths)
     trials: dict[Trial, _Numbers] = {}
     unit = ""
     for path in paths:
-        rows = rows_of(path)
+        rows = table_rows(path)
         first = next(rows, None)
         if first is None:
             raise UsageError(f"{path}: has no rows")
@@ -234,11 +228,7 @@ def csv_tracks(
                 )
     idle = _idle_robots(list(trials.values()))
     unseen = _unseen_robots(list(trials.values()))
-    tracks = [
-        _track(numbers, unit, trial, shortest_s, on_wheels, idle, unseen)
-        for trial, numbers in trials.items()
-    ]
-    return [replace(track, on_wheels=on_wheels) for track in tracks]
+    return [_track(numbers, unit, trial, idle, unseen) for trial, numbers in trials.items()]
 
 
 def _idle_robots(trials: list[_Numbers]) -> set[str]:
@@ -359,15 +349,7 @@ def _position_columns(
     raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
 
 
-def _track(
-    numbers: _Numbers,
-    unit: str,
-    name: Trial,
-    shortest_s: float,
-    on_wheels: bool,
-    idle: set[str],
-    unseen: set[str],
-) -> Track:
+def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: set[str]) -> Track:
     """Return the track of a trial without some robots, its times counted from its first pose."""
     poses_path = numbers.poses_path
     commands_path = numbers.commands_path
@@ -380,13 +362,10 @@ def _track(
     _refuse_two_places(poses_path, rows, list(numbers.robots))
     begin = float(rows[:, 0].min())
     rows[:, 0] -= begin
-    brief = _brief_robots(numbers, rows, shortest_s)
-    absent = {*brief, *idle, *unseen}
-    robots = {robot: k for robot, k in numbers.robots.items() if robot not in absent}
+    robots = {robot: k for robot, k in numbers.robots.items() if robot not in idle | unseen}
     rows = rows[np.isin(rows[:, 1], list(robots.values()))]
     if not robots:
-        long_s = f" for {shortest_s:g} s" if shortest_s else ""
-        raise UsageError(f"{poses_path}: has no robot that is seen{long_s}")
+        raise UsageError(f"{poses_path}: has no robot that is seen")
     names = tuple(robot or ONE_ROBOT for robot in robots)
     time, poses, valid = _frames(poses_path, rows, len(names))
     sent = (
@@ -398,11 +377,9 @@ def _track(
         raise UsageError(f"{commands_path}: states no direction or speed")
     _check_degrees(poses_path, poses, valid)
     _refuse_copies(poses_path, names, time, poses, sent)
-    remarks: list[str] = []
-    if on_wheels:
-        seen_at = [rows[rows[:, 1] == number, 0] for number in robots.values()]
-        refuse_sparse(str(poses_path), min(seen_at, key=_usual_gap))
-        valid, remarks = _measured(poses_path, names, begin + time, poses, valid)
+    seen_at = [rows[rows[:, 1] == number, 0] for number in robots.values()]
+    refuse_sparse(str(poses_path), min(seen_at, key=_usual_gap))
+    valid, remarks = _measured(poses_path, names, begin + time, poses, valid)
     if not numbers.twists:
         _check_angles(poses_path, names, time, poses, valid)
     unsent = idle & set(numbers.robots)
@@ -420,7 +397,7 @@ def _track(
         remarks.append(remark)
     if not numbers.twists:
         directions = SentDirections(begin + sent.when, sent.u)
-        least = FOLLOWED if on_wheels and remark is None else 0.0
+        least = FOLLOWED if remark is None else 0.0
         measured_poses = np.where(valid[..., None], poses, np.nan)
         _check_turning(poses_path, commands_path, begin + time, measured_poses, directions, least)
     return Track(
@@ -435,8 +412,8 @@ def _track(
         u=sent.u,
         until=until,
         frame_age=sent.frame_age,
-        left_out=tuple(brief),
         lag=numbers.lag_s,
+        on_wheels=True,
         all_commands=numbers.lag_s == 0,
         rates_unstated=numbers.lag_s > 0 and not name[0],
         twists=sent.twists,
@@ -462,18 +439,6 @@ def _refuse_two_places(path: Path, rows: Floats, names: list[str]) -> None:
         if not names[int(robot)]:
             hint = "several robots? name them in a column robot"
         raise UsageError(f"{path}: {name} is at two places at {time:.6g} s", hint)
-
-
-def _brief_robots(numbers: _Numbers, rows: Floats, shortest_s: float) -> dict[str, int]:
-    """Return the robots that are seen for less than `shortest_s` [s], with their numbers in the
-    rows (R, 5) of time, robot, x, y and heading.
-    """
-    brief: dict[str, int] = {}
-    for robot, number in numbers.robots.items():
-        of_robot = rows[:, 1] == number
-        if np.ptp(rows[of_robot, 0]) < shortest_s:
-            brief[robot] = number
-    return brief
 
 
 def _usual_gap(times: Floats) -> float:
@@ -601,7 +566,7 @@ def _check_turning(
     least: float,
 ) -> None:
     """Raise UsageError if robots turn by other directions than those that they were sent, or these
-    explain less than a share `least` of their turning, above 0 of robots on wheels."""
+    explain less than a share `least` of their turning."""
     turned: list[TurnedCourse] = []
     for headings in poses[..., 2].T:
         measured = np.isfinite(headings)

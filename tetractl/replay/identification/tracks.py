@@ -24,15 +24,14 @@ class Track:
     [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command was
     sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
-    command decided on it, None if unknown. `left_out` are robots that were seen too briefly. Robots
-    that receive nothing for `watchdog` [s] stop; their wheels follow with the time constant `lag`
-    [s], which is 0 also of robots that are `on_wheels` whose lag nothing states. `strength` is that
-    of the field in `strength_unit`, None if the spec does not state it. `twists` (C, N, 2) are
-    speed [length unit/s] and turning rate [rad/s] that each robot was sent, NaN where it was sent
-    none; without any, C is 0. `own_times` (M, N) are those of robots' poses [s], `time` for all if
-    it is empty. `all_commands` is False of lagging wheels that were sent others between these, and
-    `rates_unstated` True of those of which nothing states whether they steer themselves, or a host
-    sends them rates that foresee their lag.
+    command decided on it, None if unknown. Robots that receive nothing for `watchdog` [s] stop;
+    their wheels follow with the time constant `lag` [s], which is 0 also of robots that are
+    `on_wheels` whose lag nothing states. `strength` is that of the field in `strength_unit`, None
+    if the spec does not state it. `twists` (C, N, 2) are speed [length unit/s] and turning rate
+    [rad/s] that each robot was sent, NaN where it was sent none; without any, C is 0. `own_times`
+    (M, N) are those of robots' poses [s], `time` for all if it is empty. `all_commands` is False of
+    lagging wheels that were sent others between these, and `rates_unstated` True of those of which
+    nothing states whether they steer themselves, or a host sends them rates that foresee their lag.
     `remarks` are lines for the user on the data.
     """
 
@@ -47,7 +46,6 @@ class Track:
     u: Floats
     until: float
     frame_age: float | None = None
-    left_out: tuple[str, ...] = ()
     watchdog: float = math.inf
     lag: float = 0.0
     on_wheels: bool = False

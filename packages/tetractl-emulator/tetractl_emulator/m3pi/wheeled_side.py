@@ -1,22 +1,23 @@
 """What emulated robots on two wheels have in common, whatever reaches them: states and faults.
 
 A side of your own derives from `OwnLines` if each robot takes lines at a port of its own; else from
-`WheeledSide`, or `PortedSide`, and makes `robots`, `wheels` and `radios`.
+`PortedSide`, and makes `radios`, or from `WheeledSide`, and makes `robots` and `wheels`, too.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from random import Random
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, LabSection, entry
 from tetractl.lab.actuators.twist.actuator import drivetrains
+from tetractl.lab.actuators.wheel_commands import radii_mm
 from tetractl_emulator.fault_rows import (
     LINK,
     MOVED,
@@ -31,7 +32,7 @@ from tetractl_emulator.fault_rows import (
     signed,
     whole_number,
 )
-from tetractl_emulator.faults import Share, Undo, fault_kind, port_faults, switching
+from tetractl_emulator.faults import ActingFaults, Share, Undo, fault_kind, port_faults, switching
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import BATTERY_MV, EmulatedRobot, EmulatedRobots
 from tetractl_emulator.m3pi.robot_radio import RobotRadio
@@ -138,35 +139,6 @@ class WheelsSettings(Model):
     robots: tuple[TrueWheels, ...] = ()
     """The robots whose true properties differ from the spec."""
 
-    def trues(self, names: Sequence[str]) -> list[TrueWheels]:
-        """Return the true properties of each robot."""
-        true_wheels = {robot.name: robot for robot in self.robots}
-        return [true_wheels.get(name) or TrueWheels(name=name) for name in names]
-
-
-class PortedSide(WheeledSide):
-    """A `WheeledSide` whose wheels have gains."""
-
-    def roll(
-        self,
-        stage: Stage,
-        trues: Sequence[TrueWheels],
-        gains: Sequence[tuple[float, float]],
-        radii: Floats,
-        limit: tuple[float, float],
-    ) -> None:
-        """Put `robots` on wheels, `radii` (N,) from their centres [mm], of the gains of the spec
-        where true ones are not given; `limit` is the largest count, and the speed of a count
-        [mm/s]."""
-        true_gains = [
-            (true.left_gain or gain[0], true.right_gain or gain[1])
-            for true, gain in zip(trues, gains, strict=True)
-        ]
-        wheels = drivetrains(np.array(true_gains).T * limit[1], limit[0])
-        lags = np.array([true.lag for true in trues])
-        self.timeline = stage.timeline
-        self.wheels = EmulatedRobots(self.robots, wheels, radii, lags, stage.timeline.now_ns)
-
 
 def robots_of_day(
     random: Random, names: Sequence[str], wheel: str, gain: Callable[[float], Any]
@@ -184,28 +156,52 @@ def robots_of_day(
     return {"loss": round(random.uniform(0, 0.05), 3), "robots": robots}
 
 
-class Geared(Protocol):
-    """A robot's entry in a section, with the gains of its wheels."""
+class PortedSide(WheeledSide):
+    """A `WheeledSide` whose section has an entry for each robot, with `radius_mm`, `left_gain` and
+    `right_gain` of its wheels: they are true where the settings do not say otherwise.
 
-    name: str
-    left_gain: float
-    right_gain: float
+    `own` are these entries, and `radii` (N,) the distances from the wheels to the centres [mm], in
+    the order of the setup. `limit` is the largest count, and the speed of a count [mm/s].
+    """
 
+    Settings: ClassVar[type[Model]] = WheelsSettings
 
-def gains_of(robots: Sequence[Geared], names: Sequence[str]) -> list[tuple[float, float]]:
-    """Return the gains of the left and right wheel of each robot in the order of `names`."""
-    gains = {robot.name: (robot.left_gain, robot.right_gain) for robot in robots}
-    return [gains[name] for name in names]
+    @classmethod
+    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
+        """Draw radio and robots of a rehearsed day: gains near those of the section."""
+        section: Any = lab.actuator
+        drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
+        for robot in drawn["robots"]:
+            own = entry(section.robots, robot["name"])
+            robot["left_gain"] *= own.left_gain
+            robot["right_gain"] *= own.right_gain
+        return drawn
 
+    def __init__(self, stage: Stage, settings: WheelsSettings, limit: tuple[float, float]) -> None:
+        section: Any = stage.lab.actuator
+        setup = stage.setup
+        self.own = [entry(section.robots, name) for name in setup.names]
+        self.radii = radii_mm(setup, [own.radius_mm for own in self.own])
+        given = {true.name: true for true in settings.robots}
+        trues = [given.get(name) or TrueWheels(name=name) for name in setup.names]
+        gains = [
+            (true.left_gain or own.left_gain, true.right_gain or own.right_gain)
+            for true, own in zip(trues, self.own, strict=True)
+        ]
+        self.robots = [
+            self.make_robot(row, true.name, true.battery_mv, stage.acting)
+            for row, true in enumerate(trues)
+        ]
+        wheels = drivetrains(np.array(gains).T * limit[1], limit[0])
+        lags = np.array([true.lag for true in trues])
+        self.timeline = stage.timeline
+        self.wheels = EmulatedRobots(self.robots, wheels, self.radii, lags, stage.timeline.now_ns)
 
-def gains_of_day(random: Random, setup: Setup, robots: Sequence[Geared]) -> dict[str, Any]:
-    """Draw the `WheelsSettings` of a rehearsed day: gains near those of the spec's `robots`."""
-    drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
-    gains = gains_of(robots, setup.names)
-    for robot, (left_gain, right_gain) in zip(drawn["robots"], gains, strict=True):
-        robot["left_gain"] *= left_gain
-        robot["right_gain"] *= right_gain
-    return drawn
+    @abstractmethod
+    def make_robot(
+        self, row: int, name: str, battery_mv: int, acting: ActingFaults
+    ) -> EmulatedRobot:
+        """Return the robot in a row of the setup, with its program."""
 
 
 def _swap_numbers(fault: Any, device: Any) -> Undo:

@@ -7,29 +7,18 @@ port without its end.
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from random import Random
 from typing import Any, ClassVar
 
 from tetractl.core.errors import WireError
-from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model
-from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.actuators.own_robots import ROBOT_BAUD
 from tetractl.lab.actuators.own_section import OwnSection
-from tetractl.lab.actuators.wheel_commands import Status, radii_mm
+from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.lab.serial_port import UNREADABLE
 from tetractl.lab.udp_port import SCHEME
 from tetractl.model.wheels import Counts
 from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.m3pi.robot import EmulatedRobot
-from tetractl_emulator.m3pi.wheeled_side import (
-    WHEELED_FAULTS,
-    PortedSide,
-    TrueWheels,
-    WheelsSettings,
-    gains_of,
-    gains_of_day,
-)
+from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, PortedSide, WheelsSettings
 from tetractl_emulator.sides import Stage
 from tetractl_emulator.twist.radio import LineRadio
 
@@ -102,40 +91,21 @@ class OwnRadio(LineRadio):
 
 
 class OwnLines(PortedSide):
-    """Robots at the addresses of an `OwnSection`, whose wheels have the gains and radii of the
-    section where the settings do not say otherwise.
+    """Robots at the addresses of an `OwnSection`."""
 
-    `own` are their entries in the section, and `radii` (N,) the distances from their wheels to
-    their centres [mm], in the order of the setup.
-    """
-
-    Settings: ClassVar[type[Model]] = WheelsSettings
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
         kind for kind in WHEELED_FAULTS if kind.__name__ not in ("stopped_elsewhere", "low_battery")
     )
 
-    @classmethod
-    def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw radio and robots of a rehearsed day."""
-        section = lab.actuator
-        assert isinstance(section, OwnSection), NEEDS
-        return gains_of_day(random, setup, section.robots)
-
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section = stage.lab.actuator
-        names = stage.setup.names
         assert isinstance(section, OwnSection), NEEDS
-        self.own = [entry(section.robots, name) for name in names]
-        trues = settings.trues(names)
-        self.radii = radii_mm(stage.setup, [robot.radius_mm for robot in self.own])
         self._watchdog_s = section.watchdog_s
-        self.robots = [self._robot(row, true, stage.acting) for row, true in enumerate(trues)]
-        gains = gains_of(section.robots, names)
         limit = section.speed_max_mm_s / section.unit_mm, section.unit_mm
-        self.roll(stage, trues, gains, self.radii, limit)
+        super().__init__(stage, settings, limit)
         self.radios = [
-            OwnRadio(stage, robot.address, self, row, settings.loss)
-            for row, robot in enumerate(self.own)
+            OwnRadio(stage, own.address, self, row, settings.loss)
+            for row, own in enumerate(self.own)
         ]
 
     @abstractmethod
@@ -143,8 +113,12 @@ class OwnLines(PortedSide):
         """Return the wheel speeds left, right [unit_mm mm/s] that a message asks of the robot in a
         row of the setup; any of UNREADABLE, such as ValueError, if it cannot be read."""
 
-    def _robot(self, row: int, true: TrueWheels, acting: ActingFaults) -> EmulatedRobot:
+    def make_robot(
+        self, row: int, name: str, battery_mv: int, acting: ActingFaults
+    ) -> EmulatedRobot:
+        """Return the robot in a row of the setup, with a program that reads messages."""
+
         def program(index: int) -> OwnProgram:
             return OwnProgram(lambda message: self.read(message, index), self._watchdog_s)
 
-        return EmulatedRobot(true.name, row, true.battery_mv, program, acting)
+        return EmulatedRobot(name, row, battery_mv, program, acting)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from random import Random
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
 from pydantic import Field
 from tetractl_emulator.fault_rows import RADIO, SIGHT
 from tetractl_emulator.faults import ActingFaults, Fault, Share, port_faults
@@ -13,15 +12,13 @@ from tetractl_emulator.m3pi.wheeled_side import (
     WHEELED_FAULTS,
     PortedSide,
     WheelsSettings,
-    gains_of,
-    robots_of_day,
 )
 from tetractl_emulator.sides import Stage
 
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
-from tetractl.experiment.lab_section import LabSection, entry
+from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.udp_port import SCHEME
 from tetractl_toio.emulated.cube import Connection, CubeProgram, ns
 from tetractl_toio.messages import SPEED_MAX, WHEEL_MM_S
@@ -62,6 +59,7 @@ class ConnectedCube(EmulatedRobot):
 class EmulatedCubes(PortedSide):
     """Emulated cubes, each at a port of its own, which has its name."""
 
+    robots: Sequence[ConnectedCube]
     Settings: ClassVar[type[Model]] = CubesSettings
     faults: ClassVar[Sequence[type[Fault]]] = (
         # a cube tells its pose over the same connection
@@ -72,38 +70,34 @@ class EmulatedCubes(PortedSide):
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
         """Draw connections and cubes of a rehearsed day."""
-        drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
+        drawn = super().world_of_day(random, lab, setup)
         return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
 
     def __init__(self, stage: Stage, settings: CubesSettings) -> None:
         section = stage.lab.actuator
-        names = stage.setup.names
         assert isinstance(section, ToioSection), "the actuator's section has the type toio"
-        sections = [entry(section.robots, name) for name in names]
-        if stage.wires.ports is None and not all(
-            robot.cube.startswith(SCHEME) for robot in sections
-        ):
+        in_memory = stage.wires.ports is not None
+        if not in_memory and not all(own.cube.startswith(SCHEME) for own in section.robots):
             raise UsageError(
                 "cubes cannot be emulated at a Bluetooth adapter",
                 hint=f"name them {SCHEME}127.0.0.1:9801 and so on, in camera and actuator",
             )
-        trues = settings.trues(names)
-        self.robots = [
-            ConnectedCube(name, i, true.battery_mv, stage.acting)
-            for i, (name, true) in enumerate(zip(names, trues, strict=True))
-        ]
-        gains = gains_of(section.robots, names)
-        radii = np.array([robot.radius_mm for robot in sections])
-        self.roll(stage, trues, gains, radii, (SPEED_MAX, WHEEL_MM_S))
+        super().__init__(stage, settings, (SPEED_MAX, WHEEL_MM_S))
         interval = ns(settings.interval)
         self.radios = []
-        for i, (cube, robot) in enumerate(zip(self.robots, sections, strict=True)):
-            port = stage.wires.port(robot.cube)
-            phase = ns(settings.interval * i / len(sections))
+        for i, (cube, own) in enumerate(zip(self.robots, self.own, strict=True)):
+            port = stage.wires.port(own.cube)
+            phase = ns(settings.interval * i / len(self.own))
             timing = (interval, phase, settings.loss)
             seed = stage.options.seed + i
             cube.connection = Connection(stage, port, cube, self.robots, *timing, seed)
             self.radios.append(cube.connection)
+
+    def make_robot(
+        self, row: int, name: str, battery_mv: int, acting: ActingFaults
+    ) -> ConnectedCube:
+        """Return the cube in a row of the setup."""
+        return ConnectedCube(name, row, battery_mv, acting)
 
     def switch(self, on: bool) -> None:
         """Do nothing: cubes that are carried stay on, as they would lose their connections."""

@@ -4,17 +4,14 @@
 Lengths are millimetres.
 """
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.poses import Floats, Poses
 from tetractl.lab.actuators.wheel_commands import Status
-from tetractl.model.motion.rolling import LAG
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
 from tetractl.plant.wheel_kernel import roll
 from tetractl_emulator.faults import ActingFaults
@@ -22,28 +19,15 @@ from tetractl_emulator.firmware import RobotCore
 
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
-STEPS_MAX = 1000  # number of steps that may be integrated together
 FULL_LOAD_MM_S = 2000.0  # both wheels together
 BATTERY_MV = 5100  # of four NiMH cells, without load
 SAG_MV = 150.0  # at full load
-Place = tuple[float, float, float]
-"""x, y, heading of a robot [mm, rad]."""
 Speeds = tuple[float, float]
 """The speeds of a robot's left and right wheel [mm/s]."""
 
 
 Held = tuple[Counts, tuple[float, float]]
 """What a robot's motors are given, and the share of its speed at which each wheel turns."""
-
-
-class RollingWheels(NamedTuple):
-    """Speeds of a robot's wheels, the speeds that they follow [mm/s], and the lag of both [s]."""
-
-    left: float
-    right: float
-    left_target: float
-    right_target: float
-    lag_s: float
 
 
 class Program(Protocol):
@@ -99,27 +83,28 @@ class EmulatedRobot:
     @property
     def x(self) -> float:
         """Position x [mm]."""
-        return self.robots.now().places[self.row][0]
+        return float(self.robots.pose[0, self.row])
 
     @property
     def y(self) -> float:
         """Position y [mm]."""
-        return self.robots.now().places[self.row][1]
+        return float(self.robots.pose[1, self.row])
 
     @property
     def heading(self) -> float:
         """Heading [rad]."""
-        return self.robots.now().places[self.row][2]
+        return float(self.robots.pose[2, self.row])
 
     @property
     def wheels(self) -> Speeds:
         """The speeds of the left and the right wheel [mm/s]."""
-        return self.robots.now().wheels[self.row]
+        left, right = self.robots.wheels
+        return float(left[self.row]), float(right[self.row])
 
     @property
     def standing(self) -> bool:
         """Whether both wheels are at rest, or turn more slowly than a camera could detect."""
-        return self.robots.standing[self.row]
+        return max(map(abs, self.wheels)) < STANDING_MM_S
 
     def hear(self, data: bytes) -> None:
         """Take bytes from the robot's radio module."""
@@ -177,32 +162,13 @@ class EmulatedRobot:
         self.robots.place(self.row, x, y, heading)
 
 
-class RobotsNow(NamedTuple):
-    """The poses [mm, rad] of all robots at a time [ns], and the speeds of their wheels [mm/s]."""
-
-    time_ns: int
-    places: list[Place]
-    wheels: list[Speeds]
-
-
-@dataclass(slots=True)
-class RobotSteps:
-    """The robots' time, and the steps whose motion is not yet computed: those from `settled_ns` to
-    `now_ns`, which end at `ends_ns`.
-    """
-
-    now_ns: int
-    settled_ns: int
-    ends_ns: list[int] = field(default_factory=list)
-
-
 class EmulatedRobots:
-    """The true state of N robots [mm, rad], in the spec's axes, at rest at `start_ns`.
+    """The true state of N robots, in the spec's axes, at rest at `start_ns`: their `pose` (3, N) is
+    x, y [mm] and heading [rad], their `wheels` (2, N) the speeds of left and right ones [mm/s].
 
-    The motors' counts are read once a millisecond, as by the firmware; the motion since the counts
-    last changed is computed when it is asked for. `drivetrains` gives the true wheel speeds for
-    counts, `radius` (N,) [mm] the distance from a wheel to the centre, `lag_s` (N,) [s] the wheels'
-    time constants.
+    The motors' counts are read once a millisecond, as by the firmware. `drivetrains` gives the true
+    wheel speeds for counts, `radius` (N,) [mm] the distance from a wheel to the centre, `lag_s`
+    (N,) [s] the wheels' time constants.
     """
 
     def __init__(
@@ -218,13 +184,12 @@ class EmulatedRobots:
         self._wheeled.roll = roll
         self._wheeled.drive(start_ns, np.array([start_ns]))  # so that the code is loaded before
         self.robots = robots
+        self.pose = self._wheeled.pose
+        self.wheels = self._wheeled.wheels
         self._drivetrains = drivetrains
-        self._steps = RobotSteps(now_ns=start_ns, settled_ns=start_ns)
-        self._newest: RobotsNow | None = None  # what `now` returned last
-        self._stood: tuple[int, list[bool]] = -1, []  # `standing`, and when it was computed [ns]
-        # of each robot, at the end of the motion that is computed; [] if not yet read
-        self._rolling: list[RollingWheels] = []
-        self._held: list[Held] = []
+        self._now_ns = start_ns
+        self._held: list[Held] = []  # of each robot; [] if not yet read
+        self._driven = False  # whether wheels follow a speed that is not 0
         for row, robot in enumerate(robots):
             robot.robots = self
             robot.row = row
@@ -232,86 +197,33 @@ class EmulatedRobots:
     @property
     def now_ms(self) -> int:
         """The time of the robots' firmware [ms]."""
-        return self._steps.now_ns // MILLISECOND
-
-    @property
-    def standing(self) -> list[bool]:
-        """Whether each robot is at rest, or moves more slowly than a camera could detect."""
-        now_ns = self._steps.now_ns
-        if self._stood[0] != now_ns:
-            ahead_s = (self._steps.settled_ns - now_ns) / SECOND
-            if not self._rolling:
-                body = self._wheeled.body
-                rows = zip(*body[3:7].tolist(), body[LAG].tolist(), strict=True)
-                self._rolling = [RollingWheels(*row) for row in rows]
-            self._stood = now_ns, [_stands(ahead_s, wheels) for wheels in self._rolling]
-        return self._stood[1]
+        return self._now_ns // MILLISECOND
 
     def advance(self, until_ns: int) -> None:
         """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
-        steps = self._steps
-        while steps.now_ns < until_ns:
+        wheeled = self._wheeled
+        while self._now_ns < until_ns:
             held: list[Held] = [
                 (robot.counts(), (robot.share("left"), robot.share("right")))
                 for robot in self.robots
             ]
-            if len(steps.ends_ns) == STEPS_MAX:
-                self._settled()
             if held != self._held:
-                wheeled = self._settled()
                 self._held = held
                 counts, shares = (np.array(values).T for values in zip(*held, strict=True))
                 wheeled.targets[:] = shares * self._drivetrains.speeds(counts)
+                self._driven = bool(wheeled.targets.any())
                 is_stuck = shares == 0
                 wheeled.wheels[is_stuck] = 0.0  # it stands at once
-            steps.now_ns = min(steps.now_ns + MILLISECOND, until_ns)
-            steps.ends_ns.append(steps.now_ns)
+            since_ns = self._now_ns
+            self._now_ns = min(since_ns + MILLISECOND, until_ns)
+            if self._driven or wheeled.wheels.any():
+                wheeled.drive(since_ns, np.array([self._now_ns]))
 
     def place(self, row: int, x: float, y: float, heading: float) -> None:
         """Put a robot, at rest, at a pose [mm, rad]."""
-        wheeled = self._settled()
-        wheeled.pose[:, row] = x, y, heading
-        wheeled.wheels[:, row] = 0.0
-        self._forget()
+        self.pose[:, row] = x, y, heading
+        self.wheels[:, row] = 0.0
 
     def shift(self, row: int, x: float, y: float, turn: float) -> None:
         """Move a robot [mm, rad] without stopping its wheels."""
-        self._settled().pose[:, row] += x, y, turn
-        self._forget()
-
-    def _forget(self) -> None:
-        self._newest = None
-        self._stood = (-1, [])
-
-    def now(self) -> RobotsNow:
-        """Return where the robots are now, and how fast their wheels turn."""
-        newest = self._newest
-        now_ns = self._steps.now_ns
-        if newest is None or newest.time_ns != now_ns:
-            body = self._settled().body
-            places = list(zip(*body[:3].tolist(), strict=True))
-            wheels = list(zip(*body[3:5].tolist(), strict=True))
-            newest = RobotsNow(now_ns, places, wheels)
-            self._newest = newest
-        return newest
-
-    def _settled(self) -> WheeledRobots:
-        """Return the robots as they are now."""
-        wheeled = self._wheeled
-        steps = self._steps
-        self._rolling = []
-        if not steps.ends_ns:
-            return wheeled
-        if wheeled.targets.any() or wheeled.wheels.any():
-            wheeled.drive(steps.settled_ns, np.array(steps.ends_ns))
-        steps.settled_ns = steps.now_ns
-        steps.ends_ns = []
-        return wheeled
-
-
-def _stands(ahead_s: float, wheels: RollingWheels) -> bool:
-    """Return whether a robot's wheels stand at -`ahead_s`."""
-    remaining = math.exp(ahead_s / wheels.lag_s) if wheels.lag_s > 0 else 0.0
-    left = wheels.left_target + (wheels.left - wheels.left_target) * remaining
-    right = wheels.right_target + (wheels.right - wheels.right_target) * remaining
-    return max(abs(left), abs(right)) < STANDING_MM_S
+        self.pose[:, row] += x, y, turn

@@ -89,7 +89,7 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
             fleet.advance(command.sent_ns)
             broadcast_to(fleet, number, command, known_wheels)
         fleet.advance(now_ns)
-        difference = np.array(fleet.now().places) - sample.truth.array()
+        difference = fleet.pose.T - sample.truth.array()
         differences.append(np.abs(difference).max())
     first, late, last = (samples[k].truth.xy for k in (0, -30, -1))
     assert np.abs(last - first).max() > 50

@@ -35,16 +35,6 @@ def test_tables_hold_what_the_logs_hold(folder):
         assert row["total_error_mm"] == log.result.total_error
 
 
-def test_the_names_of_lengths_end_in_their_unit(folder):
-    """Regression: distances of trials and costs of steps had none."""
-    tetractl(folder, "export", "logs", "-o", "named").ok()
-    headers = [path.read_text().partition("\n")[0] for path in (folder / "named").glob("*.csv")]
-    names = set(",".join(headers).split(","))
-    lengths = {"clearance", "edge", "apart", "cost", "target_cost", "total_error", "distance"}
-    assert not names & lengths
-    assert names >= {f"{name}_mm" for name in lengths}
-
-
 def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_path):
     (tmp_path / "a.mcap").write_bytes((folder / "logs" / "trial-000.mcap").read_bytes())
     (tmp_path / "b.mcap").write_bytes(b"nothing")

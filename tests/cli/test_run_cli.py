@@ -147,15 +147,6 @@ def test_searches_that_meet_their_deadline_give_the_same_logs_whatever_the_jobs(
     assert digests(tmp_path / "l1") == digests(tmp_path / "l2")
 
 
-@pytest.mark.long
-def test_another_seed_gives_other_logs(batch, tmp_path):
-    folder, _ = batch
-    args = ["--seed", 8, "--trials", 1]
-    run(folder / "quick.yaml", *args, "--out", "other", cwd=tmp_path).ok()
-    of_another_seed = digests(tmp_path / "other").values()
-    assert set(of_another_seed).isdisjoint(digests(folder / "logs").values())
-
-
 def test_a_dry_run_writes_nothing_and_prints_a_spec(batch, tmp_path):
     folder, _ = batch
     spec = folder / "quick.yaml"

@@ -188,12 +188,6 @@ def test_robots_stand_until_they_are_steered(make):
         assert np.abs(last.poses.xy - starts_of(rig)).max() <= rig.true_to
 
 
-def test_robots_move_when_steered(make):
-    rig = make(1)
-    verdict = drive(rig, DIRECTIONS * 3).verdict
-    assert np.hypot(*(verdict.final.xy - starts_of(rig)).T).max() > 10
-
-
 def test_robots_go_straight_on_with_the_field_off_where_it_can_be_switched(make):
     rig = make(1)
     with opened(rig):

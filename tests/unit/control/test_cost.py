@@ -63,15 +63,6 @@ def test_the_first_signal_may_be_held_for_another_time():
     assert path[:, 0, 0].tolist() == pytest.approx([0, 5, 25, 45])
 
 
-def test_the_prediction_of_a_swarm_is_that_of_its_particles():
-    problem = problems.problem(problems.world(3))
-    signals = np.random.default_rng(3).uniform(-3, 3, (5, 4))
-    path = predict(problem, signals)
-    assert path.shape == (5, 5, 3, 3)
-    for n in range(5):
-        assert path[:, n] == pytest.approx(predict(problem, signals[n]), rel=1e-14)
-
-
 def test_a_problem_is_taken_from_the_experiment():
     control = {"collision": {"margin": 10, "walls": False}, "obstacle_weight": 5, "period": 0.2}
     spec = experiment(controller={"type": "mpc"} | control)

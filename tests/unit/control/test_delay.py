@@ -80,14 +80,6 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
     assert checked > 15
 
 
-def test_without_a_dead_time_the_poses_are_those_of_the_frame():
-    problem, estimates = estimator(0.0)
-    for k, u in enumerate([0.3, -2.0, 1.0]):
-        frame = seen(problem, 0.2 * k, x=problem.poses.x + 7 * k)
-        motion = estimates.add_step(frame, command(u, 0.2 * k - 0.2) if k else None)
-        assert np.array_equal(motion.poses.array(), frame.poses.array())
-
-
 @pytest.mark.parametrize("watchdog", [math.inf, 0.25])
 def test_robots_stand_before_the_first_command_acts(watchdog):
     problem, estimates = estimator(0.3, watchdog=watchdog)

@@ -61,12 +61,6 @@ def test_a_policy_along_the_gap_arrives_and_is_verified_from_the_log_alone(tmp_p
     assert verification.checked == len(trial.steps)
 
 
-def test_the_log_has_the_file_of_weights(tmp_path):
-    path = spec_file(tmp_path, [TOWARDS_TARGET])
-    trial = api.run_trial(path)
-    assert dict(trial.start.attached)["weights.json"] == (tmp_path / "weights.json").read_text()
-
-
 def test_features_are_gaps_headings_and_the_last_direction(tmp_path):
     setup = api.load_spec(spec_file(tmp_path, [TOWARDS_TARGET])).experiment.setup
     poses = Poses.of(np.array([[2000.0, 1500.0, math.pi / 2]]))
@@ -114,10 +108,13 @@ def test_layers_that_do_not_fit_are_refused_by_name(layers, words, tmp_path):
     assert words in str(refused.value)
 
 
-def test_a_file_that_is_not_json_is_refused_by_name(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "words"), [("layers: []", "is not JSON"), ("[" * 100_000, ".* nested too deep")]
+)
+def test_a_file_that_holds_no_weights_is_refused_by_name(text, words, tmp_path):
     path = spec_file(tmp_path, [TOWARDS_TARGET])
-    (tmp_path / "weights.json").write_text("layers: []")
-    with pytest.raises(InvalidSpecError, match=r"weights.json: is not JSON"):
+    (tmp_path / "weights.json").write_text(text)
+    with pytest.raises(InvalidSpecError, match=rf"weights.json: {words}"):
         api.load_spec(path)
 
 
@@ -175,13 +172,6 @@ def test_pairs_of_arrays_are_layers(tmp_path):
     first, last = api.load_spec(path).experiment.controller.layers
     assert first.arrays()[0].tolist() == TOWARDS_TARGET["weights"]
     assert last.arrays()[1].tolist() == [0, 1]
-
-
-def test_weights_nested_without_end_are_refused_by_name(tmp_path):
-    path = spec_file(tmp_path, [TOWARDS_TARGET])
-    (tmp_path / "weights.json").write_text("[" * 100_000)
-    with pytest.raises(InvalidSpecError, match=r"weights.json: .* nested too deep"):
-        api.load_spec(path)
 
 
 def test_a_policy_that_overflows_says_so_and_warns_of_nothing(tmp_path, recwarn):

@@ -475,15 +475,6 @@ def test_a_robot_is_stopped_before_its_body_enters_an_obstacle():
     assert drive.green.x == pytest.approx(700.0 - 47.0 - AHEAD_X, abs=3.0)
 
 
-def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_it_but_not_go_deeper():
-    touched = replace(BOX, radius=210.0)  # 17 mm deep at the start
-    leaving = Drive(obstacles=(touched,), done=(-50.0, 0.0, 0.0))
-    assert leaving.go(0.1).state is GuardState.RUN
-    deeper = Drive(obstacles=(touched,))
-    assert deeper.go(1.0).reason == "green is about to enter an obstacle"
-    assert deeper.green.x < PLACES[0].x + 7.0
-
-
 def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():
     drive = Drive(blue=Pose(900.0, 620.0, 2.0), goes_on=True)
     drive.go(0.1)

@@ -19,12 +19,22 @@ from tetractl.lab.guard_records import GuardState
 
 
 @pytest.fixture
-def hung(monkeypatch):
+def lab():
+    """A lab whose robots drive."""
+    driving = fake_lab(experiment().setup)
+    driving.plant.open()
+    driving.plant.send(Steer(0.5))
+    return driving
+
+
+def wait_a_second(lab):
+    lab.clock.sleep_until(lab.clock.now() + SECOND)
+
+
+@pytest.fixture
+def hung(lab, monkeypatch):
     """A running lab whose loop hangs in a step of its own thread: the camera returns no frames."""
     monkeypatch.setattr(inner_loop, "STOP_S", 0.01)
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
     loop = lab.plant.rig.loop
     lab.clock.steps.remove(loop.step)
     entered = threading.Event()
@@ -135,18 +145,17 @@ def test_a_stop_past_a_loop_that_hangs_never_raises(hung, monkeypatch):
     assert len(calls) == 10
 
 
-def test_the_abort_of_a_new_guard_has_stops_of_its_own():
+def test_the_abort_of_a_new_guard_has_stops_of_its_own(lab):
     """Regression: a loop sent the stops of an abort once, whichever guard it was of."""
     lab = fake_lab(experiment().setup)
     lab.plant.open()
     loop = lab.plant.rig.loop
-    lab.plant.send(Steer(0.5))
     loop.guard.abort("the first")
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     lab.plant.rig.settle(lab.plant.rig.setup)
     before = len(lab.actuator.sent)
     loop.guard.abort("the second")
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     assert len(lab.actuator.sent) == before + 10
 
 
@@ -176,7 +185,7 @@ def test_what_was_written_slowly_is_not_repeated_within_half_a_period(monkeypatc
 
     monkeypatch.setattr(lab.actuator, "send", send_late)
     lab.plant.send(Steer(0.5))
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     sent_ns = [sent.sent_ns for sent in lab.actuator.sent]
     assert min(np.diff(sent_ns)) >= SECOND // 80
 
@@ -189,11 +198,8 @@ def test_a_loop_that_is_not_ready_steers_nothing():
     assert lab.actuator.sent == []
 
 
-def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(monkeypatch):
+def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(lab, monkeypatch):
     """Regression: naming the culprit takes some 10 ms, and the stop waited for it."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
     guard = lab.plant.rig.loop.guard
     sent = []
 
@@ -220,11 +226,8 @@ SPEEDS = {"left": np.array([math.nan] * 3)}, {"left": np.zeros(1)}
 
 
 @pytest.mark.parametrize("change", [*SPEEDS, {"sent_ns": 1.5}, None, *UNTIMELY])
-def test_a_transmission_that_no_log_can_hold_stops_the_robots(change):
+def test_a_transmission_that_no_log_can_hold_stops_the_robots(lab, change):
     """Regression: exit 0, and a log that could not be read."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
     send = lab.actuator.send
     lab.actuator.send = lambda *a: None if change is None else replace(send(*a), **change)
     text = "sent at .* ns, not between 0 and now" if change in UNTIMELY else "that no log can hold"
@@ -233,85 +236,75 @@ def test_a_transmission_that_no_log_can_hold_stops_the_robots(change):
     assert lab.actuator.sent[-1].direction is None  # a stop
 
 
-SPOILT = [(10**6, math.nan), (10**6, math.inf), (10**6, 1e300), (2**70, 0.0), (1.5, 0.0)]
+NO_FRAME = "frame that no log can hold"
+SPOILT = {  # a frame of a number at a time, received at another, and what is said of it
+    "nan": (CameraFrame(10**6, 0, 0, (Pose(math.nan, 0.0, 0.0), None, None)), NO_FRAME),
+    "inf": (CameraFrame(10**6, 0, 0, (Pose(math.inf, 0.0, 0.0), None, None)), NO_FRAME),
+    "1e300": (CameraFrame(10**6, 0, 0, (Pose(1e300, 0.0, 0.0), None, None)), NO_FRAME),
+    "a number of 70 bits": (CameraFrame(2**70, 0, 0, (None,) * 3), NO_FRAME),
+    "no whole number": (CameraFrame(1.5, 0, 0, (None,) * 3), NO_FRAME),
+    "received before its exposure": (CameraFrame(10**6, 10**18, 0, (None,) * 3), "frame received "),
+    "a pose that is later": (
+        CameraFrame(10**6, 0, 0, (None,) * 3, exposed_ns=(0, 0, 1)),
+        "pose exposed after the time of its frame",
+    ),
+}
 
 
-@pytest.mark.parametrize(("number", "value"), SPOILT)
-def test_a_frame_that_no_log_can_hold_stops_the_robots(number, value):
-    """Regression: a camera's NaN came into the log, which could not be read."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
+@pytest.mark.parametrize("case", SPOILT)
+def test_a_frame_that_cannot_be_stops_the_robots(lab, case):
+    """Regression: a camera's NaN came into the log, which could not be read, or `verify` refused
+    it."""
+    spoilt, says = SPOILT[case]
     frames = lab.camera.frames
-    spoilt = CameraFrame(number, 0, 0, (Pose(value, 0.0, 0.0), None, None))
     lab.camera.frames = lambda: [*frames(), spoilt]
     lab.plant.rig.loop.step()
     guard = lab.plant.rig.loop.guard
     assert guard.state is GuardState.ABORT
-    assert "a camera returned a frame that no log can hold" in guard.reason
+    assert f"a camera returned a {says}" in guard.reason
     assert lab.actuator.sent[-1].direction is None  # a stop
 
 
-def test_a_failure_that_is_no_text_stops_the_robots():
+def test_a_failure_that_is_no_text_stops_the_robots(lab):
     """Regression: no log could hold the reason, and the log stayed a .part."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
     lab.actuator.failure = 5
     lab.plant.rig.loop.step()
     assert "an actuator returned a failure that is no text" in lab.plant.rig.loop.guard.reason
 
 
-def test_a_frame_that_arrives_before_its_exposure_stops_the_robots():
-    """Regression: exit 0, and a log that `verify` refused."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
-    lab.camera.frames = lambda: [CameraFrame(10**6, 10**18, lab.clock.now(), (None,) * 3)]
-    lab.plant.rig.loop.step()
-    assert "a camera returned a frame received " in lab.plant.rig.loop.guard.reason
-    assert lab.actuator.sent[-1].direction is None  # a stop
-
-
-def lab_whose_camera_is_gone():
+@pytest.fixture
+def blind(lab):
     """A lab a second after its camera began to raise in each step, while robots drove."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
 
     def frames():
         raise AbortError("the camera is gone")
 
     lab.camera.frames = frames
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     return lab
 
 
-def test_a_camera_that_raises_for_good_stops_the_robots():
+def test_a_camera_that_raises_for_good_stops_the_robots(blind):
     """Regression: the stop was left to the next step, which failed before it: robots drove on."""
-    lab = lab_whose_camera_is_gone()
-    assert lab.plant.rig.loop.guard.reason == "the camera is gone"
-    assert [sent.direction for sent in lab.actuator.sent[-10:]] == [None] * 10
-    assert lab.world.moving == (False,) * 3
+    assert blind.plant.rig.loop.guard.reason == "the camera is gone"
+    assert [sent.direction for sent in blind.actuator.sent[-10:]] == [None] * 10
+    assert blind.world.moving == (False,) * 3
 
 
-def test_an_emergency_stop_is_sent_after_an_abort_too():
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
+def test_an_emergency_stop_is_sent_after_an_abort_too(lab):
     lab.plant.rig.loop.guard.abort("another fault")
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     assert lab.actuator.emergencies == 0
     lab.supervision.emergency.set()
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     assert lab.actuator.emergencies == 10
     assert lab.plant.rig.loop.guard.reason == "another fault"
 
 
-def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step():
+def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step(blind):
     """Regression: a step read the key after the camera's frames, so it was never obeyed while
     the camera raised: nothing was sent, and no device latched a stop."""
-    lab = lab_whose_camera_is_gone()
+    lab = blind
     assert lab.actuator.emergencies == 0
     pressed_ns = lab.clock.now()
     lab.supervision.emergency.set()
@@ -322,12 +315,9 @@ def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step():
     assert lab.plant.rig.loop.guard.reason == "the camera is gone"
 
 
-def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops():
+def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops(lab):
     """Regression: the first stop that a port did not take ended the series, though the actuator had
     written it to the ports of the other robots: they got one stop of each ten."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
     emergencies = []
 
     def stop_the_others(emergency=False):
@@ -336,20 +326,17 @@ def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops():
 
     lab.actuator.stop = stop_the_others
     lab.plant.rig.loop.guard.abort("another fault")
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     assert emergencies == [False] * 10
     assert lab.plant.rig.loop.stop() is None
     assert emergencies == [False] * 20
     lab.supervision.emergency.set()
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     assert emergencies == [False] * 20 + [True] * 10
 
 
-def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops():
+def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops(lab):
     """Regression: the others got two stops. An abort at the first stop begins ten more."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
     sent_ns = []
 
     def stop_the_others(emergency=False):
@@ -358,7 +345,7 @@ def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops():
 
     lab.actuator.stop = stop_the_others
     assert lab.plant.rig.loop.stop() is None
-    lab.clock.sleep_until(lab.clock.now() + SECOND)
+    wait_a_second(lab)
     assert len(sent_ns) == 11
     assert min(np.diff(sent_ns)) > 0
     assert sent_ns[-1] - sent_ns[0] < SECOND // 4

@@ -11,7 +11,6 @@ from support.paths import ROOT
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Steer
 from tetractl.core.poses import CameraFrame, Pose, Sight
 from tetractl.core.setup import Bounds
 from tetractl.core.trial import Note
@@ -289,18 +288,6 @@ def test_a_camera_that_is_slower_than_it_says_causes_a_warning(declared_hz, warn
     notes = [note for note in lab.plant.news() if isinstance(note, Note)]
     warnings = [note for note in notes if "frames a second come instead of 200" in note.text]
     assert len(warnings) == warned
-
-
-def test_a_pose_that_is_later_than_its_frame_stops_the_robots():
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
-    lab.plant.send(Steer(0.5))
-    now = lab.clock.now()
-    late = CameraFrame(10**6, now, now, (None,) * 3, exposed_ns=(now, now, now + 1))
-    lab.camera.frames = lambda: [late]
-    lab.plant.rig.loop.step()
-    assert "a pose exposed after the time of its frame" in lab.plant.rig.loop.guard.reason
-    assert lab.actuator.sent[-1].direction is None  # a stop
 
 
 def test_the_setup_of_another_plant_has_the_sight_of_its_camera(monkeypatch):

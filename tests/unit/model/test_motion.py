@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import quad
 
 from tetractl.core.registries import MOTIONS as REGISTRY
-from tetractl.model.motion.exact import rates
 
 pytestmark = pytest.mark.slow
 
@@ -31,17 +30,6 @@ def stepped(motion, x, y, heading, u, a, v, t):
     of_one_robot = [np.array([float(number)]) for number in (x, y, heading, u, a, v)]
     pose = motion(*of_one_robot, t)
     return tuple(float(part[0]) for part in pose)
-
-
-def integrated(x, y, heading, u, a, v, t, turning=None):
-    """(1)-(3) by a Runge-Kutta method of order 8; `turning` [rad/s] holds the wheels instead."""
-
-    def change(_, state):
-        east, north, turn = rates(state[2], u, a, v)
-        return [east, north, turn if turning is None else turning]
-
-    solution = solve_ivp(change, (0, t), [x, y, heading], method="DOP853", rtol=3e-14, atol=1e-12)
-    return tuple(solution.y[:, -1])
 
 
 def displaced(phi, a, v, t):
@@ -90,21 +78,6 @@ def test_held_wheels_drive_an_arc(heading, u, a, v, t):
     x, y, turned = stepped(arc, 50, 60, heading, u, a, v, t)
     assert (x, y) == pytest.approx(expected, abs=1e-6)
     assert turned == pytest.approx(heading + turning * t, abs=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_arc_and_the_exact_step_solve_their_differential_equations(seed):
-    rng = np.random.default_rng(seed)
-    heading, u = rng.uniform(-7, 7, 2)
-    a = rng.uniform(0.1, 7)
-    v = rng.uniform(1, 300)
-    t = rng.uniform(0.01, 1.2)
-    assert stepped(exact, 0, 0, heading, u, a, v, t) == pytest.approx(
-        integrated(0, 0, heading, u, a, v, t), abs=1e-9
-    )
-    assert stepped(arc, 0, 0, heading, u, a, v, t) == pytest.approx(
-        integrated(0, 0, heading, u, a, v, t, turning=a * math.sin(u - heading)), abs=1e-9
-    )
 
 
 GAPS = st.just(0.0) | st.floats(-14, -1).map(lambda power: 10**power)

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
@@ -30,21 +28,6 @@ def test_the_papers_robot_by_hand():
     left_mm_s, right_mm_s = wheel_speeds(1.0, np.array([6.0]), np.array([180.0]), 40)
     assert (left_mm_s[0], right_mm_s[0]) == (180 - 240, 180 + 240)  # (24), (25)
     assert body_velocity(left_mm_s, right_mm_s, 40) == (180, 6)  # (21)-(23)
-
-
-@given(
-    heading=st.floats(-10, 10),
-    u=st.floats(-10, 10),
-    a=st.floats(0.1, 20),
-    v=st.floats(0, 500),
-    r=st.floats(1, 100),
-)
-def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
-    sine = math.sin(u - heading)
-    left_mm_s, right_mm_s = wheel_speeds(sine, np.array([a]), np.array([v]), r)
-    speed, turning = body_velocity(left_mm_s, right_mm_s, r)
-    assert speed[0] == pytest.approx(v, abs=1e-9)
-    assert turning[0] == pytest.approx(a * sine, abs=1e-9)  # (3)
 
 
 def headings_at_rest(lag_s, sent, frames, acts_ns):

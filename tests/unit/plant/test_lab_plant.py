@@ -289,22 +289,6 @@ def test_the_last_frame_is_that_of_the_final_poses_however_late_it_is_asked_for(
     assert (lab.plant.samples()[-1].observation.poses.array() == final).all()
 
 
-def test_a_robot_that_turns_on_the_spot_does_not_stand():
-    lab = stopped()
-    held = lab.world.advance
-
-    def spinning():
-        held()
-        lab.world.poses[1, 2] = lab.clock.now() / SECOND * 3.0
-
-    lab.world.advance = spinning
-    not_at_rest = lab.plant.settle().not_at_rest
-    assert not_at_rest == (
-        "2 s after the stop: blue still moves (0 mm/s, +3.00 rad/s); "
-        "still moves: blue: switch it off"
-    )
-
-
 def test_a_pose_that_turns_in_a_pause_aborts():
     """Regression: the rest in a pause was not checked."""
     lab = driving()

@@ -11,7 +11,7 @@ from support.paths import ROOT
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Limits, Problem
-from tetractl.core.poses import Poses, wrap
+from tetractl.core.poses import Poses
 from tetractl.experiment.load import load_spec
 from tetractl.model.obstacles import Obstacles
 
@@ -69,17 +69,6 @@ def test_what_is_out_of_reach_is_given_up_after_one_round():
     assert result.evaluations < 3000
 
 
-def test_a_deadline_ends_the_search_with_the_best_so_far():
-    problem = reference_problem()
-    spec = Multistart(tolerance=1e-300)
-    looks = iter([False, False, False])
-    result = spec.search(problem, 30, None, 1, Limits(expired=lambda _: next(looks, True)))
-    assert result.stopped == "deadline"
-    assert result.cost == pytest.approx(evaluate(problem, result.signals[None]).total[0], rel=1e-9)
-    again = spec.search(problem, 30, None, 1, Limits(result.evaluations))
-    assert np.array_equal(again.signals, result.signals)
-
-
 @given(
     steps=st.sampled_from([1, 3000, 20_000]),
     seed=st.integers(0, 2**32),
@@ -123,13 +112,6 @@ def test_a_search_that_was_cut_short_comes_out_again(tolerance, looks, seed, war
     assert again.history.tobytes() == result.history.tobytes()
     assert again.signals.tobytes() == result.signals.tobytes()
     assert (again.evaluations, again.stopped) == (result.evaluations, result.stopped)
-
-
-@given(st.floats(-1e4, 1e4))
-def test_wrapping_keeps_the_direction(angle):
-    wrapped = wrap(np.array([angle]))[0]
-    assert abs(wrapped) <= math.pi + 1e-9
-    assert math.cos(wrapped - angle) == pytest.approx(1, abs=1e-9)
 
 
 def test_knots_and_iterations_grow_with_the_square_of_the_robots():

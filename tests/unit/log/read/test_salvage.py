@@ -17,7 +17,7 @@ from tetractl.core.plan import Outcome
 from tetractl.log.format.channels import FRAMES, RESULT, RUN
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import content_digest, read_result, read_trial
-from tetractl.log.read.salvage import MAGIC, _Scan, peek, scan
+from tetractl.log.read.salvage import MAGIC, peek, scan
 from tetractl.replay.comparison import first_difference
 
 pytestmark = pytest.mark.slow
@@ -79,24 +79,6 @@ def test_a_bad_record_length_costs_nothing(tmp_path, log, undamaged, chunks, fie
     assert len(salvaged.steps) == len(undamaged.steps)
     assert not first_difference(salvaged.mocap, undamaged.mocap)
     assert_part_of(salvaged, undamaged)
-
-
-def test_a_chunk_is_read_by_its_own_bytes(tmp_path, log, chunks, monkeypatch):
-    """Else each chunk that is found by its mark would be read to the end of the file."""
-    data = bytearray(log.read_bytes())
-    data[chunks[1].begin + 8] ^= 0x41  # its length
-    head = 9
-    contents = {chunk.begin + head: chunk.end - chunk.begin - head for chunk in chunks}
-    lengths = {}
-    keep = _Scan._keep
-
-    def spy(self, opcode, begin, record):
-        lengths[begin] = len(record)
-        keep(self, opcode, begin, record)
-
-    monkeypatch.setattr(_Scan, "_keep", spy)
-    scan(_damaged(tmp_path, bytes(data)))
-    assert {begin: lengths[begin] for begin in contents} == contents
 
 
 def test_without_first_chunk_and_index_the_rest_is_read(tmp_path, log, undamaged, chunks):

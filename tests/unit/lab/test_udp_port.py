@@ -19,136 +19,143 @@ from tetractl.lab.udp_port import REFUSALS_MAX, UdpPort, address_of, lock_file, 
 PATIENCE_S = 60
 
 
+def device():
+    """A socket on this computer, as of a robot."""
+    listening = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listening.settimeout(PATIENCE_S)
+    return listening
+
+
 @pytest.fixture
 def robot():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
-        robot.settimeout(PATIENCE_S)
+    with device() as robot:
         robot.bind(("127.0.0.1", 0))
         yield robot
 
 
-def port_to(name, heard=lambda data, now: None):
-    return UdpPort(name, 57600, "the radio", MonotonicClock(), heard, "hint")
+@pytest.fixture
+def name(robot):
+    """The name of the robot's port."""
+    return f"udp://127.0.0.1:{robot.getsockname()[1]}"
 
 
-@contextlib.contextmanager
-def run_at(name):
-    """A program that has the port of this name open."""
-    port = port_to(name)
-    port.open()
-    try:
-        yield port
-    finally:
-        port.close()
-        lock_file(name).unlink()
+@pytest.fixture
+def heard():
+    """What the ports of a test have heard."""
+    return Queue()
 
 
-def test_datagrams_go_and_come(robot):
-    heard = Queue()
-    port = port_to(f"udp://127.0.0.1:{robot.getsockname()[1]}", lambda data, now: heard.put(data))
-    port.open()
-    try:
-        assert port.write(b"T 1 0*0000\n") > 0
-        data, sender = robot.recvfrom(100)
-        assert data == b"T 1 0*0000\n"
-        robot.sendto(b"S 0\n", sender)
-        assert heard.get(timeout=PATIENCE_S) == b"S 0\n"
-        assert port.failure is None
-    finally:
-        port.close()
-        port.close()
+@pytest.fixture
+def port_to(heard):
+    """Make ports; at the end they are closed, and their locks removed."""
+    names = []
+    with contextlib.ExitStack() as closing:
+
+        def hear(data, now):
+            heard.put(data)
+
+        def make(name):
+            names.append(name)
+            port = UdpPort(name, 57600, "the radio", MonotonicClock(), hear, "hint")
+            closing.callback(port.close)
+            return port
+
+        yield make
+    for name in names:
+        lock_file(name).unlink(missing_ok=True)
+
+
+@pytest.fixture
+def open_to(port_to):
+    """Make open ports."""
+
+    def make(name):
+        port = port_to(name)
+        port.open()
+        return port
+
+    return make
+
+
+def test_datagrams_go_and_come(robot, name, open_to, heard):
+    port = open_to(name)
+    assert port.write(b"T 1 0*0000\n") > 0
+    data, sender = robot.recvfrom(100)
+    assert data == b"T 1 0*0000\n"
+    robot.sendto(b"S 0\n", sender)
+    assert heard.get(timeout=PATIENCE_S) == b"S 0\n"
+    assert port.failure is None
+    port.close()
+    port.close()
     with pytest.raises(AbortError, match="is not open"):
         port.write(b"x")
 
 
-def test_a_second_program_is_refused_and_the_first_is_found(robot):
-    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    with run_at(name), contextlib.closing(port_to(name)) as second:
-        with pytest.raises(PortHeldError) as held:
-            second.open()
-        assert holder(held.value.port) == os.getpid()
-        beside = port_to(name)
-        beside.open(alone=False)
-        beside.close()
+def test_a_second_program_is_refused_and_the_first_is_found(name, open_to, port_to):
+    open_to(name)
+    with pytest.raises(PortHeldError) as held:
+        port_to(name).open()
+    assert holder(held.value.port) == os.getpid()
+    port_to(name).open(alone=False)
 
 
-def test_a_second_program_with_another_temporary_folder_is_refused(robot, monkeypatch, tmp_path):
+def test_a_second_program_with_another_temporary_folder_is_refused(
+    name, open_to, port_to, monkeypatch, tmp_path
+):
     """Regression: `lab stop` in a terminal with another TMPDIR than the run's did not see the run,
     said that stops were sent, and the run drove on."""
-    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    with run_at(name):
-        monkeypatch.setenv("TMPDIR", str(tmp_path))
-        monkeypatch.setattr(tempfile, "tempdir", None)  # so that TMPDIR is read again
-        with contextlib.closing(port_to(name)) as second, pytest.raises(PortHeldError):
-            second.open()
+    open_to(name)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)  # so that TMPDIR is read again
+    with pytest.raises(PortHeldError):
+        port_to(name).open()
 
 
 @pytest.mark.parametrize("hosts", [("localhost", "127.0.0.1"), ("127.0.0.1", "localhost")])
-def test_a_second_program_that_spells_the_address_in_another_way_is_refused(robot, hosts):
+def test_a_second_program_that_spells_the_address_in_another_way_is_refused(
+    name, hosts, open_to, port_to
+):
     """Regression: a run at `udp://robot.local:5000` was not seen at the robot's number, and drove
     on."""
-    first_name, second_name = (f"udp://{host}:{robot.getsockname()[1]}" for host in hosts)
-    first = port_to(first_name)
-    second = port_to(second_name)
-    first.open()
-    try:
-        with pytest.raises(PortHeldError) as held:
-            second.open()
-        assert holder(held.value.port) == os.getpid()
-        second.close()
-        first.close()
-        second.open()  # a closed port holds neither spelling
-    finally:
-        first.close()
-        second.close()
-        lock_file(first_name).unlink()
-        lock_file(second_name).unlink()
+    first_host, second_host = hosts
+    first = open_to(name.replace("127.0.0.1", first_host))
+    second = port_to(name.replace("127.0.0.1", second_host))
+    with pytest.raises(PortHeldError) as held:
+        second.open()
+    assert holder(held.value.port) == os.getpid()
+    second.close()
+    first.close()
+    second.open()  # a closed port holds neither spelling
 
 
-def test_a_run_is_seen_while_its_name_cannot_be_resolved(robot, monkeypatch):
+def test_a_run_is_seen_while_its_name_cannot_be_resolved(name, open_to, port_to, monkeypatch):
     """`lab stop` ends the run that has a port, even if the network that knows its name is gone."""
-    name = f"udp://localhost:{robot.getsockname()[1]}"
-    first = port_to(name)
-    second = port_to(name)
-    first.open()
-    try:
+    port_to(name)  # whose lock is held, too
+    by_name = name.replace("127.0.0.1", "localhost")
+    open_to(by_name)
 
-        def unknown(*_):
-            raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+    def unknown(*_):
+        raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
 
-        monkeypatch.setattr(socket, "getaddrinfo", unknown)
-        with pytest.raises(PortHeldError):
-            second.open()
-    finally:
-        first.close()
-        second.close()
-        lock_file(name).unlink()
-        lock_file(name.replace("localhost", "127.0.0.1")).unlink()
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(PortHeldError):
+        port_to(by_name).open()
 
 
-def test_other_users_can_read_a_lock(robot):
+def test_other_users_can_read_a_lock(name, open_to):
     """Regression: with the umask 077, another user's `lab stop` could not open the lock, and sent
     the robot no stop."""
-    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    port = port_to(name)
     umask = os.umask(0o077)
     try:
-        port.open()
+        open_to(name)
         assert lock_file(name).stat().st_mode & 0o777 == 0o644
     finally:
         os.umask(umask)
-        port.close()
-        lock_file(name).unlink()
 
 
-def test_an_unknown_host_is_one_line():
-    port = port_to("udp://no.such.host.invalid:9750")
-    try:
-        with pytest.raises(AbortError, match=r"no\.such\.host\.invalid"):
-            port.open()
-    finally:
-        port.close()
-        lock_file("udp://no.such.host.invalid:9750").unlink()
+def test_an_unknown_host_is_one_line(port_to):
+    with pytest.raises(AbortError, match=r"no\.such\.host\.invalid"):
+        port_to("udp://no.such.host.invalid:9750").open()
 
 
 @pytest.mark.parametrize(
@@ -177,41 +184,35 @@ def test_a_port_is_chosen_by_its_name():
     assert type(open_port("/dev/ttyUSB0", *settings)) is SerialPort
 
 
-def test_who_has_another_address_is_not_heard(robot):
+def test_who_has_another_address_is_not_heard(robot, name, open_to, heard):
     """Regression: any sender's reply to a poll was accepted."""
-    heard = Queue()
-    port = port_to(f"udp://127.0.0.1:{robot.getsockname()[1]}", lambda data, now: heard.put(data))
-    port.open()
-    try:
-        port.write(b"?")
-        _, sender = robot.recvfrom(100)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-            stranger.bind(("127.0.0.1", 0))
-            stranger.sendto(b"forged", sender)
-        robot.sendto(b"own", sender)
-        assert heard.get(timeout=PATIENCE_S) == b"own"
-        assert heard.empty()
-    finally:
-        port.close()
+    open_to(name).write(b"?")
+    _, sender = robot.recvfrom(100)
+    with device() as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        stranger.sendto(b"forged", sender)
+    robot.sendto(b"own", sender)
+    assert heard.get(timeout=PATIENCE_S) == b"own"
+    assert heard.empty()
 
 
-def test_a_device_that_is_not_there_yet_does_not_end_the_port(robot):
-    """The refusal of one datagram is reported with a later one."""
+def test_a_device_that_is_not_there_yet_does_not_end_the_port(robot, name, open_to, heard):
+    """The refusal of one datagram is reported with a later one, and a device that answers listens:
+    what was refused while it started says nothing any more."""
     address = robot.getsockname()
     robot.close()
-    port = port_to(f"udp://127.0.0.1:{address[1]}")
-    port.open()
-    try:
-        for _ in range(20):
-            port.write(b"?")
-        assert port.failure is None
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
-            again.settimeout(PATIENCE_S)
-            again.bind(address)
-            port.write(b"now")
-            assert again.recv(100) == b"now"
-    finally:
-        port.close()
+    port = open_to(name)
+    for _ in range(20):
+        port.write(b"?")
+    assert port.failure is None
+    with device() as started:
+        started.bind(address)
+        port.write(b"now")
+        data, sender = started.recvfrom(100)
+        assert data == b"now"
+        started.sendto(b"reply", sender)
+        assert heard.get(timeout=PATIENCE_S) == b"reply"
+    assert port.refusal is None
 
 
 def stopped(*ports):
@@ -225,7 +226,7 @@ def stopped(*ports):
 
 
 def test_a_host_that_is_reported_unreachable_or_an_empty_datagram_does_not_end_the_port(
-    robot, monkeypatch
+    name, port_to, heard, monkeypatch
 ):
     """Regression: a router's report ended the thread that reads, with a traceback, and an empty
     datagram counted as a port that failed."""
@@ -244,71 +245,34 @@ def test_a_host_that_is_reported_unreachable_or_an_empty_datagram_does_not_end_t
             was_refused.append(port.refusal)
             return outcome
 
-    heard = Queue()
-    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
     monkeypatch.setattr(socket, "socket", ReportingSocket)
-    port = port_to(name, lambda data, now: heard.put(data))
+    port = port_to(name)
     port.open()
-    try:
-        assert heard.get(timeout=PATIENCE_S) == b"S 0\n"
-        assert port.failure is None
-    finally:
-        port.close()
+    assert heard.get(timeout=PATIENCE_S) == b"S 0\n"
+    assert port.failure is None
     assert was_refused[0] == f"{name}: No route to host"
 
 
-def test_stops_where_no_device_listens_are_not_told_as_sent(robot):
+def test_stops_where_no_device_listens_are_not_told_as_sent(robot, name, port_to):
     """Regression: with a wrong port in the spec, `lab stop` said `sent 10 stops`, though the system
     had reported that they were refused."""
-    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
     robot.close()
-    try:
-        with pytest.raises(AbortError, match=f"^no device listens at {name}"):
-            stopped(port_to(name))
-    finally:
-        lock_file(name).unlink()
+    with pytest.raises(AbortError, match=f"^no device listens at {name}"):
+        stopped(port_to(name))
 
 
-def test_robots_that_listen_get_their_stops_though_another_does_not(robot):
-    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
+def test_robots_that_listen_get_their_stops_though_another_does_not(robot, name, port_to):
+    with device() as closed:
         closed.bind(("127.0.0.1", 0))
         silent_name = f"udp://127.0.0.1:{closed.getsockname()[1]}"
     what = f"^sent {STOPS} stops, but not to all: no device listens at {silent_name}"
-    try:
-        with pytest.raises(AbortError, match=what):
-            stopped(port_to(silent_name), port_to(name))
-        assert [robot.recv(100) for _ in range(STOPS)] == [b"stop"] * STOPS
-        assert stopped(port_to(name)) == f"sent {STOPS} stops"
-    finally:
-        lock_file(name).unlink()
-        lock_file(silent_name).unlink()
+    with pytest.raises(AbortError, match=what):
+        stopped(port_to(silent_name), port_to(name))
+    assert [robot.recv(100) for _ in range(STOPS)] == [b"stop"] * STOPS
+    assert stopped(port_to(name)) == f"sent {STOPS} stops"
 
 
-def test_a_device_that_answers_listens(robot):
-    """What was refused while it started says nothing any more."""
-    address = robot.getsockname()
-    robot.close()
-    heard = Queue()
-    name = f"udp://127.0.0.1:{address[1]}"
-    port = port_to(name, lambda data, now: heard.put(data))
-    port.open()
-    try:
-        port.write(b"?")
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as started:
-            started.settimeout(PATIENCE_S)
-            started.bind(address)
-            port.write(b"now")
-            _, sender = started.recvfrom(100)
-            started.sendto(b"reply", sender)
-            assert heard.get(timeout=PATIENCE_S) == b"reply"
-            assert port.refusal is None
-    finally:
-        port.close()
-        lock_file(name).unlink()
-
-
-def test_a_datagram_that_is_not_sent_has_no_time_of_sending(robot, monkeypatch):
+def test_a_datagram_that_is_not_sent_has_no_time_of_sending(name, open_to, monkeypatch):
     """Regression: `write` returned a time though each try had only reported a refusal. The port can
     be used further, so that all stops are tried."""
 
@@ -320,62 +284,37 @@ def test_a_datagram_that_is_not_sent_has_no_time_of_sending(robot, monkeypatch):
             raise ConnectionRefusedError
 
     monkeypatch.setattr(socket, "socket", RefusedSocket)
-    name = f"udp://127.0.0.1:{robot.getsockname()[1]}"
-    port = port_to(name)
-    port.open()
-    try:
-        for _ in range(2):
-            with pytest.raises(AbortError, match="no device listens"):
-                port.write(b"stop")
-        assert RefusedSocket.tries == 2 * REFUSALS_MAX
-        assert port.failure is None
-    finally:
-        port.close()
-        lock_file(name).unlink()
+    port = open_to(name)
+    for _ in range(2):
+        with pytest.raises(AbortError, match="no device listens"):
+            port.write(b"stop")
+    assert RefusedSocket.tries == 2 * REFUSALS_MAX
+    assert port.failure is None
 
 
-def test_all_devices_are_heard_at_a_broadcast_address():
-    heard = Queue()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
-        robot.settimeout(PATIENCE_S)
+def test_all_devices_are_heard_at_a_broadcast_address(open_to, heard):
+    with device() as robot:
         robot.bind(("", 0))
-        name = f"udp://127.255.255.255:{robot.getsockname()[1]}"
-        port = port_to(name, lambda data, now: heard.put(data))
-        port.open()
-        try:
-            port.write(b"?")
-            data, sender = robot.recvfrom(100)
-            assert data == b"?"
-            robot.sendto(b"reply", ("127.0.0.1", sender[1]))
-            assert heard.get(timeout=PATIENCE_S) == b"reply"
-        finally:
-            port.close()
+        port = open_to(f"udp://127.255.255.255:{robot.getsockname()[1]}")
+        port.write(b"?")
+        data, sender = robot.recvfrom(100)
+        assert data == b"?"
+        robot.sendto(b"reply", ("127.0.0.1", sender[1]))
+        assert heard.get(timeout=PATIENCE_S) == b"reply"
 
 
-def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path):
+def test_a_link_in_the_place_of_the_lock_is_not_followed(port_to, tmp_path):
     """Regression: in the shared temporary folder, another user chose which file was opened."""
     name = "udp://127.0.0.1:9758"
     victim = tmp_path / "victim"
-    lock = lock_file(name)
-    lock.symlink_to(victim)
-    port = port_to(name)
-    try:
-        with pytest.raises(AbortError, match=r"tetractl-udp.*: is a link"):
-            port.open()
-        assert not victim.exists()
-    finally:
-        port.close()
-        lock.unlink()
+    lock_file(name).symlink_to(victim)
+    with pytest.raises(AbortError, match=r"tetractl-udp.*: is a link"):
+        port_to(name).open()
+    assert not victim.exists()
 
 
-def test_a_pipe_in_the_place_of_the_lock_is_refused_at_once():
+def test_a_pipe_in_the_place_of_the_lock_is_refused_at_once(port_to):
     name = "udp://127.0.0.1:9757"
-    lock = lock_file(name)
-    os.mkfifo(lock)
-    port = port_to(name)
-    try:
-        with pytest.raises(AbortError, match="is not a regular file"):
-            port.open()
-    finally:
-        port.close()
-        lock.unlink()
+    os.mkfifo(lock_file(name))
+    with pytest.raises(AbortError, match="is not a regular file"):
+        port_to(name).open()

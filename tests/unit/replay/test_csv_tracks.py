@@ -11,7 +11,6 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.identification.csv_tracks import csv_tracks
-from tetractl.replay.identification.identify import identify
 
 POSES = "time_s,robot,x_mm,y_mm,heading_rad,valid\n0,one,1,2,0.1,True\n0.1,one,3,2,0.2,False\n"
 COMMANDS = "time_s,direction_rad\n0,0.5\n0.2,0.7\n"
@@ -25,8 +24,11 @@ def tracks_of(folder, poses, commands):
     return csv_tracks(paths)
 
 
-def test_csv_files_are_read(tmp_path):
-    (track,) = tracks_of(tmp_path, POSES, COMMANDS)
+@pytest.mark.parametrize("names", [("p.csv", "c.csv"), ("c.csv", "p.csv")])
+def test_csv_files_are_read_in_any_order(tmp_path, names):
+    (tmp_path / "p.csv").write_text(POSES)
+    (tmp_path / "c.csv").write_text(COMMANDS)
+    (track,) = csv_tracks([tmp_path / name for name in names])
     assert track.unit == "mm"
     assert track.names == ("one",)
     assert track.origin == "CSV"
@@ -34,16 +36,6 @@ def test_csv_files_are_read(tmp_path):
     assert track.poses[0, 0].tolist() == [1, 2, 0.1]
     assert track.u.tolist() == [0.5, 0.7]
     assert track.until == pytest.approx(0.4)  # the last command acts for a period
-
-
-def test_the_order_of_the_files_changes_nothing(tmp_path):
-    poses = tmp_path / "p.csv"
-    commands = tmp_path / "c.csv"
-    poses.write_text(POSES)
-    commands.write_text(COMMANDS)
-    (track,) = csv_tracks([commands, poses])
-    assert track.poses[0, 0].tolist() == [1, 2, 0.1]
-    assert track.u.tolist() == [0.5, 0.7]
 
 
 def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
@@ -58,33 +50,13 @@ def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
     assert not track.rates_unstated  # by tetractl's host
 
 
-def test_a_lag_below_0_is_refused(tmp_path):
-    with_lag = "time_s,direction_rad,lag_s\n0,0.5,-1\n0.2,0.7,1\n"
-    with pytest.raises(UsageError, match="line 2: lag_s must not be negative"):
-        tracks_of(tmp_path, POSES, with_lag)
-
-
-def poses_along_headings(y_sign):
-    """A robot that drives along its heading, where y counts upwards (1) or downwards (-1)."""
-    time = np.arange(20) / 10
-    heading = 0.3 + time
-    x = np.cumsum(np.cos(heading))
-    y = np.cumsum(np.sin(heading))
-    lines = ["time_s,robot,x_mm,y_mm,heading_rad"]
-    for row in zip(time, x, y_sign * y, heading, strict=True):
-        time_s, x_mm, y_mm, heading_rad = map(float, row)
-        lines.append(f"{time_s},one,{x_mm},{y_mm},{heading_rad}")
-    return "\n".join([*lines, ""])
-
-
-def test_positions_along_the_headings_are_read(tmp_path):
-    assert tracks_of(tmp_path, poses_along_headings(1), COMMANDS)
-
-
 def test_positions_whose_y_runs_downwards_are_not_those_of_the_headings(tmp_path):
     """Regression: speeds 8 and 31 % low, with intervals without the true ones."""
+    paths = write_drive(tmp_path)
+    downwards = drive().poses * (1, 1, -1, 1)
+    write_table(paths[0], PLAIN, PLAIN_POSES, downwards, robot="green")
     with pytest.raises(UsageError, match="only with y reversed"):
-        tracks_of(tmp_path, poses_along_headings(-1), COMMANDS)
+        csv_tracks(paths)
 
 
 def of_two_logs(text):
@@ -98,20 +70,6 @@ def of_two_logs(text):
 def test_poses_and_commands_of_one_path_are_a_trial(tmp_path):
     tracks = tracks_of(tmp_path, of_two_logs(POSES), of_two_logs(COMMANDS))
     assert [track.poses.shape for track in tracks] == [(2, 1, 3), (2, 1, 3)]
-
-
-@pytest.mark.parametrize(
-    ("poses", "commands", "says"),
-    [
-        (POSES.replace("x_mm", "x"), COMMANDS, "needs columns x_mm and y_mm"),
-        (POSES, COMMANDS.replace("direction_rad", "u"), "contains neither poses nor commands"),
-        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
-        (POSES, "time_s,direction_rad,path\n0,0.5,a\n", "poses and commands are needed"),
-    ],
-)
-def test_what_is_wrong_with_a_csv_file_is_told(tmp_path, poses, commands, says):
-    with pytest.raises(UsageError, match=says):
-        tracks_of(tmp_path, poses, commands)
 
 
 A_RAD_S = 4.0
@@ -259,13 +217,6 @@ def test_a_table_is_read_however_it_is_written(tmp_path, form):
     assert not track.remarks
 
 
-@pytest.mark.long
-def test_a_is_right_of_a_table_in_unix_seconds(tmp_path):
-    tracks = csv_tracks(write_drive(tmp_path, FORMS["Unix seconds"]))
-    (robot,) = identify(tracks, None).robots
-    assert robot.a.value == pytest.approx(A_RAD_S, rel=0.01)
-
-
 @dataclass(frozen=True)
 class Refused:
     """A table of commands that cannot be right, and what the error says."""
@@ -319,23 +270,22 @@ def test_what_cannot_be_right_is_refused(tmp_path, case):
 
 
 def write_headings(folder, heading_of):
-    """Write the drive with other headings [rad]; return both paths."""
+    """Write the drive with other headings [rad], by the time [s] and the heading; return both
+    paths."""
     paths = write_drive(folder)
-    lines = [PLAIN_POSES]
-    for time_s, x, y, heading in drive().poses:
-        lines.append(f"{time_s},green,{x},{y},{heading_of(heading)}")
-    paths[0].write_text("\n".join([*lines, ""]))
+    rows = [(*row[:3], heading_of(row[0], row[3])) for row in drive().poses]
+    write_table(paths[0], PLAIN, PLAIN_POSES, np.array(rows), robot="green")
     return paths
 
 
 def test_headings_beyond_a_turn_that_turn_more_than_the_motion_are_degrees(tmp_path):
-    paths = write_headings(tmp_path, math.degrees)
+    paths = write_headings(tmp_path, lambda _, heading: math.degrees(heading))
     with pytest.raises(UsageError, match=r"a heading of .* is more than a whole turn"):
         csv_tracks(paths)
 
 
 def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path):
-    paths = write_headings(tmp_path, lambda heading: heading + 2 * math.pi)
+    paths = write_headings(tmp_path, lambda _, heading: heading + 2 * math.pi)
     (track,) = csv_tracks(paths)
     assert track.valid.all()
 
@@ -344,7 +294,7 @@ def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path
 @pytest.mark.parametrize("column", ["x_mm", "y_mm"])
 def test_a_last_place_far_off_says_nothing_of_the_headings(tmp_path, column, far_mm):
     """Regression: whole turns were called degrees because of a single wrong place."""
-    poses, commands = write_headings(tmp_path, lambda heading: heading + 2 * math.pi)
+    poses, commands = write_headings(tmp_path, lambda _, heading: heading + 2 * math.pi)
     *rows, last = poses.read_text().splitlines()
     pose = last.split(",")
     pose[PLAIN_POSES.split(",").index(column)] = str(far_mm)
@@ -406,9 +356,7 @@ MANY_S = {
 def test_commands_that_last_long_are_not_taken_for_another_unit(tmp_path, name):
     poses, commands = write_drive(tmp_path)
     rows = "".join(f"{time + 2000},90,{k % 3}\n" for k, time in enumerate(MANY_S[name]))
-    header, *others = poses.read_text().splitlines()
-    later = [f"{float(row.split(',')[0]) + 2000},{row.partition(',')[2]}" for row in others]
-    poses.write_text("\n".join([header, *later, ""]))
+    poses.write_text(retimed(poses.read_text(), lambda time_s: time_s + 2000))
     commands.write_text(f"time_s,v_mm_s,w_rad_s\n{rows}")
     (track,) = csv_tracks([poses, commands])
     assert not [text for text in track.remarks if "are they in s" in text]
@@ -510,10 +458,7 @@ AMID = (drive().poses[:, 0] % 5) > 4
 HALF_TURN = (0.0, 0.0, 0.0, math.pi)
 NOT_MEASURED = {
     "one heading in twenty flipped": (at_random(0.05), 1.0, HALF_TURN),
-    "one in five": (at_random(0.2), 1.0, HALF_TURN),
-    "a second of each five flipped": (AMID, 1.0, HALF_TURN),
     "zeros while lost": (AMID, (1.0, 0.0, 0.0, 0.0), 0.0),
-    "another place at random": (at_random(0.05), 1.0, (0.0, 1000.0, 0.0, 0.0)),
 }
 
 
@@ -537,9 +482,8 @@ def test_poses_that_are_no_measurement_show_no_turns(tmp_path, name):
     assert track.valid[~is_wrong].mean() > 0.9
 
 
-@pytest.mark.parametrize("name", ["one heading in twenty flipped", "one in five"])
-def test_directions_of_another_robot_are_refused_whatever_poses_are_lost(tmp_path, name):
-    paths = write_not_measured(tmp_path, name)
+def test_directions_of_another_robot_are_refused_whatever_poses_are_lost(tmp_path):
+    paths = write_not_measured(tmp_path, "one heading in twenty flipped")
     others = drive().commands
     others[:, 1] = np.random.default_rng(5).uniform(-3, 3, len(others))
     write_table(paths[1], PLAIN, PLAIN_COMMANDS, others)
@@ -551,13 +495,13 @@ def test_directions_of_another_robot_are_refused_whatever_poses_are_lost(tmp_pat
 def test_headings_against_the_motion_are_named_as_such(tmp_path, turns):
     """Regression: they were said to be in degrees if they count turns, or y to be reversed."""
     backward = math.pi * (1 + 2 * turns)
-    poses, commands = write_headings(tmp_path, lambda heading: heading + backward)
+    poses, commands = write_headings(tmp_path, lambda _, heading: heading + backward)
     with pytest.raises(UsageError, match=r"poses\.csv: green moves against its heading"):
         csv_tracks([poses, commands])
 
 
 def test_robots_on_two_wheels_may_move_against_their_headings(tmp_path):
-    poses, commands = write_headings(tmp_path, lambda heading: heading + math.pi)
+    poses, commands = write_headings(tmp_path, lambda _, heading: heading + math.pi)
     commands.write_text("time_s,v_mm_s,w_rad_s\n0,-180,1\n2,-180,2\n")
     (track,) = csv_tracks([poses, commands])
     assert track.valid.all()
@@ -660,21 +604,6 @@ def test_robots_are_those_of_the_commands(tmp_path, poses, commands, names):
     ]
 
 
-@pytest.mark.parametrize(
-    ("poses", "commands", "says"),
-    [
-        (TWO_POSES, sent_to("1", "2"), "no command is for a, b; commands are for 1, 2"),
-        (TWO_POSES, sent_to("A", "B"), "no command is for a, b; commands are for A, B"),
-        (ONE_POSES, sent_to("a", "b"), "has no column robot, and commands are for a, b"),
-        (TWO_POSES.replace("robot", "body"), NO_NAME, "is at two places at 0 s"),
-    ],
-)
-def test_robots_that_nothing_is_sent_to_are_told(tmp_path, poses, commands, says):
-    """Regression: "robot Robot1 drives in only 0 steps"."""
-    with pytest.raises(UsageError, match=says):
-        tracks_of(tmp_path, poses, commands)
-
-
 LOST = "time_s,robot,x_mm,y_mm,heading_rad\n" + "".join(
     f"{t / 10},a,{t * 9},0,0.1\n{t / 10},b,,,\n" for t in range(8)
 )
@@ -702,11 +631,6 @@ def test_a_robot_may_be_seen_in_one_of_two_trials(tmp_path):
     assert first.names == second.names == ("a", "b")
     assert first.valid.sum(axis=0).tolist() == [8, 0]
     assert second.valid.sum(axis=0).tolist() == [8, 8]
-
-
-def test_a_table_without_a_pose_is_refused(tmp_path):
-    with pytest.raises(UsageError, match=r"has no robot that is seen$"):
-        tracks_of(tmp_path, LOST.replace(",a,", ",b,").replace("0.1\n", "\n"), COMMANDS)
 
 
 def course(*rows):
@@ -755,11 +679,17 @@ def test_poses_that_go_on_are_not_told_to_jump(tmp_path, name):
     assert not [text for text in track.remarks if "stay there" in text]
 
 
+def retimed(table, time_of):
+    """The rows of a table with other times, by their own, below its header."""
+    header, *rows = table.splitlines()
+    cells = [row.partition(",") for row in rows]
+    return "\n".join([header, *(f"{time_of(float(time))},{rest}" for time, _, rest in cells), ""])
+
+
 def twice(table, later_s=0.0):
     """A table whose rows follow once more, from their first time or a little later on."""
-    header, *rows = table.splitlines()
-    again = [f"{float(row.split(',')[0]) + later_s},{row.partition(',')[2]}" for row in rows]
-    return "\n".join([header, *rows, *again, ""])
+    _, _, again = retimed(table, lambda time_s: time_s + later_s).partition("\n")
+    return table + again
 
 
 @pytest.mark.parametrize("later_s", [0.0, 0.05])
@@ -772,13 +702,13 @@ def test_two_recordings_in_one_table_are_told(tmp_path, poses, later_s):
         tracks_of(tmp_path, poses, twice(NO_NAME, later_s))
 
 
-def numbered(table):
-    """Two recordings in one table, with a column trial."""
-    header, *rows = table.splitlines()
-    return "\n".join(["trial," + header, *("1," + r for r in rows), *("2," + r for r in rows), ""])
-
-
 def test_two_recordings_that_are_numbered_are_read(tmp_path):
+    def numbered(table):
+        header, *rows = twice(table).splitlines()
+        trials = [1 + number // 8 for number in range(len(rows))]
+        lines = [f"{trial},{row}" for trial, row in zip(trials, rows, strict=True)]
+        return "\n".join(["trial," + header, *lines, ""])
+
     tracks = tracks_of(tmp_path, numbered(ONE_POSES), numbered(NO_NAME))
     assert [len(track.time) for track in tracks] == [8, 8]
 
@@ -790,22 +720,13 @@ def test_rows_sorted_by_robot_are_one_recording(tmp_path):
     assert track.poses.shape == (8, 2, 3)
 
 
-def test_a_header_amid_a_table_is_told(tmp_path):
-    with pytest.raises(UsageError, match="line 10: is the header again"):
-        tracks_of(tmp_path, ONE_POSES + ONE_POSES, NO_NAME)
-
-
 @pytest.mark.parametrize(("units_per_s", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_of_a_smaller_unit_are_told(tmp_path, units_per_s, unit):
-    def scaled(table):
-        header, *rows = table.splitlines()
-        times = [
-            f"{float(row.split(',')[0]) * units_per_s},{row.partition(',')[2]}" for row in rows
-        ]
-        return "\n".join([header, *times, ""])
-
+    poses, commands = (
+        retimed(table, lambda time_s: time_s * units_per_s) for table in (ONE_POSES, NO_NAME)
+    )
     with pytest.raises(UsageError, match=f"name the column time_{unit}"):
-        tracks_of(tmp_path, scaled(ONE_POSES), scaled(NO_NAME))
+        tracks_of(tmp_path, poses, commands)
 
 
 def poses_at(times):
@@ -843,6 +764,45 @@ def test_whole_seconds_of_commands_and_whole_milliseconds_are_read(tmp_path):
     assert tracks_of(tmp_path, poses_at(np.arange(40) * 0.5), NO_NAME)
 
 
+FOR_EACH = "time_s,robot,direction_rad\n" + "".join(
+    f"{t / 10},{robot},{t / 9}\n" for t in range(8) for robot in "ab"
+)
+LAG_BELOW_0 = "time_s,direction_rad,lag_s\n0,0.5,-1\n0.2,0.7,1\n"
+NEVER_SEEN = LOST.replace(",a,", ",b,").replace("0.1\n", "\n")
+
+
+@pytest.mark.parametrize(
+    ("poses", "commands", "says"),
+    [
+        (POSES.replace("x_mm", "x"), COMMANDS, "needs columns x_mm and y_mm"),
+        (POSES, COMMANDS.replace("direction_rad", "u"), "contains neither poses nor commands"),
+        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
+        (POSES, "time_s,direction_rad,path\n0,0.5,a\n", "poses and commands are needed"),
+        (POSES, LAG_BELOW_0, "line 2: lag_s must not be negative"),
+        (TWO_POSES, sent_to("1", "2"), "no command is for a, b; commands are for 1, 2"),
+        (TWO_POSES, sent_to("A", "B"), "no command is for a, b; commands are for A, B"),
+        (ONE_POSES, sent_to("a", "b"), "has no column robot, and commands are for a, b"),
+        (TWO_POSES.replace("robot", "body"), NO_NAME, "is at two places at 0 s"),
+        (TWO_POSES, FOR_EACH.replace("0.7,b,", "0.7,b,1"), "b is sent other directions than"),
+        (NEVER_SEEN, COMMANDS, "has no robot that is seen$"),
+        (ONE_POSES + ONE_POSES, NO_NAME, "line 10: is the header again"),
+        (ONE_POSES.replace("heading_rad", "theta_rad"), NO_NAME, "poses without heading_rad: its"),
+        (ONE_POSES.replace("time_s", "frame"), NO_NAME, "poses without time_s: its columns"),
+        (ONE_POSES.replace("y_mm", "z_mm"), NO_NAME, "poses without y_mm: its columns"),
+        (ONE_POSES, NO_NAME.replace("w_rad_s", "turn"), "speeds without w_rad_s: its columns"),
+        (ONE_POSES, NO_NAME.replace("v_mm_s", "speed"), "speeds without v_mm_s: its columns"),
+        (ONE_POSES, "time_s,left_mm_s,right_mm_s\n0,1,2\n", "wheels without radius_mm: its"),
+        (ONE_POSES, "time_s,left_mm_s,radius_mm\n0,1,2\n", "wheels without right_mm_s: its"),
+        (ONE_POSES, "frame,direction_rad\n0,1\n", "directions without time_s: its columns"),
+    ],
+)
+def test_tables_that_cannot_be_a_recording_are_refused(tmp_path, poses, commands, says):
+    """Regression: "robot Robot1 drives in only 0 steps", and robots were taken to follow each
+    other's directions."""
+    with pytest.raises(UsageError, match=says):
+        tracks_of(tmp_path, poses, commands)
+
+
 def heading_as_sent(late_s):
     """Headings that are the directions of `drive`, some time [s] late."""
     sent_s, directions = drive().commands.T
@@ -853,19 +813,11 @@ def heading_as_sent(late_s):
     return heading_of
 
 
-def write_headings_at(folder, heading_of):
-    """Write the drive with other headings [rad], by the time [s] and the heading."""
-    paths = write_drive(folder)
-    rows = [(*row[:3], heading_of(row[0], row[3])) for row in drive().poses]
-    write_table(paths[0], PLAIN, PLAIN_POSES, np.array(rows), robot="green")
-    return paths
-
-
 @pytest.mark.parametrize("late_s", [0.0, 0.05])
 def test_headings_that_are_the_directions_are_refused(tmp_path, late_s):
     """Regression: an a of 313, "poses that repeat the one before are left out: 35.9%"."""
     heading_of = heading_as_sent(late_s)
-    paths = write_headings_at(tmp_path, lambda time_s, _: heading_of(time_s))
+    paths = write_headings(tmp_path, lambda time_s, _: heading_of(time_s))
     with pytest.raises(UsageError, match="the headings of green are the directions that were sent"):
         csv_tracks(paths)
 
@@ -895,28 +847,10 @@ MEASURED = {
 def test_headings_near_the_directions_are_not_taken_for_them(tmp_path, name):
     said = ""
     try:
-        csv_tracks(write_headings_at(tmp_path, MEASURED[name]))
+        csv_tracks(write_headings(tmp_path, MEASURED[name]))
     except UsageError as error:  # some do not fit the motion
         said = str(error)
     assert "are the directions" not in said
-
-
-@pytest.mark.parametrize(
-    ("poses", "commands", "lacks"),
-    [
-        (ONE_POSES.replace("heading_rad", "theta_rad"), NO_NAME, "poses without heading_rad"),
-        (ONE_POSES.replace("time_s", "frame"), NO_NAME, "poses without time_s"),
-        (ONE_POSES.replace("y_mm", "z_mm"), NO_NAME, "poses without y_mm"),
-        (ONE_POSES, NO_NAME.replace("w_rad_s", "turn"), "speeds without w_rad_s"),
-        (ONE_POSES, NO_NAME.replace("v_mm_s", "speed"), "speeds without v_mm_s"),
-        (ONE_POSES, "time_s,left_mm_s,right_mm_s\n0,1,2\n", "wheels without radius_mm"),
-        (ONE_POSES, "time_s,left_mm_s,radius_mm\n0,1,2\n", "wheels without right_mm_s"),
-        (ONE_POSES, "frame,direction_rad\n0,1\n", "directions without time_s"),
-    ],
-)
-def test_the_column_that_is_missing_is_named(tmp_path, poses, commands, lacks):
-    with pytest.raises(UsageError, match=f"contains .*{lacks}: its columns are"):
-        tracks_of(tmp_path, poses, commands)
 
 
 def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
@@ -926,14 +860,10 @@ def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
     assert track.names == ("robot",)
 
 
-FOR_EACH = "time_s,robot,direction_rad\n" + "".join(
-    f"{t / 10},{robot},{t / 9}\n" for t in range(8) for robot in "ab"
-)
 BY_ROBOT = "time_s,robot,direction_rad\n" + "".join(
     f"{t / 10},{robot},{t / 9}\n" for robot in "ab" for t in range(8)
 )
 ONE_OF_THEM = "time_s,robot,direction_rad\n" + "".join(f"{t / 10},a,{t / 9}\n" for t in range(8))
-APART = FOR_EACH.replace("0.7,b,", "0.7,b,1")
 
 
 @pytest.mark.parametrize("commands", [FOR_EACH, BY_ROBOT, ONE_OF_THEM])
@@ -942,12 +872,6 @@ def test_directions_may_name_each_robot(tmp_path, commands):
     (track,) = tracks_of(tmp_path, TWO_POSES, commands)
     assert track.sent.tolist() == pytest.approx([t / 10 for t in range(8)])
     assert track.u.tolist() == pytest.approx([t / 9 for t in range(8)])
-
-
-def test_directions_of_its_own_for_each_robot_are_refused(tmp_path):
-    """Regression: robots were taken to follow each other's directions."""
-    with pytest.raises(UsageError, match="b is sent other directions than others"):
-        tracks_of(tmp_path, TWO_POSES, APART)
 
 
 DATES = {

@@ -130,14 +130,6 @@ def test_a_dead_time_beyond_the_first_search_is_found():
     assert rates_of(identification) == pytest.approx(driven.plant.a, rel=5e-3)
 
 
-def test_a_robot_that_stands_is_named():
-    """Regression: a warning of NumPy."""
-    track = drive(1).track
-    track.poses[:, 1] = track.poses[0, 1]
-    with pytest.raises(UsageError, match="robot blue does not move"):
-        identify([track], A_RAD_S)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("late_s", [0.1, pytest.param(0.3, marks=pytest.mark.release)])
 def test_robots_that_turn_before_they_are_sent_a_direction_have_another_clock(late_s):
@@ -509,28 +501,40 @@ def test_frames_that_did_not_see_a_robot_are_left_out():
     assert blue.intervals < green.intervals
 
 
+def blue_stands(track):
+    poses = track.poses.copy()
+    poses[:, 1] = poses[0, 1]
+    return replace(track, poses=poses)
+
+
+def in_days(track):
+    """As of a spreadsheet."""
+    return replace(track, time=track.time / 86400, sent=track.sent / 86400)
+
+
+REFUSED = {
+    "a robot stands": (blue_stands, "robot blue does not move"),
+    "lengths too small for squares": (
+        lambda track: replace(track, poses=track.poses * (1e-300, 1e-300, 1.0)),
+        r"robot \w+ does not move",
+    ),
+    "times in days": (in_days, r"0 intervals between frames in 0\.000\d+ s"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_track_that_shows_no_motion_is_refused(case):
+    """Regression: a warning of NumPy, a traceback, and "drive in only 0 intervals"."""
+    change, says = REFUSED[case]
+    with pytest.raises(UsageError, match=says):
+        identify([change(drive(6).track)], A_RAD_S)
+
+
 def test_a_short_track_is_refused():
     track = drive(6, directions=random_directions(6, 3)).track
     seconds = f"{np.ptp(track.time):.3g} s"
     with pytest.raises(UsageError, match=f"intervals between frames in {seconds}"):
         identify([track], A_RAD_S)
-
-
-def test_the_time_of_a_track_says_that_its_times_are_in_another_unit():
-    """Regression: poses in days, as of a spreadsheet, "drive in only 0 intervals"."""
-    track = drive(6).track
-    days = 1 / 86400
-    in_days = replace(track, time=track.time * days, sent=track.sent * days)
-    with pytest.raises(UsageError, match=r"0 intervals between frames in 0\.000\d+ s"):
-        identify([in_days], A_RAD_S)
-
-
-def test_a_robot_that_moves_by_less_than_a_number_can_tell_does_not_move():
-    """Regression: lengths in another unit by 1e300 ended in a traceback."""
-    track = drive(6).track
-    tiny = replace(track, poses=track.poses * (1e-300, 1e-300, 1.0))
-    with pytest.raises(UsageError, match=r"robot \w+ does not move"):
-        identify([tiny], A_RAD_S)
 
 
 def test_tracks_of_other_robots_are_refused():

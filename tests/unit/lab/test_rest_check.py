@@ -89,11 +89,18 @@ def test_what_noise_says_in_a_quarter_second_is_looked_at_for_longer(monkeypatch
 
 
 @pytest.mark.parametrize("camera", [MOTIVE, COARSE], ids=["120 Hz", "20 Hz, coarse"])
-@pytest.mark.parametrize("rate", [0.05, 0.1, 0.2, 0.3])
-def test_a_pose_that_turns_slowly_does_not_stand(rate, camera):
+@pytest.mark.parametrize(
+    ("rates", "said"),
+    [
+        *(((0.0, 0.0, rate), "(") for rate in (0.05, 0.1, 0.2, 0.3)),
+        ((20.0, 0.0, 0.0), "(20 mm/s"),
+        ((60.0, 0.0, 0.0), "(60 mm/s"),
+    ],
+)
+def test_a_pose_that_turns_slowly_or_creeps_does_not_stand(rates, said, camera):
     """Regression: 0.3 rad/s and 10 mm/s were allowed, so a false pose that turned was accepted."""
-    said = at_rest(camera, (0.0, 0.0, rate), BLUE)
-    assert said.startswith("2 s after the stop: blue still moves (")
+    fault = at_rest(camera, rates, BLUE)
+    assert fault.startswith(f"2 s after the stop: blue still moves {said}")
 
 
 def test_a_robot_that_was_seen_to_stand_is_to_be_seen_still():
@@ -249,10 +256,3 @@ def test_robots_are_not_latched_if_only_the_camera_moves():
     rest, emergencies, _ = rest_of(lab)
     assert rest.unrest == ""
     assert not any(emergencies)
-
-
-@pytest.mark.parametrize("camera", [MOTIVE, COARSE], ids=["120 Hz", "20 Hz, coarse"])
-@pytest.mark.parametrize("speed", [20.0, 60.0])
-def test_a_robot_that_creeps_while_it_should_stand_is_named(speed, camera):
-    said = at_rest(camera, (speed, 0.0, 0.0), GREEN)
-    assert said.startswith(f"2 s after the stop: green still moves ({speed:.0f} mm/s")

@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 from support.labs import fake_lab
 from support.paths import ROOT
@@ -264,12 +263,6 @@ def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_th
     fault = guard.refused[0]
     show(60 * MS)
     assert guard.decide(now_ns + 60 * MS).reason == f"green {fault}"
-
-
-def test_the_spread_of_a_grid_is_uniform():
-    values = np.random.default_rng(1).uniform(0, 100, 100_000)
-    errors = MAT.grid_mm * np.round(values / MAT.grid_mm) - values
-    assert MAT.spread[0] == pytest.approx(errors.std(), rel=0.02)
 
 
 def test_the_spread_is_of_the_noise_and_of_the_grid():

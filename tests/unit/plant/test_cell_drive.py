@@ -77,18 +77,6 @@ def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
     assert np.ptp(radius) > 0
 
 
-def test_it_makes_no_difference_how_often_they_are_read():
-    once = drive(walk=0.3)
-    twice = drive(walk=0.3)
-    for cells in (once, twice):
-        cells.apply(sent(Steer(1.0)))
-    times = np.arange(1, 101) / 240
-    swum(once, times)
-    swum(twice, times[:37])
-    swum(twice, times[37:], times[36])
-    assert np.array_equal(once.poses.array(), twice.poses.array())
-
-
 def test_compiled_they_swim_as_the_readable_ones_do():
     """The same bits, along walls too and with a cell that rests."""
     random = np.random.default_rng(4)
@@ -143,9 +131,6 @@ def test_no_cell_leaves_its_dish(tmp_path):
     assert log_path(tmp_path, 0).exists()
     assert not result.left_arena
     assert 0 <= min(result.verdict.edge) < 0.02
-    (tmp_path / "again").mkdir()
-    again = run_logged(spec, tmp_path / "again", 0, (), Interrupt())
-    assert np.array_equal(again.verdict.final.array(), result.verdict.final.array())
 
 
 def test_cells_have_no_wheels():

@@ -61,6 +61,15 @@ def stopped(**actuator):
     return lab
 
 
+def hide_blue_for(lab, seconds):
+    """Stop the robots while the camera does not see blue, which it sees again after a while."""
+    lab.camera.hidden = {"blue"}
+    wait(lab, 0.1)
+    lab.plant.stop()
+    back_ns = lab.clock.now() + round(seconds * SECOND)
+    lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back_ns else None)
+
+
 def wait(lab, seconds):
     lab.clock.sleep_until(lab.clock.now() + round(seconds * SECOND))
 
@@ -307,11 +316,7 @@ def test_a_pose_that_turns_in_a_pause_aborts():
 
 def test_a_robot_that_is_seen_again_gives_its_true_final_pose():
     lab = driving()
-    lab.camera.hidden = {"blue"}
-    wait(lab, 0.1)
-    lab.plant.stop()
-    lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back else None)
-    back = lab.clock.now() + SECOND
+    hide_blue_for(lab, 1.0)
     verdict = lab.plant.settle()
     assert verdict.not_at_rest == ""
     assert verdict.final.array() == pytest.approx(lab.world.poses)
@@ -319,11 +324,7 @@ def test_a_robot_that_is_seen_again_gives_its_true_final_pose():
 
 def test_cells_that_are_not_seen_after_the_stop_are_waited_for():
     lab = driving(**CELLS)
-    lab.camera.hidden = {"blue"}
-    wait(lab, 0.1)
-    lab.plant.stop()
-    lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back else None)
-    back = lab.clock.now() + SECOND // 2
+    hide_blue_for(lab, 0.5)
     assert lab.plant.settle().not_at_rest == ""
     assert lab.plant.samples()[-1].observation.valid.all()
     lab.clock.steps.pop()

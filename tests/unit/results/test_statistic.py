@@ -1,12 +1,10 @@
 """Every kind of figure has one text, one brief text, and its items in JSON."""
 
 import numpy as np
-import pytest
-from support.batches import batch, group
+from support.batches import batch
 
 from tetractl.core.plan import Outcome
 from tetractl.results import outcomes
-from tetractl.results.as_json import batch_items
 from tetractl.results.estimate import distributions, proportion_interval
 from tetractl.results.statistic import count, mean_figure, number, share, share_figure
 
@@ -73,10 +71,3 @@ def test_what_is_unknown_says_why_and_is_null_in_json():
     assert arrived.items == {"arrived": None, "arrived_ci95": None}
     (clearance,) = outcomes.EDGE.of_batch(trials)
     assert clearance.text == "-"
-
-
-def test_json_has_the_solve_times_of_all_steps_together():
-    items = batch_items(group(batch(ERRORS)))
-    assert items["solve_ms"] == {"p50": 2.0, "p99": pytest.approx(3.0), "max": 3.0}
-    of_no_step = batch_items(group(batch(ERRORS, solve_ns=())))
-    assert of_no_step["solve_ms"] == {"p50": None, "p99": None, "max": None}

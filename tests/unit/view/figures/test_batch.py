@@ -39,16 +39,21 @@ def heading(figure):
     return figure.texts[0].get_text()
 
 
-def test_every_counted_trial_is_a_dot_at_its_error():
+def test_every_counted_trial_is_a_dot_at_its_error_and_a_step_of_its_batchs_curve():
     spec = experiment(reference=REFERENCE)
     ours = group(batch(ERRORS.tolist(), spec), name="ours")
-    theirs = group(batch(ERRORS[:7].tolist()), name="theirs")
+    theirs = group(batch(ERRORS[:7].tolist()), name="theirs-a=3")
     of_dots, of_curves = batch_figure([ours, theirs]).axes
     assert heights(of_dots) == [sorted(ours.totals), sorted(theirs.totals)]
-    curve = of_curves.lines[0].get_xdata()
-    assert list(curve[1:-1]) == sorted(ours.totals)
-    labels = [tick.get_text() for tick in of_dots.get_xticklabels()]
-    assert labels == ["ours\nn = 20", "theirs\nn = 7", "published\nn = 20"]
+    means = [float(line.get_ydata()[0]) for line in of_dots.lines[:2]]
+    assert means == pytest.approx([np.mean(ours.totals), np.mean(theirs.totals)])
+    labels = [(tick.get_text(), tick.get_rotation()) for tick in of_dots.get_xticklabels()]
+    assert labels == [("ours\nn = 20", 0), ("theirs\na=3\nn = 7", 0), ("published\nn = 20", 0)]
+    assert [line.get_label() for line in of_curves.lines[:2]] == ["ours", "theirs-a=3"]
+    error, share = of_curves.lines[0].get_data()
+    assert list(error[1:-1]) == sorted(ours.totals)
+    assert list(share) == pytest.approx([*np.arange(21) / 20, 1])
+    assert len(of_curves.collections) == 2  # a band for each
 
 
 def test_a_batch_without_a_controller_is_called_given_directions():

@@ -568,12 +568,6 @@ def two_arms(log):
     return [*ours, *paper]
 
 
-def with_total(log, folder, error):
-    """The trial in a folder, with another total error."""
-    result = replace(log.result, total_error=error)
-    return replace(log, log=f"{folder}/trial-{error:.0f}.mcap", result=result)
-
-
 @pytest.mark.long
 def test_each_folder_has_panels_of_its_own_errors(log):
     logs = two_arms(log)
@@ -591,31 +585,6 @@ def test_each_folder_has_panels_of_its_own_errors(log):
     text = words(draw("trajectory", logs))
     assert "6 trials of 2 folders" in text
     assert "total" not in text  # no mean over both
-
-
-def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):
-    exact = [with_total(log, "exact", error) for error in (10.0, 20.0, 40.0)]
-    arc = [with_total(log, "arc", error) for error in (5.0, 80.0)]
-    axes = draw("batch", [*exact, *arc]).axes[1]
-    labels = [line.get_label() for line in axes.lines]
-    assert labels == ["exact", "arc"]
-    x, share = axes.lines[0].get_data()
-    assert x[1:4].tolist() == [10.0, 20.0, 40.0]
-    assert share.tolist() == pytest.approx([0, 1 / 3, 2 / 3, 1, 1])
-    assert len(axes.collections) == 2
-
-
-def test_arms_have_a_dot_for_each_trial_and_level_names(log):
-    exact = [with_total(log, "exact", error) for error in (10.0, 20.0, 60.0)]
-    few = with_total(log, "few-a=3", 5.0)
-    axes = draw("batch", [*exact, few]).axes[0]
-    dots = [collection for collection in axes.collections if collection.get_gid()]
-    heights = [sorted(of_arm.get_offsets()[:, 1]) for of_arm in dots]
-    assert heights == [[10.0, 20.0, 60.0], [5.0]]
-    means = [float(line.get_ydata()[0]) for line in axes.lines]
-    assert means == [30.0, 5.0]
-    labels = [(label.get_text(), label.get_rotation()) for label in axes.get_xticklabels()]
-    assert labels == [("exact\nn = 3", 0), ("few\na=3\nn = 1", 0)]
 
 
 def test_many_batches_differ_in_shade_or_line_and_none_has_the_hue_of_a_robot():

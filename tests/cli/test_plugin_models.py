@@ -110,29 +110,3 @@ def test_planner_kernels_and_polish_honour_them(installed):
     assert printed["found"] == 0  # ... and the polish leads out of it
     assert printed["clear"] > 9.9
     assert printed["cost"] <= 0.1
-
-
-@pytest.mark.release  # the page checks both kinds: test_docs.py; kernels compile them above
-def test_checks_plant_log_and_pictures_honour_them(installed):
-    folder, run = installed
-    blocked = SPEC.replace("target: [850, 500]", "target: [520, 500]")
-    (folder / "blocked.yaml").write_text(blocked, encoding="utf-8")
-    done = run("-m", "tetractl", "validate", "blocked.yaml")
-    assert "is inside obstacles.0, a diamond" in done.stderr + done.stdout
-    outside = SPEC.replace("center: [500, 510]", "center: [5000, 510]")
-    (folder / "outside.yaml").write_text(outside, encoding="utf-8")
-    done = run("-m", "tetractl", "validate", "outside.yaml")
-    assert "is entirely outside the arena" in done.stderr + done.stdout
-    # straight on is through the obstacle: the plant's verdict tells
-    straight = f"controller={{type: sequence, period: 0.2, directions: {[0.0] * 20}}}"
-    words = ("--out", "through", "--quiet", "--set", straight)
-    done = run("-m", "tetractl", "run", "s.yaml", *words)
-    assert done.returncode == 0, done.stderr
-    assert "1 of 1" in next(line for line in done.stdout.splitlines() if "entered" in line)
-    done = run("-m", "tetractl", "run", "s.yaml", "--out", "past", "--quiet")
-    assert done.returncode == 0, done.stderr
-    assert "0 of 1" in next(line for line in done.stdout.splitlines() if "entered" in line)
-    done = run("-m", "tetractl", "verify", "past")
-    assert "bit-identical" in done.stdout, done.stdout + done.stderr
-    done = run("-m", "tetractl", "plot", "past/trial-000.mcap", "-o", "path.svg")
-    assert done.returncode == 0, done.stderr

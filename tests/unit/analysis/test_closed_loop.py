@@ -63,29 +63,15 @@ def simulated_ends(plan, rng, a_factor=1.0, speed_factor=1.0, walk=0.0):
     return np.stack([x, y], axis=-1).reshape(len(a), -1)
 
 
-def assert_deviations_agree(plan, noise, ends):
-    covariance = end_covariance(plan.linear, noise, corrects=False)
+@pytest.mark.parametrize("noisy", ["a", "speed", "walk"])
+def test_errors_without_feedback_are_those_of_simulated_robots(plan, noisy):
+    rng = np.random.default_rng(1)
+    factor = 1 + 0.01 * rng.standard_normal((4000, ROBOTS))
+    changes = {"walk": 0.01} if noisy == "walk" else {f"{noisy}_factor": factor}
+    ends = simulated_ends(plan, rng, **changes)
+    covariance = end_covariance(plan.linear, replace(QUIET, **{noisy: 0.01}), corrects=False)
     deviations = np.sqrt(np.diag(covariance))
     assert deviations == pytest.approx(np.std(ends, axis=0), rel=0.1, abs=0.01)
-
-
-def test_errors_of_a_without_feedback_are_those_of_simulated_robots(plan):
-    rng = np.random.default_rng(1)
-    factor = 1 + 0.01 * rng.standard_normal((4000, ROBOTS))
-    ends = simulated_ends(plan, rng, a_factor=factor)
-    assert_deviations_agree(plan, replace(QUIET, a=0.01), ends)
-
-
-def test_errors_of_speed_without_feedback_are_those_of_simulated_robots(plan):
-    rng = np.random.default_rng(1)
-    factor = 1 + 0.01 * rng.standard_normal((4000, ROBOTS))
-    ends = simulated_ends(plan, rng, speed_factor=factor)
-    assert_deviations_agree(plan, replace(QUIET, speed=0.01), ends)
-
-
-def test_headings_that_walk_without_feedback_end_as_those_of_simulated_robots(plan):
-    ends = simulated_ends(plan, np.random.default_rng(1), walk=0.01)
-    assert_deviations_agree(plan, replace(QUIET, walk=0.01), ends)
 
 
 def test_feedback_and_identification_lower_the_error(plan):

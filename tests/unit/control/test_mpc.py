@@ -261,11 +261,14 @@ def arriving(**fields):
     return controller, decide(controller, poses)
 
 
-def test_the_stop_comes_between_two_steps_where_that_is_best():
-    _, ended = arriving(collision=POINTS)
-    assert isinstance(ended, End)
-    assert ended.outcome is Outcome.SEQUENCE_COMPLETED
-    assert ended.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
+@pytest.mark.parametrize(
+    ("collision", "then"), [(POINTS, Outcome.SEQUENCE_COMPLETED), (RESTS, State.RESTING)]
+)
+def test_the_stop_comes_between_two_steps_where_that_is_best(collision, then):
+    """Robots that can stand rest there."""
+    _, stop = arriving(collision=collision)
+    assert (stop.outcome if isinstance(stop, End) else stop.state) is then
+    assert stop.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
 
 
 @pytest.mark.parametrize(("room", "delay_s"), [(2, ARRIVES_S), (-2, 0)])
@@ -288,12 +291,6 @@ def test_no_later_stop_is_chosen_where_it_would_bring_a_body_to_an_obstacle(room
     )
     assert rest.state is State.RESTING
     assert rest.delay_ns == pytest.approx(delay_s * 1e9, abs=MOMENTS_NS)
-
-
-def test_robots_that_can_stand_rest_where_the_stop_is_best():
-    _, rest = arriving(collision=RESTS)
-    assert rest.state is State.RESTING
-    assert rest.delay_ns == pytest.approx(ARRIVES_S * 1e9, abs=MOMENTS_NS)
 
 
 STOPPED_NS = PERIOD_NS + PERIOD_NS // 2

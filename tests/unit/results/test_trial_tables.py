@@ -6,7 +6,6 @@ from support.mutate import rewrite
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
-from tetractl.log.format import codec
 from tetractl.log.format.channels import STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
@@ -88,20 +87,6 @@ def test_every_length_of_a_trial_has_its_unit_in_its_name(log, columns):
         least = min(distances, default=np.inf)
         assert columns["trials"][f"{name}_mm"][0] == (None if least == np.inf else least)
     assert columns["trials"].keys().isdisjoint({"clearance", "edge", "apart", "total_error"})
-
-
-def test_a_plan_is_not_decoded_to_be_exported(path, monkeypatch):
-    """The first step is, with the start of the log; all others are read as columns."""
-    decode = codec.decode_step
-    decoded = []
-
-    def recording_decode(*args):
-        decoded.append(args)
-        return decode(*args)
-
-    monkeypatch.setattr(codec, "decode_step", recording_decode)
-    of_log(path, TABLES)
-    assert len(decoded) == 1
 
 
 def _deliver_to_one_robot_less(step):

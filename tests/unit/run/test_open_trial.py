@@ -52,20 +52,27 @@ def drive(trial: OpenTrial, steps: int, direction: float = 0.1) -> None:
             trial.step(direction)
 
 
-def test_its_log_is_that_of_a_run_of_its_spec(tmp_path):
+def saved(trial, steps, folder):
+    """The log of a trial that is stepped in random directions; it is that of a run of its spec."""
     random = np.random.default_rng(1)
-    trial = tetractl.open_trial(SPEC, trial=2)
-    for _ in range(12):
-        trial.step(random.uniform(-1, 1))
-    trial.stop()
-    log = trial.save(tmp_path / "stepped")
-    assert log.name == "trial-002.mcap"
-    (tmp_path / "run").mkdir()
-    run_logged(trial.spec, tmp_path / "run", 2)
-    assert content_digest(log) == content_digest(tmp_path / "run" / "trial-002.mcap")
+    for _ in range(steps):
+        trial.step(random.uniform(-math.pi, math.pi))
+    if trial.result is None:
+        trial.stop()
+    log = trial.save(folder / "stepped")
+    (folder / "run").mkdir()
+    spec = parse_spec(trial.spec.text, trial.spec.name)
+    run_logged(spec, folder / "run", int(log.stem.removeprefix("trial-")))
+    assert content_digest(log) == content_digest(folder / "run" / log.name)
     assert not tetractl.verify(log).problems
-    saved = tetractl.read_log(log)
-    sent = [step.plan.direction for step in saved.steps]
+    return log
+
+
+def test_its_log_is_that_of_a_run_of_its_spec(tmp_path):
+    trial = tetractl.open_trial(SPEC, trial=2)
+    log = saved(trial, 12, tmp_path)
+    assert log.name == "trial-002.mcap"
+    sent = [step.plan.direction for step in tetractl.read_log(log).steps]
     assert sent == list(trial.directions)
 
 
@@ -79,17 +86,7 @@ def test_its_log_is_that_of_a_run_of_its_spec(tmp_path):
     ],
 )
 def test_the_log_of_each_shipped_spec_is_that_of_a_run(name, tmp_path):
-    random = np.random.default_rng(3)
-    trial = tetractl.open_trial(SHIPPED[name], trial=1)
-    for _ in range(30):
-        trial.step(random.uniform(-math.pi, math.pi))
-    if trial.result is None:
-        trial.stop()
-    log = trial.save(tmp_path / "stepped")
-    (tmp_path / "run").mkdir()
-    run_logged(parse_spec(trial.spec.text, trial.spec.name), tmp_path / "run", 1)
-    assert content_digest(log) == content_digest(tmp_path / "run" / log.name)
-    assert not tetractl.verify(log).problems
+    saved(tetractl.open_trial(SHIPPED[name], trial=1), 30, tmp_path)
 
 
 @pytest.mark.parametrize("name", REFUSED)

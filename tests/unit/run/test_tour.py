@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.mutate import with_entry
-from support.paths import ROOT
 
 from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.tour import HoldTask, TourMeasure
-from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.load import parse_spec
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
@@ -108,22 +107,3 @@ def test_a_tour_that_cannot_be_is_refused(old, new, said):
     with pytest.raises(SpecError) as raised:
         parse_spec(ONE.replace(old, new), "one.yaml")
     assert said in str(raised.value)
-
-
-@pytest.mark.long
-@pytest.mark.slow
-@pytest.mark.release  # of other cells: above; of single trials too much is chance
-def test_the_shipped_cells_are_kept_as_near_as_the_common_field_allows(tmp_path):
-    """Of three cells one after the other is inside, 1.08 of them (10 trials); of single trials 0.6
-    to 1.4."""
-    inside = []
-    for seed in (1, 2, 3, 4):
-        settings = ["hold.time=8", f"trials.seed={seed}"]
-        spec = load_spec(ROOT / "experiments" / "tetrahymena_hold.yaml", settings)
-        folder = tmp_path / str(seed)
-        folder.mkdir()
-        result = run_logged(spec, folder)
-        assert result.outcome.complete
-        assert not result.left_arena
-        inside.append(sum(result.inside))
-    assert sum(inside) / len(inside) > 0.9

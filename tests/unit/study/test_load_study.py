@@ -1,8 +1,6 @@
 """Studies: their arms, and where problems of the study and of its base spec are reported."""
 
 # ruff: noqa: E501 (the lines printed are long)
-from pathlib import Path
-from unittest import mock
 
 import pytest
 from support.paths import ROOT
@@ -11,7 +9,6 @@ from support.studies import STUDY, write
 
 from tetractl.core.registries import SWEEPS
 from tetractl.experiment.schema import schema_json, schema_of
-from tetractl.experiment.yaml import document
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.study.load_study import Study, load_study
 from tetractl.study.sweep import Range
@@ -157,12 +154,3 @@ def test_the_reference_names_every_field():
     for model in (Study, Range, *sweeps):
         for field in model.model_fields:
             assert f"`{field}`" in page, field
-
-
-def test_the_base_is_parsed_once_for_all_arms(tmp_path):
-    study = write(tmp_path, STUDY)
-    with mock.patch.object(document, "parse_document", wraps=document.parse_document) as parse:
-        loaded = load_study(study)
-    assert len(loaded.arms) == 8
-    files = [Path(call.args[1]).name for call in parse.call_args_list]
-    assert files == [study.name, "spec.yaml"]

@@ -89,23 +89,15 @@ def test_sobol_fills_each_axis_evenly():
         assert intervals == list(range(64))
 
 
-lows = st.floats(-1e6, 1e6)
 widths = st.floats(1e-3, 1e6)
 shares = st.floats(0, 1, exclude_max=True)
 
 
-@given(lows, widths, shares)
-def test_values_stay_in_their_range(low, width, share):
-    linear = Range(low=low, high=low + width)
-    assert linear.low <= linear.at(share) <= linear.high
-    assert linear.at(0.0) == pytest.approx(linear.low)
-
-
-@given(st.floats(1, 1e6), widths, shares)
-def test_values_stay_in_a_range_with_a_logarithmic_scale(low, width, share):
-    logarithmic = Range(low=low, high=low + width, scale="log")
-    assert logarithmic.low <= logarithmic.at(share) <= logarithmic.high
-    assert logarithmic.at(0.0) == pytest.approx(logarithmic.low)
+@given(st.floats(1, 1e6), widths, shares, st.sampled_from(["linear", "log"]))
+def test_values_stay_in_their_range(low, width, share, scale):
+    values_between = Range(low=low, high=low + width, scale=scale)
+    assert values_between.low <= values_between.at(share) <= values_between.high
+    assert values_between.at(0.0) == pytest.approx(values_between.low)
 
 
 @given(

@@ -289,32 +289,6 @@ def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["errors", "over-time"])
-def test_the_time_axis_starts_with_the_first_direction(log, kind):
-    placed = 20 * SECOND
-
-    def sent_later(command):
-        return replace(command, sent_ns=command.sent_ns + placed)
-
-    steps = tuple(replace(step, command=sent_later(step.command)) for step in log.steps)
-    stop = sent_later(log.stop)
-    later = replace(log, commands=(), steps=steps, stop=stop, mocap_ns=log.mocap_ns + placed)
-    early = np.arange(0, placed, SECOND)
-    waiting = replace(
-        later,
-        mocap_ns=np.concatenate([early, later.mocap_ns]),
-        mocap=np.concatenate([np.repeat(log.mocap[:1], len(early), axis=0), log.mocap]),
-        valid=np.concatenate([np.ones((len(early), 3), dtype=bool), log.valid]),
-    )
-    at_once = draw(kind, [log]).axes
-    after_waiting = draw(kind, [waiting]).axes
-    for expected, axes in zip(at_once, after_waiting, strict=True):
-        assert axes.get_xlim() == expected.get_xlim()
-        assert axes.get_xlim()[0] == 0
-        assert axes.get_xlabel() == expected.get_xlabel()
-
-
-@pytest.mark.long
 def test_the_direction_turns_through_pi_without_a_line_across(log):
     sent = (3.0, -3.0, -0.5)  # rad: from the first to the second it turns by 0.28
     steps = tuple(

@@ -137,7 +137,8 @@ def rules(chosen: argparse.Namespace) -> None:
     """Print a row for each rule, or for those of --without: the measures of RULE_FILMS, at 10 Hz
     and without a field, and of the given film without it. Places are not smoothed.
     """
-    from filmworld.without_truth import FilmInMemory, body_masks, followed, no_body, unfitted
+    from filmworld.in_memory import FilmInMemory
+    from filmworld.without_truth import body_masks, followed, no_body, unfitted
 
     cv2.setNumThreads(1)
     drawn = []
@@ -145,8 +146,8 @@ def rules(chosen: argparse.Namespace) -> None:
         folder = rendered(chosen.cache, renderer, level, chosen.first_seed)
         truth = FilmTruth.load(folder / "truth.npz").thinned(RULES_EVERY)
         film = open_film(folder / "film.avi", None, truth.um_px)
-        drawn.append((FilmInMemory(film, step=RULES_EVERY), truth))
-    film = FilmInMemory(open_film(chosen.film, chosen.rate, chosen.scale))
+        drawn.append((FilmInMemory.read(film, step=RULES_EVERY), truth))
+    film = FilmInMemory.read(open_film(chosen.film, chosen.rate, chosen.scale))
     film.pictures = film.pictures[: chosen.pictures]
     bodies = body_masks(film.pictures, chosen.darker)
     print("| taken out | no body | followed | F1 | IDF1 | wrong names, called sure | sure |")

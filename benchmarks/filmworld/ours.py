@@ -8,8 +8,8 @@ from tetractl_microscope.film.fit_cell import fit_cells
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.pictures import open_film
 
+from .in_memory import FilmInMemory
 from .scores import Shown
-from .without_truth import FilmInMemory
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ def track(folder: Path, um_px: float, setting: Setting) -> Shown:
     field = read_field(folder / "field.csv") if setting.has_field else None
     film = open_film(folder / "film.avi", None, um_px)
     if setting.step > 1:
-        film = FilmInMemory(film, step=setting.step)
+        film = FilmInMemory.read(film, step=setting.step)
     followed = follow(film, um_px, field)
     followed, cells = fit_cells(followed, field)
     result = Shown.of(followed)

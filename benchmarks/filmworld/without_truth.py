@@ -15,7 +15,7 @@ and so is none. Rows are (N, 6): picture, number, column, row, sure, found.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -25,10 +25,10 @@ import pandas as pd
 from tetractl_microscope.cells.picture_now import pixels_of
 from tetractl_microscope.film.fit_cell import fit_cells
 from tetractl_microscope.film.follow import Followed, follow
-from tetractl_microscope.film.picture_times import PictureTimes
-from tetractl_microscope.film.pictures import FilmPictures, open_film
+from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import Organism, named
 
+from .in_memory import FilmInMemory
 from .peers import trackpy_rows
 from .rows import share
 
@@ -54,31 +54,6 @@ class Counts:
     followed: tuple[int, int]
 
 
-class FilmInMemory:
-    """The pictures of a film, in their order or backwards, as `follow` takes one."""
-
-    damaged = 0
-
-    def __init__(self, film: FilmPictures, backwards: bool = False, step: int = 1) -> None:
-        self.path: Path = film.path
-        self.timing = PictureTimes(film.rate_hz / step)
-        pictures = [picture for _, picture in film][::step]
-        self.pictures = pictures[::-1] if backwards else pictures
-
-    @property
-    def rate_hz(self) -> float:
-        return self.timing.rate_hz
-
-    def __iter__(self) -> Iterator[tuple[int, np.ndarray]]:
-        yield from enumerate(self.pictures)
-
-    def seconds(self, number: int) -> float:
-        return self.timing.seconds(number)
-
-    def time_line(self) -> None:
-        return None
-
-
 def report(
     path: Path, name: str, rate_hz: float | None, um_px: float | None, threshold: float
 ) -> None:
@@ -89,7 +64,7 @@ def report(
     film = open_film(path, rate_hz, um_px)
     pictures = [picture for _, picture in film]
     bodies = body_masks(pictures, threshold)
-    ways = [FilmInMemory(film, is_backwards) for is_backwards in (False, True)]
+    ways = [FilmInMemory.read(film, is_backwards) for is_backwards in (False, True)]
     rows_of = {"tetractl": [_tetractl(way, um_px, organism) for way in ways]}
     try:
         scale_um_px = um_px or rows_of["tetractl"][0][1]

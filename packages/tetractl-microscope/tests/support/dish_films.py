@@ -1,6 +1,7 @@
 """Short synthetic films for tests, and how well cells were followed in them."""
 
 import numpy as np
+from filmworld.in_memory import FilmInMemory
 from filmworld.scores import Shown, score_film
 from filmworld.truth import FilmTruth
 from support.needs_opencv import cv2
@@ -17,27 +18,13 @@ REACH_UM = 25.0  # a cell is found by what is shown within half a body of it
 cv2.setNumThreads(1)
 
 
-class Reel:
-    """A film in memory, as `follow` takes one."""
+class Reel(FilmInMemory):
+    """A synthetic film, or other pictures and times of it."""
 
     def __init__(self, synthetic, pictures=None, timing=None):
-        self.path = "reel"
-        self.damaged = 0
-        self.timing = PictureTimes(synthetic.script.rate) if timing is None else timing
-        self.pictures = list(synthetic.pictures()) if pictures is None else pictures
-
-    def __iter__(self):
-        return iter(enumerate(self.pictures))
-
-    @property
-    def rate_hz(self):
-        return self.timing.rate_hz
-
-    def seconds(self, number):
-        return self.timing.seconds(number)
-
-    def time_line(self):
-        return self.timing.uneven_line()
+        pictures = list(synthetic.pictures()) if pictures is None else pictures
+        timing = PictureTimes(synthetic.script.rate) if timing is None else timing
+        super().__init__("reel", pictures, timing)
 
 
 def film(seed=1, side=384, look=None, **script):

@@ -15,7 +15,8 @@ from rich.console import Console
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
-sys.path[:0] = [str(tests) for tests in (ROOT / "tests", *ROOT.glob("packages/*/tests"))]
+FOLDERS = (ROOT / "tests", ROOT / "benchmarks", *ROOT.glob("packages/*/tests"))
+sys.path[:0] = [str(folder) for folder in FOLDERS]
 
 from support.chromium import chromium  # noqa: E402
 from support.dish_films import film  # noqa: E402

@@ -178,12 +178,6 @@ MARK = fault_kind(
 
 
 @dataclass(slots=True)
-class _Pending:
-    fault: Fault
-    exposure: int | None = None  # the first exposure during the fault
-
-
-@dataclass(slots=True)
 class Injector:
     """Schedules the faults of a script; `device_of` returns the device of a fault.
 
@@ -196,7 +190,8 @@ class Injector:
     device_of: Callable[[Fault], Any]
     report: Callable[[str, Fault], None]
     acting: ActingFaults = field(default_factory=ActingFaults)
-    _pending: list[_Pending] = field(default_factory=list)
+    _newest: int = 0  # exposure
+    _pending: list[tuple[Fault, int]] = field(default_factory=list)  # and the first during each
     _since: set[str] = field(default_factory=set)
 
     def happened(self, what: str) -> None:
@@ -213,20 +208,16 @@ class Injector:
 
     def exposed(self, exposure: int) -> None:
         """Record that the exposure with this number is about to be taken."""
-        for pending in self._pending:
-            if pending.exposure is None:
-                pending.exposure = exposure
+        self._newest = exposure
 
     def sent(self, exposure: int) -> None:
         """Record that the frame of the exposure with this number was sent, or withheld by a
         fault.
         """
-        for pending in list(self._pending):
-            first = pending.exposure
-            at_sending = pending.fault.visible is Visible.SENT
-            if at_sending or (first is not None and exposure >= first):
-                self._pending.remove(pending)
-                self.report("start", pending.fault)
+        for fault, first in list(self._pending):
+            if fault.visible is Visible.SENT or exposure >= first:
+                self._pending.remove((fault, first))
+                self.report("start", fault)
 
     def act(self, fault: Fault) -> Undo:
         """Let a fault act; return what ends it."""
@@ -245,7 +236,7 @@ class Injector:
             self.report("start", fault)  # before it: a killed process reports nothing
         end = self.act(fault)
         if fault.visible is not Visible.AT_ONCE:
-            self._pending.append(_Pending(fault))
+            self._pending.append((fault, self._newest + 1))
         if fault.duration is not None:
             ends_ns = self.timeline.now_ns + round(fault.duration * SECOND)
 

@@ -55,9 +55,9 @@ BLIND_SHARE = 0.1
 """Share of the days on which robots on wheels are driven blindly, until a limit stops them."""
 BLIND_S = 15
 """Time of a day's blind drive [s], in which each robot comes to a rim."""
-NEARER = 0.5
+NEARER = 0.4
 """Factor by which robots start nearer to their middle on such a day, so that they meet."""
-APART = 2.0
+APART = 1.5
 """Least distance of robots at such starts, as a multiple of `separation_mm`."""
 SHORT_SHARE = 0.15
 """Share of the days whose trial ends after SHORT_S, while robots drive."""

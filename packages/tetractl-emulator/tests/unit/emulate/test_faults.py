@@ -407,6 +407,7 @@ def test_a_fault_is_told_with_the_first_frame_that_was_exposed_during_it():
     hidden = fault_kind("hidden", "A fault.", Visible.EXPOSED)
     faults = (hidden(fault="hidden", since="start"),)
     injector = Injector(timeline, faults, lambda _: None, lambda phase, _: reports.append(phase))
+    injector.exposed(6)
     injector.happened("start")
     timeline.run_to(0)
     injector.exposed(7)

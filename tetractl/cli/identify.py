@@ -62,7 +62,8 @@ def identify(
         )
     if tables:
         tracks = csv_tracks(tables)
-        tell_remarks(tracks)
+        for track in tracks:
+            ui.tell(*(f"warning: {remark}" for remark in track.remarks))
         wheels = tracks[0].twists.size > 0
         expected_a = None
         dead_time_s = None
@@ -120,12 +121,6 @@ def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> No
     origin = ", ".join(dict.fromkeys(track.origin for track in tracks))
     title = f"{commands} commands: {origin}; 95 % intervals"
     ui.show(as_json, responses, [response_table(responses, title, tracks[0].unit)])
-
-
-def tell_remarks(tracks: "list[Track]") -> None:
-    """Print what is to be said of the data, on stderr."""
-    for track in tracks:
-        ui.tell(*(f"warning: {remark}" for remark in track.remarks))
 
 
 def show_found(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:

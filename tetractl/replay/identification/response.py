@@ -31,7 +31,8 @@ Pairs of a motion's two integrals stand in columns: of p, then of q.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
@@ -75,7 +76,7 @@ SAME_LAG_S = 0.02
 """How well a lag has to be known to be of use in a spec [s]."""
 GRID_DEAD_TIMES_S = np.arange(-0.25, 0.26, 0.05)
 """Dead times from which the search may start, less that of the start [s]."""
-GRID_TURNING_LAGS_S = (0.03, 0.1, 0.3)
+GRID_TURNING_LAGS_S = np.array([0.03, 0.1, 0.3])
 """Lags of turning from which it may start [s]; that of speed starts at its unit."""
 CLOCKS_S = np.arange(-200, 201) / 20
 PEAK = 5
@@ -541,33 +542,32 @@ def _search(name: str, steps: _Steps, units: ResponseParameters) -> Floats:
     """Return the likeliest vector of parameters (7,), by Newton steps of which the best DAMPED one
     is taken; UsageError if it does not settle."""
 
-    def posterior(vector: Floats) -> float:
-        """Return ln of the posterior of a vector (7,), with a normal prior around 0."""
-        parameters = units.at(vector)
-        turns = _turns(steps, parameters).restricted_likelihood()
-        ways = _ways(steps, parameters).restricted_likelihood()
-        score = turns + ways - np.square(vector).sum() / (2 * PRIOR_STD**2)
-        return score if np.isfinite(score) else UNLIKELY
+    def posteriors(vectors: Floats) -> Floats:
+        """Return ln of the posterior (V,) of vectors (V, 7), with a normal prior around 0."""
+        scores = np.zeros(len(vectors))
+        for i, vector in enumerate(vectors):
+            parameters = units.at(vector)
+            turns = _turns(steps, parameters).restricted_likelihood()
+            ways = _ways(steps, parameters).restricted_likelihood()
+            scores[i] = turns + ways - np.square(vector).sum() / (2 * PRIOR_STD**2)
+        return np.where(np.isfinite(scores), scores, UNLIKELY)
 
-    def posteriors(vector: Floats, changes: Floats) -> Floats:
-        """Return ln of the posterior (1, V) of a vector (7,) after each of changes (1, V, 7)."""
-        return np.array([[posterior(vector + change) for change in changes[0]]])
-
-    starts = []
-    for dead_time_s in GRID_DEAD_TIMES_S:
-        for lag_s in GRID_TURNING_LAGS_S:
-            start = np.zeros(SEARCHED)
-            start[:2] = dead_time_s / DEAD_TIME_UNIT_S, np.log(lag_s / LAG_UNIT_S)
-            starts.append(start)
-    best = max(starts, key=posterior)
+    lags = np.log(GRID_TURNING_LAGS_S / LAG_UNIT_S)
+    grid = list(product(GRID_DEAD_TIMES_S / DEAD_TIME_UNIT_S, lags))
+    starts = np.zeros((len(grid), SEARCHED))
+    starts[:, :2] = grid
+    best = starts[posteriors(starts).argmax()]
     for _ in range(ROUNDS):
         at_best = best
-        slopes, curvatures = derivatives(partial(posteriors, at_best), SEARCHED)
+        slopes, curvatures = derivatives(
+            lambda changes, at=at_best: posteriors(at + changes[0])[None], SEARCHED
+        )
         value, axes = np.linalg.eigh(curvatures[0])
         value = np.maximum(np.abs(value), PRIOR_STD**-2)
         along = axes.T @ slopes[0]
-        tried = [best + np.clip(axes @ (along / (value + d)), -1.0, 1.0) for d in DAMPED]
-        best = max([best, *tried], key=posterior)
+        steps_tried = [np.clip(axes @ (along / (value + d)), -1.0, 1.0) for d in DAMPED]
+        tried = np.array([best, *(best + step for step in steps_tried)])
+        best = tried[posteriors(tried).argmax()]
         std = np.sqrt(axes**2 @ (1 / value))
         if (np.abs(best - at_best) < np.maximum(SETTLED * std, LEAST_CHANGE)).all():
             return best

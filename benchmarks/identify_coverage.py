@@ -1,14 +1,13 @@
 """How often the 95 % intervals of `tetractl identify` hold the truth, on simulated logs.
 
-    nice python benchmarks/identify_coverage.py --logs 500 --jobs 2
-    nice python benchmarks/identify_coverage.py --logs 40 --trials 20
-    nice python benchmarks/identify_coverage.py --logs 40 --first 20261100 --bench
+    nice python benchmarks/identify_coverage.py --logs 40 --first 9100 --trials 20
+    nice python benchmarks/identify_coverage.py --logs 40 --first 20263300 --bench
 
-Each log is of three robots that drive ten seconds in random directions or, with --trials, of a
-trial in which the controller steers them to their targets at that rate. a, speeds and a dead time
-are drawn for each log; there is camera noise, a random walk of the headings, and 5 % of the
-commands are lost. With --bench the logs are of trials of experiments/three_m3pi_bench.yaml: true
-is the a that a robot's gains and wheel base make of the spec's, and the radio's dead time.
+prints the table of docs/how-to/identify.md. Each log is of a trial in which the controller steers
+three robots to their targets at the rate --trials. a, speeds and a dead time are drawn for each;
+there is camera noise, a random walk of the headings, and 5 % of the commands are lost. With --bench
+the logs are of trials of experiments/three_m3pi_bench.yaml: true is the a that a robot's gains and
+wheel base make of the spec's, and the radio's dead time.
 """
 
 import argparse
@@ -35,8 +34,6 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi.yaml"
 BENCH = EXPERIMENTS / "three_m3pi_bench.yaml"
 RADIO_S = 0.0077  # mean delay of the bench's radio [s]
-STEPS = 50
-PERIOD = 0.2
 POSITION = 0.5
 HEADING = 0.01
 WALK = 0.03
@@ -44,27 +41,6 @@ NOISE = [
     f"plant.measurement_noise={{position: {POSITION}, heading: {HEADING}}}",
     f"plant.heading_noise={WALK}",
 ]
-
-
-def _log(number: int, sets: list[str], rate: float | None):
-    """Return a log of random directions, or of a trial with control steps at a rate [Hz], and its
-    spec.
-    """
-    if rate is not None:
-        steps = f"controller.period={1 / rate}"
-        spec = api.load_spec(SPEC, f"trials.seed={number}", steps, *sets, *NOISE)
-        with TemporaryDirectory() as folder:
-            return api.run_trial(spec, folder=folder), spec
-    rng = np.random.default_rng([number, 1])
-    directions = rng.uniform(-2, 2, STEPS).tolist()
-    limit = (STEPS + 1) * PERIOD
-    times = f"period: {PERIOD}, time_limit: {limit}"
-    controller = f"controller={{type: sequence, {times}, directions: {directions}}}"
-    spec = api.load_spec(
-        SPEC, f"trials.seed={number}", controller, "wheels.watchdog=null", *sets, *NOISE
-    )
-    with TemporaryDirectory() as folder:
-        return api.run_trial(spec, folder=folder), spec
 
 
 def _hits(identified, truths):
@@ -77,11 +53,15 @@ def _hits(identified, truths):
     return hits
 
 
-def coverage(number: int, rate: float | None = None):
-    """Return which intervals of one log hold the truth."""
+def coverage(number: int, rate: float):
+    """Return which intervals of the log of a trial with control steps at a rate [Hz] hold the
+    truth."""
     dead_time = float(np.random.default_rng([number, 2]).uniform(0.02, 0.15))
     sets = ["plant.a_error=0.2", "plant.speed_error=0.1", "plant.lost_commands=0.05"]
-    log, spec = _log(number, [*sets, f"plant.dead_time={dead_time}"], rate)
+    sets += [f"plant.dead_time={dead_time}", f"controller.period={1 / rate}"]
+    spec = api.load_spec(SPEC, f"trials.seed={number}", *sets, *NOISE)
+    with TemporaryDirectory() as folder:
+        log = api.run_trial(spec, folder=folder)
     identified = identify([track_of(log)], spec.experiment.setup.a)
     facts = log.start.plant.facts
     hits = _hits(
@@ -127,7 +107,7 @@ def main() -> None:
     )
     parser.add_argument("--logs", type=int, default=500)
     parser.add_argument("--first", type=int, default=0, help="number of the first log, its seed")
-    parser.add_argument("--trials", type=float, metavar="HZ", help="logs of trials, at this rate")
+    parser.add_argument("--trials", type=float, metavar="HZ", default=20.0, help="at this rate")
     parser.add_argument("--bench", action="store_true", help="logs of trials of the bench")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()

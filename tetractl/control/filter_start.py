@@ -18,7 +18,6 @@ Arrays are those of a `Bank`: B filters, group by group, of N robots.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -93,14 +92,6 @@ FIRST_SLOT = 0
 """The slot of the only hypothesis that a filter begins with."""
 
 
-class Uncertain(NamedTuple):
-    """The deviation of a state at first, and that of its random walk [1/sqrt(s)]; per robot or for
-    all."""
-
-    std: Floats | float
-    walk: Floats | float
-
-
 # ---- what is assumed ----
 
 
@@ -112,9 +103,7 @@ def tried_state(prior: Prior) -> int:
 def filter_model(prior: Prior) -> FilterModel:
     """Return what the filters assume of the robots of a prior. Motors of wheels do not saturate
     until that is tried."""
-    walk = np.zeros((_states(prior), len(prior.a)))
-    for state, uncertain in _uncertain_states(prior).items():
-        walk[state] = uncertain.walk
+    _, walk = _deviations(prior)
     walk[X] = SLIP * prior.speed
     walk[Y] = SLIP * prior.speed
     walk[HEADING] = WALK
@@ -133,43 +122,37 @@ def filter_model(prior: Prior) -> FilterModel:
 def first_std(prior: Prior) -> Floats:
     """Return the standard deviations (N, n) from which the n states with a variance start; those of
     the pose are 0 until it is that of a frame."""
-    std = np.zeros((len(prior.a), _states(prior)))
-    for state, uncertain in _uncertain_states(prior).items():
-        std[:, state] = uncertain.std
-    return std
+    std, _ = _deviations(prior)
+    return std.T
 
 
-def _states(prior: Prior) -> int:
-    """Return the number of states with a variance."""
-    return STATES_OF_CELLS if prior.swims else STATES_OF_WHEELS
-
-
-def _uncertain_states(prior: Prior) -> dict[int, Uncertain]:
-    """Return how uncertain the states are, but the poses: these start from a frame. Of a helix of
-    random phase, sine and cosine deviate by its radius / sqrt(2)."""
+def _deviations(prior: Prior) -> tuple[Floats, Floats]:
+    """Return the standard deviations (n, N) of the states at first, and of their random walks
+    [1/sqrt(s)]; those of the poses are 0, as these start from a frame. A state that is known does
+    not walk. Of a helix of random phase, sine and cosine deviate by its radius / sqrt(2)."""
     a, speed = PARAMETERS
     side, _ = TURNING
-    flow = Uncertain(prior.flow_std, FLOW_WALK * prior.flow_std)
-    uncertain = {
-        LN_A: _walking(prior.a_std, a.drift),
-        LN_SPEED: _walking(prior.speed_std, speed.drift),
-        SIDE: _walking(prior.side_std, side.drift),
-        TURN_BIAS: _walking(prior.heading_bias_std, TURN_BIAS_WALK),
-        MARKER_BIAS: _walking(prior.marker_bias_std, MARKER_BIAS_WALK),
+    flow = (prior.flow_std, FLOW_WALK * prior.flow_std)
+    deviations = {
+        LN_A: (prior.a_std, a.drift),
+        LN_SPEED: (prior.speed_std, speed.drift),
+        SIDE: (prior.side_std, side.drift),
+        TURN_BIAS: (prior.heading_bias_std, TURN_BIAS_WALK),
+        MARKER_BIAS: (prior.marker_bias_std, MARKER_BIAS_WALK),
         FLOW_X: flow,
         FLOW_Y: flow,
     }
     if prior.swims:
-        swing = Uncertain(prior.helix_radius / math.sqrt(2), HELIX_WALK * prior.helix_radius)
-        uncertain[HELIX_SINE] = swing
-        uncertain[HELIX_COSINE] = swing
-        uncertain[LN_FREQUENCY] = Uncertain(FREQUENCY_STD, FREQUENCY_WALK)
-    return uncertain
-
-
-def _walking(std: float, walk: float) -> Uncertain:
-    """Return how uncertain a state is that drifts by a random walk, unless it is known."""
-    return Uncertain(std, walk if std > 0 else 0.0)
+        swing = (prior.helix_radius / math.sqrt(2), HELIX_WALK * prior.helix_radius)
+        deviations[HELIX_SINE] = swing
+        deviations[HELIX_COSINE] = swing
+        deviations[LN_FREQUENCY] = (FREQUENCY_STD, FREQUENCY_WALK)
+    std = np.zeros((STATES_OF_CELLS if prior.swims else STATES_OF_WHEELS, len(prior.a)))
+    walk = np.zeros_like(std)
+    for state, (deviation, drift) in deviations.items():
+        std[state] = deviation
+        walk[state] = drift if deviation > 0 else 0.0
+    return std, walk
 
 
 def _noise(prior: Prior) -> Floats:

@@ -22,7 +22,6 @@ push of some millimetres is as well explained by it. Lengths are mm.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,15 +51,6 @@ CAMERA = (
 )
 RADIO = "all robots move as they were commanded {:.1f} s before: is the radio slow?"
 SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
-
-
-@dataclass(frozen=True, slots=True)
-class Explanations:
-    """The sums of squares of a common cause, and of one robot; `delay_ns` is that of the radio."""
-
-    common: float
-    one_robot: float
-    delay_ns: int = 0
 
 
 class Culprit:
@@ -96,14 +86,12 @@ class Culprit:
         """Return a text if camera or radio explain the motion of the robots better than the
         suspect does."""
         others = np.array(robots) != suspect
-        camera = self._camera(robots, others)
-        radio = self._radio(robots, others)
-        late = radio.common < min(CLEAR * len(robots), radio.one_robot)
-        if late and radio.common + CLEAR < max(
-            radio.one_robot, min(camera.common, camera.one_robot)
-        ):
-            return RADIO.format(radio.delay_ns / SECOND)
-        return CAMERA if camera.common + CLEAR < camera.one_robot else ""
+        camera, one_robot = self._camera(robots, others)
+        radio, one_robot_late, delay_ns = self._radio(robots, others)
+        late = radio < min(CLEAR * len(robots), one_robot_late)
+        if late and radio + CLEAR < max(one_robot_late, min(camera, one_robot)):
+            return RADIO.format(delay_ns / SECOND)
+        return CAMERA if camera + CLEAR < one_robot else ""
 
     def _swapped(self, suspect: int, robots: Sequence[int]) -> str:
         """Return a text if the suspect and another of the robots have exchanged numbers."""
@@ -122,15 +110,15 @@ class Culprit:
         delay up to DELAY_NS that fits best."""
         return self._squares_by_delay(robots, commanded, DELAY_NS // STEP_NS).min(axis=0)
 
-    def _camera(self, robots: Sequence[int], others: Bools) -> Explanations:
-        """Return the sums of the camera and of one robot."""
+    def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
+        """Return the sums of squares of the camera and of one robot."""
         left_over = [self._drift.left_over(i, self._blocks(i)) for i in robots]
         z = np.array([residual for residual, _ in left_over])
         moves = np.vstack([picture for _, picture in left_over]) * LIKELY_RATES
         flat = z.ravel()
         g = np.linalg.solve(moves.T @ moves + np.eye(4), moves.T @ flat)
         camera = ((flat - moves @ g) ** 2).sum() + g @ g
-        return Explanations(camera, (z[others] ** 2).sum())
+        return camera, (z[others] ** 2).sum()
 
     def _blocks(self, i: int) -> list[tuple[int, Pose]]:
         """Return the poses of robot i that are at least BLOCK_NS apart, with their times."""
@@ -142,14 +130,14 @@ class Culprit:
                 blocks.append((exposed_ns, pose))
         return blocks
 
-    def _radio(self, robots: Sequence[int], others: Bools) -> Explanations:
-        """Return the sums of the radio and of one robot, and the radio's delay."""
+    def _radio(self, robots: Sequence[int], others: Bools) -> tuple[float, float, int]:
+        """Return the sums of squares of the radio and of one robot, and the radio's delay [ns]."""
         squares = self._squares_by_delay(robots, robots, LATEST_NS // STEP_NS)
         nominal = DELAY_NS // STEP_NS  # delays that are usual
         radio = squares.sum(axis=1)
         delay = nominal + int(radio[nominal:].argmin())
         one_robot = squares[:nominal, others].sum(axis=1).min()
-        return Explanations(radio[delay], one_robot, delay * STEP_NS)
+        return radio[delay], one_robot, delay * STEP_NS
 
     def _squares_by_delay(
         self, robots: Sequence[int], commanded: Sequence[int], delays: int

@@ -17,27 +17,13 @@ more."""
 
 @dataclass(frozen=True, slots=True)
 class DueTimes:
-    """The M times of one part of the path, in order."""
+    """The M times of one part of the path, in order and each once."""
 
     times_ns: Times
     frames: Bools
     """At which of the times a frame is exposed, (M,)."""
     samples: Bools
     """At which of them the true path is sampled, (M,)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """A part of the timetable: K times, in order and each once."""
-
-    end_ns: int
-    times_ns: Times
-    times: list[int]
-    """The same times; a list is searched faster."""
-    frames: Bools
-    samples: Bools
-    next_frames_ns: list[int]
-    """For each time the first time of a frame that is not before it [ns]."""
 
 
 class Timetable:
@@ -49,12 +35,11 @@ class Timetable:
     def __init__(self, camera_hz: float, truth_hz: float) -> None:
         self._camera_hz = camera_hz
         self._truth_hz = truth_hz
-        self._taken = 0  # number of times of the block that were taken
         self.next_ns = 0
         """The first time that was not taken yet [ns]."""
         self.next_frame_ns = 0
         """The first time of a frame that was not taken yet [ns]."""
-        self._block = self._lay_out(TIMES_BLOCK_NS)
+        self._lay_out(TIMES_BLOCK_NS)
 
     def take(self, until_ns: int, with_end: bool) -> DueTimes:
         """Take the times up to `until_ns`, that one included.
@@ -62,31 +47,28 @@ class Timetable:
         If `with_end`, `until_ns` is the last of them in any case, be it a frame's, a sample's or
         neither.
         """
-        if until_ns + SPARE_NS >= self._block.end_ns:
-            self._block = self._lay_out(until_ns + TIMES_BLOCK_NS)
-            self._taken = 0
-        block = self._block
+        if until_ns + SPARE_NS >= self._end_ns:
+            self._lay_out(until_ns + TIMES_BLOCK_NS)
         begin = self._taken
-        end = bisect_right(block.times, until_ns, begin)
+        end = bisect_right(self._times, until_ns, begin)
         self._taken = end
-        self.next_ns = block.times[end]
-        self.next_frame_ns = block.next_frames_ns[end]
-        ends = end > begin and block.times[end - 1] == until_ns
-        if ends or not with_end:
-            part = slice(begin, end)
-            return DueTimes(block.times_ns[part], block.frames[part], block.samples[part])
-        # the time after the last one is replaced, which is quicker than to append one
-        part = slice(begin, end + 1)
+        self.next_ns = self._times[end]
+        self.next_frame_ns = self._next_frames_ns[end]
+        ends = end > begin and self._times[end - 1] == until_ns
+        replaces = with_end and not ends  # the time after the last one: quicker than to append one
+        part = slice(begin, end + 1 if replaces else end)
+        block = self._block
         due = DueTimes(
             block.times_ns[part].copy(), block.frames[part].copy(), block.samples[part].copy()
         )
-        due.times_ns[-1] = until_ns
-        due.frames[-1] = False
-        due.samples[-1] = False
+        if replaces:
+            due.times_ns[-1] = until_ns
+            due.frames[-1] = False
+            due.samples[-1] = False
         return due
 
-    def _lay_out(self, end_ns: int) -> Block:
-        """Return the block from the next time to `end_ns` and the spare time after it."""
+    def _lay_out(self, end_ns: int) -> None:
+        """Lay out the block from the next time to `end_ns` and the spare time after it."""
         frames_ns = _multiples(self._camera_hz, self.next_ns, end_ns + SPARE_NS)
         samples_ns = _multiples(self._truth_hz, self.next_ns, end_ns + SPARE_NS)
         # np.unique does the same 70 times slower: it hashes what is nearly sorted
@@ -96,14 +78,14 @@ class Timetable:
         next_frames_ns = np.append(frames_ns, NEVER)[following]
         following = np.searchsorted(samples_ns, times_ns)
         next_samples_ns = np.append(samples_ns, NEVER)[following]
-        return Block(
-            end_ns=end_ns,
-            times_ns=times_ns,
-            times=times_ns.tolist(),
-            frames=next_frames_ns == times_ns,
-            samples=next_samples_ns == times_ns,
-            next_frames_ns=next_frames_ns.tolist(),
+        self._end_ns = end_ns
+        self._taken = 0  # number of times of the block that were taken
+        self._block = DueTimes(
+            times_ns, frames=next_frames_ns == times_ns, samples=next_samples_ns == times_ns
         )
+        self._times: list[int] = times_ns.tolist()  # the same times; a list is searched faster
+        # for each time the first time of a frame that is not before it [ns]
+        self._next_frames_ns: list[int] = next_frames_ns.tolist()
 
 
 def _multiples(rate_hz: float, since_ns: int, until_ns: int) -> Times:

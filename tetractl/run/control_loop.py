@@ -67,7 +67,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import NamedTuple
 
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Stop, Turn
@@ -90,11 +89,8 @@ PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial e
 Decision = Plan | Outcome | End
 
 
-class TimedDecision(NamedTuple):
-    """A decision, and the wall time that it needed [ns]."""
-
-    decision: Decision
-    solve_ns: int
+TimedDecision = tuple[Decision, int]
+"""A decision, and the wall time that it needed [ns]."""
 
 
 class StepPacing:
@@ -387,7 +383,7 @@ class Trial:
     ) -> TimedDecision:
         began_ns = time.perf_counter_ns()
         decision = self._controller.plan(observation, last, between)
-        return TimedDecision(decision, time.perf_counter_ns() - began_ns)
+        return decision, time.perf_counter_ns() - began_ns
 
     # ---- plant and clock ----
 

@@ -64,12 +64,13 @@ def compiled_branches(
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
     from tetractl.control.kernels.motion import flatten
-    from tetractl.control.kernels.prediction import foresee
+    from tetractl.control.kernels.prediction import costs_along, predict
 
     flat = flatten(problem)
     path = np.empty((signals.size + 1, len(problem.a), 3))
     path[0] = flat.poses
-    target, obstacle = foresee(np.ascontiguousarray(signals), flat, path)
+    predict(np.ascontiguousarray(signals), flat, path)
+    target, obstacle = costs_along(flat, path)
     if not math.isfinite(target):
         require_finite(np.array([target]))
     return Foreseen(path, target, obstacle)

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from tetractl.control.cost import evaluate
+from tetractl.control.cost import foresee
 from tetractl.control.fixed_sequence import best_stop, given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.control.rng import uniform
@@ -123,7 +123,7 @@ class Rrt(PlainController):
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < self.section.ahead:
             return None
         delay_ns, error = best_stop(problem, self.estimator.held_at_action, self.section.period)
-        if error > evaluate(problem, signals[None]).target[0]:
+        if error > foresee(problem, signals).target:
             return None
         done = Outcome.NO_BETTER_PLAN
         return End(done, delay_ns) if delay_ns else done

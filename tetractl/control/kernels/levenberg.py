@@ -220,15 +220,20 @@ def measure(problem, room, slack):
 
 
 @compiled(**INLINE_FAST)
+def _squared_miss(problem, room, i):
+    """Return |s_i - tar_i|^2."""
+    last = room.rows.shape[1] - 1
+    dx = room.path.x[i, last] - problem.targets[i, 0]
+    dy = room.path.y[i, last] - problem.targets[i, 1]
+    return dx * dx + dy * dy
+
+
+@compiled(**INLINE_FAST)
 def _squared_misses(problem, room):
     """Return sum_i |s_i - tar_i|^2."""
-    path = room.path
-    last = room.rows.shape[1] - 1
     total = 0.0
     for i in range(len(problem.robots)):
-        dx = path.x[i, last] - problem.targets[i, 0]
-        dy = path.y[i, last] - problem.targets[i, 1]
-        total += dx * dx + dy * dy
+        total += _squared_miss(problem, room, i)
     return total
 
 
@@ -444,13 +449,9 @@ def judge(problem, room, u):
 @compiled(**INLINE_FAST)
 def _sum_of_distances(problem, room):
     """Return f of (8) of the path."""
-    path = room.path
-    last = room.rows.shape[1] - 1
     total = 0.0
     for i in range(len(problem.robots)):
-        dx = path.x[i, last] - problem.targets[i, 0]
-        dy = path.y[i, last] - problem.targets[i, 1]
-        total += math.sqrt(dx * dx + dy * dy)
+        total += math.sqrt(_squared_miss(problem, room, i))
     return total
 
 

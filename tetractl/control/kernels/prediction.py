@@ -1,4 +1,4 @@
-"""Where robots go: `tetractl.control.cost.predict` and `foresee` of one sequence, compiled.
+"""Where robots go: `tetractl.control.cost.predict` and `costs_along` of one sequence, compiled.
 
 In addition `drive`, for robots that each follow a direction of their own. A problem is a
 `FlatProblem`; poses are x, y and heading (N, 3).
@@ -67,22 +67,16 @@ def drive(towards, seconds, problem, path):
 
 
 @compiled(**ENTRY_FAST)
-def foresee(u, problem, path):
-    """Fill path (L + 1, N, 3), whose first row is the start, with the poses under u (L,); return f
-    of (8) and P of (9)."""
-    robots = len(problem.robots)
-    towards = np.empty(robots)
+def costs_along(problem, path):
+    """Return f of (8) and P of (9) of a path (L + 1, N, 3), whose first row is the start."""
+    last = path.shape[0] - 1
     missed = 0.0
     touched = 0.0
-    for j in range(u.size):
-        for i in range(robots):
-            towards[i] = u[j]
-        t = problem.first_period if j == 0 else problem.period
-        _move(problem, towards, t, path[j], path[j + 1])
+    for j in range(last):
         touched += _count_touches(problem, path[j], path[j + 1])
-    for i in range(robots):
-        dx = path[u.size, i, 0] - problem.targets[i, 0]
-        dy = path[u.size, i, 1] - problem.targets[i, 1]
+    for i in range(len(problem.robots)):
+        dx = path[last, i, 0] - problem.targets[i, 0]
+        dy = path[last, i, 1] - problem.targets[i, 1]
         missed += math.sqrt(dx * dx + dy * dy)
     return missed, touched
 

@@ -13,9 +13,9 @@ from solverbench.report import load
 
 from tetractl.control.lengths import Searcher, least_length
 from tetractl.control.optimizers.multistart import Multistart
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Poses
-from tetractl.model.obstacles import Obstacles
 
 
 def many(robots: int, seed: int) -> Problem:

@@ -39,7 +39,7 @@ tetractl/lab/calibrate.py | max(TURNED_RAD, QUIET_TURNS * turned_rad) | min(TURN
 tetractl/log/read/overview.py | (len(entries) - 1) * SECOND / span_ns | len(entries) * SECOND / span_ns | tests/unit/log tests/cli/test_info_cli.py
 tetractl/log/read/recover.py | max((entry.log_ns for entry in contents.entries), default=0) | min((entry.log_ns for entry in contents.entries), default=0) | tests/unit/log/read
 tetractl/model/motion/exact.py | a * p - m * alternating(k, first_b, len(k), q) | a * p + m * alternating(k, first_b, len(k), q) | tests/unit/control/kernels/test_prediction.py
-tetractl/model/obstacles.py | return self.distance(x, y) <= 0 | return self.distance(x, y) < -1 | tests/unit/model/test_obstacles.py
+tetractl/core/obstacles.py | return self.distance(x, y) <= 0 | return self.distance(x, y) < -1 | tests/unit/core/test_obstacles.py
 tetractl/plant/direct.py | np.sin(direction - answered)[reached] | np.sin(answered - direction)[reached] | tests/unit/plant
 tetractl/plant/disturbances/robots.py | min(1.0, time_s / self._section.over) | max(1.0, time_s / self._section.over) | tests/unit/plant
 tetractl/replay/identification/response.py | np.maximum(SETTLED * std, LEAST_CHANGE)).all() | np.maximum(SETTLED * std, LEAST_CHANGE)).any() | tests/unit/replay/test_response.py

@@ -5,9 +5,9 @@ from support.oracle import World
 
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.pso import Pso, best_of
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
-from tetractl.model.obstacles import Obstacles
 from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.polygon import Polygon
 from tetractl.model.shapes.rectangle import Rectangle

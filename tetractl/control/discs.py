@@ -15,18 +15,18 @@ import numpy as np
 
 from tetractl.control.evaluate import compiled_drive
 from tetractl.control.kernels import clearance
-from tetractl.core.plan import Problem, Region
+from tetractl.core.obstacles import Obstacles
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.model.obstacles import Obstacles
 
 HELD_MOMENTS = np.linspace(0, 1, 5)
 """Moments at which `enters_if_held` looks, as fractions of the time: it also tests the straight
 lines between them."""
 
 
-def gaps(obstacles: Region, x: Floats, y: Floats) -> Floats:
+def gaps(obstacles: Obstacles, x: Floats, y: Floats) -> Floats:
     """Return the distance of each point x, y (P,) to each obstacle, (O, P), negative inside."""
     distances = np.empty((obstacles.count, len(x)))
     clearance.gaps(obstacles.rows, obstacles.walls, x, y, distances)

@@ -40,11 +40,11 @@ from tetractl.control.collision import Collision
 from tetractl.control.discs import gaps
 from tetractl.control.kernels.clearance import least_apart
 from tetractl.control.near_targets import lost_way
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.model.obstacles import Obstacles
 
 SIGMAS = 2.0
 """Standard deviations by which uncertain values are taken into account; chosen."""

@@ -13,6 +13,7 @@ from pydantic import Field, PositiveInt
 from tetractl.control.collision import Collision
 from tetractl.control.plain import PlainSection
 from tetractl.control.prior import Prior, Sticks
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import Controller
@@ -22,7 +23,6 @@ from tetractl.experiment.base import Model, NonNegative, Positive, defaults
 from tetractl.experiment.controller import ALONE, Host, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.model.obstacles import Obstacles
 from tetractl.model.swimmers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
 
 SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]

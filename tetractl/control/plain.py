@@ -9,11 +9,11 @@ from tetractl.control.prior import Prior, nothing
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import End, Outcome, Plan, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection
-from tetractl.model.obstacles import Obstacles
 
 if TYPE_CHECKING:  # a spec is read without the filter
     from tetractl.control.estimator import StateEstimator

@@ -20,13 +20,13 @@ from tetractl.control.cost import foresee
 from tetractl.control.fixed_sequence import best_stop, given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.control.rng import uniform
-from tetractl.core.plan import End, Outcome, Plan, Problem, Region
+from tetractl.core.obstacles import Obstacles
+from tetractl.core.plan import End, Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Bounds, Setup
 from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.controller import ALONE, Host
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.model.obstacles import Obstacles
 
 
 class RrtSection(PlainSection):
@@ -130,7 +130,7 @@ class Rrt(PlainController):
 
 
 def grow(
-    region: Region,
+    region: Obstacles,
     arena: Bounds,
     start: Floats,
     target: Floats,

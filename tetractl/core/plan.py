@@ -6,11 +6,11 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from typing import Protocol
 
 import numpy as np
 
 from tetractl.core.commands import Action, FieldOff, Steer, Stop, Turn
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Bools, Floats, Poses
 
 STANDS_PROBABILITY = 0.9
@@ -311,33 +311,6 @@ class Plan:
         return sum(search.evaluations for search in self.searches)
 
 
-class Region(Protocol):
-    """The obstacle region O of the paper's equation (13), with its edge; in the spec's unit."""
-
-    def contain(self, x: Floats, y: Floats) -> Bools:
-        """Return whether each point lies in the region, p(s) of the paper's equation (13)."""
-        ...
-
-    def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether each straight segment from (x0, y0) to (x1, y1) touches the region."""
-        ...
-
-    @property
-    def count(self) -> int:
-        """Return the number of obstacles whose union the region is; each wall counts."""
-        ...
-
-    @property
-    def rows(self) -> Floats:
-        """Return the shapes in an array for compiled code; see `tetractl.model.obstacles`."""
-        ...
-
-    @property
-    def walls(self) -> Floats:
-        """Return left, bottom, right and top of the region between walls (4,), or (0,)."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """The problem of one control step for N robots; lengths in the spec's unit.
@@ -361,7 +334,7 @@ class Problem:
     motion: str
     period: float
     first_period: float
-    obstacles: Region
+    obstacles: Obstacles
     obstacle_weight: float
     swept: bool
     separation: float = 0.0

@@ -13,9 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
-from tetractl.model.obstacles import Obstacles
 
 CELLS = 200
 """Number of cells along the longer side of the arena."""

@@ -7,10 +7,10 @@ from typing import Self
 
 import numpy as np
 
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Bounds, Setup
 from tetractl.core.trial import Verdict
-from tetractl.model.obstacles import Obstacles
 
 SAMPLES_AT_A_TIME = 10_000  # number of samples of a recorded path that are checked at a time
 FEW = 100  # number of samples of which all are compared with obstacles, which is then faster

@@ -22,6 +22,7 @@ import numpy as np
 from tetractl.control.sequence import SequenceController, SequenceSection
 from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError, UsageError, demand, whole_number
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision, Observer
@@ -30,7 +31,6 @@ from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
-from tetractl.model.obstacles import Obstacles
 from tetractl.run import spec_trial
 from tetractl.run.control_loop import Trial
 from tetractl.run.folder_lock import make_folder

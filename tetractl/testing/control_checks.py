@@ -15,12 +15,12 @@ import numpy as np
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import FieldOff
 from tetractl.core.errors import WrongValueError
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, Outcome, Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import LabSupervision, Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection, Host, OptimizerSection
-from tetractl.model.obstacles import Obstacles
 from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import CheckedController
 from tetractl.testing.expect import SEED, expect, near, random_watched, same, true

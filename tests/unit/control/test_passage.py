@@ -12,12 +12,12 @@ from tetractl.control.cost import predict
 from tetractl.control.discs import Discs
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.passage import Squares, ways
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, State
 from tetractl.core.setup import Bounds
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.reader import read_trial
-from tetractl.model.obstacles import Obstacles
 from tetractl.replay.verify import verify
 from tetractl.run.spec_trial import log_path, run_logged
 

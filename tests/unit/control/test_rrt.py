@@ -10,10 +10,10 @@ from support.trials import THREE_M3PI, experiment
 from tetractl.control.rng import uniform
 from tetractl.control.rrt import grow
 from tetractl.core.clock import SECOND
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import End, Outcome
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.model.obstacles import Obstacles
 from tetractl.model.shapes.circle import Circle
 from tetractl.run.checked_controller import build_controller
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 from support.bounded import shapes, spec
 
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
 from tetractl.model.free_space import clearance, connected, shut_out
-from tetractl.model.obstacles import Obstacles
 
 pytestmark = pytest.mark.slow
 

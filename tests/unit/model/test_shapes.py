@@ -12,9 +12,9 @@ from support.geometry import gap, meets
 from support.shapes import GRID, L_SHAPE, SHAPES, circles, combs, rectangles
 
 from tetractl.control.kernels import obstacles as kernel
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.registries import SHAPES as REGISTRY
 from tetractl.core.shape import Shape
-from tetractl.model.obstacles import Obstacles
 from tetractl.model.shapes.polygon import Polygon
 
 pytestmark = pytest.mark.slow

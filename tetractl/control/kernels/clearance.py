@@ -1,6 +1,6 @@
 """The clearance of robots from obstacles, walls and each other, which `tetractl.control.margins`
 and `discs` ask at every control step. Obstacles are `rows` and `walls` of
-`tetractl.model.obstacles`.
+`tetractl.core.obstacles`.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Whether robots are in obstacles, and how deep: the compiled twin of `tetractl.core.shape`.
 
-Obstacles are numbers: `rows` and `walls` of `tetractl.model.obstacles`, which number first the
+Obstacles are numbers: `rows` and `walls` of `tetractl.core.obstacles`, which number first the
 shapes and then the walls. Every shape runs the same code.
 """
 

@@ -9,11 +9,11 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from support.paths import ROOT
 from support.paths import SCRIPTS as FOLDER
 
+from tetractl.core.obstacles import Obstacles
 from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.model.obstacles import Obstacles
 from tetractl.replay.lab_result import lab_differences
 
 SCRIPTS = sorted(FOLDER.rglob("*.yaml"))

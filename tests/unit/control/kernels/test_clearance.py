@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from support.shapes import SHAPES
 
 from tetractl.control.kernels import clearance
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.setup import Bounds
-from tetractl.model.obstacles import Obstacles
 from tetractl.tools.kernels import kernel_options as options
 
 pytestmark = pytest.mark.slow

@@ -17,9 +17,9 @@ from tetractl.control.evaluate import (
     compiled_foresee,
 )
 from tetractl.core.errors import ControlError
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
-from tetractl.model.obstacles import Obstacles
 
 pytestmark = pytest.mark.slow
 

@@ -10,10 +10,10 @@ from support.paths import ROOT
 
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.multistart import Multistart
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
 from tetractl.experiment.load import load_spec
-from tetractl.model.obstacles import Obstacles
 
 pytestmark = pytest.mark.slow
 

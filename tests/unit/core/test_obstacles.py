@@ -9,10 +9,10 @@ from support import batches
 from support.geometry import gap
 from support.shapes import circles, rectangles
 
+from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.model.obstacles import Obstacles
 from tetractl.model.path_check import FEW, PathCheck, check_path
 from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.rectangle import Rectangle

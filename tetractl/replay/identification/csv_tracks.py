@@ -37,7 +37,6 @@ from tetractl.tools.table.quantities import (
     SECONDS,
     TIME_NAMES,
     NumberColumn,
-    again,
     earlier,
     find_column,
     find_date,
@@ -133,7 +132,10 @@ class _Numbers:
         first = self.first.setdefault(series, time)
         newest = self.newest.get(series, time)
         if time < newest and abs(time - first) <= AGAIN * (newest - first):
-            raise again(path, row, has_robot=bool(series[1]))
+            hint = "two recordings? number them in a column trial"
+            if not series[1]:
+                hint += "; two robots? name them in a column robot"
+            raise UsageError(f"{path}, line {row.line}: the time starts again", hint)
         if time < newest:
             raise earlier(path, row)
         self.newest[series] = time

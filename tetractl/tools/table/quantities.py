@@ -208,14 +208,6 @@ def earlier(path: Path, row: CsvRow) -> UsageError:
     )
 
 
-def again(path: Path, row: CsvRow, has_robot: bool) -> UsageError:
-    """Return the error that at a row the time starts again."""
-    hint = "two recordings? number them in a column trial"
-    if not has_robot:
-        hint += "; two robots? name them in a column robot"
-    return UsageError(f"{path}, line {row.line}: the time starts again", hint)
-
-
 def truth(path: Path, row: CsvRow, key: str) -> bool:
     """Return the truth value in a column, True without one."""
     text = row.cells.get(key, "")

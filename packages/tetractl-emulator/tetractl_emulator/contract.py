@@ -31,7 +31,8 @@ def check_lab(lab: LabSection, setup: Setup) -> None:
         return np.array(bodies)
 
     def hide(name: str) -> None:
-        camera.tracked_body(name).carried = True
+        (untracked,) = (kind for kind in camera.faults if kind.__name__ == "untracked")
+        emulation.injector.act(untracked.model_validate({"fault": "untracked", "robot": name}))
 
     def moves() -> list[bool]:
         return [not body.standing for body in actuator.bodies]

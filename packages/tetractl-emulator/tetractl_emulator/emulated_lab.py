@@ -200,7 +200,7 @@ class EmulatedLab:
         if now - self._still_since < round(wait * SECOND):
             return
         self._ran = False
-        self.camera.hide(True)
+        self.injector.acting.carried = True
         self.actuator.switch(False)
         # a robot is carried for half a second
         self.timeline.at(now + 500_000_000, self._put_down)
@@ -208,7 +208,7 @@ class EmulatedLab:
     def _put_down(self) -> None:
         self._put_on_starts()
         self.actuator.switch(True)
-        self.camera.hide(False)
+        self.injector.acting.carried = False
         self.note("placed")
         self._report("placed", {})
 

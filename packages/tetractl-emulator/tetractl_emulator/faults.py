@@ -68,7 +68,11 @@ class Fault(Model):
 class ActingFaults:
     """The faults that act in a lab now. Devices ask for those that they can have, whenever it
     matters, by the names of kinds and, if a robot has them, of the robot.
+
+    Robots may also be `carried`, which is no fault: no camera shows them then.
     """
+
+    carried = False
 
     def __init__(self) -> None:
         self._faults: dict[str, list[Any]] = {}  # by kinds, in the order in which they began

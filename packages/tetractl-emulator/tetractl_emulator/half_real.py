@@ -42,9 +42,6 @@ class Blind:
         """Release nothing."""
         return {}
 
-    def hide(self, hidden: bool) -> None:
-        """Do nothing."""
-
 
 class MovedCamera:
     """A real camera whose robots stand, with their poses moved as emulated ones drive; see

@@ -122,11 +122,6 @@ class EmulatedCamera(EmulatedSide, Protocol):
         """What our camera is given to reach this one over wires in memory."""
         ...
 
-    def hide(self, hidden: bool) -> None:
-        """If `hidden`, track no body, as while robots are carried; otherwise track all again, but
-        not those that a fault hides."""
-        ...
-
 
 class EmulatedActuator(EmulatedSide, Protocol):
     """Moves its `bodies`, in the setup's order; constructed with (stage, settings)."""

@@ -64,12 +64,6 @@ class PoseCamera(ABC):
         self._start_ns = self.timeline.now_ns
         self._plan()
 
-    def hide(self, hidden: bool) -> None:
-        """If `hidden`, track no body; otherwise track all bodies again, but for those that a fault
-        hides."""
-        for body in self.tracked:
-            body.carried = hidden
-
     def tracked_body(self, name: str) -> TrackedBody:
         """Return the rigid body of the robot with this name."""
         return next(body for body in self.tracked if body.robot.name == name)

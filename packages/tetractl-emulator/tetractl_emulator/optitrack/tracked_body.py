@@ -102,7 +102,7 @@ class PoseNoise:
 
 @dataclass(slots=True)
 class TrackedBody:
-    """The rigid body on one robot, which is not tracked while it is `carried`. `shift` [mm] and
+    """The rigid body on one robot. `shift` [mm] and
     `turned` [rad] are by how much it is seen off; ghosts have led it away by `strayed` and
     `strayed_turn` until now. It had so many `exposures`; `last_pose` is its newest pose.
     """
@@ -111,7 +111,6 @@ class TrackedBody:
     asset: Asset
     noise: PoseNoise
     acting: ActingFaults = field(default_factory=ActingFaults)
-    carried: bool = False
     shift: complex = 0j
     turned: float = 0.0
     strayed: complex = 0j
@@ -149,7 +148,7 @@ class TrackedBody:
         """Return whether this frame shows the body; drawn at random if it is tracked and some
         frames miss it."""
         name = self.robot.name
-        if self.carried or self.acting.of("untracked", name):
+        if self.acting.carried or self.acting.of("untracked", name):
             return False
         if any(self.exposures % fault.every for fault in self.acting.of("half_tracked", name)):
             return False

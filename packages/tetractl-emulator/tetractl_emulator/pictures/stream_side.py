@@ -178,7 +178,6 @@ class StreamedCamera(ABC):
         named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
         self._stage = stage
         self._bodies = bodies
-        self._carried = False
         self._make_camera = partial(
             EmulatedNetworkCamera if http else MemoryCamera,
             self._taken,
@@ -210,15 +209,11 @@ class StreamedCamera(ABC):
     def _scene(self) -> Floats:
         """Return the present scene as numbers that can be interpolated in time."""
 
-    def hide(self, hidden: bool) -> None:
-        """If `hidden`, leave all bodies out of the pictures, as while they are carried; otherwise
-        show them again, but for those that a fault covers."""
-        self._carried = hidden
-
     def _visible_now(self) -> Sequence[bool]:
         """Return which bodies are neither carried nor covered."""
         covered = self._covered()
-        return [not self._carried and body.name not in covered for body in self._bodies]
+        carried = self._stage.acting.carried
+        return [not carried and body.name not in covered for body in self._bodies]
 
     @abstractmethod
     def _covered(self) -> set[str]:

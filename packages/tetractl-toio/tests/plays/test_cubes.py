@@ -81,12 +81,12 @@ def test_cubes_that_are_carried_read_no_mat(folder):
             for cube in mat.cubes:
                 cube.program.asked = True
             lab.clock.sleep_until(lab.clock.now() + SECOND // 20)
-            return [eye.last for eye in mat.eyes.values()]
+            return [*mat.last]
 
         assert None not in readings()
-        mat.hide(True)
+        mat.acting.carried = True
         assert readings() == [None] * len(NAMES)
-        mat.hide(False)
+        mat.acting.carried = False
         assert None not in readings()
 
 

@@ -32,13 +32,6 @@ class MatSettings(Model):
     """Time between two readings of a cube [s]."""
 
 
-class Eye:
-    """What one cube has read last, and whether it is carried."""
-
-    carried = False
-    last: CubeReading | None = None
-
-
 SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
 FAULTS = (
@@ -79,7 +72,7 @@ class EmulatedMat:
         self.cubes = [body for body in bodies if isinstance(body, ConnectedCube)]
         if len(self.cubes) != len(bodies):
             raise SpecError("a camera of type toio is emulated with an actuator of type toio only")
-        self.eyes = {cube.name: Eye() for cube in self.cubes}
+        self.last: list[CubeReading | None] = [None] * len(self.cubes)
         self.join = stage.wires.ports
         self.acting = stage.acting
         self.shown_ns = [0] * len(bodies)
@@ -100,36 +93,31 @@ class EmulatedMat:
         """Return the number of reports."""
         return {"frames": self._exposures}
 
-    def hide(self, hidden: bool) -> None:
-        """If `hidden`, let no cube see the mat, as while they are carried."""
-        for eye in self.eyes.values():
-            eye.carried = hidden
-
     def _read(self, i: int) -> None:
         timeline = self._stage.timeline
         cube = self.cubes[i]
-        eye = self.eyes[cube.name]
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
         program = cube.program
-        last = eye.last
+        last = self.last[i]
         if self.acting.of("no_frames"):
             self._stage.sent(self._exposures)  # so that the fault is recorded without a report
             return
         if not (program.notifies or program.asked):
             return
-        present = self._reading(cube, eye)
+        present = self._reading(cube)
         if not self.acting.of("freeze"):
-            eye.last = present
-        if eye.last is None and last is None and not program.asked:
+            self.last[i] = present
+        newest = self.last[i]
+        if newest is None and last is None and not program.asked:
             return  # that it sees no mat it says once, and when it is asked
         program.asked = False
-        message = pack(Characteristic.ID, encode_reading(eye.last))
+        message = pack(Characteristic.ID, encode_reading(newest))
         at_ns = timeline.now_ns
         # a frozen reading of a cube that stands is as good as a new one
-        shows_place = eye.last is not None and eye.last == present
+        shows_place = newest is not None and newest == present
         cube.connection.notify(message, lambda: self._passed(i, shows_place, at_ns))
 
-    def _reading(self, cube: ConnectedCube, eye: Eye) -> CubeReading | None:
+    def _reading(self, cube: ConnectedCube) -> CubeReading | None:
         x = cube.x
         y = cube.y
         for jump in self.acting.of("jump", cube.name):
@@ -139,7 +127,7 @@ class EmulatedMat:
         unit = self._section.unit_mm
         reading = placed((x, y, cube.heading), origin, unit)
         printed = LEFT <= reading.x <= RIGHT and TOP <= reading.y <= BOTTOM
-        hidden = eye.carried or self.acting.of("untracked", cube.name)
+        hidden = self.acting.carried or self.acting.of("untracked", cube.name)
         return None if hidden or not printed else reading
 
     def _passed(self, i: int, shows_place: bool, at_ns: int) -> None:

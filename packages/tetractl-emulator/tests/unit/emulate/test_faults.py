@@ -335,11 +335,11 @@ def test_a_body_that_a_fault_hides_remains_hidden_when_robots_are_put_down(tmp_p
     faulty = faulty_lab(tmp_path, "{fault: untracked, robot: green}")
     camera = faulty.lab.camera
     green = camera.tracked_body("green")
-    camera.hide(carried_first)
+    faulty.lab.injector.acting.carried = carried_first
     end_fault = faulty.begin()
-    camera.hide(True)
+    faulty.lab.injector.acting.carried = True
     assert not green.expose(View()).tracking_valid
-    camera.hide(False)
+    faulty.lab.injector.acting.carried = False
     assert not green.expose(View()).tracking_valid
     end_fault()
     assert green.expose(View()).tracking_valid
@@ -351,9 +351,9 @@ def test_a_tag_that_a_fault_covers_remains_covered_when_robots_are_put_down(tmp_
     faulty = faulty_lab(tmp_path, "{fault: untracked, robot: green}", APRILTAG_SPEC)
     camera = faulty.lab.camera
     end_fault = faulty.begin()
-    camera.hide(True)
+    faulty.lab.injector.acting.carried = True
     assert camera._visible_now() == [False, False]
-    camera.hide(False)
+    faulty.lab.injector.acting.carried = False
     assert camera._visible_now() == [False, True]
     end_fault()
     assert camera._visible_now() == [True, True]
@@ -376,7 +376,7 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
         turn_until(lab, lambda: robot.x > 510)
         robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))
-        turn_until(lab, lambda: lab.camera.tracked[0].carried)
+        turn_until(lab, lambda: lab.injector.acting.carried)
         assert not robot.powered
         turn_until(lab, lambda: "placed" in reports)
         assert robot.x == 500

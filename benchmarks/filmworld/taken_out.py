@@ -57,12 +57,10 @@ def _at_middle(cell, newest, expected, now, body_um: float) -> readings.BlobRead
 RULES = {
     "a cell that stopped or turned is searched for nearby": (
         (match, "STOPPED_LEAST", match.NONE),
-        (match, "STOPPED_FAR", match.NO_REACH),
+        (match, "STOPPED_FAR", 1e-9),
         (match, "STOPPED_REACH", 0.0),
     ),
-    "it is searched for without a blob before, too": ((match, "LOOKED_S", 0.0),),
     "size counts when blobs are assigned": ((match, "SIZE_MOST", 0.0),),
-    "a blob near by a share of the length is near": ((match, "NEAR", 0.0),),
     "cells share a blob": ((match, "_shared_costs", _no_shared_blob),),
     "which cell is which is asked after a meeting": ((Names, "_resolve", _doubt_all),),
     "a cell in a blob too large may meet something unknown": (

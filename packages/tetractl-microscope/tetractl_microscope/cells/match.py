@@ -27,15 +27,11 @@ from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.specks import Speck
 from tetractl_microscope.organisms import Organism
 
-# time without a blob for which a cell is looked for elsewhere [s]: it may have stopped
-LOOKED_S = 0.2
 NONE = 100.0  # cost of leaving a cell without a blob
 NEVER = 1e6  # cost of what is never assigned
 NONE_SPECK = 30.0  # cost of leaving a new speck without a blob
 NONE_EACH = 14.0  # increase of that cost with each blob that a speck has had
 GATE = 6.0  # standard deviations from its expected place within which a cell's blob is near
-NEAR = 0.23  # distance from its expected place within which a cell's blob is near [lengths]
-GATES_MOST = 4  # largest cost of a near blob's place, in squares of the gate
 SIZE_SHARE = 0.15  # relative variation of a cell's blob
 SIZE_MOST = 20.0  # largest cost of a blob's size
 ALIKE = 0.4  # largest difference of the logarithms of size of a blob away from its expected place
@@ -43,7 +39,6 @@ STOPPED_LEAST = 50.0  # cost of a blob of the cell's size that has stopped where
 STOPPED_MOST = 90.0  # the same at the largest distance from there
 STOPPED_FAR = 0.86  # that distance for a cell seen in the picture before [lengths]
 STOPPED_REACH = 3.8  # increase of that distance with the time without a blob [lengths/s]
-NO_REACH = 1e-9  # that distance for a cell not seen for long [lengths]
 SHARED_LARGE = 40.0  # cost of a place in a blob that is too large for one cell
 SHARED = 70.0  # cost of a place in a blob that is not
 COVER = 0.6  # largest distance of a cell from a blob it is in, relative to the cell's width
@@ -107,16 +102,13 @@ def cell_costs(
     sizes = np.array([cell.size for cell in cells]).reshape(-1, 1, 2)
     size_off = np.abs(np.log(places[None, :, 3:5] / sizes))
 
-    is_near = (squared < GATE**2) | (away < NEAR)
     of_size = np.minimum(np.square(size_off / SIZE_SHARE).sum(-1), SIZE_MOST)
-    of_place = np.minimum(squared, GATES_MOST * GATE**2)
-    cost_near = np.where(is_near, of_place + of_size, NONE)
+    cost_near = np.where(squared < GATE**2, squared + of_size, NONE)
 
     missed_s = np.array([cell.missed_s for cell in cells])
-    stopped = STOPPED_FAR + STOPPED_REACH * organism.quickness * missed_s
-    is_recent = missed_s < max(LOOKED_S, now.brief_s)
-    reach = np.where(is_recent, stopped, NO_REACH)[:, None]
-    is_in_reach = (away < reach) & (size_off.max(axis=-1, initial=0.0) < ALIKE)
+    reach = (STOPPED_FAR + STOPPED_REACH * organism.quickness * missed_s)[:, None]
+    was_seen = (missed_s < now.brief_s)[:, None]
+    is_in_reach = was_seen & (away < reach) & (size_off.max(axis=-1, initial=0.0) < ALIKE)
     of_distance = STOPPED_LEAST + (STOPPED_MOST - STOPPED_LEAST) * np.square(away / reach)
     cost_away = np.where(is_in_reach, of_distance, NONE)
 

@@ -217,12 +217,12 @@ class AprilTagCamera(PictureCamera[Seen]):
         self.section = section
         self._tracker = Tracker(section, setup.names, setup.metres)
 
-    def check(self) -> Health:
-        """Examine some pictures; return problems, warnings and facts of source, floor and tags."""
-        searches = self._next_searches()
+    def _health(self, searches: Sequence[PictureSearch[Seen]]) -> Health:
+        """Return problems, warnings and facts of floor and tags."""
         section = self.section
         floor = self._tracker.floor
-        problems, warnings = self._stream_lines(searches)
+        problems: list[str] = []
+        warnings: list[str] = []
         plane = floor.plane or floor.misfit
         for refuses, text in _findings(section, self._tracker, searches):
             (problems if refuses else warnings).append(text)
@@ -233,19 +233,14 @@ class AprilTagCamera(PictureCamera[Seen]):
                 f"tags are too small or blurred, the smallest {min(sides):.0f} px wide: focus the "
                 "lens, use larger tags or more pixels, or shorten the exposure"
             )
-        facts = {
-            "source": section.source_name,
-            "latency": f"{section.latency:g} s, as the spec says",
-            **self._stream_facts(searches),
-        }
+        facts = {"latency": f"{section.latency:g} s, as the spec says"}
         if plane is not None:
             origin = "the spec's" if section.lens is not None else "estimated"
             facts["floor_error"] = f"{plane.error_mm:.2f} mm"
             facts["focal_length"] = f"{plane.focal_px:.0f} px, {origin}"
         if sides:
             facts["smallest_tag"] = f"{min(sides):.0f} px"
-        facts |= {"damaged": str(self.damaged), "skipped": str(self._queue.skipped)}
-        return Health(tuple(problems), tuple(warnings), facts, emulated=self.emulated)
+        return Health(tuple(problems), tuple(warnings), facts)
 
     def _see(self, picture: Grey, exposed_ns: int) -> Seen:
         return self._tracker.see(picture)

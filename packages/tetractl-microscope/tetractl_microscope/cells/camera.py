@@ -28,6 +28,7 @@ from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.organisms import named
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
+from tetractl_microscope.pictures.searches import PictureSearch
 from tetractl_microscope.pictures.whole_pictures import PictureLog
 
 LEARNED = 15  # parts of the time to learn: the background is computed from a picture of each
@@ -232,26 +233,18 @@ class CellCamera(PictureCamera[SeenDish]):
         """Return the watch of a trial with this setup's robots."""
         return CellWatch(self, self._news.identified, setup, limits.identity)
 
-    def check(self) -> Health:
-        """Examine some pictures; return problems, warnings and facts of source, light, focus and
-        cells.
-        """
-        searches = self._next_searches()
-        problems, warnings = self._stream_lines(searches)
+    def _health(self, searches: Sequence[PictureSearch[SeenDish]]) -> Health:
+        """Return problems, warnings and facts of light, focus and cells."""
         width_px = named(self.section.organism).body_um[1] / self.section.um_px
         wrong, doubtful = dish_lines(self._robots.setup.names, searches, width_px)
         facts = {
-            "source": self.section.source_name,
             "scale": f"{self.section.um_px:g} um/px",
             "organism": self.section.organism,
-            **self._stream_facts(searches),
+            "opencv": cv2.__version__,
         }
         if searches:
             facts["cells"] = str(cell_count(searches))
-        facts["opencv"] = cv2.__version__
-        facts["damaged"] = str(self.damaged)
-        facts["skipped"] = str(self._queue.skipped)
-        return Health((*problems, *wrong), (*warnings, *doubtful), facts, emulated=self.emulated)
+        return Health(tuple(wrong), tuple(doubtful), facts)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
         """Learn from a picture, or follow the cells in it; return what it shows, None while the

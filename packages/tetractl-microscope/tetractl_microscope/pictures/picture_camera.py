@@ -166,7 +166,8 @@ class PictureSearches(Generic[R]):
 
 
 class PictureCamera(ABC, Generic[R]):
-    """Base class of cameras that track robots in pictures; subclasses implement `_see` and `check`.
+    """Base class of cameras that track robots in pictures; subclasses implement `_see` and
+    `_health`.
 
     `wake` is called, in the searching thread, after every new frame. A frame has its picture's
     number: if a live source is faster than the search, numbers are missing. The `fault` of a frame
@@ -202,8 +203,35 @@ class PictureCamera(ABC, Generic[R]):
         """Search a picture; return its robots and strangers, None if it does not become a frame."""
 
     @abstractmethod
+    def _health(self, searches: Sequence[PictureSearch[R]]) -> Health:
+        """Return problems, warnings and facts of what was found in some pictures."""
+
     def check(self) -> Health:
-        """Examine some pictures; return problems, warnings and facts."""
+        """Examine some pictures; return problems, warnings and facts of their stream and of what
+        they show."""
+        searches = self._next_searches()
+        problems, warnings = stream_lines(
+            searches,
+            self._source.source_name,
+            self._searches.ended,
+            self._clock.now(),
+            None if self._feed is None else self._feed.rate_hz,
+            self.damaged,
+        )
+        shown = self._health(searches)
+        facts = {
+            "source": self._source.source_name,
+            **shown.facts,
+            **self._stream_facts(searches),
+            "damaged": str(self.damaged),
+            "skipped": str(self._queue.skipped),
+        }
+        return Health(
+            (*problems, *shown.problems),
+            (*warnings, *shown.warnings),
+            facts,
+            emulated=self.emulated,
+        )
 
     @property
     def damaged(self) -> int:
@@ -274,13 +302,6 @@ class PictureCamera(ABC, Generic[R]):
             self._source.connect,
         )
         return self._searches.last()
-
-    def _stream_lines(self, searches: Sequence[PictureSearch[R]]) -> tuple[list[str], list[str]]:
-        """Return problems and warnings of the stream of pictures."""
-        rate = None if self._feed is None else self._feed.rate_hz
-        name = self._source.source_name
-        now_ns = self._clock.now()
-        return stream_lines(searches, name, self._searches.ended, now_ns, rate, self.damaged)
 
     def _stream_facts(self, searches: Sequence[PictureSearch[R]]) -> dict[str, str]:
         """Return resolution, rate of pictures and duration of the search, as far as known."""

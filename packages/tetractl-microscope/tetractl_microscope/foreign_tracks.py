@@ -326,16 +326,9 @@ def _graph(path: Path) -> SpotTable:
         axes = _axes(graph["metadata"].axes or (), properties)
         nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
-        version = _geff_version(path)
-        if version.startswith("0."):
-            raise UsageError(
-                f"{path}: is in GEFF {printable(version, SAID_MAX)}, older than the format's first "
-                "release, and geff does not read it",
-                "write it again with a newer version of the program that wrote it, or as CSV",
-            ) from error
         raise UsageError(
             f"{path}: cannot be read as a GEFF graph of t, x, y: {_said(error)}",
-            "write it again with the program that made it, or as CSV",
+            "write it again with a newer version of the program that wrote it, or as CSV",
         ) from error
     ids = graph["node_ids"]
     edges = graph["edge_ids"]
@@ -365,18 +358,6 @@ def _said(error: Exception) -> str:
         place = ".".join(map(str, first["loc"]))
         return printable(f"{place}: {first['msg']}" if place else str(first["msg"]), SAID_MAX)
     return printable(" ".join(f"{type(error).__name__}: {error}".split()), SAID_MAX)
-
-
-def _geff_version(path: Path) -> str:
-    """Return the version of the format that a graph states, "" if it states none."""
-    import zarr
-
-    try:
-        attributes = zarr.open_group(path, mode="r").attrs.asdict()
-    except Exception:  # zarr does not document what it raises
-        return ""
-    stated: Any = attributes.get("geff", attributes)
-    return str(stated.get("geff_version", "")) if isinstance(stated, Mapping) else ""
 
 
 def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from tetractl import __version__
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Grey
 from tetractl.tools.files import save_whole
 from tetractl.tools.table.table_files import json_text, table_files
 from tetractl.view.style import SCREEN_DPI, save
@@ -47,23 +47,15 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
     save_whole(folder / "cells.json", json_text(record | versions, None).encode())
     picture = _write_overlay(folder / "overlay.mp4", film, followed)
     if followed.paths:
-        _draw_figures(folder, FilmTracks(record, _plain_paths(followed), picture))
+        long_paths = [
+            (path.identity, path.times, np.column_stack([path.places, path.headings]))
+            for path in followed.paths
+            if len(path.times) > 1
+        ]
+        _draw_figures(folder, FilmTracks(record, long_paths, picture))
         if find_spec("geff") is not None:
             rate_hz = followed.rate_hz if followed.timing.even else None
             write_geff(folder / "tracks.geff", poses, tracks, rate_hz, followed.um_px)
-
-
-def _plain_paths(followed: Followed) -> list[tuple[int, Floats, Floats]]:
-    """Return number, times (K,), and x, y and heading (K, 3) of each cell that has two or more."""
-    return [
-        (
-            path.identity,
-            path.times,
-            np.array([(cell.x, cell.y, cell.heading) for cell in path.sightings]),
-        )
-        for path in followed.paths
-        if len(path.times) > 1
-    ]
 
 
 def _draw_figures(folder: Path, tracks: FilmTracks) -> None:

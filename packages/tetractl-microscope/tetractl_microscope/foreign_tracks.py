@@ -133,14 +133,14 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     if "time" in units:
         second = factor(units["time"], SECONDS) or 1.0
         columns["time"] = NumberColumn(headers["time"], second, TIME_MAX)
-    numbers = [
-        [column.number(path, row) for column in columns.values()]
-        for row in chain([first] if first else [], rows)
-        if not math.isnan(columns["track"].optional(path, row))  # else a spot of no track
-    ]
+    numbers = list[float]()
+    for row in chain([first] if first else [], rows):
+        if not math.isnan(columns["track"].optional(path, row)):  # else a spot of no track
+            numbers += [column.number(path, row) for column in columns.values()]
     if not numbers:
         raise UsageError(f"{path}: has no spot of a track")
-    values = dict(zip(columns, np.array(numbers).T, strict=True))
+    table = np.reshape(numbers, (-1, len(columns)))
+    values = dict(zip(columns, table.T, strict=True))
     frames = values.get("frame")
     times = values.get("time")
     if frames is not None and times is None:
@@ -189,8 +189,8 @@ def _column(
     return ""
 
 
-def _require_columns(path: Path, headers: Mapping[str, str], has: Sequence[str]) -> None:
-    """Raise UsageError if a table that `has` some columns lacks one of tracks."""
+def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[str]) -> None:
+    """Raise UsageError if a table of the `listed` columns lacks one of tracks."""
     missing = list[str]()
     if not headers["track"]:
         missing.append("particle, track_id or id")
@@ -198,7 +198,7 @@ def _require_columns(path: Path, headers: Mapping[str, str], has: Sequence[str])
         missing.append("frame, t or time_s")
     missing += [axis for axis in ("x", "y") if not headers[axis]]
     if missing:
-        listed = ", ".join(printable(header) for header in has[:COLUMNS_SAID])
+        listed = ", ".join(printable(header) for header in listed[:COLUMNS_SAID])
         said = (
             f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {listed}"
         )

@@ -247,7 +247,8 @@ def _velocities(axes: Axes, film: FilmTracks) -> None:
         ends = [mean.ci95.low, mean.ci95.high]
         axes.plot([place, place], ends, color=style.INK, lw=3, zorder=4)
         axes.plot(place, mean.mean, "o", ms=5, color="white", mec=style.INK, zorder=5)
-        labels.append(f"{name.upper()}\n{_stated(mean)}".replace(" [", "\n[").replace(", n", "\nn"))
+        mean_lines = _stated(mean).replace(" [", "\n[").replace(", n", "\nn")
+        labels.append(f"{name.upper()}\n{mean_lines}")
     axes.set_xticks(range(len(labels)), labels)
     axes.tick_params(axis="x", length=0)
     axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, None), ylabel="velocity [µm/s]")

@@ -30,9 +30,9 @@ def require_one_film(folder: Path, names: Sequence[str]) -> None:
     if odd is None and len(counts) > 1 and math.prod(counts) == len(names):
         odd = names[1]
     if odd is not None:
-        other = next(name for name in names if name != odd and _kind(name) == usual)
+        like_most = next(name for name in names if name != odd and _kind(name) == usual)
         raise UsageError(
-            printable(f"{folder}: are {other} and {odd} of one film, and one after the other?"),
+            printable(f"{folder}: are {like_most} and {odd} of one film, and one after the other?"),
             "give a folder with the pictures of one film and channel, or state the time of each in "
             f"{TIMES_FILE}",
         )
@@ -76,8 +76,8 @@ def places_of(folder: Path, names: Sequence[str], remarks: list[str]) -> list[in
 
 def _kind(name: str) -> tuple[str, str]:
     """Return the format of a file by its name, and the name with its numbers left out."""
-    stem, _, ending = name.rpartition(".")
-    return SAME.get(ending.lower(), ending.lower()), DIGITS.sub("#", stem)
+    stem, _, ending = name.lower().rpartition(".")
+    return SAME.get(ending, ending), DIGITS.sub("#", stem)
 
 
 def _changing(names: Sequence[str]) -> list[list[int]]:

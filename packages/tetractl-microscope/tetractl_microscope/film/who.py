@@ -49,6 +49,11 @@ class CellPath:
         """Centre of the body in each picture (K, 2) [um]."""
         return np.array([(cell.x, cell.y) for cell in self.sightings])
 
+    @property
+    def headings(self) -> Floats:
+        """Direction of swimming in each picture (K,) [rad]."""
+        return np.array([cell.heading for cell in self.sightings])
+
     def pictures(self) -> Iterator[tuple[float, int, SeenCell]]:
         """Yield the time [s] and the number of each picture, and how the cell was seen in it."""
         return zip(self.times.tolist(), self.frames.tolist(), self.sightings, strict=True)

@@ -218,17 +218,17 @@ class PictureCamera(ABC, Generic[R]):
             None if self._feed is None else self._feed.rate_hz,
             self.damaged,
         )
-        shown = self._health(searches)
+        of_robots = self._health(searches)
         facts = {
             "source": self._source.source_name,
-            **shown.facts,
+            **of_robots.facts,
             **self._stream_facts(searches),
             "damaged": str(self.damaged),
             "skipped": str(self._queue.skipped),
         }
         return Health(
-            (*problems, *shown.problems),
-            (*warnings, *shown.warnings),
+            (*problems, *of_robots.problems),
+            (*warnings, *of_robots.warnings),
             facts,
             emulated=self.emulated,
         )

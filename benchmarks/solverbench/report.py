@@ -14,7 +14,7 @@ class Settings:
     """How thorough a run is: `seeds` and `trials` to average over, `repeats` of a timing."""
 
     seeds: int
-    sweep_seeds: int
+    peer_seeds: int
     trials: int
     repeats: int
     cap_s: float  # for one search of one peer
@@ -23,8 +23,8 @@ class Settings:
     @classmethod
     def of(cls, quick: bool) -> "Settings":
         if quick:
-            return cls(seeds=1, sweep_seeds=1, trials=1, repeats=2, cap_s=0.03, quick=True)
-        return cls(seeds=100, sweep_seeds=20, trials=20, repeats=60, cap_s=1.0, quick=False)
+            return cls(seeds=1, peer_seeds=1, trials=1, repeats=2, cap_s=0.03, quick=True)
+        return cls(seeds=100, peer_seeds=20, trials=20, repeats=60, cap_s=1.0, quick=False)
 
 
 @dataclass(slots=True)

@@ -72,7 +72,7 @@ def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
                 continue
             count = settings.seeds
             if name != "as printed" and "ours" not in who:
-                count = settings.sweep_seeds
+                count = settings.peer_seeds
             peers.race(peer, problem, LENGTH, settings.seeds, settings.cap_s)  # warm up
             runs = [
                 peers.race(peer, problem, LENGTH, seed, settings.cap_s) for seed in range(count)

@@ -129,14 +129,10 @@ HEAD = (
 def table(rows_of: Mapping[str, Sequence[Row]], least_s: float) -> list[str]:
     """Return the lines of an instance's table; `least_s` is that of `bound_s`."""
     column = next(key for key in rows_of[OURS][0] if key.startswith("total_error_"))
-    errors_of = {
-        name: {int(row["trial"]): float(row[column]) for row in rows}
-        for name, rows in rows_of.items()
-    }
-    ours = errors_of[OURS]
+    ours = _errors(rows_of[OURS], column)
     lines = [f"| {' | '.join(HEAD)} |", f"|{'---|' * len(HEAD)}"]
     for name, rows in rows_of.items():
-        errors = errors_of[name]
+        errors = _errors(rows, column)
         n = len(rows)
         pairs = sorted(errors.keys() & ours.keys()) if name != OURS else []
         differences = np.array([errors[trial] - ours[trial] for trial in pairs])
@@ -153,6 +149,11 @@ def table(rows_of: Mapping[str, Sequence[Row]], least_s: float) -> list[str]:
         ]
         lines.append(f"| {' | '.join(cells)} |")
     return lines
+
+
+def _errors(rows: Sequence[Row], column: str) -> dict[int, float]:
+    """Return the values of a column by the number of the trial."""
+    return {int(row["trial"]): float(row[column]) for row in rows}
 
 
 def _mean(errors: Floats) -> str:

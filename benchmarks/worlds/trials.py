@@ -174,21 +174,25 @@ def interval(differences: Floats) -> str:
 
 def pair_line(name: str, place: str, pairs: Sequence[tuple[Row, Row]]) -> str:
     """Return the line of what a change brings in a place, of pairs before it and now."""
-    before, now = (columns(rows) for rows in zip(*pairs, strict=True))
+    rows_before, rows_now = zip(*pairs, strict=True)
+    before = columns(rows_before)
+    now = columns(rows_now)
     error = now["error"] - before["error"]
     seconds = now["seconds"] - before["seconds"]
-    touching = [sum(row.touches for row in rows) for rows in zip(*pairs, strict=True)]
-    far = [(values["error"] > FAR).sum() for values in (before, now)]
     cells = (
         name,
         place,
         f"{len(pairs)}, {((error == 0) & (seconds == 0)).sum()}",
         interval(error),
         interval(seconds),
-        f"{touching[0]}, {touching[1]}",
-        f"{far[0]}, {far[1]}",
+        f"{_touching(rows_before)}, {_touching(rows_now)}",
+        f"{(before['error'] > FAR).sum()}, {(now['error'] > FAR).sum()}",
     )
     return f"| {' | '.join(cells)} |"
+
+
+def _touching(rows: Sequence[Row]) -> int:
+    return sum(row.touches for row in rows)
 
 
 def pair_lines(name: str, before: Rows, now: Rows) -> list[str]:

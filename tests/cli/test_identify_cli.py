@@ -99,7 +99,6 @@ POSES = "\n".join(f"{k / 50},one,{k},0,{0.2 * abs(k / 50 % 2 - 1)}" for k in ran
 DRIVEN = {
     "speeds": ("time_s,v_mm_s,w_rad_s", "{t},50,{w}"),
     "wheels": ("time_s,robot,left_mm_s,right_mm_s,radius_mm", "{t},one,{left},{right},40"),
-    "torn": ("time_s,left_mm_s,right_mm_s", "{t},{left},{right}"),
     "slow": ("time_s,v_mm_s,w_rad_s", "{t},0,0"),
     "even": ("time_s,v_mm_s,w_rad_s", "{t},50,0.2"),
 }
@@ -124,7 +123,6 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     assert by_speeds["dead_time"]["value"] == pytest.approx(0.1, abs=0.05)
     assert "turning gain" in identify("speeds").ok().stdout
     for name, words, why in (
-        ("torn", (), "torn.csv: contains speeds of wheels without radius_mm"),
         ("slow", (), "robot one drives in only 0 steps of 0.1 to 0.55 s"),
         ("even", (), "robot one is sent one speed and turning rate only"),
         ("speeds", ("-o", "out.yaml"), "--out: a spec has no place"),

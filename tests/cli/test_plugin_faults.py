@@ -119,23 +119,6 @@ def test_other_exceptions_name_their_plug_in_too(tetractl, tmp_path):
     assert "KeyError: 'figure'\nhint: " in done.stderr
 
 
-def test_a_robot_that_a_plug_in_holds_for_ever_is_told_in_log_and_table(tetractl):
-    held = "plant.disturbances=[{type: anchor}]"
-    robots = [
-        f"{{name: {name}, start: [200, {y}], target: [500, {y}], a: 6, speed: 100}}"
-        for name, y in (("a", 500), ("b", 300))
-    ]
-    two_robots = f"robots=[{', '.join(robots)}]"
-    sets = [held, two_robots, "controller.steps=30", "controller.time_limit=6.2"]
-    words = [word for setting in sets for word in ("--set", setting)]
-    done = tetractl("run", "one.yaml", "--out", "logs", *words).ok()
-    assert "a does not move while others drive" in " ".join(done.stdout.split())
-    info = tetractl("info", "logs/trial-000.mcap").stdout
-    assert "warning  a does not move while others drive" in info
-    assert "time limit (a does not move while others drive) after 31" in info
-    assert tetractl("verify", "logs").returncode == 0
-
-
 def test_what_a_controller_returns_is_checked_and_names_it(tetractl):
     """`sys.exit` is an error too; in both cases the log is complete and can be read."""
     for out, why in (

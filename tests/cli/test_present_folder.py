@@ -1,16 +1,12 @@
 """Modules that lie next to a spec are not run, by any process; nor is work lost with the
 process that starts workers."""
 
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from support.cli import PATIENCE_S, tetractl
-from support.running import child_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -37,22 +33,3 @@ def test_modules_in_the_present_folder_are_not_run(command, tmp_path):
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "logs").glob("*.mcap"))) == 2
     assert not (tmp_path / "was-run").exists()
-
-
-@pytest.mark.system
-def test_a_run_whose_fork_server_is_killed_does_its_work(tmp_path):
-    """Regression: it said "interrupted" with exit code 130, and ran nothing."""
-    tetractl(tmp_path, "init", "first").ok()
-    run = subprocess.Popen(
-        [*CONSOLE, *RUN, *SHORT], cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
-    until = time.monotonic() + PATIENCE_S
-    server = None
-    while server is None:
-        assert run.poll() is None
-        assert time.monotonic() < until
-        server = child_of(run.pid, "multiprocessing.forkserver")
-    os.kill(server, signal.SIGKILL)
-    _, said = run.communicate(timeout=PATIENCE_S)
-    assert run.returncode == 0, said
-    assert len(list((tmp_path / "logs").glob("trial-00[01].mcap"))) == 2

@@ -234,21 +234,6 @@ def test_a_signal_to_all_while_processes_start_is_an_interruption_too(tmp_path):
         assert_interrupted(running, 2)
 
 
-@pytest.mark.system
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
-def test_a_trial_whose_worker_is_killed_twice_ends_the_batch_with_a_clear_line(tmp_path):
-    with Running(tmp_path, ENDLESS, "--jobs", "2") as running:
-        running.until_logging(2)
-        os.kill(running.workers()[0], signal.SIGKILL)
-        running.until(lambda: list(running.logs.glob("*.attempt-1.*")))  # the trial runs again
-        running.until(lambda: len(running.workers()) == 1)
-        os.kill(running.workers()[0], signal.SIGKILL)
-        assert running.process.wait(PATIENCE_S) == 1
-        lines = running.err.read_text().splitlines()
-        assert lines[-2].startswith("error: a trial's process was killed twice")
-        assert lines[-1].startswith("hint: give the same command with fewer --jobs")
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("limit", [4096, 30_000])
 def test_a_full_disk_aborts_the_trial_and_says_so_once(batch, tmp_path, limit):

@@ -43,19 +43,6 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(finished_study):
     }  # fmt: skip
 
 
-def test_each_trial_of_a_study_is_a_row_of_its_table(finished_study):
-    folder, _ = finished_study
-    out = folder / "out"
-    rows = table(out)
-    assert len(rows) == 40
-    for row in rows[::7]:
-        log = out / row["log"]
-        assert row["content_digest"] == content_digest(log)
-        assert float(row["total_error_mm"]) == read_result(log).result.total_error
-    assert rows[0]["controller"] == "many"
-    assert {row["plant.dead_time"] for row in rows} == {"0", "0.1"}
-
-
 def test_a_study_says_how_far_it_is_and_what_came_of_it(finished_study):
     _, done = finished_study
     assert "quick: 8 arms of 5 trials, 40 of 40 to run, 1 at a time" in done.stderr

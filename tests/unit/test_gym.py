@@ -35,6 +35,14 @@ WEST = np.array([-1.0, 0.1])
 """Not exactly west: by (3), that does not turn a robot that faces east."""
 
 
+@pytest.fixture
+def env():
+    """An environment at the beginning of an episode."""
+    begun = TrialEnv(SPEC)
+    begun.reset(seed=1)
+    return begun
+
+
 def episode(env, action):
     """Send one action until the episode ends; return rewards, the last flags and info."""
     rewards = []
@@ -88,10 +96,8 @@ def test_the_checks_of_stable_baselines3_have_nothing_to_say():
         environments.step(np.array([EAST, WEST]))
 
 
-def test_rewards_add_up_to_what_tables_print():
+def test_rewards_add_up_to_what_tables_print(env):
     """1 - e/d, with e the true error and d the distance at the start."""
-    env = TrialEnv(SPEC)
-    env.reset(seed=1)
     rewards, terminated, truncated, info = episode(env, EAST)
     assert (terminated, truncated) == (True, False)
     assert info["outcome"] == "arrived"
@@ -108,9 +114,7 @@ def test_the_limit_of_time_truncates():
     assert sum(rewards) == pytest.approx(1 - info["total_error"] / START_ERROR_UM)
 
 
-def test_failing_counts_as_the_greatest_error_whatever_was_collected():
-    env = TrialEnv(SPEC)
-    env.reset(seed=1)
+def test_failing_counts_as_the_greatest_error_whatever_was_collected(env):
     _, collected, *_ = env.step(EAST)
     rewards, terminated, truncated, info = episode(env, WEST)
     assert collected > 0
@@ -147,9 +151,7 @@ def test_a_trial_that_is_no_number_is_refused():
 
 
 @pytest.mark.parametrize("action", [0.5, [1.0], [1, 0, 0], [[1, 0]], "east", [math.nan, 0]])
-def test_an_action_of_another_shape_is_refused_in_one_line(action):
-    env = TrialEnv(SPEC)
-    env.reset(seed=1)
+def test_an_action_of_another_shape_is_refused_in_one_line(env, action):
     with pytest.raises(UsageError, match="an action is a vector of 2 finite numbers, not"):
         env.step(action)
 
@@ -169,9 +171,7 @@ def test_an_obstacle_counts_as_the_greatest_error():
     assert sum(rewards) == pytest.approx(1 - np.hypot(1100, 500) / START_ERROR_UM)
 
 
-def test_without_a_seed_each_reset_draws_one():
-    env = TrialEnv(SPEC)
-    env.reset(seed=1)
+def test_without_a_seed_each_reset_draws_one(env):
     seeds = []
     for _ in range(3):
         env.reset()
@@ -181,9 +181,7 @@ def test_without_a_seed_each_reset_draws_one():
     assert len(set(seeds)) == 3
 
 
-def test_an_episode_is_saved_as_a_log_that_is_verified(tmp_path):
-    env = TrialEnv(SPEC)
-    env.reset(seed=1)
+def test_an_episode_is_saved_as_a_log_that_is_verified(env, tmp_path):
     episode(env, EAST)
     log = env.trial.save(tmp_path)
     assert not tetractl.verify(log).problems

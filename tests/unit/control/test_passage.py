@@ -105,41 +105,6 @@ def test_three_robots_pass_a_gap_one_after_the_other_to_their_targets(tmp_path):
 
 
 @pytest.mark.long
-def test_a_tree_leads_eight_robots_from_anywhere_near_targets_of_their_own():
-    """Random sequences leave more than half of the way; the tree is the same for every clock.
-
-    Robots start on two rows of four. Their targets, each next to the start of another, are 200 mm
-    above the lower row and 400 mm below the upper one."""
-    rng = np.random.default_rng(3)
-    starts = np.array([(x, y) for y in (600, 2400) for x in (300, 1100, 1900, 2700)])
-    beside_starts = starts + np.repeat([(0, 200), (0, -400)], 4, axis=0)
-    targets = beside_starts[rng.permutation(8)]
-    turning_rates = np.geomspace(2, 6, 8)
-    base = experiment().model_dump(mode="json")["robots"][0]
-    robots = [
-        base
-        | {
-            "name": f"r{i}",
-            "start": tuple(starts[i]),
-            "target": tuple(targets[i]),
-            "heading": float(rng.uniform(-3, 3)),
-            "a": float(turning_rates[i]),
-            "speed": 170.0,
-        }
-        for i in range(8)
-    ]
-    arena = {"left": 0, "bottom": 0, "width": 3000, "height": 3000}
-    controller = {"type": "mpc", "collision": {"radius": RADIUS, "separation": SEPARATION}}
-    spec = experiment(robots=robots, arena=arena, obstacles=(), controller=controller)
-    problem, discs, arena = problem_of(spec)
-    *_, signals = ways(problem, arena, 200, key=2)
-    path = predict(problem, signals)
-    missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
-    assert missed < 0.2 * problem.poses.distances(problem.targets).sum()
-    assert discs.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > 0
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("key", range(3))
 def test_a_polish_from_the_tree_leads_robots_from_anywhere_to_anywhere(key):
     """Four robots to places of their own in 2.4 m: no search from random sequences finds a plan."""

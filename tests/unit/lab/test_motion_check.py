@@ -154,13 +154,9 @@ def test_a_robot_that_moves_as_commanded_agrees(delay, gains, directions):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_robot_that_loses_many_packets_agrees_too(seed):
-    assert drive(lost=0.3, directions=(1.2, 1.5, 1.0), seed=seed) == NO_FAULT
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_robot_that_is_stopped_agrees_too(seed):
-    assert drive(stop=1.0, seed=seed) == NO_FAULT
+@pytest.mark.parametrize("how", [{"lost": 0.3, "directions": (1.2, 1.5, 1.0)}, {"stop": 1.0}])
+def test_a_robot_that_loses_many_packets_or_is_stopped_agrees_too(how, seed):
+    assert drive(seed=seed, **how) == NO_FAULT
 
 
 def walk(speed, course):

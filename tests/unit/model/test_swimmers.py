@@ -27,12 +27,6 @@ def swum(swimmers, seconds, field=(0.0, 0.0), step=0.002, **options):
     return swimmers
 
 
-def test_without_a_field_the_axis_is_a_straight_line():
-    swimmers = swum(cells(speed=400.0), 2.0)
-    assert swimmers.x[0] == pytest.approx(800.0)
-    assert swimmers.y[0] == pytest.approx(0.0)
-
-
 @pytest.mark.parametrize("strength", [0.5, 1.0, 2.0])
 def test_a_field_turns_the_axis_by_3_in_proportion_to_it(strength):
     """tan(d / 2) of the angle d to the field shrinks as exp(-a B / B_ref t)."""

@@ -119,11 +119,6 @@ def test_the_published_result_is_compared_by_welch():
     assert low < comparison["difference"] < high
 
 
-def test_without_a_published_result_there_is_no_comparison():
-    items = batch_items(group(batch(ERRORS)))
-    assert items["reference"] is None
-
-
 def test_errors_scale_by_the_ratio_of_speeds():
     """The mean error of a robot, as if all drove as fast as the organism of the scale."""
     spec = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)

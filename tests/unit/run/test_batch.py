@@ -177,23 +177,24 @@ class OneByOne:
             yield started, Finished(result, {"quick": 1.0, "slow": 4.0}[started.arm])
 
 
+def left_at_ends(order):
+    """The time left [s] at the end of each trial, and whether it is drawn from every arm."""
+    tasks = [Task(trial, 10, b"", arm) for trial, arm in order]
+    watcher = studies.Watcher()
+    run_batch(tasks, mock.Mock(), OneByOne(), watcher)
+    return [(ending.left_s, ending.every_arm) for ending in watcher.endings]
+
+
 def test_the_time_left_is_drawn_from_every_arm():
     """It was that of the first trials on: 47 s that became 3 min, as one arm took four times as
     long as another."""
-    tasks = [Task(i, 10, b"", arm) for i in range(10) for arm in ("quick", "slow")]
-    watcher = studies.Watcher()
-    run_batch(tasks, mock.Mock(), OneByOne(), watcher)
-    left_at_ends = [(ending.left_s, ending.every_arm) for ending in watcher.endings]
-    assert left_at_ends[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
-    assert left_at_ends[-1] == (0.0, True)
+    left = left_at_ends([(i, arm) for i in range(10) for arm in ("quick", "slow")])
+    assert left[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
+    assert left[-1] == (0.0, True)
 
 
 def test_a_slow_arm_is_waited_for_before_the_time_left_is_called_every_arms():
     """Three quick trials of the first two arms had ended before the first slow one: 15 s that
     became 65."""
-    order = [(0, "quick"), (1, "quick"), (0, "slow"), (1, "slow")]
-    tasks = [Task(trial, 2, b"", arm) for trial, arm in order]
-    watcher = studies.Watcher()
-    run_batch(tasks, mock.Mock(), OneByOne(), watcher)
-    left_at_ends = [(ending.left_s, ending.every_arm) for ending in watcher.endings]
-    assert left_at_ends == [(3 / 2, False), (2 / 2, False), (4 / 2, True), (0, True)]
+    left = left_at_ends([(0, "quick"), (1, "quick"), (0, "slow"), (1, "slow")])
+    assert left == [(3 / 2, False), (2 / 2, False), (4 / 2, True), (0, True)]

@@ -9,13 +9,11 @@ import pytest
 from support.studies import FAILING, SMALL, Watcher, run
 
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.experiment.load import parse_spec
-from tetractl.log.read.reader import content_digest, read_result
 from tetractl.run import spec_trial, store, task
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.spec_trial import log_path
 from tetractl.run.store import Store
 from tetractl.run.task import OtherCodeError, batch_tasks
 from tetractl.study.missing_trials import Logs
@@ -49,29 +47,6 @@ def table_of(folder):
     return (folder / "out" / "trials.csv").read_bytes()
 
 
-def digests(ran):
-    return {key: trial.digest for key, trial in ran.finished.items()}
-
-
-@pytest.mark.long
-def test_a_brief_log_has_the_result_and_the_digest_of_the_trial_run_by_itself(tmp_path):
-    ran = run(tmp_path)
-    arm = ran.loaded.arms[3]
-    sets = [*arm.sets, "trials.count=5", "trials.seed=7"]
-    spec = parse_spec((tmp_path / "spec.yaml").read_text(), "spec.yaml", sets)
-    run_logged(spec, tmp_path, 2)
-    log = log_path(tmp_path, 2)
-    alone = read_result(log)
-    brief = ran.finished[arm.name, 2]
-    assert brief.brief
-    assert not alone.brief
-    assert brief.digest == content_digest(log)
-    assert brief.digest == content_digest(Path(brief.log))
-    assert brief.result.total_error == alone.result.total_error
-    assert brief.warnings == alone.warnings
-    assert brief.processor == alone.processor != ""
-
-
 def without_what_may_differ(trial):
     """A trial without where its log is, what only a whole one has, and what depends on time."""
     result = replace(trial.result, solve_ns=(), verdict=None, deadline_misses=0)
@@ -90,15 +65,6 @@ def test_a_brief_log_and_a_whole_one_give_the_same_result(finished, tmp_path):
 def test_a_brief_log_is_small(tmp_path):
     log = Path(run(tmp_path, SMALL).finished[ARM, 1].log)
     assert log.stat().st_size < 10_000
-
-
-def test_a_brief_log_that_is_damaged_is_run_again(tmp_path):
-    ran = run(tmp_path, SMALL)
-    log = Path(ran.finished[ARM, 1].log)
-    log.write_bytes(log.read_bytes()[:-200])
-    again = run(tmp_path, SMALL)
-    assert [task.key for task in again.tasks] == [(ARM, 1)]
-    assert digests(again) == digests(ran)
 
 
 def test_trials_come_first_over_all_arms(finished):

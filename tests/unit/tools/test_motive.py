@@ -1,16 +1,18 @@
 """Files that Motive exports are read as poses: all versions, both vertical axes, both rotations."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import wrap
 from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
 from tetractl.tools.table.motive import table_rows
 
 TIMES_S = np.arange(40) / 20
+UNITS = {"Meters": ("m", 1.0), "Millimeters": ("mm", 1e3), "Centimeters": ("cm", 1e2)}
+"""Motive's units of length: in names of columns, and how many are a metre."""
 
 
 def circle(body):
@@ -38,7 +40,7 @@ class Export:
     def columns(self, body, name):
         """The columns of a body: type, name, quantity, axis, and numbers (M,)."""
         angles = "XYZW" if self.rotation == "Quaternion" else "XYZ"
-        per_metre = {"Meters": 1.0, "Millimeters": 1e3, "Centimeters": 1e2}[self.units]
+        _, per_metre = UNITS[self.units]
         place, turned = self.numbers(circle(body))
         columns = [
             ("Rigid Body", name, "Rotation", a, n) for a, n in zip(angles, turned, strict=True)
@@ -134,49 +136,49 @@ def write(folder, text):
     return path
 
 
+def poses_of(rows, unit="m"):
+    """The places and headings (M, 3) that rows state."""
+    names = (f"x_{unit}", f"y_{unit}", "heading_rad")
+    return np.array([[float(row.cells[name]) for name in names] for row in rows])
+
+
+def assert_agree(poses, expected):
+    assert poses[:, :2] == pytest.approx(expected[:, :2], abs=1e-5)
+    assert wrap(poses[:, 2] - expected[:, 2]) == pytest.approx(0.0, abs=1e-4)
+
+
 @pytest.mark.parametrize("name", EXPORTS)
 def test_what_motive_exports_is_read(tmp_path, name):
     export = EXPORTS[name]
-    path = write(tmp_path, export.text())
-    rows = list(table_rows(path))
-    unit = {"Meters": "m", "Millimeters": "mm", "Centimeters": "cm"}[export.units]
-    per_metre = {"m": 1.0, "mm": 1e3, "cm": 1e2}[unit]
+    rows = list(table_rows(write(tmp_path, export.text())))
+    unit, per_metre = UNITS[export.units]
     for body, robot in enumerate(export.bodies):
-        of_body = [row.cells for row in rows if row.cells["robot"] == robot]
-        assert len(of_body) == len(TIMES_S)
-        for frame, cells in enumerate(of_body):
-            x, y, heading = circle(body)[frame]
-            assert float(cells["time_s"]) == pytest.approx(TIMES_S[frame])
-            if frame in export.lost and body == 0:
-                assert math.isnan(float(cells[f"x_{unit}"]))
-                continue
-            assert float(cells[f"x_{unit}"]) == pytest.approx(per_metre * x, abs=1e-5)
-            assert float(cells[f"y_{unit}"]) == pytest.approx(per_metre * y, abs=1e-5)
-            off = math.remainder(float(cells["heading_rad"]) - heading, math.tau)
-            assert off == pytest.approx(0.0, abs=1e-4)
+        of_body = [row for row in rows if row.cells["robot"] == robot]
+        assert [float(row.cells["time_s"]) for row in of_body] == pytest.approx(TIMES_S)
+        is_lost = np.isin(np.arange(len(TIMES_S)), export.lost if body == 0 else ())
+        poses = poses_of(of_body, unit)
+        expected = circle(body) * (per_metre, per_metre, 1)
+        assert np.isnan(poses[is_lost, 0]).all()
+        assert_agree(poses[~is_lost], expected[~is_lost])
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
 def test_poses_are_those_of_the_camera(tmp_path, up):
     """A tilted body: the heading is that of `planar_pose`."""
     rng = np.random.default_rng(4)
-    export = Export(up=up, bodies=("green",), markers=False)
-    head = export.text().splitlines()[:7]
+    quaternions = rng.normal(0, 1, (30, 4)) * ((0.1, 1, 0.1, 1) if up == "y" else 1)
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    places = rng.normal(0, 1, (30, 3)) * ((1, 0.01, 1) if up == "y" else (1, 1, 0.01))
+    lines = Export(up=up, bodies=("green",), markers=False).text().splitlines()[:7]
     expected = []
-    for frame in range(30):
-        quaternion = rng.normal(0, 1, 4) * (0.1, 1, 0.1, 1) if up == "y" else rng.normal(0, 1, 4)
-        quaternion /= np.linalg.norm(quaternion)
-        place = rng.normal(0, 1, 3) * ((1, 0.01, 1) if up == "y" else (1, 1, 0.01))
-        numbers = [f"{number:.9f}" for number in (*quaternion, *place)]
-        head.append(",".join([str(frame), f"{frame / 20}", *numbers, "0"]))
+    for frame, (quaternion, place) in enumerate(zip(quaternions, places, strict=True)):
+        numbers = ",".join(f"{number:.9f}" for number in (*quaternion, *place))
+        lines.append(f"{frame},{frame / 20},{numbers},0")
         body = RigidBody(1, tuple(place), tuple(quaternion), tracking_valid=True)
-        expected.append(planar_pose(body, UpAxis.Y if up == "y" else UpAxis.Z))
-    rows = list(table_rows(write(tmp_path, "\n".join([*head, ""]))))
-    for row, pose in zip(rows, expected, strict=True):
-        assert float(row.cells["x_m"]) == pytest.approx(pose.x, abs=1e-6)
-        assert float(row.cells["y_m"]) == pytest.approx(pose.y, abs=1e-6)
-        off = math.remainder(float(row.cells["heading_rad"]) - pose.heading, math.tau)
-        assert off == pytest.approx(0.0, abs=1e-5)
+        pose = planar_pose(body, UpAxis[up.upper()])
+        expected.append((pose.x, pose.y, pose.heading))
+    rows = list(table_rows(write(tmp_path, "\n".join([*lines, ""]))))
+    assert_agree(poses_of(rows), np.array(expected))
 
 
 PLAIN = Export().text()

@@ -1,12 +1,11 @@
 """Kinds of other packages: the example package, installed next to tetractl, and a broken one."""
 
 import json
-import shutil
 import subprocess
 import sys
 
 import pytest
-from support.packages import install, python
+from support.packages import python
 from support.paths import ROOT
 
 pytestmark = pytest.mark.system
@@ -153,33 +152,3 @@ def test_an_unknown_type_is_answered_with_what_is_installed(site, tmp_path):
     assert "random-search (from tetractl-example 0.1.0)" in done.stdout
     assert "pso, " in done.stdout
     assert "did you mean 'random-search'?" in done.stdout
-
-
-def test_a_broken_package_is_one_line_where_it_is_used_and_nothing_elsewhere(tmp_path):
-    points = "[tetractl.optimizers]\nrandom-search = bad_search:Search\n"
-    bad = install(tmp_path / "site", "bad", "3.1", points, bad_search="import absent_module")
-    error = "error: bad 3.1: the optimizer 'random-search' cannot be used: "
-    for spec, out, said in (
-        (SPEC, "", error),
-        (SPEC.replace("type: random-search, ", ""), ": ok: ", ""),
-    ):
-        (tmp_path / "two.yaml").write_text(spec, encoding="utf-8")
-        done = tetractl(tmp_path, [bad], "validate", "two.yaml")
-        assert out in done.stdout and done.stderr.startswith(said)
-    assert error in tetractl(tmp_path, [bad], "kinds").stderr
-
-
-def test_what_a_kind_prints_in_the_commands_own_process_is_marked(site, logged, tmp_path):
-    """Regression: a `print` stood between the lines of the JSON on stdout."""
-    code = (site / "tetractl_example" / "random_search.py").read_text("utf-8")
-    talking = tmp_path / "talking" / "tetractl_example"
-    talking.mkdir(parents=True)
-    for path in (site / "tetractl_example").glob("*.py"):
-        (talking / path.name).write_bytes(path.read_bytes())
-    (talking / "random_search.py").write_text(f"{code}\nprint('\\x1b[2J' * 3)\n", encoding="utf-8")
-    for info in site.glob("*.dist-info"):
-        shutil.copytree(info, talking.parent / info.name)
-    done = tetractl(logged, [talking.parent], "validate", "two.yaml", "--json")
-    assert json.loads(done.stdout)["specs"][0]["ok"]
-    assert r"\x1b[2J\x1b[2J\x1b[2J" in done.stderr
-    assert "\x1b" not in done.stderr

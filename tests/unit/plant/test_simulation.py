@@ -12,6 +12,7 @@ from tetractl.control.cost import predict
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
+from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import body_velocity
 
 pytestmark = pytest.mark.slow
@@ -96,28 +97,25 @@ def test_the_dead_time_delays_every_command_and_the_stop(dead_time):
 
 
 def test_a_lost_command_leaves_the_one_before_in_force():
+    """A robot that no command has reached yet stands; others are one of the exact steps on."""
     simulated = plant(lost_commands=0.5, seed=3)
     simulated.open()
-    path = [simulated.observe().poses.array()]
-    held = [None] * 3
-    checked = 0
+    setup = simulated.setup
+    before = simulated.observe().poses.array()
+    held = np.full(3, np.nan)
+    lost = 0
     for k in range(20):
-        u = DIRECTIONS[k % 12]
-        command = simulated.send(Steer(u))
-        held = [u if got else h for got, h in zip(command.delivered, held, strict=True)]
+        direction = DIRECTIONS[k % 12]
+        delivered = np.array(simulated.send(Steer(direction)).delivered)
+        lost += np.count_nonzero(~delivered & np.isfinite(held))
+        held = np.where(delivered, direction, held)
         simulated.clock.sleep_until((k + 1) * PERIOD)
-        path.append(simulated.observe().poses.array())
-        for i, robot in enumerate(experiment().robots):
-            if held[i] is None:
-                assert path[-1][i].tolist() == path[-2][i].tolist()  # never commanded to move
-                continue
-            phi = held[i] - path[-2][i, 2]
-            angle_left = 2 * math.atan(math.tan(phi / 2) * math.exp(-robot.a * 0.2))
-            assert math.remainder(
-                held[i] - path[-1][i, 2] - angle_left, 2 * math.pi
-            ) == pytest.approx(0, abs=1e-9)
-            checked += not command.delivered[i]
-    assert checked > 5
+        after = simulated.observe().poses.array()
+        expected = np.column_stack(exact(*before.T, held, setup.a, setup.speed, 0.2))
+        expected = np.where(np.isnan(held)[:, None], before, expected)
+        assert after == pytest.approx(expected, abs=1e-9)
+        before = after
+    assert lost > 5
 
 
 def test_commands_are_lost_as_often_as_stated_and_one_robot_at_a_time():

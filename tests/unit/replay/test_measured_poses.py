@@ -80,28 +80,26 @@ def test_poses_that_are_no_measurement_are_left_out(case):
     assert kept[~wrong].mean() > 0.99
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize(
+    ("added", "share", "kept_share"),
+    [
+        ((0.0, 0.0, np.pi), 0.05, 0.02),
+        ((0.0, 0.0, np.pi), 0.2, 0.02),
+        ((900.0, 400.0, 0.0), 0.05, 0.0),
+        ((900.0, 400.0, 0.0), 0.1, 0.0),
+    ],
+    ids=["one heading in twenty", "one in five", "one place in twenty", "one in ten"],
+)
 @pytest.mark.parametrize("rate_hz", [10, 20, 60])
-def test_headings_that_flip_at_random_are_left_out(share, rate_hz):
-    """Regression: np.unwrap turned the robot for good, turning gain -3.31 for 0.95."""
-    times, poses = drive(rate_hz=rate_hz)
-    flipped = np.random.default_rng(1).uniform(size=len(times)) < share
-    poses[flipped, 2] = wrap(poses[flipped, 2] + np.pi)
-    kept = measured(times, poses)
-    assert (kept & flipped).sum() <= 0.02 * flipped.sum()
-    assert kept[~flipped].mean() > 0.98
-
-
-@pytest.mark.parametrize("share", [0.05, 0.1])
-@pytest.mark.parametrize("rate_hz", [10, 20, 60])
-def test_places_that_are_elsewhere_at_random_are_left_out(share, rate_hz):
-    """Regression: of one pose in twenty at another place none was left out, as their ways counted
-    as usual ones."""
+def test_poses_that_are_wrong_at_random_are_left_out(added, share, kept_share, rate_hz):
+    """Regression: np.unwrap turned the robot for good, turning gain -3.31 for 0.95; and of one pose
+    in twenty at another place none was left out, as their ways counted as usual ones."""
     times, poses = drive(rate_hz=rate_hz)
     is_wrong = np.random.default_rng(1).uniform(size=len(times)) < share
-    poses[is_wrong, :2] += (900.0, 400.0)
+    poses[is_wrong] += added
+    poses[is_wrong, 2] = wrap(poses[is_wrong, 2])
     kept = measured(times, poses)
-    assert not kept[is_wrong].any()
+    assert kept[is_wrong].mean() <= kept_share
     assert kept[~is_wrong].mean() > 0.98
 
 

@@ -73,22 +73,13 @@ def test_outcomes_decided_by_the_controller_count(outcome):
     assert batch_items(described)["outcomes"][outcome.value] == TRIALS
 
 
-def items_of_tolerance(arrival_tolerance):
-    """The items of a batch whose controller says how near a target a robot has arrived."""
-    spec = experiment(controller={"arrival_tolerance": arrival_tolerance})
-    return batch_items(group(batch(ERRORS, spec)))
-
-
-def test_no_trial_arrived_where_none_came_within_the_tolerance():
-    items = items_of_tolerance(20)
-    assert items["arrived"] == 0
-    assert items["arrived_ci95"] is not None
-
-
-def test_arrivals_are_not_known_where_nothing_says_what_arriving_is():
-    items = items_of_tolerance(0)
-    assert items["arrived"] is None
-    assert items["arrived_ci95"] is None
+@pytest.mark.parametrize(("tolerance", "arrived"), [(20, 0), (0, None)])
+def test_arrivals_are_known_where_a_controller_says_what_arriving_is(tolerance, arrived):
+    """None came within 20 mm of its target; 0 says nothing."""
+    spec = experiment(controller={"arrival_tolerance": tolerance})
+    items = batch_items(group(batch(ERRORS, spec)))
+    assert items["arrived"] == arrived
+    assert (items["arrived_ci95"] is None) == (arrived is None)
 
 
 def test_solve_times_are_over_all_steps_of_all_trials():

@@ -2,11 +2,22 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import pytest
 from support.running import PATIENCE_S
 
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt, interrupted_once
+
+
+@contextmanager
+def handled(number, how):
+    """What a signal does meanwhile."""
+    before = signal.signal(number, how)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
 
 
 def test_only_a_second_request_breaks_and_only_what_is_breakable():
@@ -82,43 +93,32 @@ def test_a_suspending_signal_is_a_request_only_where_robots_move():
         assert signal.getsignal(signal.SIGTSTP) is before
 
 
-@pytest.mark.parametrize("ignored", [True, False])
-def test_nohup_is_obeyed(ignored):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
-    try:
-        interrupt = Interrupt()
-        with interrupt.watch():
-            signal.raise_signal(signal.SIGHUP)
-        assert interrupt.requested is not ignored
-    finally:
-        signal.signal(signal.SIGHUP, before)
+@pytest.mark.parametrize("how", [signal.SIG_IGN, signal.SIG_DFL])
+def test_nohup_is_obeyed(how):
+    interrupt = Interrupt()
+    with handled(signal.SIGHUP, how), interrupt.watch():
+        signal.raise_signal(signal.SIGHUP)
+    assert interrupt.requested is (how == signal.SIG_DFL)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
 def test_signals_are_requests_while_watched_and_handlers_are_put_back(number):
     """Regression: failed when the tests ran behind `&`, where SIGQUIT is ignored."""
-    before = signal.signal(number, signal.SIG_DFL)
-    try:
-        interrupt = Interrupt()
+    interrupt = Interrupt()
+    with handled(number, signal.SIG_DFL):
         with interrupt.watch():
             os.kill(os.getpid(), number)
             os.kill(os.getpid(), number)
             assert interrupt.count == 2
         assert signal.getsignal(number) is signal.SIG_DFL
-    finally:
-        signal.signal(number, before)
 
 
 def test_handlers_of_the_program_around_are_left_alone():
     rung = []
-    before = signal.signal(signal.SIGUSR1, lambda number, frame: rung.append(number))
-    try:
-        interrupt = Interrupt()
-        with interrupt.watch():
-            signal.raise_signal(signal.SIGUSR1)
-        assert (interrupt.count, rung) == (0, [signal.SIGUSR1])
-    finally:
-        signal.signal(signal.SIGUSR1, before)
+    interrupt = Interrupt()
+    with handled(signal.SIGUSR1, lambda number, frame: rung.append(number)), interrupt.watch():
+        signal.raise_signal(signal.SIGUSR1)
+    assert (interrupt.count, rung) == (0, [signal.SIGUSR1])
 
 
 def test_an_interruption_lost_in_a_finaliser_is_silent_and_raised_at_the_next(capsys):

@@ -72,14 +72,6 @@ def test_directions_of_another_clock_are_refused_with_the_difference(sent, clock
         check([course_by(sent)], stated)
 
 
-def test_directions_that_are_rotated_are_a_heading_bias():
-    check([course_by(RANDOM)], replace(RANDOM, angles=RANDOM.angles + 1.5))
-
-
-def test_directions_by_which_robots_turn_are_accepted():
-    check([course_by(RANDOM)], RANDOM)
-
-
 def test_a_mirror_image_that_no_dead_time_explains_is_refused():
     mirrored = replace(RANDOM, angles=-RANDOM.angles)
     with pytest.raises(UsageError, match=r"p\.csv: robots turn right where c\.csv turns left"):

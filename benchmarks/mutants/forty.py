@@ -63,7 +63,7 @@ packages/tetractl-microscope/tetractl_microscope/film/who.py | bisect_left(self.
 packages/tetractl-microscope/tetractl_microscope/pictures/multipart.py | [start : start + length] | [start : start + length - 1] | packages/tetractl-microscope/tests/unit/pictures
 packages/tetractl-microscope/tetractl_microscope/results/cell_tables.py | middles = since + weights / 2 | middles = since + weights | packages/tetractl-microscope/tests
 packages/tetractl-motioncapture/tetractl_motioncapture/camera.py | UpAxis.Z if section.up_axis == "z" else UpAxis.Y | UpAxis.Y | packages/tetractl-motioncapture/tests
-packages/tetractl-toio/tetractl_toio/emulated/mat.py | eye.carried or self.acting.of("untracked", cube.name) | self.acting.of("untracked", cube.name) | packages/tetractl-toio/tests
+packages/tetractl-toio/tetractl_toio/emulated/mat.py | self.acting.carried or self.acting.of("untracked", cube.name) | self.acting.of("untracked", cube.name) | packages/tetractl-toio/tests
 """  # noqa: E501
 
 

@@ -24,6 +24,37 @@ NOISE_FRAMES = 25
 
 
 @dataclass(slots=True)
+class Picture:
+    """Whether a camera repeats its frames: `take` each new one, and `judge_noise` before robots are
+    first driven.
+    """
+
+    noisy: bool = False
+    """Whether poses of robots that stand differ in each frame."""
+    repeats: bool = False
+    """Whether the newest frame repeats the one before, though poses are noisy."""
+    _newest: CameraFrame | None = None
+    """The newest frame, None before the first."""
+    _differ: int = 0
+    """How many of the newest frames, in a row, differ from the one before."""
+
+    def judge_noise(self) -> None:
+        """Find out whether poses are noisy."""
+        self.noisy = self._differ >= NOISE_FRAMES
+
+    def take(self, frame: CameraFrame) -> None:
+        """Take a frame that is newer than all before: is each body where it was, to the bit?"""
+        newest = self._newest
+        is_equal = newest is not None and (frame.poses, frame.strangers) == (
+            newest.poses,
+            newest.strangers,
+        )
+        self.repeats = is_equal and self.noisy
+        self._differ = 0 if is_equal else self._differ + 1
+        self._newest = frame
+
+
+@dataclass(slots=True)
 class CameraStream:
     """The newest frame of a camera, and the frames that came too late."""
 
@@ -37,14 +68,8 @@ class CameraStream:
     """By how much the last of these was behind."""
     dropped: int = 0
     """How many came too late since the last start of a run."""
-    noisy: bool = False
-    """Whether poses of robots that stand differ in each frame."""
-    repeats: bool = False
-    """Whether the newest frame repeats the one before, though poses are noisy."""
-    _newest: CameraFrame | None = None
-    """The newest frame, None before the first."""
-    _differ: int = 0
-    """How many of the newest frames, in a row, differ from the one before."""
+    picture: Picture = field(default_factory=Picture)
+    """Whether its frames repeat."""
     _recent_ns: deque[int] = field(default_factory=deque)
     """When the frames of the last second were exposed, oldest first."""
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
@@ -54,10 +79,6 @@ class CameraStream:
     def newest_ns(self) -> int:
         """When the newest frame was exposed, 0 before the first."""
         return self.exposed_ns or 0
-
-    def judge_noise(self) -> None:
-        """Find out whether poses are noisy; to be called before robots are first driven."""
-        self.noisy = self._differ >= NOISE_FRAMES
 
     def advance(self, frame: CameraFrame) -> bool:
         """Take a frame; return whether it is newer than all before, and count it as dropped if it
@@ -69,10 +90,7 @@ class CameraStream:
             self.outdated += 1
             self.behind_ns = self.exposed_ns - exposed_ns
             return False
-        is_equal = self._newest is not None and _show_the_same(self._newest, frame)
-        self.repeats = is_equal and self.noisy
-        self._differ = 0 if is_equal else self._differ + 1
-        self._newest = frame
+        self.picture.take(frame)
         self.exposed_ns = exposed_ns
         self.own_times = bool(frame.exposed_ns)
         self.outdated = 0
@@ -113,11 +131,6 @@ class CameraStream:
         while totals[0][0] < now_ns - SECOND:
             totals.popleft()
         return total - totals[0][1]
-
-
-def _show_the_same(before: CameraFrame, frame: CameraFrame) -> bool:
-    """Return whether two frames have the same bodies, each at the same pose to the last bit."""
-    return frame.poses == before.poses and frame.strangers == before.strangers
 
 
 def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:

@@ -160,8 +160,8 @@ class PortedSide(WheeledSide):
     """A `WheeledSide` whose section has an entry for each robot, with `radius_mm`, `left_gain` and
     `right_gain` of its wheels: they are true where the settings do not say otherwise.
 
-    `own` are these entries, and `radii` (N,) the distances from the wheels to the centres [mm], in
-    the order of the setup. `limit` is the largest count, and the speed of a count [mm/s].
+    `stated` are these entries, and `radii` (N,) the distances from the wheels to the centres [mm],
+    in the order of the setup. `limit` is the largest count, and the speed of a count [mm/s].
     """
 
     Settings: ClassVar[type[Model]] = WheelsSettings
@@ -172,21 +172,21 @@ class PortedSide(WheeledSide):
         section: Any = lab.actuator
         drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
         for robot in drawn["robots"]:
-            own = entry(section.robots, robot["name"])
-            robot["left_gain"] *= own.left_gain
-            robot["right_gain"] *= own.right_gain
+            stated = entry(section.robots, robot["name"])
+            robot["left_gain"] *= stated.left_gain
+            robot["right_gain"] *= stated.right_gain
         return drawn
 
     def __init__(self, stage: Stage, settings: WheelsSettings, limit: tuple[float, float]) -> None:
         section: Any = stage.lab.actuator
         setup = stage.setup
-        self.own = [entry(section.robots, name) for name in setup.names]
-        self.radii = radii_mm(setup, [own.radius_mm for own in self.own])
+        self.stated = [entry(section.robots, name) for name in setup.names]
+        self.radii = radii_mm(setup, [stated.radius_mm for stated in self.stated])
         given = {true.name: true for true in settings.robots}
         trues = [given.get(name) or TrueWheels(name=name) for name in setup.names]
         gains = [
-            (true.left_gain or own.left_gain, true.right_gain or own.right_gain)
-            for true, own in zip(trues, self.own, strict=True)
+            (true.left_gain or stated.left_gain, true.right_gain or stated.right_gain)
+            for true, stated in zip(trues, self.stated, strict=True)
         ]
         self.robots = [
             self.make_robot(row, true.name, true.battery_mv, stage.acting)

@@ -217,9 +217,12 @@ def _placed(random: Random, setup: Setup, starts: Floats, near: float) -> list[d
     ):
         off = random.uniform(0, near)
         angle = random.uniform(-math.pi, math.pi)
-        start = [round(x + off * math.cos(angle), 2), round(y + off * math.sin(angle), 2)]
+        placed_x = x + off * math.cos(angle)
+        placed_y = y + off * math.sin(angle)
         turned = round(heading + random.uniform(-0.05, 0.05), 4)
-        placed.append({"name": name, "start": start, "heading": turned})
+        placed.append(
+            {"name": name, "start": [round(placed_x, 2), round(placed_y, 2)], "heading": turned}
+        )
     return placed
 
 

@@ -104,8 +104,8 @@ class OwnLines(PortedSide):
         limit = section.speed_max_mm_s / section.unit_mm, section.unit_mm
         super().__init__(stage, settings, limit)
         self.radios = [
-            OwnRadio(stage, own.address, self, row, settings.loss)
-            for row, own in enumerate(self.own)
+            OwnRadio(stage, stated.address, self, row, settings.loss)
+            for row, stated in enumerate(self.stated)
         ]
 
     @abstractmethod

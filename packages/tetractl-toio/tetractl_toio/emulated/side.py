@@ -77,7 +77,7 @@ class EmulatedCubes(PortedSide):
         section = stage.lab.actuator
         assert isinstance(section, ToioSection), "the actuator's section has the type toio"
         in_memory = stage.wires.ports is not None
-        if not in_memory and not all(own.cube.startswith(SCHEME) for own in section.robots):
+        if not in_memory and not all(robot.cube.startswith(SCHEME) for robot in section.robots):
             raise UsageError(
                 "cubes cannot be emulated at a Bluetooth adapter",
                 hint=f"name them {SCHEME}127.0.0.1:9801 and so on, in camera and actuator",
@@ -85,9 +85,9 @@ class EmulatedCubes(PortedSide):
         super().__init__(stage, settings, (SPEED_MAX, WHEEL_MM_S))
         interval = ns(settings.interval)
         self.radios = []
-        for i, (cube, own) in enumerate(zip(self.robots, self.own, strict=True)):
-            port = stage.wires.port(own.cube)
-            phase = ns(settings.interval * i / len(self.own))
+        for i, (cube, stated) in enumerate(zip(self.robots, self.stated, strict=True)):
+            port = stage.wires.port(stated.cube)
+            phase = ns(settings.interval * i / len(self.stated))
             timing = (interval, phase, settings.loss)
             seed = stage.options.seed + i
             cube.connection = Connection(stage, port, cube, self.robots, *timing, seed)

@@ -38,9 +38,9 @@ WEST = np.array([-1.0, 0.1])
 @pytest.fixture
 def env():
     """An environment at the beginning of an episode."""
-    begun = TrialEnv(SPEC)
-    begun.reset(seed=1)
-    return begun
+    new_env = TrialEnv(SPEC)
+    new_env.reset(seed=1)
+    return new_env
 
 
 def episode(env, action):

@@ -188,13 +188,13 @@ def left_at_ends(order):
 def test_the_time_left_is_drawn_from_every_arm():
     """It was that of the first trials on: 47 s that became 3 min, as one arm took four times as
     long as another."""
-    left = left_at_ends([(i, arm) for i in range(10) for arm in ("quick", "slow")])
-    assert left[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
-    assert left[-1] == (0.0, True)
+    times_left = left_at_ends([(i, arm) for i in range(10) for arm in ("quick", "slow")])
+    assert times_left[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
+    assert times_left[-1] == (0.0, True)
 
 
 def test_a_slow_arm_is_waited_for_before_the_time_left_is_called_every_arms():
     """Three quick trials of the first two arms had ended before the first slow one: 15 s that
     became 65."""
-    left = left_at_ends([(0, "quick"), (1, "quick"), (0, "slow"), (1, "slow")])
-    assert left == [(3 / 2, False), (2 / 2, False), (4 / 2, True), (0, True)]
+    times_left = left_at_ends([(0, "quick"), (1, "quick"), (0, "slow"), (1, "slow")])
+    assert times_left == [(3 / 2, False), (2 / 2, False), (4 / 2, True), (0, True)]

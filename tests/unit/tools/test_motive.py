@@ -136,10 +136,14 @@ def write(folder, text):
     return path
 
 
+def column(rows, name):
+    return [float(row.cells[name]) for row in rows]
+
+
 def poses_of(rows, unit="m"):
     """The places and headings (M, 3) that rows state."""
-    names = (f"x_{unit}", f"y_{unit}", "heading_rad")
-    return np.array([[float(row.cells[name]) for name in names] for row in rows])
+    places = [column(rows, f"x_{unit}"), column(rows, f"y_{unit}")]
+    return np.column_stack([*places, column(rows, "heading_rad")])
 
 
 def assert_agree(poses, expected):
@@ -150,11 +154,12 @@ def assert_agree(poses, expected):
 @pytest.mark.parametrize("name", EXPORTS)
 def test_what_motive_exports_is_read(tmp_path, name):
     export = EXPORTS[name]
-    rows = list(table_rows(write(tmp_path, export.text())))
+    path = write(tmp_path, export.text())
+    rows = list(table_rows(path))
     unit, per_metre = UNITS[export.units]
     for body, robot in enumerate(export.bodies):
         of_body = [row for row in rows if row.cells["robot"] == robot]
-        assert [float(row.cells["time_s"]) for row in of_body] == pytest.approx(TIMES_S)
+        assert column(of_body, "time_s") == pytest.approx(TIMES_S)
         is_lost = np.isin(np.arange(len(TIMES_S)), export.lost if body == 0 else ())
         poses = poses_of(of_body, unit)
         expected = circle(body) * (per_metre, per_metre, 1)
@@ -177,7 +182,8 @@ def test_poses_are_those_of_the_camera(tmp_path, up):
         body = RigidBody(1, tuple(place), tuple(quaternion), tracking_valid=True)
         pose = planar_pose(body, UpAxis[up.upper()])
         expected.append((pose.x, pose.y, pose.heading))
-    rows = list(table_rows(write(tmp_path, "\n".join([*lines, ""]))))
+    path = write(tmp_path, "\n".join([*lines, ""]))
+    rows = list(table_rows(path))
     assert_agree(poses_of(rows), np.array(expected))
 
 

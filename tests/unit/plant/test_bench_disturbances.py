@@ -10,7 +10,7 @@ from support.plants import PAIR, PERIOD, sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Steer, Stop
+from tetractl.core.commands import Steer
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.plant.disturbances.robots import WanderSection
@@ -245,13 +245,6 @@ def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(d
     way_in_silence = samples[round(2.0 * 120)].truth.x - samples[round(1.5 * 120)].truth.x
     stands = way_in_silence < 0.1
     assert stands.tolist() == [watchdog is not None] * 2
-    simulated.send(Stop())
-    simulated.clock.sleep_until(4 * SECOND)
-    simulated.samples()
-    stopped_x = simulated.poses.x
-    simulated.clock.sleep_until(5 * SECOND)
-    simulated.samples()
-    assert simulated.poses.x == pytest.approx(stopped_x)
 
 
 def test_a_watchdog_shorter_than_the_time_between_two_commands_is_refused():

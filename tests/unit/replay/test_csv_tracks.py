@@ -618,15 +618,15 @@ def test_a_robot_that_is_never_tracked_is_left_out(tmp_path, commands):
 
 
 def test_a_robot_may_be_seen_in_one_of_two_trials(tmp_path):
-    poses = LOST.replace("heading_rad", "heading_rad,trial").replace(",,,", ",,,,1")
-    poses = poses.replace("0.1\n", "0.1,1\n") + "".join(
-        f"{t / 10},{robot},{t * 9},{y},0.1,2\n"
-        for t in range(8)
-        for robot, y in (("a", 0), ("b", 9))
-    )
-    commands = "time_s,v_mm_s,w_rad_s,trial\n" + "".join(
-        f"{t / 10},90,{t},{trial}\n" for trial in (1, 2) for t in range(8)
-    )
+    """The second robot is, in the second trial alone."""
+    place_of_b = {1: ",,", 2: "{x},9,0.1"}
+    poses = "time_s,robot,x_mm,y_mm,heading_rad,trial\n"
+    commands = "time_s,v_mm_s,w_rad_s,trial\n"
+    for trial in (1, 2):
+        for t in range(8):
+            poses += f"{t / 10},a,{t * 9},0,0.1,{trial}\n"
+            poses += f"{t / 10},b,{place_of_b[trial].format(x=t * 9)},{trial}\n"
+            commands += f"{t / 10},90,{t},{trial}\n"
     first, second = tracks_of(tmp_path, poses, commands)
     assert first.names == second.names == ("a", "b")
     assert first.valid.sum(axis=0).tolist() == [8, 0]
@@ -704,9 +704,8 @@ def test_two_recordings_in_one_table_are_told(tmp_path, poses, later_s):
 
 def test_two_recordings_that_are_numbered_are_read(tmp_path):
     def numbered(table):
-        header, *rows = twice(table).splitlines()
-        trials = [1 + number // 8 for number in range(len(rows))]
-        lines = [f"{trial},{row}" for trial, row in zip(trials, rows, strict=True)]
+        header, *rows = table.splitlines()
+        lines = [f"{trial},{row}" for trial in (1, 2) for row in rows]
         return "\n".join(["trial," + header, *lines, ""])
 
     tracks = tracks_of(tmp_path, numbered(ONE_POSES), numbered(NO_NAME))

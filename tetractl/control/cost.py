@@ -55,7 +55,12 @@ class Foreseen:
 
 def foresee(problem: Problem, signals: Floats) -> Foreseen:
     """Return the prediction for a sequence (L,); ControlError if its cost is not finite."""
-    path = predict(problem, signals)
+    return foreseen_along(problem, predict(problem, signals))
+
+
+def foreseen_along(problem: Problem, path: Floats) -> Foreseen:
+    """Return the prediction with its costs for a path (L + 1, N, 3); ControlError if a cost is not
+    finite."""
     costs = costs_along(problem, path[:, None])
     return Foreseen(path, float(costs.target[0]), float(costs.obstacle[0]))
 

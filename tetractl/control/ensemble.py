@@ -17,8 +17,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.cost import costs_along, predict
-from tetractl.control.fixed_sequence import search_of
+from tetractl.control.cost import foreseen_along, predict
+from tetractl.control.fixed_sequence import given_search, make_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
@@ -113,19 +113,10 @@ class Ensemble(PlainController):
     def _decide(self, problem: Problem, signals: Floats, end: Poses) -> Plan:
         """Return the plan of one control period, which ends at the poses `end`."""
         path = np.stack([problem.poses.array(), end.array()])
-        costs = costs_along(problem, path[:, None])
-        cost = float(costs.total[0])
-        return Plan(
-            signals=signals,
-            path=path,
-            cost=cost,
-            target_cost=float(costs.target[0]),
-            obstacle_cost=float(costs.obstacle[0]),
-            searches=(search_of(signals, cost),),
-            chosen=0,
-            generator=mix(self.key, self.k),
-            instead=FieldOff() if self._phase is None else None,
-        )
+        foreseen = foreseen_along(problem, path)
+        search = given_search(problem, signals, foreseen)
+        plan = make_plan([search], 0, mix(self.key, self.k), foreseen)
+        return replace(plan, instead=FieldOff() if self._phase is None else None)
 
     def _when_acting(self, observation: Observation) -> Poses:
         """Return the poses one dead time after the frame's exposure, when the decision acts."""

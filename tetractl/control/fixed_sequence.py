@@ -15,11 +15,7 @@ from tetractl.core.poses import Floats
 
 def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Search:
     """Return a search record of given signals (L,) [rad], whose prediction is known."""
-    return search_of(signals, foreseen.target + problem.obstacle_weight * foreseen.obstacle)  # (7)
-
-
-def search_of(signals: Floats, cost: float) -> Search:
-    """Return a search record of given signals (L,) [rad] whose cost is known."""
+    cost = foreseen.target + problem.obstacle_weight * foreseen.obstacle  # (7)
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
 
 

@@ -57,7 +57,7 @@ def test_days_repeat_to_the_bit_with_other_jobs_and_go_on_where_they_stopped(tmp
     rehearse(tmp_path, "--days", "2").ok()
     rehearse(tmp_path / "two", "--days", "2", "--jobs", "2").ok()
     assert digests(tmp_path) == digests(tmp_path / "two")
-    assert "| frames frozen |" in done.stdout
+    assert "| fault | met |" in done.stdout
 
 
 @pytest.mark.long

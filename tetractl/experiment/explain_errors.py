@@ -1,4 +1,5 @@
-"""Turns pydantic's errors in a spec into plain messages with their location in the YAML."""
+"""Turns pydantic's errors in a spec into plain messages with their location in the YAML: unknown
+keys with those that were meant, wrong types and values."""
 
 import re
 from collections.abc import Iterator

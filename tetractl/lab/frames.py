@@ -24,7 +24,7 @@ NOISE_FRAMES = 25
 
 
 @dataclass(slots=True)
-class Picture:
+class Repetition:
     """Whether a camera repeats its frames: `take` each new one, and `judge_noise` before robots are
     first driven.
     """
@@ -68,7 +68,7 @@ class CameraStream:
     """By how much the last of these was behind."""
     dropped: int = 0
     """How many came too late since the last start of a run."""
-    picture: Picture = field(default_factory=Picture)
+    repetition: Repetition = field(default_factory=Repetition)
     """Whether its frames repeat."""
     _recent_ns: deque[int] = field(default_factory=deque)
     """When the frames of the last second were exposed, oldest first."""
@@ -90,7 +90,7 @@ class CameraStream:
             self.outdated += 1
             self.behind_ns = self.exposed_ns - exposed_ns
             return False
-        self.picture.take(frame)
+        self.repetition.take(frame)
         self.exposed_ns = exposed_ns
         self.own_times = bool(frame.exposed_ns)
         self.outdated = 0

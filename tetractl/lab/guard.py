@@ -194,7 +194,7 @@ class Guard:
             return
         self._enter(GuardState.RUN)
         if not self._pace.driven:
-            self._stream.picture.judge_noise()
+            self._stream.repetition.judge_noise()
         self._pace.ticked_ns = now_ns
         self._pace.directed_ns = now_ns
         self._pace.driven = True
@@ -401,7 +401,7 @@ class Guard:
         if not robot.is_new:
             return None
         fault = robot.ghost or robot.fault(pose, robot.read_ns, self._pace.driven)
-        if not fault and self._stream.picture.repeats:
+        if not fault and self._stream.repetition.repeats:
             fault = FROZEN
         if fault:
             return PoseDecision(refused=fault)

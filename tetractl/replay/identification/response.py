@@ -1,5 +1,5 @@
 """Fits how robots on two wheels follow commands of speed v and turning rate w: gains, lags, dead
-time and noise.
+time and noise; says of which other unit a gain would be.
 
 **Model.** A command acts `dead_time` after it is sent; the speed p(t) and turning rate q(t) that it
 leads to follow it with first-order lags of their own. From one pose to the next a robot

@@ -1,4 +1,5 @@
-"""OptiTrack cameras as a `Camera`: a NatNet connection, and its checks before a run.
+"""OptiTrack cameras as a `Camera`: asks the server for its models (MODELDEF), frames and clock
+when they are due, and checks the connection before a run.
 
 The receiver's thread continues after any bad datagram or socket error: it counts bad datagrams, and
 stores the last socket error in `error`. It never waits for somebody to fetch its frames.

@@ -19,39 +19,39 @@ from tetractl.tools.worker import WAITING_MAX
 SLOW_HZ = 20.0
 """Rate of frames below which one that is lost looks like a lost stream [Hz]."""
 NOISE_FRAMES = 25
-"""How many frames in a row have to differ before a run, so that poses count as noisy: at 120 Hz
-0.2 s, in which robots stand."""
+"""How many frames in a row have to differ in each body before the first run, so that poses count as
+noisy: at 120 Hz 0.2 s, in which robots stand, or somebody carries one of them."""
 
 
 @dataclass(slots=True)
 class Repetition:
-    """Whether a camera repeats its frames: `take` each new one, and `judge_noise` before robots are
-    first driven.
-    """
+    """Whether a camera repeats its frames: `take` each new one."""
 
-    noisy: bool = False
-    """Whether poses of robots that stand differ in each frame."""
     repeats: bool = False
     """Whether the newest frame repeats the one before, though poses are noisy."""
+    _noisy: bool = False
+    """Whether poses of robots that stand differ in each frame."""
     _newest: CameraFrame | None = None
     """The newest frame, None before the first."""
     _differ: int = 0
-    """How many of the newest frames, in a row, differ from the one before."""
+    """In how many of the newest frames, in a row, each body was elsewhere than in the one before,
+    before robots were first driven."""
 
-    def judge_noise(self) -> None:
-        """Find out whether poses are noisy."""
-        self.noisy = self._differ >= NOISE_FRAMES
-
-    def take(self, frame: CameraFrame) -> None:
-        """Take a frame that is newer than all before: is each body where it was, to the bit?"""
-        newest = self._newest
-        is_equal = newest is not None and (frame.poses, frame.strangers) == (
-            newest.poses,
-            newest.strangers,
-        )
-        self.repeats = is_equal and self.noisy
-        self._differ = 0 if is_equal else self._differ + 1
+    def take(self, frame: CameraFrame, driven: bool) -> None:
+        """Take a frame that is newer than all before: is each body where it was, to the bit?
+        `driven` says whether robots ever were.
+        """
+        before = self._newest
         self._newest = frame
+        if before is None:
+            return
+        if not driven:
+            bodies = [pair for pair in zip(frame.poses, before.poses, strict=True) if any(pair)]
+            each_differs = bool(bodies) and all(now != then for now, then in bodies)
+            self._differ = self._differ + 1 if each_differs else 0
+            self._noisy |= self._differ >= NOISE_FRAMES
+        is_equal = (frame.poses, frame.strangers) == (before.poses, before.strangers)
+        self.repeats = is_equal and self._noisy
 
 
 @dataclass(slots=True)
@@ -80,9 +80,9 @@ class CameraStream:
         """When the newest frame was exposed, 0 before the first."""
         return self.exposed_ns or 0
 
-    def advance(self, frame: CameraFrame) -> bool:
+    def advance(self, frame: CameraFrame, driven: bool) -> bool:
         """Take a frame; return whether it is newer than all before, and count it as dropped if it
-        is not.
+        is not. `driven` says whether robots ever were.
         """
         exposed_ns = frame.sampled_ns
         if self.exposed_ns is not None and exposed_ns <= self.exposed_ns:
@@ -90,7 +90,7 @@ class CameraStream:
             self.outdated += 1
             self.behind_ns = self.exposed_ns - exposed_ns
             return False
-        self.repetition.take(frame)
+        self.repetition.take(frame, driven)
         self.exposed_ns = exposed_ns
         self.own_times = bool(frame.exposed_ns)
         self.outdated = 0

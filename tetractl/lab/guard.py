@@ -193,8 +193,6 @@ class Guard:
         if self.state is not GuardState.READY:
             return
         self._enter(GuardState.RUN)
-        if not self._pace.driven:
-            self._stream.repetition.judge_noise()
         self._pace.ticked_ns = now_ns
         self._pace.directed_ns = now_ns
         self._pace.driven = True
@@ -313,7 +311,7 @@ class Guard:
         """
         if frame.fault:
             self.abort(frame.fault)
-        if not self._stream.advance(frame):
+        if not self._stream.advance(frame, self._pace.driven):
             if self._in_run and self._stream.dropped == 1:
                 self._warn_once(f"a camera frame {self._stream.outdated_text} was dropped")
             return None

@@ -546,6 +546,27 @@ def test_a_noisy_camera_that_repeats_its_last_frame_is_frozen_whatever_is_comman
     assert course.guard.reason.startswith("green is not tracked: the frame repeats the one before")
 
 
+def test_a_noisy_camera_that_froze_before_the_run_lets_no_robot_drive():
+    """Regression: frames that differed last before a run were those of noise, so one that stood
+    still as it began had none, and robots drove on it for 0.42 s."""
+    course = Course().pass_preflight()
+    for k in range(60):
+        course.frame([with_noise(pose, k) for pose in PLACES])
+    frozen = [with_noise(pose, 59) for pose in PLACES]
+    course.frames(40, frozen)
+    course.start_run()
+    assert course.frames(1, frozen).moving == (False, False)
+
+
+def test_a_robot_that_is_carried_to_its_start_is_no_noise_of_the_camera():
+    course = Course().pass_preflight()
+    for k in range(60):
+        course.frame((with_noise(PLACES[0], k), PLACES[1]))
+    course.start_run()
+    for _ in range(30):
+        assert course.frames(1, PLACES).moving == (True, True)
+
+
 def test_a_noisy_camera_that_freezes_after_the_run_shows_no_robot_at_rest():
     """Regression: a trial counted whose last half second the camera had not seen."""
     course = begun_with_noise()

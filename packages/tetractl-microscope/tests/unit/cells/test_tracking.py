@@ -34,9 +34,9 @@ def test_poses_of_swimming_cells(field_known):
     tracked = followed(synthetic, field_known)
     score = scored(synthetic, tracked)
     assert score.f1 > 0.98
-    assert math.sqrt(score.place2 / score.near) < 2.0
+    assert math.sqrt(score.place2 / score.near) < 1.6
     assert np.median(axis_errors(synthetic, tracked)) < 0.03
-    assert math.sqrt(score.heading2 / score.headings) < 0.12
+    assert math.sqrt(score.heading2 / score.headings) < 0.1
 
 
 @pytest.mark.long

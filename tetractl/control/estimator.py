@@ -3,8 +3,8 @@
 The estimate is the poses that the robots will have when the direction decided now begins to act.
 The prediction starts at the newest frame and uses the spec's values of the motion, or the values
 that a bank of filters identifies from all frames and commands while the robots drive. At each step
-`seen` takes the command of the step before and the frames since, and returns the problem to plan
-for; commands that are sent in between, such as turns and stops, are added by `sent`.
+`add_step` takes the command of the step before and the frames since, and returns the problem to
+plan for; commands that are sent in between, such as turns and stops, come by `add_command`.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class StateEstimator:
         self._last_sent: int | None = None
         self._newest_ns = 0
         self._held = np.full(len(problem.a), np.nan)
-        self.dead_time_s = prior.dead_time  # the identified one, or the spec's if none is [s]
+        self.dead_time_s = prior.dead_time  # [s]; later the identified one, if any is
 
     @property
     def present(self) -> Bools:

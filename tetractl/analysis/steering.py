@@ -137,12 +137,14 @@ def steering(
     linears = [linearise(problem, plan.signals) for plan in reaching]
     covariances: list[Floats] = []  # of the ends, (2N, 2N)
     errors_of_plans: list[Floats] = []
+    free_covariances: list[Floats] = []  # without feedback
     open_loop: list[float] = []
     for linear in linears:
         covariance = end_covariance(linear, noise, corrects=True, identifies=section.estimate)
         covariances.append(covariance)
         errors_of_plans.append(mean_errors(covariance, linear.miss))
         free_covariance = end_covariance(linear, noise, corrects=False)
+        free_covariances.append(free_covariance)
         open_loop.append(mean_errors(free_covariance, linear.miss).sum())
     errors = np.array([of_plan.sum() for of_plan in errors_of_plans])
     median = int(np.argsort(errors)[(len(errors) - 1) // 2])
@@ -161,5 +163,5 @@ def steering(
         weakest=(weakest**2).sum(axis=1),
         robot_errors=errors_of_plans[median],
         covariance=of_each(covariances[median]),
-        free_covariance=of_each(end_covariance(linears[median], noise, corrects=False)),
+        free_covariance=of_each(free_covariances[median]),
     )

@@ -195,8 +195,14 @@ def identified(result: IdentifiedRobots, when: str) -> Identified:
     dead_time = result.dead_time
     robots: dict[str, IdentifiedRobot] = {}
     for robot in result.robots:
-        values = {name: _value(getattr(robot, name)) for name in QUANTITIES}
-        robots[robot.name] = IdentifiedRobot(**values)
+        robots[robot.name] = IdentifiedRobot(
+            a=_value(robot.a),
+            speed=_value(robot.speed),
+            heading_bias=_value(robot.heading_bias),
+            position_noise=_value(robot.position_noise),
+            heading_noise=_value(robot.heading_noise),
+            heading_walk=_value(robot.heading_walk),
+        )
     return Identified(
         identified=when,
         origin=result.origin,

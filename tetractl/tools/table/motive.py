@@ -78,8 +78,10 @@ def motive_rows(path: Path) -> Iterator[CsvRow]:
         raise UsageError(f"{path}: has no rows")
     table = np.array(rows)
     names = list(bodies)
-    places = np.stack([table[:, bodies[name][-3:]] for name in names])
-    axes = np.stack([_ahead(path, table[:, bodies[name][:-3]], rotation_type) for name in names])
+    places = np.stack([table[:, position] for _, position in bodies.values()])
+    axes = np.stack(
+        [_ahead(path, table[:, rotation], rotation_type) for rotation, _ in bodies.values()]
+    )
     is_y_up = _is_y_up(places)
     across = -places[..., 2] if is_y_up else places[..., 1]
     headings = np.arctan2(-axes[..., 2] if is_y_up else axes[..., 1], axes[..., 0])
@@ -101,9 +103,11 @@ def _length_unit(path: Path, name: str) -> str:
     return unit
 
 
-def _bodies(path: Path, header: Sequence[Sequence[str]], angles: int) -> dict[str, list[int]]:
+def _bodies(
+    path: Path, header: Sequence[Sequence[str]], angles: int
+) -> dict[str, tuple[list[int], list[int]]]:
     """Return the columns of each rigid body, by its name, of the rows above the numbers: those of
-    its rotation, X, Y, Z and perhaps W, then the three of its position."""
+    its rotation, X, Y, Z and perhaps W, and those of its position."""
     if header[-1][0] != "Frame" or len(header) < 4:
         raise UsageError(
             f"{path}: is no whole export of Motive: no row begins with Frame",
@@ -120,16 +124,16 @@ def _bodies(path: Path, header: Sequence[Sequence[str]], angles: int) -> dict[st
     for column, (kind, name, quantity, axis) in enumerate(above):
         if kind == BODY:
             columns.setdefault(name, {})[quantity, axis] = column
-    keys = [("Rotation", axis) for axis in "XYZW"[:angles]]
-    keys += [("Position", axis) for axis in "XYZ"]
-    bodies: dict[str, list[int]] = {}
+    rotation = [("Rotation", axis) for axis in "XYZW"[:angles]]
+    position = [("Position", axis) for axis in "XYZ"]
+    bodies: dict[str, tuple[list[int], list[int]]] = {}
     for name, of_body in columns.items():
-        if not set(keys) <= set(of_body):
+        if not {*rotation, *position} <= set(of_body):
             raise UsageError(
                 f"{path}: rigid body {printable(name)} lacks rotations or positions",
                 f"export both, in the coordinate space {GLOBAL}",
             )
-        bodies[name] = [of_body[key] for key in keys]
+        bodies[name] = ([of_body[key] for key in rotation], [of_body[key] for key in position])
     return bodies
 
 

@@ -10,7 +10,6 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tetractl.experiment.base import with_tuples
-from tetractl.experiment.controller import retired_hint
 from tetractl.experiment.registry_fields import STRICT
 from tetractl.experiment.schema import (
     alternatives,
@@ -23,6 +22,7 @@ from tetractl.experiment.schema import (
 from tetractl.experiment.yaml.core_yaml import with_space
 from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, did_you_mean
+from tetractl.tools.retired import INSTEAD, KEY
 
 Schema = dict[str, Any]
 
@@ -254,9 +254,8 @@ def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
     spaced = with_space(key)
     if spaced:
         return f"; {spaced}"
-    retired = retired_hint(key, value_at(data, parent))
-    if retired:
-        return f"; {retired}"
+    if (KEY, key) in INSTEAD:
+        return f"; {INSTEAD[KEY, key]}"
     fields = list(describe(parent, data, schema).get("properties", ()))
     guess = did_you_mean(key, fields)
     if guess:

@@ -24,7 +24,6 @@ from typing import Any
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
 from tetractl.experiment.consistency import errors_of
-from tetractl.experiment.controller import without_retired
 from tetractl.experiment.experiment import DEFAULT_CONTROLLER, Experiment
 from tetractl.experiment.explain_errors import validated
 from tetractl.experiment.identified import merge, read_identified
@@ -39,6 +38,7 @@ from tetractl.experiment.yaml.document import (
     with_settings,
 )
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem
+from tetractl.tools.retired import replace_retired_keys
 
 IDENTIFIED = ("identified",)
 """The field that names a file of `tetractl identify`."""
@@ -105,7 +105,7 @@ def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) ->
     _refuse_study(document)
     _refuse_named_files(document)
     logged = deepcopy(document.data)
-    without_retired(document.data)
+    replace_retired_keys(document.data)
     experiment = validated_experiment(document, written=True)
     return LoadedSpec(experiment, text, name, logged=logged)
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.shown import Shown
 from tetractl.core.trial import OWN_FILES, PlantInfo, Start
-from tetractl.experiment.controller import ControllerSection, with_logged_keys
+from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.experiment import Experiment, Trials, packages
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document
@@ -77,9 +77,23 @@ def spec_hash(experiment: Experiment, logged: Any = None) -> str:
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
     if logged is not None:
-        fields = with_logged_keys(fields, logged)
+        fields = _with_logged_keys(fields, logged)
     canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _with_logged_keys(fields: Any, logged: Any) -> Any:
+    """Return the fields of a spec with the keys, also retired ones, of the spec `logged` in a log:
+    a field that was added since is left out."""
+    if isinstance(fields, dict) and isinstance(logged, dict):
+        return {
+            key: _with_logged_keys(fields[key], value) if key in fields else value
+            for key, value in logged.items()
+        }
+    both_lists = isinstance(fields, list) and isinstance(logged, list)
+    if both_lists and len(fields) == len(logged):
+        return [_with_logged_keys(*pair) for pair in zip(fields, logged, strict=True)]
+    return fields
 
 
 def arm_hash(experiment: Experiment) -> str:

@@ -54,14 +54,24 @@ class TrialRobots(Model):
 
 
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
-    """Return the class that is named after a key of the mapping, else the first there is."""
-    names = list(TRIAL_ROBOTS.names())
-    names += [name for name, _ in missing(TRIAL_ROBOTS.group, names)]
-    name = next((name for name in names if name in mapping), names[0])
-    why = not_installed(TRIAL_ROBOTS.group, name)
-    if name not in TRIAL_ROBOTS and why:
-        raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(why), "key": name})
-    return TRIAL_ROBOTS.load(name)
+    """Return the class that is named after a key of the mapping; PydanticCustomError if there is
+    none."""
+    installed = TRIAL_ROBOTS.names()
+    for name in installed:
+        if name in mapping:
+            return TRIAL_ROBOTS.load(name)
+    not_here = [name for name, _ in missing(TRIAL_ROBOTS.group, installed)]
+    for name in not_here:
+        why = not_installed(TRIAL_ROBOTS.group, name)
+        if name in mapping and why:
+            context = {"why": ": ".join(why), "key": name}
+            raise PydanticCustomError("not_installed", "{why}", context)
+    rules = ", ".join([*installed, *not_here])
+    raise PydanticCustomError(
+        "no_rule",
+        "must be a list, each robot after a '-', or have the key {rules}",
+        {"rules": rules},
+    )
 
 
 OrTrialRobots = partial(

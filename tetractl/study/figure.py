@@ -3,7 +3,7 @@ shades of the controllers.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -15,56 +15,71 @@ from tetractl.study.load_study import Arm, LoadedStudy
 from tetractl.view import style
 from tetractl.view.figures.sweep import errors_by
 
-ARMS = "arms"
-"""In place of a field: the figure by arm."""
-
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
-    """Write error-arms.png, and error-FIELD.png for every swept field; the same results
-    give the same bytes.
+    """Write error-arms.png, and error-FIELD.png for every swept field, and return their paths; none
+    if no trial has an error. The same results give the same bytes.
     """
     paths: list[Path] = []
-    for field in (ARMS, *loaded.paths):
-        drawing = error_figure(loaded, store, field)
+    for name, drawing in _figures(loaded, store):
         if drawing is not None:
-            name = re.sub(r"[^A-Za-z0-9._+-]+", "_", field)
-            path = store.folder / f"error-{name}.png"
+            path = store.folder / f"error-{re.sub(r'[^A-Za-z0-9._+-]+', '_', name)}.png"
             style.save(drawing, path)
             paths.append(path)
     return paths
 
 
-def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
-    """Draw the total error of each trial, and the mean with its 95 % interval, against a field, or
-    by arm for the field ARMS, at most LISTED arms; None if no trial has an error.
+def _figures(loaded: LoadedStudy, store: Store) -> Iterator[tuple[str, Figure | None]]:
+    """Yield the name and the figure of the arms, and of each swept field."""
+    yield "arms", figure_by_arm(loaded, store)
+    for field in loaded.paths:
+        yield field, figure_by_field(loaded, store, field)
 
-    If several arms share a value, each trial is represented by its mean over these arms.
-    """
-    arms = loaded.arms[:LISTED] if field == ARMS else loaded.arms
-    curves = _curves(loaded, store, field, arms)
-    groups = [group for curve in curves.values() for group in curve]
-    if not groups:
+
+def figure_by_arm(loaded: LoadedStudy, store: Store) -> Figure | None:
+    """Draw the total error of each trial, and the mean with its 95 % interval, of at most LISTED
+    arms; None if no trial has an error."""
+    arms = loaded.arms[:LISTED]
+    curves = {
+        controller: [group_of(store, arm.name, [arm]) for arm in of_controller]
+        for controller, of_controller in _by_controller(arms).items()
+    }
+    return _figure(loaded, arms, curves, label="")
+
+
+def figure_by_field(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
+    """Draw the same against the values of a swept field, of all arms. If several arms share a
+    value, each trial is represented by its mean over these arms."""
+    curves = {
+        controller: field_values(store, field, of_controller)
+        for controller, of_controller in _by_controller(loaded.arms).items()
+    }
+    return _figure(loaded, loaded.arms, curves, label=field)
+
+
+def _by_controller(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
+    """Return the arms of each controller, in their order."""
+    arms_of: dict[str, list[Arm]] = {}
+    for arm in arms:
+        arms_of.setdefault(arm.controller, []).append(arm)
+    return arms_of
+
+
+def _figure(
+    loaded: LoadedStudy, arms: Sequence[Arm], curves: dict[str, list[ArmErrors]], label: str
+) -> Figure | None:
+    """Draw the errors of each controller along an axis with a label."""
+    drawn = {
+        controller: [group for group in groups if group.error.n > 0]
+        for controller, groups in curves.items()
+    }
+    all_groups = [group for groups in drawn.values() for group in groups]
+    if not all_groups:
         return None
-    label = "" if field == ARMS else field
-    figure = errors_by(curves, label, loaded.unit, len(loaded.paths) == 1)
-    title = [_headline(loaded, groups), given_note(arms)]
+    figure = errors_by(drawn, label, loaded.unit, len(loaded.paths) == 1)
+    title = [_headline(loaded, all_groups), given_note(arms)]
     style.headline(figure, "; ".join(text for text in title if text))
     return figure
-
-
-def _curves(
-    loaded: LoadedStudy, store: Store, field: str, arms: Sequence[Arm]
-) -> dict[str, list[ArmErrors]]:
-    """Return the errors of each controller, by the values of a field or by arm."""
-    curves: dict[str, list[ArmErrors]] = {}
-    for controller in dict.fromkeys(arm.controller for arm in arms):
-        of_controller = [arm for arm in arms if arm.controller == controller]
-        if field == ARMS:
-            groups = [group_of(store, arm.name, [arm]) for arm in of_controller]
-        else:
-            groups = field_values(store, field, of_controller)
-        curves[controller] = [group for group in groups if group.error.n > 0]
-    return curves
 
 
 def _headline(loaded: LoadedStudy, groups: Sequence[ArmErrors]) -> str:

@@ -1,7 +1,14 @@
-"""Names that earlier versions had, each with what to use in its place."""
+"""Names that earlier versions had: commands, options, figures and keys of specs.
+
+Who writes one is told what to use in its place, by INSTEAD. A log keeps the keys with which it was
+written: `replace_retired_keys` turns them into those of today.
+"""
+
+from typing import Any
 
 from tetractl.core.errors import UsageError
 
+KEY = "key of a spec"
 _FRAME = "tables are CSV; in Python: tetractl.to_dataframe(log).to_parquet(file)"
 _BATCH = "use --kind batch"
 _OVER_TIME = "use --kind over-time"
@@ -17,8 +24,15 @@ INSTEAD = {
     ("tetractl.figures", "timing"): _OVER_TIME,
     ("export", "--format"): _FRAME,
     ("export", "parquet"): _FRAME,
+    (KEY, "first_plan"): "robots stand while the first plan is computed; leave it out",
+    (KEY, "intensity"): "a controller chooses a direction only; write strength: [mT], and "
+    "a: {per_mT: ...}",
+    (KEY, "silence"): "plans are no longer asked what a silence of the radio does; leave it out",
+    (KEY, "steps_max"): "a trial's limit is a time now; write time_limit: [s], which is "
+    "(steps_max + 1) control periods",
 }
-"""What to use instead of a name, by what it is a name of: a group of entry points or a command."""
+"""What to use instead of a name, by what it is a name of: a group of entry points, a command, or a
+KEY."""
 
 
 def refuse_retired(what: str, name: str) -> None:
@@ -26,3 +40,26 @@ def refuse_retired(what: str, name: str) -> None:
     instead = INSTEAD.get((what, name))
     if instead:
         raise UsageError(f"{name!r} is no longer there", instead)
+
+
+def replace_retired_keys(spec: dict[str, Any]) -> None:
+    """Replace the retired keys in the resolved spec of a log, which has every field of its time.
+
+    `steps_max` is the time that so many steps took, but for `pso-mpc`, which still counts them. A
+    `silence` is left out, and so is a `first_plan` for which robots stood; one for which they drove
+    stays, and is refused.
+    """
+    controller = spec.get("controller")
+    if not isinstance(controller, dict):
+        return
+    if controller.get("first_plan") == {"type": "stand"}:
+        del controller["first_plan"]
+    collision = controller.get("collision")
+    if isinstance(collision, dict):
+        collision.pop("silence", None)
+    steps = controller.get("steps_max")
+    period_s = controller.get("period")
+    is_counted = controller.get("type") == "pso-mpc"
+    if not is_counted and isinstance(steps, int) and isinstance(period_s, int | float):
+        del controller["steps_max"]
+        controller["time_limit"] = float(f"{(steps + 1) * period_s:.9g}")

@@ -4,7 +4,8 @@ import pytest
 from support.marked_robots import MarkedRobots, install
 
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import SpecError, parse_spec
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.read.reader import read_trial
 from tetractl.run.spec_trial import run_logged
 
@@ -32,7 +33,33 @@ def test_a_trial_runs_with_the_robots_that_the_rule_of_a_package_finds(tmp_path,
     assert Experiment.model_validate(experiment.model_dump()) == experiment
 
 
-def test_a_mapping_without_a_key_of_any_rule_is_read_as_the_first(monkeypatch):
+ROBOT = "name: r, start: [600, 600], target: [900, 600], a: 4, speed: 200"
+
+
+def with_robots(robots):
+    return SPEC.replace("{marks: [[600, 600], [600, 2000]]}", robots)
+
+
+@pytest.mark.parametrize("robots", ["{mark: [600, 600]}", "{}", f"{{{ROBOT}}}"])
+def test_a_mapping_without_a_key_of_any_rule_is_refused(robots, monkeypatch):
     install(monkeypatch)
-    with pytest.raises(SpecError, match=r"robots\.marks: is missing"):
-        parse_spec(SPEC.replace("marks: [[600, 600], [600, 2000]]", "mark: [600, 600]"), "a.yaml")
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(with_robots(robots), "a.yaml")
+    (line,) = caught.value.lines()
+    assert line.startswith("a.yaml:5:9: robots: ")
+    assert "must be a list, each robot after a '-', or have the key marks" in line
+
+
+@pytest.mark.parametrize(
+    "robots",
+    [
+        f"[{{{ROBOT}}}]",
+        f"\n- {{{ROBOT}}}",
+        "{marks: [[600, 600]]}",
+        "{marks: [[600, 600]], found: false}",
+        "\n  marks: [[600, 600], [600, 2000]]",
+    ],
+)
+def test_a_list_of_robots_and_a_rule_are_read(robots, monkeypatch):
+    install(monkeypatch)
+    assert parse_spec(with_robots(robots), "a.yaml").experiment.robots

@@ -9,7 +9,7 @@ from support.studies import FAILING, STUDY, run
 
 from tetractl.results.estimate import ArmErrors, distributions
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_tables
-from tetractl.study.figure import error_figure, write_figures
+from tetractl.study.figure import figure_by_arm, figure_by_field, write_figures
 from tetractl.study.load_study import arm_name
 from tetractl.study.missing_trials import Logs
 from tetractl.view.figures.sweep import errors_by
@@ -124,7 +124,7 @@ def test_there_is_a_figure_for_each_field_and_it_repeats(ran):
 
 
 def test_a_figure_has_a_line_for_each_controller(ran):
-    figure = error_figure(ran.loaded, ran.store, "plant.dead_time")
+    figure = figure_by_field(ran.loaded, ran.store, "plant.dead_time")
     many, few = [line for line in figure.axes[0].get_lines() if line.get_gid() != "trials"]
     assert many.get_label() == "many"
     assert few.get_label() == "few"
@@ -145,7 +145,7 @@ def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
     ran = run(tmp_path, study)
     (path,) = write_figures(ran.loaded, ran.store)
     assert path.name == "error-arms.png"
-    (axes,) = error_figure(ran.loaded, ran.store, "arms").axes
+    (axes,) = figure_by_arm(ran.loaded, ran.store).axes
     assert [label.get_text() for label in axes.get_xticklabels()] == ["ours", "theirs"]
     mean_ours, mean_theirs = [
         list(line.get_ydata()) for line in axes.get_lines() if line.get_gid() != "trials"
@@ -165,12 +165,12 @@ def test_arms_without_a_controller_are_called_given_directions(tmp_path):
     )
     ran = run(tmp_path, study)
     assert "given directions: found" in arms_table(ran.loaded, ran.store).note
-    headline = headline_of(error_figure(ran.loaded, ran.store, "arms"))
+    headline = headline_of(figure_by_arm(ran.loaded, ran.store))
     assert headline.endswith("; given directions: found")
 
 
 def first_label(loaded, store):
-    (axes,) = error_figure(loaded, store, "arms").axes
+    (axes,) = figure_by_arm(loaded, store).axes
     return axes.get_xticklabels()[0]
 
 
@@ -195,7 +195,7 @@ def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):
         "  points: [{plant.motion: euler}, {plant.motion: arc}, {plant.dead_time: 0.1}]\n"
     )
     ran = run(tmp_path, study)
-    axes = error_figure(ran.loaded, ran.store, "plant.motion").axes[0]
+    axes = figure_by_field(ran.loaded, ran.store, "plant.motion").axes[0]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["euler", "arc"]
     assert ran.loaded.paths == ("plant.motion", "plant.dead_time")
     assert "plant.motion" not in ran.loaded.arms[2].values

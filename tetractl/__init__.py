@@ -21,7 +21,6 @@ if TYPE_CHECKING:
         to_arrays,
         to_dataframe,
         verify,
-        write_weights,
     )
     from tetractl.core.errors import TetractlError
     from tetractl.core.plan import Outcome, Plan
@@ -60,7 +59,6 @@ __all__ = [
     "to_arrays",
     "to_dataframe",
     "verify",
-    "write_weights",
 ]
 
 _TYPES = {

@@ -166,20 +166,6 @@ def stepped(spec: Spec) -> LoadedSpec:
     return opened
 
 
-def write_weights(path: str | Path, modules: Iterable[Any]) -> None:
-    """Write the file of weights that the controller `policy` reads, of a network given as its
-    modules in order, as torch's are, or as pairs (W, b) of arrays: y = W x + b.
-
-    Modules with `weight` and `bias`, such as `torch.nn.Linear`, are its layers; others stand
-    between them and are not written: the spec's `activation` says which they are. Raises UsageError
-    for a layer of another kind.
-    """
-    from tetractl.experiment import policy_weights
-
-    demand(path, str | Path, "weights are written to a file")
-    policy_weights.write_weights(Path(path), modules)
-
-
 def _ignore(trial: int, result: Result) -> None:
     """Do nothing with a result."""
 
@@ -227,16 +213,16 @@ def run_study(
     folder: str | Path | None = None,
     *,
     jobs: int = 1,
-    logs: str = "all",
+    logs: Literal["all", "none"] = "all",
     progress: bool = True,
 ) -> "Batches":
     """Simulate the trials of a study that its folder lacks, write its tables and figures, and
     return the results of each arm by the arm's name.
 
     The study is a file, or its contents; the `base` of contents is a file or a spec's contents. The
-    folder is logs/NAME if none is given; `logs` is all, failed, sample:N or none. A trial that
-    fails does not stop the others; its error is raised at the end. `progress` and errors are those
-    of `run_batch`.
+    folder is logs/NAME if none is given; `logs` says which trials have whole logs, not brief ones.
+    A trial that fails does not stop the others; its error is raised at the end. `progress` and
+    errors are those of `run_batch`.
     """
     from tetractl.results.open_batch import Batches
     from tetractl.run import batch
@@ -247,6 +233,8 @@ def run_study(
 
     if folder is not None:
         demand(folder, str | Path, "a folder is a path")
+    if logs not in ("all", "none"):
+        raise UsageError(f"logs={logs!r}: must be 'all' or 'none'")
     if not isinstance(study, Mapping):
         demand(study, str | Path, "a study is a file or a dict")
         study = Path(study)
@@ -257,7 +245,7 @@ def run_study(
         "the same call runs the others"
     )
     with store.opened(), _interruptible(after) as interrupt:
-        tasks, _ = missing_trials.lacking(loaded, store, missing_trials.Logs.parse(logs), False)
+        tasks, _ = missing_trials.lacking(loaded, store, logs == "all", False)
         missing_trials.warm_up_arms(loaded, _announcer(progress))
         executor = on_this_machine(jobs, len(tasks), interrupt)
         watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)

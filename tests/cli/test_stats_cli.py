@@ -154,17 +154,3 @@ def test_a_reader_that_goes_away_is_no_reason_to_complain(work, form):
         ["bash", "-c", command], cwd=work, env=env, capture_output=True, text=True
     )
     assert (done.stdout, done.stderr) == ("", "")
-
-
-def test_rows_of_an_earlier_version_are_named_and_not_read(tmp_path):
-    (tmp_path / "old" / "arm").mkdir(parents=True)
-    (tmp_path / "old" / "arm" / "trials.jsonl").write_text("{}\n")
-    done = stats("old", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.splitlines() == [
-        "notice: old/arm/trials.jsonl: rows of an earlier version are not read; tetractl 0.1.0 at"
-        " commit 3c59e143 reads them",
-        "error: old: no logs (*.mcap) in this folder",
-    ]
-    write(tmp_path / "old" / "arm", 2)
-    assert "trials.jsonl" in stats("old", cwd=tmp_path).ok().stderr

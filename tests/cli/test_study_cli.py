@@ -83,15 +83,6 @@ def test_the_whole_log_of_a_trial_with_a_brief_one_is_made_by_rerun(tmp_path):
     assert tetractl("verify", again, cwd=tmp_path).ok()
 
 
-def test_a_study_says_that_rows_of_an_earlier_version_are_not_read(tmp_path):
-    write(tmp_path, SMALL)
-    (tmp_path / "out" / "dead_time=0").mkdir(parents=True)
-    (tmp_path / "out" / "dead_time=0" / "trials.jsonl").write_text("{}\n")
-    done = study("study.yaml", "--out", "out", "--dry-run", cwd=tmp_path).ok()
-    assert "out/dead_time=0/trials.jsonl: rows of an earlier version are not read" in done.stderr
-    assert "6 of 6 trials" in done.stdout
-
-
 @pytest.mark.long
 def test_a_study_killed_and_run_again_gives_the_same_table(finished_study, tmp_path):
     write(tmp_path)
@@ -131,7 +122,7 @@ def test_a_study_interrupted_is_gone_on_with(finished_study, tmp_path):
 @pytest.mark.long
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     write(tmp_path, FAILING)
-    args = ("--out", "out", "--logs", "failed", "--jobs", 1)
+    args = ("--out", "out", "--logs", "none", "--jobs", 1)
     done = study("study.yaml", *args, cwd=tmp_path)
     assert done.returncode == 1
     assert "failed: speed=1e+308/0: aborted: the cost is not finite" in done.stderr
@@ -139,5 +130,5 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     rows = table(tmp_path / "out")
     assert [row["outcome"] == "aborted" for row in rows] == [True] * 4 + [False] * 4
     results = [read_result(tmp_path / "out" / row["log"]) for row in rows]
-    assert [result.brief for result in results] == [False] * 4 + [True] * 4
+    assert all(result.brief for result in results)
     assert [result.digest for result in results] == [row["content_digest"] for row in rows]

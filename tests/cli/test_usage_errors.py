@@ -56,7 +56,7 @@ run spec.yaml --port 1 | --port needs --serve
 run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
 rerun LOG --seed 3 | No such option
-study study.yaml --logs some | --logs some: must be all, failed, sample:N or none
+study study.yaml --logs some | 'some' is not one of 'all', 'none'
 study circular.yaml | circular.yaml:2:7: base: circular.yaml: is a study, not a spec
 study of-a-study.yaml | of-a-study.yaml:2:7: base: study.yaml: is a study, not a spec
 stats nowhere | nowhere: no such file or folder

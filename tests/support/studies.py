@@ -10,7 +10,7 @@ from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.arm_table import finished_trials, write_tables
 from tetractl.study.load_study import load_study
-from tetractl.study.missing_trials import Logs, lacking
+from tetractl.study.missing_trials import lacking
 
 STUDY = """\
 name: quick
@@ -72,11 +72,11 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     """Run a study in this process; return the study, its store and what became of the trials."""
     loaded = load_study(write(folder, study, spec))
     store = loaded.store(folder / out)
-    which_logs = options.get("logs", Logs(0, False))
+    whole_logs = options.get("whole_logs", False)
     watcher = Watcher()
     with store.opened():
         rerun_outdated = options.get("rerun_outdated", False)
-        tasks, outdated = lacking(loaded, store, which_logs, rerun_outdated)
+        tasks, outdated = lacking(loaded, store, whole_logs, rerun_outdated)
         executor = options.get("executor") or on_this_machine(
             options.get("jobs", 1), len(tasks), Interrupt()
         )

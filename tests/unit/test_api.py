@@ -262,7 +262,6 @@ NOT_TAKEN = {
     "a negative trial": (lambda: tetractl.run_trial(SPEC_DICT, -1), "a trial is a whole number"),
     "a stepped trial": (lambda: tetractl.open_trial(SPEC_DICT, 1.5), "a trial is a whole number"),
     "a seed": (lambda: tetractl.open_trial(SPEC_DICT, 0, -1), "a seed is a whole number from 0"),
-    "weights": (lambda: tetractl.write_weights(3, []), "weights are written to a file"),
 }
 SPEC_DICT = yaml.safe_load(SPEC)
 

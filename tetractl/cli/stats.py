@@ -67,8 +67,6 @@ def stats(
     from tetractl.results.contrast import contrast
     from tetractl.results.open_batch import one_source, sources
 
-    for path in paths:
-        ui.tell_of_earlier_rows(Path(path), "trials.jsonl")
     batches = sources(paths)
     if plot:
         from tetractl.view.style import file_format

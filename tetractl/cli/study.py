@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tetractl.cli import ui
 from tetractl.cli.options import argument, option, out_option, switch
@@ -35,8 +35,8 @@ def study(
         option("N", "Number of trials run at a time, each in its own process. [processors]", min=1),
     ] = None,
     logs: Annotated[
-        str,
-        option("all|failed|sample:N|none", "Trials whose logs are whole, not brief."),
+        Literal["all", "none"],
+        option("all|none", "Trials whose logs are whole, not brief."),
     ] = "all",
     fail_fast: Annotated[
         bool, switch("Stop at the first trial that fails.", "--fail-fast")
@@ -74,10 +74,9 @@ def study(
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
-    whole_logs = missing_trials.Logs.parse(logs)
+    whole_logs = logs == "all"
     loaded = load_study(file)
     folder = out or Path("logs") / loaded.study.name
-    ui.tell_of_earlier_rows(folder, "trials.jsonl")
     store = loaded.store(folder)
     if dry_run:
         store.read()

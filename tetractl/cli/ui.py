@@ -78,18 +78,6 @@ def warn_of_damage(path: str, damage: "Damage | None") -> None:
         tell(*(f"lost: {path}: {lost}" for lost in damage.lost))
 
 
-def tell_of_earlier_rows(folder: Path, name: str) -> None:
-    """Print on stderr that rows of an earlier version, files of this name in a folder or in the
-    folders in it, are not read."""
-    places = [*folder.glob(name), *sorted(folder.glob(f"*/{name}"))]
-    if places:
-        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-        tell(
-            f"notice: {places[0]}{more}: rows of an earlier version are not read; tetractl 0.1.0 at"
-            " commit 3c59e143 reads them"
-        )
-
-
 def rig_section(experiment: "Experiment") -> "RigSection":
     """Return the experiment's plant, which must be a lab, real or emulated."""
     from tetractl.plant.lab_plant import RigSection

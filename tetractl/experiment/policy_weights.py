@@ -8,14 +8,13 @@ FILE`; the layers, packed as text, replace the name, so that a log needs no othe
 import base64
 import binascii
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from tetractl.core.errors import UsageError, printable
+from tetractl.core.errors import printable
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Model
 from tetractl.experiment.yaml.document import read_text
@@ -91,44 +90,6 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
                 f"layers.{number}: weights must be rows of equal length, and bias one number a row"
             ) from None
     return packed, text
-
-
-def write_weights(path: Path, modules: Iterable[Any]) -> None:
-    """Write the file of weights of a network, given as its layers in order: pairs (W, b) of arrays,
-    or modules, of which those without a `weight` are left out. Raises UsageError for what is no
-    layer of a policy, and for a module of several layers."""
-    layers = []
-    for module in modules:
-        if isinstance(module, tuple | list) and len(module) == 2:
-            weight, bias = module
-            name = "pair (W, b)"
-        else:
-            weight = getattr(module, "weight", None)
-            bias = getattr(module, "bias", None)
-            name = type(module).__name__
-        if weight is None:
-            parameters = getattr(module, "parameters", None)  # of torch
-            if parameters is not None and any(True for _ in parameters()):
-                raise UsageError(f"a {name} holds layers of its own", "give these in order")
-            continue
-        try:
-            layer = {"weights": _listed(weight), "bias": _listed(bias)}
-            _packed(layer)
-        except (TypeError, ValueError, OverflowError):
-            raise UsageError(
-                f"a {name} is no layer of a policy: it has no matrix with a bias",
-                "W is (outputs, inputs), and b (outputs,)",
-            ) from None
-        layers.append(layer)
-    if not layers:
-        hint = "give the network's modules in order, or pairs (W, b) of arrays"
-        raise UsageError("no layer is given", hint)
-    path.write_text(json.dumps({"layers": layers}), encoding="utf-8")
-
-
-def _listed(numbers: Any) -> Any:
-    """Return an array, torch's or NumPy's, as lists."""
-    return numbers.tolist() if hasattr(numbers, "tolist") else numbers
 
 
 def _packed(layer: Any) -> dict[str, Any]:

@@ -10,48 +10,36 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import Enum
 from functools import lru_cache
 from pathlib import Path
 
 from tetractl.control.build import warm_up
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.core.plan import Outcome
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment, packages
 from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_briefly, run_logged
+from tetractl.run.spec_trial import run_briefly, run_logged
 
 SPECS_KEPT = 64
 """Number of specs that a process keeps loaded and compiled, the latest ones."""
-
-
-class LogKind(Enum):
-    """Which log a task is to leave."""
-
-    WHOLE = "whole"
-    BRIEF = "brief"
-    WHOLE_IF_FAILED = "whole if failed"
-    """Brief; but a trial that fails is run a second time, to write its whole log. For simulations
-    alone, whose trials repeat to the bit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
     """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
 
-    `spec` is the pickled LoadedSpec. `code` is the hash, by `code_of`, of the code with which the
-    trial must be run, "" for any code.
+    `spec` is the pickled LoadedSpec. The log is whole, or `brief`. `code` is the hash, by
+    `code_of`, of the code with which the trial must be run, "" for any code.
     """
 
     trial: int
     count: int
     spec: bytes
     arm: str = ""
-    log: LogKind = LogKind.WHOLE
+    brief: bool = False
     code: str = ""
 
     @property
@@ -99,35 +87,9 @@ def run_task(
     """
     spec = _prepared(task.spec, task.code)
     began_s = time.perf_counter()
-    match task.log:
-        case LogKind.WHOLE:
-            result = run_logged(spec, folder, task.trial, observers, interrupt, supervision)
-        case LogKind.BRIEF:
-            result = run_briefly(spec, folder, task.trial, observers, interrupt, supervision)
-        case LogKind.WHOLE_IF_FAILED:
-            result = _run_again_if_failed(spec, folder, task.trial, observers, interrupt)
+    run = run_briefly if task.brief else run_logged
+    result = run(spec, folder, task.trial, observers, interrupt, supervision)
     return Finished(result, time.perf_counter() - began_s)
-
-
-def _run_again_if_failed(
-    spec: LoadedSpec,
-    folder: Path,
-    trial: int,
-    observers: Sequence[Observer],
-    interrupt: Interrupt,
-) -> Result:
-    """Run a simulated trial with a brief log, without observers; if it fails, run it a second time,
-    with a whole log and the observers. The second run ends like the first, by the same error."""
-    if spec.experiment.plant.real_time:
-        raise UsageError("a trial in real time cannot be repeated", "ask for its whole log")
-    try:
-        result = run_briefly(spec, folder, trial, (), interrupt)
-    except Exception:  # the second run raises it
-        result = None
-    if result is not None and result.outcome is not Outcome.ABORTED:
-        return result
-    log_path(folder, trial).unlink(missing_ok=True)  # the brief log of the first run
-    return run_logged(spec, folder, trial, observers, interrupt)
 
 
 @lru_cache(maxsize=SPECS_KEPT)

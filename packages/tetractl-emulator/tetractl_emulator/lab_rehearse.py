@@ -88,7 +88,6 @@ def rehearse(
             raise AbortError(f"a day without faults is aborted: {tried.reason}", SPECS)
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
-    ui.tell_of_earlier_rows(folder, "days.jsonl")
     store = RecordStore(folder, f"{loaded.hash} {seed} {faults} {DRAWN}", FIELDS)
     rows = store.records
     wanted = range(first, first + days)

@@ -10,7 +10,6 @@ import yaml
 
 from tetractl import api
 from tetractl.control.policy import ACTIVATIONS, features, forward
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
@@ -124,56 +123,6 @@ def test_a_policy_without_weights_is_refused(tmp_path):
         api.load_spec(path)
 
 
-class Module:
-    """A module of a network as torch has them: tensors have `tolist`, an activation has none."""
-
-    def __init__(self, **tensors):
-        for name, values in tensors.items():
-            setattr(self, name, np.array(values, dtype=np.float32))
-
-
-def test_the_modules_of_a_network_are_written_as_its_file_of_weights(tmp_path):
-    first = Module(weight=TOWARDS_TARGET["weights"], bias=[0, 0.5])
-    last = Module(weight=[[2, 0], [0, 2]], bias=[0, 0])
-    path = spec_file(tmp_path, [TOWARDS_TARGET])
-    api.write_weights(tmp_path / "weights.json", [first, Module(), last])
-    layers = api.load_spec(path).experiment.controller.layers
-    assert [layer.arrays()[0].tolist() for layer in layers] == [
-        TOWARDS_TARGET["weights"],
-        [[2, 0], [0, 2]],
-    ]
-    assert layers[0].arrays()[1].tolist() == [0, 0.5]
-
-
-class Stack(Module):
-    """A module of others, as torch's `Sequential`: it has parameters, but no weight of its own."""
-
-    def __init__(self, *modules):
-        self._modules = modules
-
-    def parameters(self):
-        return (module.weight for module in self._modules)
-
-
-def test_a_module_of_several_layers_is_refused_not_left_out(tmp_path):
-    first = Module(weight=TOWARDS_TARGET["weights"], bias=[0, 0.5])
-    with pytest.raises(UsageError, match="a Stack holds layers of its own"):
-        api.write_weights(tmp_path / "weights.json", [Stack(first), first])
-    path = spec_file(tmp_path, [TOWARDS_TARGET])
-    api.write_weights(tmp_path / "weights.json", [first, Stack()])  # an activation
-    assert len(api.load_spec(path).experiment.controller.layers) == 1
-
-
-def test_pairs_of_arrays_are_layers(tmp_path):
-    path = spec_file(tmp_path, [TOWARDS_TARGET])
-    weights = np.array(TOWARDS_TARGET["weights"], dtype=np.float32)
-    pairs = [(weights, np.zeros(2)), ([[2, 0], [0, 2]], [0, 1])]
-    api.write_weights(tmp_path / "weights.json", pairs)
-    first, last = api.load_spec(path).experiment.controller.layers
-    assert first.arrays()[0].tolist() == TOWARDS_TARGET["weights"]
-    assert last.arrays()[1].tolist() == [0, 1]
-
-
 def test_a_policy_that_overflows_says_so_and_warns_of_nothing(tmp_path, recwarn):
     large = {"weights": np.zeros((2, 6)).tolist(), "bias": [1e308, 1e308]}
     layers = [large, {"weights": [[10, -10]] * 2, "bias": [0, 0]}]  # inf - inf
@@ -182,20 +131,3 @@ def test_a_policy_that_overflows_says_so_and_warns_of_nothing(tmp_path, recwarn)
     assert result.outcome == "aborted"
     assert result.reason == "the policy's outputs are not finite numbers"
     assert not recwarn.list
-
-
-@pytest.mark.parametrize(
-    ("modules", "words"),
-    [
-        ([], "no layer is given"),
-        ([Module()], "no layer is given"),
-        ([Module(weight=[[1, 2]])], "a Module is no layer of a policy"),
-        ([Module(weight=[1, 2], bias=[1, 2])], "a Module is no layer of a policy"),
-        ([([[1, 2]], [1, 2])], "a pair .* is no layer of a policy"),
-        ([([[1, 2]], None)], "a pair .* is no layer of a policy"),
-    ],
-)
-def test_a_module_that_is_no_layer_is_refused(modules, words, tmp_path):
-    with pytest.raises(UsageError, match=words):
-        api.write_weights(tmp_path / "weights.json", modules)
-    assert not (tmp_path / "weights.json").exists()

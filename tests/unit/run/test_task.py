@@ -5,33 +5,23 @@ from dataclasses import replace
 import pytest
 from support.paths import ROOT
 
-from tetractl.core.errors import UsageError
 from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
 from tetractl.run import spec_trial
 from tetractl.run import task as task_module
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.task import LogKind, batch_tasks, run_task
+from tetractl.run.task import batch_tasks, run_task
 
 
-def first_task(spec, log, monkeypatch):
+def first_task(spec, brief, monkeypatch):
     """The first task of a spec, for which nothing is compiled."""
     monkeypatch.setattr(task_module, "warm_up", lambda *args: None)
     (task,) = batch_tasks(spec, [0])
-    return replace(task, log=log)
+    return replace(task, brief=brief)
 
 
-def test_a_trial_in_the_lab_is_not_run_a_second_time_for_its_log(monkeypatch, tmp_path):
-    lab = on_plant(load_spec(ROOT / "experiments/three_m3pi_lab.yaml"), "lab")
-    task = first_task(lab, LogKind.WHOLE_IF_FAILED, monkeypatch)
-    with pytest.raises(UsageError, match="a trial in real time cannot be repeated"):
-        run_task(task, tmp_path, Interrupt())
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("log", [LogKind.WHOLE, LogKind.BRIEF])
-def test_who_supervises_a_task_supervises_its_plant_whatever_its_log(log, monkeypatch, tmp_path):
+@pytest.mark.parametrize("brief", [False, True])
+def test_who_supervises_a_task_supervises_its_plant_whatever_its_log(brief, monkeypatch, tmp_path):
     supervisions = []
 
     def fail(spec, clock, seed, supervision):
@@ -40,7 +30,7 @@ def test_who_supervises_a_task_supervises_its_plant_whatever_its_log(log, monkey
 
     monkeypatch.setattr(spec_trial, "_spec_and_plant", fail)
     spec = load_spec(ROOT / "experiments/three_m3pi.yaml")
-    task = first_task(spec, log, monkeypatch)
+    task = first_task(spec, brief, monkeypatch)
     supervision = LabSupervision()
     with pytest.raises(ValueError, match="no plant"):
         run_task(task, tmp_path, Interrupt(), (), supervision)

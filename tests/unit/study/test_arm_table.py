@@ -11,7 +11,6 @@ from tetractl.results.estimate import ArmErrors, distributions
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_tables
 from tetractl.study.figure import figure_by_arm, figure_by_field, write_figures
 from tetractl.study.load_study import arm_name
-from tetractl.study.missing_trials import Logs
 from tetractl.view.figures.sweep import errors_by
 
 TRIALS = 5  # of each of the eight arms of STUDY
@@ -217,13 +216,6 @@ def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):
 )
 def test_arms_have_names_that_fit_a_file_system(controller, values, name):
     assert arm_name(controller, values) == name
-
-
-def test_options_are_parsed():
-    assert Logs.parse("sample:3") == Logs(3, failed=False)
-    assert Logs.parse("all").whole_trials == float("inf")
-    assert Logs.parse("failed") == Logs(0, failed=True)
-    assert Logs.parse("none") == Logs(0, failed=False)
 
 
 def drawn_arms(*arms):

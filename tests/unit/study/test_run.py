@@ -16,10 +16,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path
 from tetractl.run.store import Store
 from tetractl.run.task import OtherCodeError, batch_tasks
-from tetractl.study.missing_trials import Logs
 
-ALL = Logs(float("inf"), failed=True)
-NONE = Logs(0, failed=False)
 ARM = "dead_time=0.1"
 OTHER_ARM = "dead_time=0"
 TRIALS = 3  # of each of these two arms of SMALL
@@ -33,7 +30,7 @@ def finished_folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(finished_folder):
     """What the small study ran, with all logs whole."""
-    return run(finished_folder, SMALL, logs=ALL)
+    return run(finished_folder, SMALL, whole_logs=True)
 
 
 @pytest.fixture
@@ -55,7 +52,7 @@ def without_what_may_differ(trial):
 
 @pytest.mark.long
 def test_a_brief_log_and_a_whole_one_give_the_same_result(finished, tmp_path):
-    brief_trials = run(tmp_path, SMALL, logs=NONE).finished
+    brief_trials = run(tmp_path, SMALL, whole_logs=False).finished
     assert len(finished.finished) == 2 * TRIALS
     for key, trial in finished.finished.items():
         assert not trial.brief
@@ -77,7 +74,7 @@ def test_trials_come_first_over_all_arms(finished):
 def test_trials_of_outdated_code_are_named_and_stay(done, monkeypatch):
     before = table_of(done)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
-    ran = run(done, SMALL, logs=ALL)
+    ran = run(done, SMALL, whole_logs=True)
     assert ran.tasks == []
     assert ran.outdated == {OTHER_ARM: TRIALS, ARM: TRIALS}
     assert table_of(done) == before
@@ -86,7 +83,7 @@ def test_trials_of_outdated_code_are_named_and_stay(done, monkeypatch):
 def test_trials_of_outdated_code_are_run_again_on_demand(done, monkeypatch):
     before = table_of(done)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
-    ran = run(done, SMALL, logs=ALL, rerun_outdated=True)
+    ran = run(done, SMALL, whole_logs=True, rerun_outdated=True)
     assert len(ran.tasks) == 2 * TRIALS
     assert ran.outdated == {}
     assert table_of(done) == before
@@ -112,7 +109,7 @@ def test_trials_whose_logs_are_damaged_or_gone_are_run_again(done):
     log_path(done / "out" / ARM, 1).unlink()
     torn = log_path(done / "out" / ARM, 2)
     torn.write_bytes(torn.read_bytes()[:-300])
-    ran = run(done, SMALL, logs=ALL)
+    ran = run(done, SMALL, whole_logs=True)
     assert [task.key for task in ran.tasks] == [(ARM, 1), (ARM, 2)]
     assert table_of(done) == before
 
@@ -121,7 +118,7 @@ def test_the_log_of_another_arm_is_refused(done):
     foreign = log_path(done / "out" / OTHER_ARM, 1)
     log_path(done / "out" / ARM, 1).write_bytes(foreign.read_bytes())
     with pytest.raises(UsageError, match=r"trial-001.mcap: was run with another spec or seed"):
-        run(done, SMALL, logs=ALL)
+        run(done, SMALL, whole_logs=True)
 
 
 def run_as_batch(folder, spec, trials):
@@ -135,7 +132,7 @@ def run_as_batch(folder, spec, trials):
 def test_batches_are_arms_of_a_study_that_lacks_their_other_trials(done, finished):
     for arm in finished.loaded.arms:
         run_as_batch(done / "batches" / arm.name, arm.spec, [0, 2])
-    ran = run(done, SMALL, logs=ALL, out="batches")
+    ran = run(done, SMALL, whole_logs=True, out="batches")
     assert sorted(task.key for task in ran.tasks) == [(OTHER_ARM, 1), (ARM, 1)]
     assert ran.outdated == {}
     assert (done / "batches" / "trials.csv").read_bytes() == table_of(done)
@@ -179,16 +176,16 @@ class InterruptingObserver:
         return lambda *args: None
 
 
-@pytest.mark.parametrize(("logs", "whole_logs"), [(ALL, 1), (NONE, 0)])
-def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(logs, whole_logs, tmp_path):
+@pytest.mark.parametrize("whole_logs", [True, False])
+def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(whole_logs, tmp_path):
     interrupt = Interrupt()
     executor = Here(interrupt, [InterruptingObserver(interrupt)])
-    ran = run(tmp_path, SMALL, logs=logs, executor=executor)
+    ran = run(tmp_path, SMALL, whole_logs=whole_logs, executor=executor)
     assert ran.report.interrupted
     assert ran.counts == (1, 0, 5)
     assert ran.finished == {}
     assert len(list(tmp_path.rglob("trial-000.mcap"))) == whole_logs
-    again = run(tmp_path, SMALL, logs=logs)
+    again = run(tmp_path, SMALL, whole_logs=whole_logs)
     assert len(again.tasks) == 2 * TRIALS
     assert len(list(tmp_path.rglob("trial-000.attempt-1.mcap"))) == whole_logs
 

@@ -53,7 +53,7 @@ def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
         ("{choose: 3, a: 4, speed: 420}", "robots.targets: give either targets or a ring"),
         (
             "{ring: {center: [1, 1], radius: 5}, a: 4, speed: 4}",
-            "robots: must .* have the key choose",
+            "robots: .* have the key choose",
         ),
         (
             "{choose: 2, targets: [[9, 9]], a: 4, speed: 4}",

@@ -2,7 +2,7 @@
 
     python benchmarks/solver.py                     everything, some 20 minutes
     python benchmarks/solver.py --quick             every row once, in seconds; figures mean little
-    python benchmarks/solver.py --only a,b          some parts
+    python benchmarks/solver.py --only a            one part
 
 Peers come with `pip install '.[bench]' ./benchmarks/tetractl-ipopt`; those that are missing are
 named and skipped.
@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numba
 from llvmlite import binding
-from solverbench import loop, speed, success
+from solverbench import loop, success
 from solverbench.report import Report, Settings, load, progress
 
 PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
@@ -25,15 +25,14 @@ PEERS = ("pyswarms", "cma", "casadi", "tetractl_ipopt")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="every row, hardly measured")
-    parser.add_argument("--only", default="a,b,c", help="parts, such as a,b")
-    parser.add_argument("--peers", help="rows of (b), such as PSO,pycma")
+    parser.add_argument("--only", default="a,b", help="parts, such as a")
+    parser.add_argument("--peers", help="rows of (a), such as PSO,pycma")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")  # of peers; figures are checked by their own J
     settings = Settings.of(chosen.quick)
     parts: dict[str, Callable[[], Report]] = {
-        "a": lambda: speed.iteration(settings),
-        "b": lambda: success.step_0(settings, chosen.peers.split(",") if chosen.peers else ()),
-        "c": lambda: loop.closed(settings),
+        "a": lambda: success.step_0(settings, chosen.peers.split(",") if chosen.peers else ()),
+        "b": lambda: loop.closed(settings),
     }
     wanted = [part.strip() for part in chosen.only.split(",")]
     unknown = [part for part in wanted if part not in parts]

@@ -1,4 +1,4 @@
-"""(c) closed loop, and the time of its steps."""
+"""(b) closed loop, and the time of its steps."""
 
 import numpy as np
 
@@ -37,13 +37,13 @@ def _times(results: list[Result]) -> list[str]:
 
 def closed(settings: Settings) -> Report:
     """Final error and step times on the undisturbed continuous plant."""
-    report = Report("(c) Closed loop and control step")
+    report = Report("(b) Closed loop and control step")
     ours = experiment(OURS)
     contestants = [("paper, as published", experiment(PAPER)), ("**ours**", ours)]
     if available(shooting.PACKAGE):
         from tetractl_ipopt import Ipopt
 
-        progress("(c) building the programmes of IPOPT")
+        progress("(b) building the programmes of IPOPT")
         shooting.build_all(recommended(), LENGTH - 2 if settings.quick else 1)
         at_5hz = experiment(OURS, "controller.period=0.2")  # s: a signal a step
         ipopt = shooting.shrinking(at_5hz, Ipopt(type="ipopt"))
@@ -54,7 +54,7 @@ def closed(settings: Settings) -> Report:
         report.say("IPOPT: benchmarks/tetractl-ipopt is not installed: skipped.")
     rows = []
     for name, spec in contestants:
-        progress(f"(c) closed loop: {name}")
+        progress(f"(b) closed loop: {name}")
         run(replace_control(spec, time_limit=0.1), 1)  # warm up
         results = run(spec, settings.trials)
         rows.append([*_errors(name, results), *_times(results)])

@@ -1,9 +1,8 @@
-"""Timing by interleaved pairs, and Markdown tables."""
+"""How thorough a run is, and what it prints as Markdown tables."""
 
 import os
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,20 +10,19 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How thorough a run is: `seeds` and `trials` to average over, `repeats` of a timing."""
+    """How thorough a run is: `seeds` and `trials` to average over."""
 
     seeds: int
     peer_seeds: int
     trials: int
-    repeats: int
     cap_s: float  # for one search of one peer
     quick: bool
 
     @classmethod
     def of(cls, quick: bool) -> "Settings":
         if quick:
-            return cls(seeds=1, peer_seeds=1, trials=1, repeats=2, cap_s=0.03, quick=True)
-        return cls(seeds=100, peer_seeds=20, trials=20, repeats=60, cap_s=1.0, quick=False)
+            return cls(seeds=1, peer_seeds=1, trials=1, cap_s=0.03, quick=True)
+        return cls(seeds=100, peer_seeds=20, trials=20, cap_s=1.0, quick=False)
 
 
 @dataclass(slots=True)
@@ -53,34 +51,6 @@ def load() -> str:
 
 def progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-def seconds(work: Callable[[], object]) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
-
-
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """Times of two pieces of work, measured in turn [s], shape (repeats,) each."""
-
-    ours: np.ndarray
-    theirs: np.ndarray
-
-    @property
-    def ratio(self) -> float:
-        """How many times longer theirs takes, both at their least: when nothing interrupts them."""
-        return float(self.theirs.min() / self.ours.min())
-
-
-def in_pairs(ours: Callable[[], object], theirs: Callable[[], object], repeats: int) -> Pair:
-    """Time two pieces of work in turn, so that whatever else runs slows both."""
-    ours()
-    theirs()
-    pairs = [(seconds(ours), seconds(theirs)) for _ in range(repeats)]
-    times = np.array(pairs)
-    return Pair(times[:, 0], times[:, 1])
 
 
 def spread(times: Sequence[float] | np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""(b) share of seeds on which step 0 is solved to 1 mm, and how long that takes."""
+"""(a) share of seeds on which step 0 is solved to 1 mm, and how long that takes."""
 
 from collections.abc import Sequence
 
@@ -52,7 +52,7 @@ def _is_named(who: str, names: Sequence[str]) -> bool:
 
 def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
     """Every optimiser on the printed and on the recommended problem, or those with such names."""
-    report = Report("(b) Step 0 solved to a total error of 1 mm")
+    report = Report("(a) Step 0 solved to a total error of 1 mm")
     everybody, missing = _optimisers(settings.cap_s)
     if only:
         everybody = [(who, peer) for who, peer in everybody if _is_named(who, only)]
@@ -67,7 +67,7 @@ def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
         rows = []
         peers.compile_for(problem, LENGTH)
         for who, peer in everybody:
-            progress(f"(b) {LENGTH} signals, {name}: {who}")
+            progress(f"(a) {LENGTH} signals, {name}: {who}")
             if "reference" in who and name != "as printed":
                 continue
             count = settings.seeds

@@ -1,6 +1,5 @@
 """The benchmark's instances: each is valid, and README tells of it."""
 
-import analyze
 import pytest
 import yaml
 from instances import controllers, published, study_text
@@ -36,14 +35,6 @@ def test_the_former_name_of_an_instance_is_answered_by_its_present_one(former, n
     assert f"'{now}.yaml'" in refused.value.lines()[0]
 
 
-def test_only_specs_of_one_plant_are_called_bench():
-    """Regression: benchmark instances of other plants were called paper-bench and cells-bench."""
-    bench = load_spec(FOLDER.parent / "three_m3pi_bench.yaml").experiment.plant
-    named = list(FOLDER.parent.rglob("*bench*.yaml"))
-    assert len(named) == 3
-    assert all(load_spec(path).experiment.plant == bench for path in named)
-
-
 @pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)
 def test_the_study_of_an_instance_is_valid(path, tmp_path):
     """Regression: the arm `published` set fields that its controller does not have any more."""
@@ -51,14 +42,6 @@ def test_the_study_of_an_instance_is_valid(path, tmp_path):
     study = tmp_path / "study.yaml"
     study.write_text(study_text(path.stem, "study", arms, trials=2), encoding="utf-8")
     assert [arm.name for arm in load_study(study).arms] == list(arms)
-
-
-@pytest.mark.parametrize("instance", analyze.INSTANCES, ids=lambda instance: instance.name)
-def test_an_instance_of_the_prediction_is_valid(instance):
-    """Regression: the controller was `pso-mpc` with `estimate`, a field that only `mpc` has."""
-    experiment = instance.experiment()
-    assert experiment.controller.type == "mpc"
-    assert experiment.controller.estimate == (instance.name != "3 m3pi, not identified")
 
 
 @pytest.mark.parametrize("path", SPECS, ids=lambda path: path.stem)

@@ -72,7 +72,6 @@ ROWS = [
     ("ablation", "whole", "59301"),
     ("knowledge", "dead time given", "60101"),
     ("hurting", "none of these", "60201"),
-    ("floors", "bench, accept 24 mm", "60201"),
     ("accept", "accept 30 mm", "60101"),
 ]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from solverbench.problems import Build, as_specified, played
+from solverbench.problems import played
 
 from tetractl.core.poses import Floats
 from tetractl.results.estimate import distributions
@@ -60,13 +60,13 @@ class Row:
 Rows = Mapping[Task, Row]
 
 
-def run(task: Task, build: Build = as_specified) -> Row:
+def run(task: Task) -> Row:
     """Run one trial."""
     place, *settings = task.place.split(" --set ")
     name, slow, _ = place.partition("-5hz")
     world = WORLDS[name]
     spec = world.spec(task.seed, task.trial, settings, slow=bool(slow))
-    result, plant = played(spec, task.trial, build)
+    result, plant = played(spec, task.trial)
     verdict = result.verdict
     errors = np.array(result.robot_errors)
     for disturbance in plant.disturbances:

@@ -31,9 +31,9 @@ from tetractl.core.registries import MOTIONS
 from tetractl.core.shape import Shape
 from tetractl.experiment.base import Positive
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.experiment.experiment import ShapeSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.shape_section import ShapeSection
 from tetractl.lab.actuators.twist import line_ports
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.serial_port import SerialPort

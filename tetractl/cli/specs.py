@@ -1,5 +1,6 @@
 """`tetractl init`, `validate`, `warm` and `schema`: commands about specs; nothing is run."""
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -341,10 +342,11 @@ def schema(
     Example: tetractl schema -o experiment.schema.json
     """
     from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.schema import schema_json, schema_of
+    from tetractl.experiment.schema import schema_of
     from tetractl.study.load_study import Study
 
-    text = schema_json(schema_of(Study if study else Experiment))
+    contents = schema_of(Study if study else Experiment)
+    text = json.dumps(contents, indent=2, ensure_ascii=False) + "\n"
     if out is None:
         print(text, end="")
     else:

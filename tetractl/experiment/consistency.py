@@ -14,10 +14,9 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
-from tetractl.experiment.experiment import Arena, Experiment, Robot
+from tetractl.experiment.experiment import Arena, Experiment, Robot, ShapeSection
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.section_abilities import KeepsClear
-from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
 MEMORY_GB = 1.0

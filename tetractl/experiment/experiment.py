@@ -1,6 +1,7 @@
 """The experiment: a spec with everything that a batch of trials depends on."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
@@ -20,6 +21,7 @@ from tetractl.core.poses import Floats, Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES, SPEC_REGISTRIES, TRIAL_ROBOTS
 from tetractl.core.registry import Registry
 from tetractl.core.setup import METRES, Bounds, Setup
+from tetractl.core.shape import Shape
 from tetractl.core.tour import HoldTask
 from tetractl.experiment.base import (
     Finite,
@@ -36,7 +38,6 @@ from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindName, KindSection, OrMapping
-from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.trial_robots import OrTrialRobots, TrialRobots
 
 
@@ -45,6 +46,16 @@ class Units(Model):
 
     length: Literal["um", "mm", "cm", "m"] = "mm"
     """Length unit of every position, distance, speed and cost."""
+
+
+class ShapeSection(Model):
+    """The section of an obstacle; the shapes are in `tetractl.model.shapes`."""
+
+    type: Any  # the section's name, a Literal in each subclass
+
+    @abstractmethod
+    def shape(self) -> Shape:
+        """Return the obstacle's corners and radius."""
 
 
 Obstacle = Annotated[ShapeSection, KindSection(SHAPES)]

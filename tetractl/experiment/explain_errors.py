@@ -4,6 +4,7 @@ keys with those that were meant, wrong types and values."""
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -104,7 +105,7 @@ def explain(error: ValidationError, document: Document, schema: Schema) -> Itera
         mistake = Mistake(
             details,
             loc,
-            value=value_at(document.data, loc),
+            value=reduce(child, loc, document.data),
             about=describe(loc, document.data, schema),
         )
         if not _is_reported_already(mistake, document):
@@ -293,10 +294,3 @@ def _quotes(kind: str, value: Any) -> str:
 def _sentence(text: str) -> str:
     first = text.split(". ")[0].rstrip(".")
     return first[:1].lower() + first[1:] if not first[:2].isupper() else first
-
-
-def value_at(data: Any, loc: Loc) -> Any:
-    """Return the value at a location in a file's data, None if there is none."""
-    for step in loc:
-        data = child(data, step)
-    return data

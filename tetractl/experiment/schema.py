@@ -1,6 +1,5 @@
 """The JSON schema of a type of YAML file, such as a spec, and its parts by the path of a field."""
 
-import json
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -16,11 +15,6 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 def schema_of(model: type[BaseModel]) -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of a type of file; callers must not change it."""
     return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
-
-
-def schema_json(schema: dict[str, Any]) -> str:
-    """Return a schema as JSON text, like `experiments/experiment.schema.json`."""
-    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def describe(loc: Loc, data: Any, root: dict[str, Any]) -> dict[str, Any]:

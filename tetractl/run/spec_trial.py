@@ -33,7 +33,7 @@ from tetractl.run.control_loop import Trial, abandon
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.news import stated_model
 from tetractl.tools.plugin_fault import plugins_blamed
-from tetractl.tools.worker import QueueLimits, Relay, Worker
+from tetractl.tools.worker import Relay, Worker
 
 QUEUED_CALLS_MAX = 2000
 """Largest number of queued calls of an observer: over two minutes of a trial."""
@@ -48,12 +48,10 @@ class ObserverRelay(Relay):
         self.observer = observer
         self.worker = Worker(
             "observer",
-            QueueLimits(
-                size=QUEUED_CALLS_MAX,
-                wait_s=0.0,
-                patience_s=LAST_CALLS_S,
-                too_slow=TetractlError("an observer is too slow for the trial"),
-            ),
+            size=QUEUED_CALLS_MAX,
+            wait_s=0.0,
+            patience_s=LAST_CALLS_S,
+            too_slow=TetractlError("an observer is too slow for the trial"),
         )
 
 

@@ -3,7 +3,7 @@ shades of the controllers.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -20,20 +20,16 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write error-arms.png, and error-FIELD.png for every swept field, and return their paths; none
     if no trial has an error. The same results give the same bytes.
     """
+    drawings = {"arms": figure_by_arm(loaded, store)}
+    for field in loaded.paths:
+        drawings[field] = figure_by_field(loaded, store, field)
     paths: list[Path] = []
-    for name, drawing in _figures(loaded, store):
+    for name, drawing in drawings.items():
         if drawing is not None:
             path = store.folder / f"error-{re.sub(r'[^A-Za-z0-9._+-]+', '_', name)}.png"
             style.save(drawing, path)
             paths.append(path)
     return paths
-
-
-def _figures(loaded: LoadedStudy, store: Store) -> Iterator[tuple[str, Figure | None]]:
-    """Yield the name and the figure of the arms, and of each swept field."""
-    yield "arms", figure_by_arm(loaded, store)
-    for field in loaded.paths:
-        yield field, figure_by_field(loaded, store, field)
 
 
 def figure_by_arm(loaded: LoadedStudy, store: Store) -> Figure | None:

@@ -18,9 +18,9 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
 from tetractl.experiment.disturbance import DisturbanceSection
+from tetractl.experiment.experiment import ShapeSection
 from tetractl.experiment.explain_errors import words
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
-from tetractl.experiment.shape_section import ShapeSection
 from tetractl.model.motion.motion import Motion
 from tetractl.testing.control_checks import check_controller, check_optimizer
 from tetractl.testing.device_checks import MovedRobots, SeenRobots, check_actuator, check_camera

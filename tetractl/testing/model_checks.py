@@ -11,7 +11,7 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.core.shape import meet, turn
-from tetractl.experiment.shape_section import ShapeSection
+from tetractl.experiment.experiment import ShapeSection
 from tetractl.model.motion.exact import rates
 from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
 from tetractl.testing.expect import COUNT, NEAR, SEED, expect, near, same, true

@@ -2,7 +2,7 @@
 
 The files in the folder are executed: numba's files are pickles, and the firmware's cores are shared
 libraries. Therefore the folder has to be the user's, and so has each file in it that is read
-(`read_own`), whoever could put it there.
+(`read_own`).
 """
 
 import atexit

@@ -1,6 +1,6 @@
 """Names that earlier versions had: commands, options, figures and keys of specs.
 
-Who writes one is told what to use in its place, by INSTEAD. A log keeps the keys with which it was
+INSTEAD says what to write in place of each. A log keeps the keys with which it was
 written: `replace_retired_keys` turns them into those of today.
 """
 

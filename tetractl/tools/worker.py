@@ -6,7 +6,6 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from tetractl.core.commands import Command
@@ -33,39 +32,36 @@ def _nothing() -> float | None:
     return None
 
 
-@dataclass(frozen=True, slots=True)
-class QueueLimits:
-    """A queue of at most `size` calls is too slow if it stays full for `wait_s` in `Worker.put`, or
-    does not empty within `patience_s` in `drain` or `close`: `too_slow` is the error for it."""
-
-    size: int
-    wait_s: float
-    patience_s: float
-    too_slow: TetractlError
-
-
 class Worker:
     """A thread with a queue of calls.
 
-    The first error, that of a queue beyond its limits or one raised by a call, is kept as
-    `failure`: the next `put`, `drain` or `check` raises it, once, and later calls are dropped. The
-    thread calls `idle` after each call, and again after the time [s] that
-    `idle` returned, unless that is None. The thread collects calls for `batch_s` before it makes
-    them, since switching threads at every call may take longer than the calls.
+    The queue is too slow if it stays full, with `size` calls, for `wait_s` in `put`, or does not
+    empty within `patience_s` in `drain` or `close`: `too_slow` is the error for it.
+
+    The first error, that of a queue that is too slow or one raised by a call, is kept as `failure`:
+    the next `put`, `drain` or `check` raises it, once, and later calls are dropped. The thread
+    calls `idle` after each call, and again after the time [s] that `idle` returned, unless that is
+    None. The thread collects calls for `batch_s` before it makes them, since switching threads at
+    every call may take longer than the calls.
     """
 
     def __init__(
         self,
         name: str,
-        limits: QueueLimits,
         *,
+        size: int,
+        wait_s: float,
+        patience_s: float,
+        too_slow: TetractlError,
         idle: Callable[[], float | None] = _nothing,
         batch_s: float = 0.0,
     ) -> None:
-        self._limits = limits
+        self._wait_s = wait_s
+        self._patience_s = patience_s
+        self._too_slow = too_slow
         self._idle = idle
         self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
-        self._places = threading.Semaphore(limits.size)
+        self._places = threading.Semaphore(size)
         self._batch_s = batch_s
         self._awaited = threading.Event()
         self.failure: Exception | None = None
@@ -80,11 +76,11 @@ class Worker:
             place = self._places.acquire(blocking=False)
             if not place:
                 self._awaited.set()
-                place = self._places.acquire(timeout=self._limits.wait_s)
+                place = self._places.acquire(timeout=self._wait_s)
             if place:
                 self._calls.put(lambda: self._do(call, *args))
             else:
-                self._fail(self._limits.too_slow)
+                self._fail(self._too_slow)
                 self.check()
 
     def drain(self) -> None:
@@ -99,8 +95,8 @@ class Worker:
             done = threading.Event()
             self._calls.put(done.set)
             self._awaited.set()
-            if not done.wait(self._limits.patience_s):
-                self._fail(self._limits.too_slow)
+            if not done.wait(self._patience_s):
+                self._fail(self._too_slow)
 
     def check(self) -> None:
         """Raise `failure` if there is one and it was not raised before."""
@@ -119,17 +115,17 @@ class Worker:
         self._calls.put(last)
         self._calls.put(None)
         self._awaited.set()
-        if self.failure is not self._limits.too_slow:
-            self._thread.join(self._limits.patience_s)
+        if self.failure is not self._too_slow:
+            self._thread.join(self._patience_s)
             if self._thread.is_alive():
-                self._fail(self._limits.too_slow)
+                self._fail(self._too_slow)
 
     def _fail(self, error: Exception) -> None:
         self.failure = self.failure or error
 
     def _do(self, call: Callable[..., object], *args: object) -> None:
         self._places.release()
-        if self.failure is None or self.failure is self._limits.too_slow:
+        if self.failure is None or self.failure is self._too_slow:
             call(*args)
 
     def _work(self) -> None:

@@ -5,12 +5,13 @@ import threading
 import pytest
 
 from tetractl.core.errors import LogError
-from tetractl.tools.worker import QueueLimits, Worker
+from tetractl.tools.worker import Worker
 
 
 def make(size=10, wait_s=0.0, patience_s=10.0, **options):
     """Return a worker; `options` are those of Worker besides its limits."""
-    return Worker("test", QueueLimits(size, wait_s, patience_s, LogError("too slow")), **options)
+    limits = {"size": size, "wait_s": wait_s, "patience_s": patience_s}
+    return Worker("test", **limits, too_slow=LogError("too slow"), **options)
 
 
 def test_a_full_queue_fails_at_once_and_what_waits_is_still_done():

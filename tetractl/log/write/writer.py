@@ -8,7 +8,7 @@ from tetractl.core.errors import LogError
 from tetractl.core.trial import Result, Start
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.sink import Sink
-from tetractl.tools.worker import QueueLimits, Relay, Worker
+from tetractl.tools.worker import Relay, Worker
 
 QUEUE_MAX = 1000
 """Calls in the queue for the disk: over a minute of a trial in the lab."""
@@ -55,14 +55,12 @@ class LogWriter(Relay):
         self.observer = self._encoder
         self.worker = Worker(
             f"log {self._path.name}",
-            QueueLimits(
-                size=QUEUE_MAX,
-                wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
-                patience_s=DISK_PATIENCE_S,
-                too_slow=LogError(
-                    f"{self._path}: the disk is too slow for this log",
-                    f"the log so far is in {self._path}.part",
-                ),
+            size=QUEUE_MAX,
+            wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
+            patience_s=DISK_PATIENCE_S,
+            too_slow=LogError(
+                f"{self._path}: the disk is too slow for this log",
+                f"the log so far is in {self._path}.part",
             ),
             idle=self._sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,

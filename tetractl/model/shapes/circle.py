@@ -6,7 +6,7 @@ import numpy as np
 
 from tetractl.core.shape import Shape
 from tetractl.experiment.base import Point, Positive
-from tetractl.experiment.shape_section import ShapeSection
+from tetractl.experiment.experiment import ShapeSection
 
 
 class Circle(ShapeSection):

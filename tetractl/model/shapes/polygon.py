@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from tetractl.core.poses import Floats
 from tetractl.core.shape import Shape, meet, turn
 from tetractl.experiment.base import Point, inconsistent
-from tetractl.experiment.shape_section import ShapeSection
+from tetractl.experiment.experiment import ShapeSection
 
 
 class Polygon(ShapeSection):

@@ -1,10 +1,14 @@
-"""Says which plug-in raised an unexpected error, for the code that calls the kinds of a spec."""
+"""Says which plug-in raised an unexpected error, for the code that calls the kinds of a spec.
+
+The plug-in is that of the innermost call whose code a package with kinds brought. An error of no
+such code may come of a value that a plug-in returned: then all packages of the spec are named.
+"""
 
 import errno
-import re
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from traceback import extract_tb
 from typing import TextIO
@@ -16,8 +20,8 @@ TRACEBACK_HINT = "PYTHONDEVMODE=1 prints its traceback"
 CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
 COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
 """Errors of the computer, such as a full disk."""
-# reason, file and line in an error of numba's compiler
-COMPILED = re.compile(r'(\S[^\n]*)\n\s*File "([^"]+)", line (\d+)')
+CALLS_MAX = 20
+"""Most calls of a traceback that are kept."""
 
 
 class FaultyPluginError(TetractlError):
@@ -50,35 +54,32 @@ def plugin_fault(
     returned a wrong value; None if there is no such plug-in, for another TetractlError, and for an
     error of the computer, such as a full disk or a module that its system has not.
 
-    If none is found, but `packages`, name and version, provide kinds, these are named: one may have
-    returned a value with which tetractl's code fails.
+    If none is found, but `packages`, name and version, provide kinds, these are named.
     """
     if isinstance(error, WrongValueError):
         owner = _owner(_file(type(error.giver).__module__))
-        if owner:
-            who = error.who if error.who in owner[0] else owner[0]  # the one of many that is named
-            text = f"plug-in {who} ({owner[1]}) returned {error.what}"
+        if owner is not None:
+            kinds = error.who if error.who in owner.kinds else owner.kinds  # the one of several
+            text = f"plug-in {kinds} ({owner.package}) returned {error.what}"
             return FaultyPluginError(text, CHECK)
     elif isinstance(error, TetractlError) or _of_computer(error):
         return None
+    what = text_of(error).removeprefix("WrongValueError: ")
     calls = extract_tb(error.__traceback__)
-    why = text_of(error).removeprefix("WrongValueError: ")
-    places: list[tuple[str, str, object]]
-    places = [(why, call.filename, call.lineno) for call in reversed(calls)]
-    with suppress(Exception):  # it may have no text
-        places += COMPILED.findall(str(error)[:20_000])
-    for what, file, line in places:
-        owner = _owner(Path(file).absolute())
-        if owner:
-            what = printable(what, 300)
-            text = f"plug-in {owner[0]} ({owner[1]}, {file}:{line}) raised {what}"
+    for call in reversed(calls):
+        owner = _owner(Path(call.filename).absolute())
+        if owner is not None:
+            place = f"{owner.package}, {call.filename}:{call.lineno}"
+            text = f"plug-in {owner.kinds} ({place}) raised {printable(what, 300)}"
             fault = FaultyPluginError(text, TRACEBACK_HINT)
             fault.calls = tuple(
-                f"{call.filename}:{call.lineno} in {call.name}: {call.line}" for call in calls[-20:]
+                f"{c.filename}:{c.lineno} in {c.name}: {c.line}" for c in calls[-CALLS_MAX:]
             )
             return fault
-    used = ", ".join(f"{name} {version}" for name, version in (packages or {}).items())
-    return FaultyPluginError(f"{why}; the spec uses plug-ins of {used}", CHECK) if used else None
+    if not packages:
+        return None
+    used = ", ".join(f"{name} {version}" for name, version in packages.items())
+    return FaultyPluginError(f"{what}; the spec uses plug-ins of {used}", CHECK)
 
 
 def _of_computer(error: BaseException) -> bool:
@@ -104,21 +105,34 @@ def _has_no_reader(stream: TextIO) -> bool:
     return False
 
 
-def _owner(file: Path) -> tuple[str, str] | None:
-    """Return the names of the kinds that a file defines, or of the kinds of its package if it
-    defines none, and the package with its version; None for a file of no plug-in."""
-    of_file = list[str]()
-    of_package = list[str]()
-    package = ""
+@dataclass(frozen=True, slots=True)
+class _Owner:
+    """The plug-in that brought a file: its kinds, and its package with the version."""
+
+    kinds: str
+    package: str
+
+
+def _owner(file: Path) -> _Owner | None:
+    """Return the plug-in that defines a kind in a file or, failing that, the one in whose package
+    the file is; None for a file of no plug-in."""
+    kinds_of_file: dict[str, list[str]] = {}  # by their package
+    kinds_around: dict[str, list[str]] = {}
     for registry in (*REGISTRIES, COMMANDS, LAB_COMMANDS):
-        for kind in (kind for kind in registry.kinds() if kind.package):
+        for kind in registry.kinds():
+            if not kind.package:
+                continue
             module = kind.code.partition(":")[0]
             top = module.partition(".")[0]
-            is_own = _file(module) == file
-            if is_own or (top != module and _file(top).parent in file.parents):
-                (of_file if is_own else of_package).append(f"{registry.what} '{kind.name}'")
-                package = f"{kind.package} {kind.version}"
-    return (" or ".join(of_file or of_package), package) if package else None
+            package = f"{kind.package} {kind.version}"
+            name = f"{registry.what} '{kind.name}'"
+            if _file(module) == file:
+                kinds_of_file.setdefault(package, []).append(name)
+            elif top != module and _file(top).parent in file.parents:
+                kinds_around.setdefault(package, []).append(name)
+    for package, kinds in (kinds_of_file or kinds_around).items():
+        return _Owner(" or ".join(kinds), package)
+    return None
 
 
 def _file(module: str) -> Path:

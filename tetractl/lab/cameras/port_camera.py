@@ -25,18 +25,14 @@ class PortCamera(ABC):
     """Frames of a setup's robots from its section's `address`, a `tetractl.core.protocols.Camera`.
     `ports` makes another port, such as one in memory.
 
-    A frame was exposed the section's `latency` [s] before its message came. If the port fails, the
-    robots stop at once. A subclass may set, while it reads a message, `emulated` if it says so, and
-
-    - `latency_s`, the time from the exposure to the arrival of this message [s], or
-    - `stamp_s`, the time of the exposure on the camera's own clock [s]: then the message that took
-      least among the last STAMPS took `latency`, and others so much longer as they came later.
+    A frame was exposed the section's `latency` [s] before its message came, unless messages have
+    stamps (`stamp_s`). If the port fails, the robots stop at once. A subclass sets `emulated` once a
+    message says that the camera is.
     """
 
     connect_s = 3.0  # longest wait for the first frame
     hint = "does the camera's program run, at this address?"
     emulated = False
-    stamp_s: float | None = None
 
     def __init__(
         self,
@@ -49,7 +45,6 @@ class PortCamera(ABC):
         self.section = section
         self.setup = setup
         self.damaged = 0
-        self.latency_s = section.latency
         self._first_damaged = ""  # why the first damaged message could not be read
         self._clock = clock
         self._wake = wake
@@ -70,6 +65,12 @@ class PortCamera(ABC):
 
         Raises any of UNREADABLE, such as ValueError or KeyError, if the message cannot be read.
         """
+
+    def stamp_s(self, message: bytes) -> float | None:
+        """Return when a message's picture was exposed, by the camera's own clock [s], whatever its
+        zero; None, as by default, if it does not say. Of the last STAMPS messages with stamps, the
+        one that took least took `latency`, and others so much longer as they came later."""
+        return None
 
     def __enter__(self) -> Self:
         """Ask for frames; return once one has come. AbortError if none comes."""
@@ -101,22 +102,21 @@ class PortCamera(ABC):
         robots = len(self.setup.names)
         try:
             poses = self.poses(data) if data else (None,) * robots
+            stamp_s = self.stamp_s(data) if data else None
             if len(poses) != robots:
                 raise ValueError(f"{len(poses)} poses, not {robots}")
         except UNREADABLE as error:
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
-        exposed_ns = max(0, at_ns - self._age_ns(at_ns))
+        late_ns = 0 if stamp_s is None else self._late_ns(at_ns - round(stamp_s * SECOND))
+        exposed_ns = max(0, at_ns - round(self.section.latency * SECOND) - late_ns)
         self._came += 1
         self._waiting.append(CameraFrame(self._came, exposed_ns, at_ns, poses, fault=fault))
         self._wake()
 
-    def _age_ns(self, at_ns: int) -> int:
-        """Return the time from exposure to arrival of the message that came at a time [ns]."""
-        late_ns = 0
-        if self.stamp_s is not None:
-            gap_ns = at_ns - round(self.stamp_s * SECOND)
-            self._gaps.append(gap_ns)
-            late_ns = gap_ns - min(self._gaps)
-        return round(self.latency_s * SECOND) + late_ns
+    def _late_ns(self, gap_ns: int) -> int:
+        """Take the time from a stamp to the arrival of its message; return by how much it exceeds
+        the least of the last STAMPS."""
+        self._gaps.append(gap_ns)
+        return gap_ns - min(self._gaps)

@@ -57,8 +57,8 @@ def stands_of(tracks: Sequence[Track], robot: int, dead_time_s: float) -> tuple[
             continue
         begin_s = float(track.time[0])
         stood = _stood(times[seen] - begin_s, track.poses[seen, robot])
-        between_s = begin_s - dead_time_s + BIN_S * np.arange(1.0, len(stood) + 1)
-        stood &= _is_asked(track, robot, between_s)
+        middles_s = begin_s - dead_time_s + BIN_S * (np.arange(len(stood) + 1) + 0.5)
+        stood &= _is_asked(track, robot, middles_s)
         edges = np.diff(stood.astype(np.int64), prepend=0, append=0)
         for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
             if (end - first) * BIN_S >= STOOD_S:
@@ -84,23 +84,23 @@ def _stood(times: Floats, poses: Floats) -> Bools:
     return is_known & (ways < LITTLE * np.quantile(ways[is_known], USUAL)) & (turns < LITTLE_RAD)
 
 
-def _is_asked(track: Track, robot: int, times: Floats) -> Bools:
-    """Return in which bins about times (T,) [s], less the dead time, commands ask a robot to
-    move."""
+def _is_asked(track: Track, robot: int, middles: Floats) -> Bools:
+    """Return from which of B bins to the next (B - 1,) commands ask a robot to move, by the middles
+    of the bins (B,), less the dead time [s]."""
     is_sent = np.ones(len(track.sent), dtype=np.bool_)
     if track.twists.size:
         is_sent = np.isfinite(track.twists[:, robot]).all(axis=1)
     sent_s = track.sent[is_sent]
     if len(sent_s) < 2:
-        return np.zeros(len(times), dtype=np.bool_)
+        return np.zeros(len(middles) - 1, dtype=np.bool_)
     gaps_s = np.diff(sent_s)
+    times = middles[:-1] + BIN_S / 2
     newest = np.searchsorted(sent_s, times, side="right") - 1
     since_s = times - sent_s[np.maximum(newest, 0)]
     recent_s = max(RECENT_S, RECENT * float(np.median(gaps_s)))
-    acts = (newest >= 0) & (since_s <= recent_s) & (times + BIN_S / 2 <= track.until)
+    acts = (newest >= 0) & (since_s <= recent_s) & (middles[1:] <= track.until)
     if not track.twists.size:
         return acts
     twists = np.abs(track.twists[is_sent, robot])
-    until = integrals_of_sent(sent_s, twists, times + BIN_S / 2)
-    ways, turns = (until - integrals_of_sent(sent_s, twists, times - BIN_S / 2)).T
+    ways, turns = np.diff(integrals_of_sent(sent_s, twists, middles), axis=0).T
     return acts & ((ways > ASKED * np.quantile(ways, USUAL)) | (turns > ASKED_RAD))

@@ -44,9 +44,12 @@ class OneRobot(PortCamera):
     """Stands for a camera of one robot, whose messages are x, or x@seconds on its own clock."""
 
     def poses(self, message):
-        x, _, stamp = message.partition(b"@")
-        self.stamp_s = float(stamp) if stamp else None
+        x, _, _ = message.partition(b"@")
         return (Pose(float(x), 0.0, 0.0),)
+
+    def stamp_s(self, message):
+        _, _, stamp = message.partition(b"@")
+        return float(stamp) if stamp else None
 
 
 SECTION = types.SimpleNamespace(address="there", latency=0.02)

@@ -116,6 +116,12 @@ class Cursor:
         """Skip a count and that number of elements of `size` bytes."""
         self.skip(self.count(size) * size)
 
+    def skip_sized(self, smallest: int) -> None:
+        """Skip a section that states how many elements it has, of at least `smallest` bytes each,
+        and then its size."""
+        count = self.count(smallest)
+        self.skip(self.size(count, smallest))
+
     def name(self) -> str:
         """Read a NUL-terminated name of at most 255 bytes."""
         start = self.at
@@ -131,33 +137,49 @@ def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
     layout = layout_of(version)
     cursor = Cursor(payload, len(payload) - layout.suffix.size)
     number = cursor.i32()
-    for _ in _unskipped(cursor, layout, 5):  # marker sets
-        cursor.name()
-        cursor.skip_elements(12)
-    for _ in _unskipped(cursor, layout, 12):  # other markers
-        cursor.skip(12)
-    count = cursor.count(BODY)
-    if layout.sized and cursor.size(count, BODY) != count * BODY:
-        raise WireError("the stated size of the rigid bodies is wrong")
-    bodies = tuple(_body(cursor, layout) for _ in range(count))
-    for _ in _unskipped(cursor, layout, 8):  # skeletons
-        cursor.skip(4)
-        for _ in range(cursor.count(BODY)):
-            _body(cursor, layout)
-    if layout.sized:
-        _unskipped(cursor, layout, 12)  # assets
-    marker = 26 if layout.timed else 22
-    for _ in _unskipped(cursor, layout, marker):  # labelled markers
-        cursor.skip(marker)
-    for _ in range(layout.channels):
-        for _ in _unskipped(cursor, layout, 8):
-            cursor.skip(4)
-            for _ in range(cursor.count(4)):
-                cursor.skip_elements(4)
+    read_sections = _read_sized if layout.sized else _read_measured
+    bodies = read_sections(cursor, layout)
     if cursor.left:
         raise WireError(f"{cursor.left} bytes between the last section and the suffix")
     fields = layout.suffix.unpack_from(payload, cursor.end)
     return natnet.NatNetFrame(number, bodies, fields[-2], fields[3] if layout.timed else None)
+
+
+def _read_sized(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
+    """Read the sections of a frame from 4.1 on: the rigid bodies, the others by their sizes."""
+    cursor.skip_sized(5)  # marker sets
+    cursor.skip_sized(12)  # other markers
+    count = cursor.count(BODY)
+    if cursor.size(count, BODY) != count * BODY:
+        raise WireError("the stated size of the rigid bodies is wrong")
+    bodies = tuple(_body(cursor, layout) for _ in range(count))
+    cursor.skip_sized(8)  # skeletons
+    cursor.skip_sized(12)  # assets
+    cursor.skip_sized(26)  # labelled markers
+    for _ in range(layout.channels):
+        cursor.skip_sized(8)
+    return bodies
+
+
+def _read_measured(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
+    """Read the sections of a frame before 4.1: the rigid bodies, and the others element by
+    element."""
+    for _ in range(cursor.count(5)):  # marker sets
+        cursor.name()
+        cursor.skip_elements(12)
+    cursor.skip_elements(12)  # other markers
+    bodies = tuple(_body(cursor, layout) for _ in range(cursor.count(BODY)))
+    for _ in range(cursor.count(8)):  # skeletons
+        cursor.skip(4)
+        for _ in range(cursor.count(BODY)):
+            _body(cursor, layout)
+    cursor.skip_elements(26 if layout.timed else 22)  # labelled markers
+    for _ in range(layout.channels):
+        for _ in range(cursor.count(8)):
+            cursor.skip(4)
+            for _ in range(cursor.count(4)):
+                cursor.skip_elements(4)
+    return bodies
 
 
 def _body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
@@ -166,17 +188,6 @@ def _body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
         cursor.skip_elements(20)  # the positions, ids and sizes of its markers
     _, params = cursor.take(ERROR_AND_PARAMS)
     return natnet.RigidBody(number, (*pose[:3],), (*pose[3:],), bool(params & 1))
-
-
-def _unskipped(cursor: Cursor, layout: Layout, smallest: int) -> range:
-    """Read the count of a section's elements, which have at least `smallest` bytes each; skip the
-    section if it states its size, and return a range over the elements that are still to be read.
-    """
-    count = cursor.count(smallest)
-    if not layout.sized:
-        return range(count)
-    cursor.skip(cursor.size(count, smallest))
-    return range(0)
 
 
 MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)

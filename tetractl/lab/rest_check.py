@@ -226,8 +226,9 @@ def _at_rest(
         part = rows[rows[:, 0] >= -span_s]
         if len(part) < 3 or part[-1, 0] - part[0, 0] < COVERED * span_s:
             return RestFinding(f"{name} has not been watched long enough")
-        slope, error = _line(part)
-        noise = stdtrit(len(part) - 2, 1 - DOUBT) * error
+        # straight lines through the values over time, and the variances of their slopes
+        (slope, _), covariance = np.polyfit(part[:, 0], part[:, 1:], 1, cov=True)
+        noise = stdtrit(len(part) - 2, 1 - DOUBT) * np.sqrt(covariance[0, 0])
         limit = np.maximum(STILL, noise)
         if np.all(noise <= STILL):
             break
@@ -294,19 +295,6 @@ def _moving_alike(findings: Sequence[RestFinding]) -> list[str]:
     if np.any(np.ptp(array, axis=0) > 2 * STILL) or np.all(abs(array[:, 2]) > 2 * STILL[2]):
         return []
     return [ALIKE.format(_rates(array.mean(axis=0)))]
-
-
-def _line(rows: Floats) -> tuple[Floats, Floats]:
-    """Return the slopes (3,) of straight lines through rows (n, 4) of times [s] and values, and
-    their standard errors (3,).
-    """
-    middle = rows - rows.mean(axis=0)
-    t = middle[:, :1]
-    values = middle[:, 1:]
-    squares = float((t**2).sum())
-    slope = (t * values).sum(axis=0) / squares
-    residual = ((values - t * slope) ** 2).sum(axis=0) / (len(rows) - 2)
-    return slope, np.sqrt(residual / squares)
 
 
 def _rates(motion: Floats) -> str:

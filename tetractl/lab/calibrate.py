@@ -14,9 +14,9 @@ which way is forward. The rigid body's x axis, turned by the spec's heading offs
 than a right angle away from the robot's front; beyond 60 degrees the calibration fails.
 
 The order of motions: each motor channel alone, forwards and backwards, with growing outputs
-(`_channel`); both straight, away and back (`measure`); starts from rest by turns on the spot
-(`first_motions`). After each motion the frames must be complete, or it is repeated. The robot is
-stopped, and AbortError raised, if it strays too far from its first place.
+(`_channel`); then both straight, away and back (`measure`). After each motion the frames must be
+complete, or it is repeated. The robot is stopped, and AbortError raised, if it strays too far from
+its first place.
 """
 
 import math
@@ -24,7 +24,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtrit
 
 from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.commands import Steer
@@ -38,14 +37,6 @@ from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import CountArray
 
-STARTS = 8
-"""Number of starts from rest: their mean time has a 95 % interval of +- 0.84 deviations."""
-TURNED_RAD = 0.03
-"""Least turn by which a robot has started [rad]."""
-QUIET_TURNS = 3.0
-"""The same, over the range of the headings measured at rest."""
-SPIN_UP_S = 1.0
-"""Longest time for a start [s]."""
 GAP_S = 0.06
 """Longest time without a frame, of cameras that are fast enough [s]: the guard's is longer."""
 GAP_PERIODS = 2.5
@@ -138,7 +129,6 @@ def calibrate_robots(
             for question in rig.actuator.check().questions:
                 report(f"warning: {question}")
             measured = bench.measure()
-            start_times_s = bench.first_motions()
             emulated = rig.emulated(rig.camera.check(), rig.actuator.check())
         finally:
             bench.close()
@@ -146,7 +136,6 @@ def calibrate_robots(
             offsets.append({"name": name, "heading_offset": measured.heading_offset})
         wheels.append({"name": name, **section.measured(measured)})
         lines.append(f"{name}: {measured}")
-        lines.append(f"{name}: {latency_line(start_times_s)}")
     camera = {"robots": offsets} if offsets else {}
     return Measured(camera, {"robots": wheels}, tuple(lines), emulated)
 
@@ -154,7 +143,7 @@ def calibrate_robots(
 class _Bench:
     """The calibration of one robot; the guard checks camera frames as in a run.
 
-    `open` comes first, then `measure` and `first_motions`; `close` comes last, whatever failed.
+    `open` comes first, then `measure`; `close` comes last, whatever failed.
     """
 
     def __init__(self, section: CalibratedSection, rig: Rig, offset: float, limit: int) -> None:
@@ -271,46 +260,6 @@ class _Bench:
             )
         return offset
 
-    def first_motions(self) -> list[float]:
-        """Start the robot STARTS times from rest by a turn on the spot, to either side in turn;
-        return the times [s] from the sending until the first picture in which it has turned is
-        here."""
-        times_s = list[float]()
-        for k in range(STARTS):
-            self._stand()
-            to_one_side = np.array([self.limit, -self.limit])
-            time_s = self._time_of_start(to_one_side if k % 2 == 0 else -to_one_side)
-            if time_s is not None:
-                times_s.append(time_s)
-        self._stand()
-        return times_s
-
-    def _time_of_start(self, counts: CountArray) -> float | None:
-        """Return how long after the sending of outputs a robot at rest is seen to turn [s]; None if
-        it is not seen, or does not turn."""
-        frames = self.rig.loop.frames.last(SECOND // 10)
-        recent = [frame.pose(0) for frame in frames]
-        poses = [pose for pose in recent if pose is not None]
-        first = self.rig.loop.frames.count
-        if not poses:
-            return None
-        headings = [pose.heading for pose in poses]
-        turned_rad = float(np.ptp(np.unwrap(headings)))
-        enough = max(TURNED_RAD, QUIET_TURNS * turned_rad)
-        sent_ns = self._hold(counts)
-
-        def arrived_ns() -> int | None:
-            for frame in self.rig.loop.frames.since(first)[0]:
-                pose = frame.pose(0)
-                if pose and abs(math.remainder(pose.heading - headings[-1], math.tau)) > enough:
-                    return frame.frame.received_ns
-            return None
-
-        wait_for(self.rig.clock, lambda: arrived_ns() is not None or self._strayed(), SPIN_UP_S)
-        self._raise_abort()
-        arrived = arrived_ns()
-        return None if arrived is None else (arrived - sent_ns) / SECOND
-
     def _channel(self, number: int) -> Channel:
         """Drive motor channel 0 or 1 with growing outputs in both directions; fit k and dead zone
         to the turning rates.
@@ -404,20 +353,6 @@ class _Bench:
         """Raise AbortError if the guard has aborted the calibration."""
         if self.rig.loop.guard.reason:
             raise AbortError(f"{self.name}: {self.rig.loop.guard.reason}")
-
-
-def latency_line(times_s: Sequence[float]) -> str:
-    """Return the mean of times to a first motion [s], with its 95 % interval, as text."""
-    number = len(times_s)
-    if number < 2:
-        return "no first motion was seen"
-    mean_s = np.mean(times_s)
-    half_s = stdtrit(number - 1, 0.975) * np.std(times_s, ddof=1) / number**0.5
-    return (
-        f"first motion seen {mean_s:.3f} s ({mean_s - half_s:.3f} to {mean_s + half_s:.3f}, "
-        f"n {number}) after sending: radio, wheels until they have turned it by {TURNED_RAD:g} "
-        "rad, exposure, and the picture's way here"
-    )
 
 
 def _late_s(frames: Sequence[AcceptedFrame]) -> float:

@@ -26,8 +26,8 @@ class PortCamera(ABC):
     `ports` makes another port, such as one in memory.
 
     A frame was exposed the section's `latency` [s] before its message came, unless messages have
-    stamps (`stamp_s`). If the port fails, the robots stop at once. A subclass sets `emulated` once a
-    message says that the camera is.
+    stamps (`stamp_s`). If the port fails, the robots stop at once. A subclass sets `emulated` once
+    a message says that the camera is.
     """
 
     connect_s = 3.0  # longest wait for the first frame

@@ -80,7 +80,6 @@ def test_a_good_module_is_opened_and_sends():
         ({b"VR": b"\x80\x6b"}, {}, "the module runs DigiMesh firmware"),
         ({b"HV": b"\x19\x44", b"VR": b"\x21\xa7"}, {}, "the module runs Zigbee firmware"),
         ({b"HV": b"\x22\x44", b"VR": b"\x40\x60"}, {}, "the module runs Zigbee firmware"),
-        ({b"HV": b"\x23\x44", b"VR": b"\x20\x03"}, {}, "the module runs 900 MHz firmware"),
         ({b"BD": b"\x03"}, {}, "the module is set to 9600 baud, not the spec's 57600"),
         ({b"AP": b"\x01"}, {}, "the module is not in API mode with escapes"),
         ({b"BD": b"\x07"}, {"baud": 115200}, "loses API frames at 115200"),

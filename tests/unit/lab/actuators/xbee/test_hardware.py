@@ -29,7 +29,7 @@ from tetractl.lab.actuators.xbee.link import Link
         (b"\x53\x44", b"\xc0\x01", "802.15.4"),  # S2C P5
         (b"\x53\x44", b"\xb0\x01", "DigiMesh"),
         (b"\x53\x44", b"\x20\x01", "Zigbee"),
-        (b"\x23\x44", b"\x20\x03", "900 MHz"),
+        (b"\x23\x44", b"\x20\x03", None),
         (b"\x32\x44", b"\x20\x03", "Zigbee"),  # S2D
         (b"\x19\x44", b"", "Zigbee"),
         (b"\x22\x44", b"", None),

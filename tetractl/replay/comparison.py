@@ -81,46 +81,60 @@ def first_difference(
 
 
 def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Iterator[Difference]:
+    """Yield the differences of two records: of their kinds, then of each part, at last of parts
+    that only the log has."""
     if ours is logged:
         return
-    if ours is None:
-        yield Difference(None, name, "logged a value, computed nothing")
-    elif logged is None:
-        yield Difference(None, name, "logged nothing, computed a value")
-    elif isinstance(ours, np.ndarray):
-        yield from _array_difference(ours, logged, tolerance, name)
-    elif isinstance(ours, float):
-        logged_number = np.array(float(logged))
-        if tolerance.differs(np.array(ours), logged_number).any():
-            yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
-    elif isinstance(ours, str | bytes | int | np.generic):
-        if ours != logged:
-            yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
-    elif isinstance(ours, Sequence):
-        if len(ours) != len(logged):
-            yield Difference(None, name, f"logged {len(logged)}, computed {len(ours)}")
-        for i, (our_part, logged_part) in enumerate(zip(ours, logged, strict=False)):
-            yield from _differences(our_part, logged_part, tolerance, _path(name, i))
-    elif is_dataclass(ours) and type(ours) is not type(logged):
-        message = f"logged {type(logged).__name__}, computed {type(ours).__name__}"
-        yield Difference(None, name, message)
-    else:
-        our_items = _items(ours)
-        logged_items = _items(logged)
-        for key in (*our_items, *(logged_items.keys() - our_items.keys())):
-            yield from _differences(
-                our_items.get(key), logged_items.get(key), tolerance, _path(name, key)
-            )
+    if ours is None or logged is None:
+        said = "logged nothing, computed a value"
+        if ours is None:
+            said = "logged a value, computed nothing"
+        yield Difference(None, name, said)
+        return
+    our_parts = _parts(ours)
+    if our_parts is None:
+        yield from _value_difference(ours, logged, tolerance, name)
+        return
+    if _kind(ours) != _kind(logged):
+        yield Difference(None, name, f"logged {_kind(logged)}, computed {_kind(ours)}")
+    logged_parts = _parts(logged) or {}
+    for key in (*our_parts, *(logged_parts.keys() - our_parts.keys())):
+        of_log = logged_parts.get(key)
+        yield from _differences(our_parts.get(key), of_log, tolerance, _path(name, key))
 
 
-def _items(record: Any) -> Mapping[str, Any]:
-    """Return the parts of a record by name, without those that do not count in a comparison."""
+def _parts(record: Any) -> Mapping[Any, Any] | None:
+    """Return the parts of a record that count in a comparison, by their names or numbers; None of a
+    single value or an array."""
     if is_dataclass(record):
         compared = [field.name for field in fields(record) if field.compare]
         return {name: getattr(record, name) for name in compared}
     if isinstance(record, Message):
         return {field.name: value for field, value in record.ListFields()}
-    return record
+    if isinstance(record, Mapping):
+        return record
+    if isinstance(record, Sequence) and not isinstance(record, str | bytes):
+        return dict(enumerate(record))
+    return None
+
+
+def _kind(record: Any) -> str:
+    """Return the class of a dataclass, the number of items of a sequence, nothing of others."""
+    if isinstance(record, Sequence):
+        return str(len(record))
+    return type(record).__name__ if is_dataclass(record) else ""
+
+
+def _value_difference(
+    ours: Any, logged: Any, tolerance: Tolerance, name: str
+) -> Iterator[Difference]:
+    """Yield the difference of two arrays, numbers, texts or other single values."""
+    if isinstance(ours, np.ndarray):
+        yield from _array_difference(ours, logged, tolerance, name)
+    elif isinstance(ours, float):
+        yield from _array_difference(np.array(ours), np.array(float(logged)), tolerance, name)
+    elif ours != logged:
+        yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
 
 
 def _array_difference(

@@ -4,7 +4,7 @@ directions or speeds that robots were sent in another.
 
 import math
 from array import array
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -55,10 +55,11 @@ ONE_ROBOT = "robot"
 """The name of the robot of a table that names none."""
 POSES = "poses"
 DIRECTIONS = "directions"
+SPEEDS = "speeds"
 OF_WHEELS = "speeds of wheels"
 FORMS = {
     DIRECTIONS: ("direction_rad",),
-    "speeds": ("v_mm_s", "w_rad_s"),
+    SPEEDS: ("v_mm_s", "w_rad_s"),
     OF_WHEELS: ("left_mm_s", "right_mm_s", "radius_mm"),
     POSES: ("x_mm", "y_mm", "heading_rad"),
 }
@@ -144,56 +145,93 @@ class _Numbers:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The columns of a table of one of FORMS: its times, and its `numbers` in the order of the
-    form; of a table of poses their `unit`, of one of directions what else it may state."""
+    """The columns of a table of one of FORMS: the time, and the others by name; of a table of
+    poses the `unit` of its lengths."""
 
     path: Path
     form: str
     time: NumberColumn
-    numbers: Sequence[NumberColumn]
+    by_name: Mapping[str, NumberColumn]
     unit: str = ""
-    observed: NumberColumn | None = None
-    lag: NumberColumn | None = None
 
-    def add(self, trial: _Numbers, row: CsvRow) -> None:
-        """Add the pose or the command in a row: a pose is unknown if it is not valid or a number is
-        missing; a row without a direction or speed is a step at which nothing was sent."""
-        robot = row.cells.get("robot", "")
-        if self.form == POSES:
-            trial.poses_path = self.path
-            number = trial.robots.setdefault(robot, len(trial.robots))
-            valid = truth(self.path, row, "valid")
-            time = trial.take_time(self.path, row, self.time, ("poses", robot))
-            pose = [column.optional(self.path, row) for column in self.numbers]
-            trial.poses.extend((time, number))
-            trial.poses.extend(pose if valid else [math.nan] * len(pose))
-            return
-        trial.commands_path = self.path
-        commanded = self.numbers[:2]  # behind them is the radius of the wheels
-        if any(math.isnan(column.optional(self.path, row)) for column in commanded):
-            return
-        values = [column.number(self.path, row) for column in self.numbers]
-        if self.form == DIRECTIONS:
-            observed = self.observed.optional(self.path, row) if self.observed else math.nan
-            time = trial.take_time(self.path, row, self.time, ("directions", robot))
-            of_robot = trial.commands.setdefault(robot, array("d"))
-            of_robot.extend((time, *values, observed, row.line))
-            trial.direction = self.numbers[0]
-            if self.lag is not None:
-                trial.lag_s = self.lag.number(self.path, row)
-                if trial.lag_s < 0:
-                    raise self._wrong(row, self.lag, "must not be negative")
-            return
-        if self.form == OF_WHEELS:
-            left, right, radius = values
-            if radius <= 0:
-                raise self._wrong(row, self.numbers[2], "must be above 0")
-            values = [(left + right) / 2, (right - left) / (2 * radius)]
-        time = trial.take_time(self.path, row, self.time, ("twists", robot))
-        trial.twists.setdefault(robot, array("d")).extend((time, *values))
+    def number(self, row: CsvRow, name: str) -> float:
+        """Return the number in a row of a column, NaN if the row or the table has none."""
+        column = self.by_name.get(name)
+        return math.nan if column is None else column.optional(self.path, row)
 
-    def _wrong(self, row: CsvRow, column: NumberColumn, problem: str) -> UsageError:
-        return UsageError(f"{self.path}, line {row.line}: {column.key} {problem}")
+    def wrong(self, row: CsvRow, name: str, problem: str) -> UsageError:
+        """Return the error of the number in a row of a column."""
+        return UsageError(f"{self.path}, line {row.line}: {self.by_name[name].key} {problem}")
+
+
+def _add_pose(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
+    """Add the pose in a row: it is unknown if it is not valid or a number is missing."""
+    trial.poses_path = columns.path
+    robot = row.cells.get("robot", "")
+    number = trial.robots.setdefault(robot, len(trial.robots))
+    valid = truth(columns.path, row, "valid")
+    time = trial.take_time(columns.path, row, columns.time, ("poses", robot))
+    pose = [columns.number(row, name) for name in ("x", "y", "heading")]
+    trial.poses.extend((time, number))
+    trial.poses.extend(pose if valid else [math.nan] * len(pose))
+
+
+def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
+    """Add the direction in a row; one without it is a step at which nothing was sent."""
+    trial.commands_path = columns.path
+    direction = columns.number(row, "direction")
+    if math.isnan(direction):
+        return
+    observed = columns.number(row, "observed")
+    robot = row.cells.get("robot", "")
+    time = trial.take_time(columns.path, row, columns.time, ("directions", robot))
+    of_robot = trial.commands.setdefault(robot, array("d"))
+    of_robot.extend((time, direction, observed, row.line))
+    trial.direction = columns.by_name["direction"]
+    lag = columns.by_name.get("lag")
+    if lag is not None:
+        trial.lag_s = lag.number(columns.path, row)
+        if trial.lag_s < 0:
+            raise columns.wrong(row, "lag", "must not be negative")
+
+
+def _add_speeds(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
+    """Add the speed and turning rate in a row."""
+    trial.commands_path = columns.path
+    _add_twist(trial, columns, row, columns.number(row, "v"), columns.number(row, "w"))
+
+
+def _add_speeds_of_wheels(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
+    """Add the speed and turning rate of a robot from those of its wheels."""
+    trial.commands_path = columns.path
+    left = columns.number(row, "left")
+    right = columns.number(row, "right")
+    if math.isnan(left) or math.isnan(right):
+        return
+    radius = columns.by_name["radius"].number(columns.path, row)
+    if radius <= 0:
+        raise columns.wrong(row, "radius", "must be above 0")
+    _add_twist(trial, columns, row, (left + right) / 2, (right - left) / (2 * radius))
+
+
+def _add_twist(
+    trial: _Numbers, columns: _Columns, row: CsvRow, speed: float, turning_rate: float
+) -> None:
+    """Add what a robot was sent; if a number is missing, nothing was sent at this step."""
+    if math.isnan(speed) or math.isnan(turning_rate):
+        return
+    robot = row.cells.get("robot", "")
+    time = trial.take_time(columns.path, row, columns.time, ("twists", robot))
+    trial.twists.setdefault(robot, array("d")).extend((time, speed, turning_rate))
+
+
+ADD = {
+    DIRECTIONS: _add_direction,
+    SPEEDS: _add_speeds,
+    OF_WHEELS: _add_speeds_of_wheels,
+    POSES: _add_pose,
+}
+"""What adds a row of each kind of table to the numbers of its trial."""
 
 
 def csv_tracks(paths: list[Path]) -> list[Track]:
@@ -223,7 +261,7 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
         for row in chain([first], rows):
             trial = row.cells.get("log", row.cells.get("path", "")), row.cells.get("trial", "")
             numbers = trials.setdefault(trial, _Numbers())
-            columns.add(numbers, row)
+            ADD[columns.form](numbers, columns, row)
             if len(numbers.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
                 raise UsageError(
                     f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
@@ -291,20 +329,23 @@ def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
     time = find_date(headers) or find_time(path, headers)
     present: dict[str, int] = {}
     for form, columns in FORMS.items():
-        quantities = [name_and_unit(column) for column in columns]
-        present[form] = sum(name in named for name, _ in quantities)
+        quantities = dict(map(name_and_unit, columns))
+        present[form] = len(named & quantities.keys())
         if present[form] < len(columns) or time is None:
             continue
         if form == POSES:
             unit, x, y = _position_columns(path, headers)
             heading = _required(path, headers, "heading", RADIANS)
-            return _Columns(path, form, time, (x, y, heading), unit)
-        numbers = [_required(path, headers, name, UNITS[unit]) for name, unit in quantities]
-        if form != DIRECTIONS:
-            return _Columns(path, form, time, numbers)
-        observed = find_column(path, headers, ("observed",), SECONDS)
-        lag = find_column(path, headers, ("lag",), SECONDS)
-        return _Columns(path, form, time, numbers, observed=observed, lag=lag)
+            return _Columns(path, form, time, {"x": x, "y": y, "heading": heading}, unit)
+        by_name = {
+            name: _required(path, headers, name, UNITS[unit]) for name, unit in quantities.items()
+        }
+        if form == DIRECTIONS:
+            for name in ("observed", "lag"):
+                column = find_column(path, headers, (name,), SECONDS)
+                if column is not None:
+                    by_name[name] = column
+        return _Columns(path, form, time, by_name)
     raise _incomplete(path, headers, present)
 
 

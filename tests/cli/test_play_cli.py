@@ -82,7 +82,7 @@ def test_an_obstacle_is_named(folder):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        ((), "play reads keys, and this is no terminal: give --script FILE"),
+        ((), "play reads keys, and this is no terminal with UTF-8: give --script FILE"),
         (("--script", "none.txt"), "none.txt: there is no such file"),
         (("--script", "keys.txt", "-o", "."), ".: exists already"),
         (("--script", "keys.txt", "--set", "hold={radius: 90, time: 5}"), "nor a hold"),

@@ -91,6 +91,7 @@ def play(
     from tetractl.experiment.plants import on_plant
     from tetractl.run.open_trial import directed_spec
     from tetractl.view.terminal.hand_keys import read_script
+    from tetractl.view.terminal.screen import shows_pictures
 
     loaded = on_plant(load_to_run(spec, sets or [], plant, seed=seed), plant)
     directed = directed_spec(loaded)
@@ -99,9 +100,8 @@ def play(
     timed_keys = None if script is None else read_script(script)
     console = open_console(stderr=True)
     has_keys = sys.stdin is not None and sys.stdin.isatty()
-    has_screen = console.is_terminal and not console.is_dumb_terminal
-    if timed_keys is None and not (has_keys and has_screen):
-        raise UsageError("play reads keys, and this is no terminal: give --script FILE")
+    if timed_keys is None and not (has_keys and shows_pictures(console)):
+        raise UsageError("play reads keys, and this is no terminal with UTF-8: give --script FILE")
     if in_lab and (timed_keys is not None or speed is not None):
         raise UsageError("--script and --speed are for virtual time: in the lab a person steers")
     if timed_keys is not None and speed is not None:

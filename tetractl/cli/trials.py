@@ -229,10 +229,11 @@ def _run_trials(
     """
     from tetractl.run.batch import run_batch
     from tetractl.run.task import batch_tasks
+    from tetractl.view.terminal.screen import shows_pictures
 
     tasks = batch_tasks(loaded, planned)
     console = open_console(stderr=True, quiet=options.quiet)
-    screen = console.is_terminal and not console.is_dumb_terminal and not options.quiet
+    screen = shows_pictures(console) and not options.quiet
     if loaded.experiment.plant.real_time:
         display = _in_lab(loaded.experiment, console, screen, options, interrupt, viewers)
     elif screen and options.jobs == 1:

@@ -160,4 +160,5 @@ def announce_compiling(quiet: bool, text: str) -> None:
 def is_terminal() -> bool:
     """Return whether stdin and stdout are a terminal that can show a screen."""
     dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")
-    return sys.stdin.isatty() and sys.stdout.isatty() and not dumb
+    has_signs = sys.stdout.encoding.lower().startswith("utf")
+    return sys.stdin.isatty() and sys.stdout.isatty() and has_signs and not dumb

@@ -1,9 +1,7 @@
-"""Axes of figures: logarithmic ones, dots of errors side by side, and names of categories."""
+"""Axes of figures: logarithmic ones, and names of categories."""
 
-import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,10 +17,6 @@ from tetractl.core.poses import Floats
 
 LOG_FROM = 30
 """Ratio of the largest error to the least from which their axis is logarithmic."""
-ROWS = 40
-"""Heights of an axis of errors: the dots of one are put side by side."""
-GOLDEN = 0.6180339887
-"""The golden ratio minus 1: multiples of it, modulo 1, are far from their neighbours."""
 EVEN_RATIO = 5
 """Ratio of the limits of a logarithmic axis below which its ticks are even."""
 MARKED_RATIO = 1000
@@ -91,41 +85,10 @@ def _log_limits(values: Floats, below: float, above: float) -> tuple[float, floa
     return low / ratio**below, high * ratio**above
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorScale:
-    """The scale of an axis of errors from the `least` to the `greatest` of a figure: from 0, or
-    logarithmic where the greatest is LOG_FROM times the least."""
-
-    least: float
-    greatest: float
-
-    @classmethod
-    def of(cls, errors: Floats) -> "ErrorScale":
-        """Return the scale of a figure's errors (n,)."""
-        return cls(float(errors.min()), float(errors.max()))
-
-    @property
-    def logarithmic(self) -> bool:
-        """Whether small errors could not be distinguished next to the greatest one."""
-        return 0 < LOG_FROM * self.least <= self.greatest
-
-    def columns(self, errors: Floats) -> Floats:
-        """Return the columns (n,) of dots, about 0, that separate dots of similar height."""
-        if self.logarithmic:
-            heights = np.log(errors / self.least) / math.log(self.greatest / self.least)
-        elif self.greatest > 0:
-            heights = errors / self.greatest
-        else:
-            heights = errors
-        columns = np.zeros(len(errors))
-        row = np.rint(heights * ROWS).astype(int)
-        for height in np.unique(row):
-            (members,) = np.nonzero(row == height)
-            rising = members[np.argsort(errors[members], kind="stable")]
-            places = np.arange(len(members))
-            separated = np.argsort(places * GOLDEN % 1)  # neighbours in height are far apart
-            columns[rising[separated]] = places - (len(members) - 1) / 2
-        return columns
+def spans_orders(errors: Floats) -> bool:
+    """Return whether errors (n,) ask for a logarithmic axis: from 0 on, the smallest could not be
+    distinguished next to the greatest."""
+    return bool(0 < LOG_FROM * errors.min() <= errors.max())
 
 
 def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:

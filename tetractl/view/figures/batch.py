@@ -28,17 +28,17 @@ from tetractl.results.estimate import (
 )
 from tetractl.results.open_batch import GIVEN_DIRECTIONS, counts, directions_given
 from tetractl.view import style
-from tetractl.view.figures.axes import ErrorScale, log_axis, name_categories
+from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
 from tetractl.view.figures.trials import by_folder
 
 DOTS_ASIDE = 0.14
 """Shift of dots to the left of their category's centre [categories]."""
 MEAN_ASIDE = 1.4 * DOTS_ASIDE
 """Shift of the mean to the right of it [categories]."""
-DOT_STEP = 0.07
-"""Largest distance of dots side by side [categories]."""
-DOTS_WIDTH = 0.4
-"""Largest width of a row of dots [categories]."""
+DOTS_WIDTH = 0.25
+"""Width of a batch's dots [categories]."""
+GOLDEN = 0.6180339887
+"""The golden ratio minus 1: multiples of it, modulo 1, are far from their neighbours."""
 MANY = 100
 """Number of trials beyond which dots are smaller."""
 DOT_PT2 = 16
@@ -138,8 +138,8 @@ def _drawn(
     reference = experiment.reference
     if reference is not None:
         totals = np.append(totals, reference.mean)
-    scale = ErrorScale.of(totals)
-    labels = _categories(dots, drawn, scale, links)
+    is_logarithmic = spans_orders(totals)
+    labels = _categories(dots, drawn, links)
     if reference is not None:
         published = published_distribution(reference.n, reference.mean, reference.std)
         _mean(dots, len(labels), published, style.GREY)
@@ -147,7 +147,7 @@ def _drawn(
         labels.append(f"published\nn = {reference.n}")
     name_categories(dots, labels, dots_width_in)
     _distributions(distributions_panel, drawn)
-    if scale.logarithmic:
+    if is_logarithmic:
         log_axis(dots, totals, ROOM, ROOM)
         _share_log_axis(distributions_panel, dots)
     else:
@@ -180,16 +180,14 @@ def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
     style.legend(figure, [*signs, *curves], columns)
 
 
-def _categories(
-    axes: Axes, batches: Sequence[BatchErrors], scale: ErrorScale, links: Mapping[str, str]
-) -> list[str]:
+def _categories(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) -> list[str]:
     """Draw a category of the x axis for each batch, and return their labels: values to the left
     of the category's centre, their mean to the right.
     """
     labels: list[str] = []
     for place, batch in enumerate(batches):
         color = style.batch_look(place)["color"]
-        _dots(axes, place - DOTS_ASIDE, batch, scale, color, links)
+        _dots(axes, place - DOTS_ASIDE, batch, color, links)
         distribution = distributions(batch.totals[None])[0]
         _mean(axes, place + MEAN_ASIDE, distribution, color)
         name = batch.name if len(batches) > 1 else "this batch"
@@ -201,15 +199,13 @@ def _dots(
     axes: Axes,
     place: float,
     batch: BatchErrors,
-    scale: ErrorScale,
     color: str,
     links: Mapping[str, str],
 ) -> None:
-    """Draw a dot for each trial about a place of the x axis."""
-    columns = scale.columns(batch.totals)
-    widest = 2 * float(columns.max()) + 1
+    """Draw a dot for each trial about a place of the x axis, those of similar errors apart."""
+    rank = np.argsort(np.argsort(batch.totals, kind="stable"))
     dots = axes.scatter(
-        place + columns * min(DOT_STEP, DOTS_WIDTH / widest),
+        place + DOTS_WIDTH * (rank * GOLDEN % 1 - 0.5),
         batch.totals,
         s=DOT_PT2 if len(batch.totals) <= MANY else SMALL_DOT_PT2,
         color=color,

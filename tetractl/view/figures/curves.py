@@ -28,12 +28,10 @@ from tetractl.view.figures.trials import (
 )
 
 NAME_IN = 0.1
-"""Height of a robot's name at its curve."""
+"""Height of a robot's name beside its curve."""
 NAME_PT = 6.5
 NAME_OF_MANY_PT = 5.5
-"""Sizes of names, the second for NUMBERED curves or more."""
-LINE = 1.3
-"""Height of a line of text over the size of its letters."""
+"""Sizes of names [points], the second for NUMBERED curves or more."""
 HEADROOM = 1.04
 """Height of a panel over its greatest value."""
 LEAST = 1e-9
@@ -49,7 +47,7 @@ SINCE = "time since the first command [s]"
 class Curve:
     """Values (M,) over time, with a `band` of two rows (2, M), from low to high, unless it is None.
 
-    `name` is written at the end of the curve; `key` is the curve's entry in a legend.
+    `name` is written beside the axes; `key` is the curve's entry in a legend.
     """
 
     values: Floats
@@ -72,54 +70,18 @@ def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
 
 
 def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
-    """Write the curves' names at the right of the axes, near the heights of their last values;
-    called after the axes' limits are set.
-
-    Names are at least the height of a line apart, in the order of the values.
-    """
-    ends = np.array([curve.values[-1] for curve in curves])
-    size = NAME_PT if len(curves) < NUMBERED else NAME_OF_MANY_PT
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    style.lay_out(figure)  # computes the height of the axes
-    line = LINE * size / (72 * axes.get_window_extent().height / figure.dpi)
-    order = np.argsort(ends, kind="stable")
-    points = np.column_stack([np.zeros(len(ends)), ends[order]])
-    places = axes.transAxes.inverted().transform(axes.transData.transform(points))[:, 1]
-    wanted = np.clip(places, 0.0, 1.0)
-    for index, height, place in zip(order, wanted, separated(wanted, line), strict=True):
-        color = curves[index].color
-        axes.annotate(
-            curves[index].name, (1.0, float(height)), (1.025, float(place)), color=color,
-            xycoords="axes fraction", textcoords="axes fraction", va="center", fontsize=size,
-            annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-", "color": color, "lw": 0.4,
-                "shrinkA": 0, "shrinkB": 0, "relpos": (0.0, 0.5),
-            },
-        )  # fmt: skip
-
-
-def separated(wanted: Floats, gap: float) -> Floats:
-    """Return increasing heights from 0 to 1, at least `gap` apart, near the increasing heights
-    `wanted` (n,), of which the last may be NaN: unknown.
-
-    Less i times the gap, heights that are far enough apart do not decrease. Nearest to the wanted
-    ones by least squares are those of the isotonic regression,
-
-        height i = the greatest, over j <= i, of the least, over k >= i, of the means of j to k.
-
-    Then all heights are shifted into the range, as far as they fit.
-    """
-    rise = gap * np.arange(len(wanted))
-    sums = np.concatenate([[0.0], np.cumsum(wanted - rise)])
-    first, last = np.indices((len(wanted), len(wanted)))
-    means = np.full(first.shape, np.inf)
-    np.divide(sums[last + 1] - sums[first], last - first + 1, out=means, where=last >= first)
-    least = np.fmin.accumulate(means[:, ::-1], axis=1)[:, ::-1]
-    base = np.fmax.accumulate(least, axis=0).diagonal()
-    highest = max(1.0 - gap * (len(wanted) - 1), 0.0)
-    return np.asarray(np.clip(base, 0.0, highest) + rise, dtype=np.float64)
+    """Name the curves in a legend to the right of the axes, in the order of their last values."""
+    falling = np.argsort([curve.values[-1] for curve in curves])[::-1]
+    named = [curves[index] for index in falling]
+    axes.legend(
+        handles=[style.sign(curve.name, color=curve.color, ls="-") for curve in named],
+        fontsize=NAME_PT if len(curves) < NUMBERED else NAME_OF_MANY_PT,
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        borderpad=0.0,
+        handlelength=0.8,
+        labelspacing=0.15,
+    )
 
 
 def robot_curves(
@@ -221,10 +183,9 @@ def _of_trials(logs: Sequence[TrialLog]) -> Figure:
     setups = [of_arm[0].start.setup for of_arm in arms.values()]
     figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
     signs: dict[str, Artist] = {}
-    to_name: dict[Axes, list[Curve]] = {}
     letters = iter("abcdefghijklmnopqrstuvwxyz")
     for (name, of_arm), (of_total, of_robots) in zip(arms.items(), panels, strict=True):
-        to_name |= _draw_errors(of_total, of_robots, of_arm, time_s)
+        _draw_errors(of_total, of_robots, of_arm, time_s)
         signs |= {str(sign.get_label()): sign for sign in _draw_signs(of_total, of_arm)}
         start = f"{name}: " if name else ""
         trials = f"{len(of_arm)} {plural('trial', len(of_arm))}"
@@ -235,8 +196,6 @@ def _of_trials(logs: Sequence[TrialLog]) -> Figure:
         of_total.set_ylim(bottom=0)
         of_robots.set_ylim(bottom=0)
     style.legend(figure, list(signs.values()), 5)
-    for axes, curves in to_name.items():  # the limits are set
-        name_curves(axes, curves)
     return figure
 
 
@@ -256,10 +215,8 @@ def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
     return folders if len(folders) > 1 else {"": list(logs)}
 
 
-def _draw_errors(
-    of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time_s: Floats
-) -> dict[Axes, list[Curve]]:
-    """Draw the errors of one folder's trials, and return the medians in each axes."""
+def _draw_errors(of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time_s: Floats) -> None:
+    """Draw the errors of one folder's trials, and their named medians."""
     setup = logs[0].start.setup
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, M, N)
     completed = np.array([not unfinished(log) for log in logs])
@@ -274,7 +231,8 @@ def _draw_errors(
     medians, bands = _quartiles(counted)
     robots = robot_curves(setup, medians, bands, "{:.3g}".format)
     draw_curves(of_robots, time_s, robots)
-    return {of_total: median, of_robots: robots}
+    name_curves(of_total, median)
+    name_curves(of_robots, robots)
 
 
 def _draw_signs(of_total: Axes, logs: Sequence[TrialLog]) -> list[Artist]:

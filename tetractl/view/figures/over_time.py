@@ -88,10 +88,10 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
         spare.set_axis_off()
     places[0].set_xlim(0, end_s(log))
     _draw_signal(places[0], log, time_s)
-    to_name = {places[1]: _draw_solve_times(places[1], log, time_s)}
+    _draw_solve_times(places[1], log, time_s)
     for axes, letter, quantity in zip(places[2:], "cdef", quantities, strict=False):
         style.panel(axes, letter, quantity.title, SINCE, quantity.label)
-        to_name[axes] = _draw_estimates(axes, quantity, time_s[estimated], log.start.setup)
+        _draw_estimates(axes, quantity, time_s[estimated], log.start.setup)
     signs: list[Artist] = []
     for axes in places[:panels]:
         handles, _ = axes.get_legend_handles_labels()
@@ -101,9 +101,6 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
     if quantities and _true(log, "a") is not None:
         signs.append(style.sign("true value", ls=":", lw=0.9))
     style.legend(figure, signs, 4)
-    for axes, curves in to_name.items():  # the limits are set
-        if curves:
-            name_curves(axes, curves)
     return figure
 
 
@@ -130,12 +127,16 @@ def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, F
     return x.ravel(), y.ravel()
 
 
-def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> list[Curve]:
-    """Draw the solve times next to the control period, and return the percentiles to name."""
+def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
+    """Draw the solve times next to the control period; the title states their percentiles."""
     period_ms = 1e3 * log.start.setup.period_s
     solve_ms = np.array([step.solve_ns for step in log.steps]) / MILLISECOND
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
-    title = f"solve time: {late.sum()} of {len(late)} deadlines missed"
+    half_ms, most_ms = np.percentile(solve_ms, (50, 99), method="inverted_cdf")
+    title = (
+        f"solve time: {late.sum()} of {len(late)} deadlines missed,\n"
+        f"half within {half_ms:.3g} ms, 99 % within {most_ms:.3g} ms"
+    )
     style.panel(axes, "b", title, SINCE, "solve time [ms]")
     axes.plot(time_s, solve_ms, color=style.FAINT, lw=0.8, zorder=1)
     axes.plot(time_s[~late], solve_ms[~late], ".", color=style.WHOLE, ms=4)
@@ -149,12 +150,6 @@ def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> list[Curve]:
             "first plan", (time_s[0], solve_ms[0]), (6, 0), textcoords="offset points",
             va="center", fontsize=6.5,
         )  # fmt: skip
-    curves = []
-    for text, share in {"half within": 50, "99 % within": 99}.items():
-        within_ms = np.percentile(solve_ms, share, method="inverted_cdf")
-        name = f"{text}\n{within_ms:.3g} ms"
-        curves.append(Curve(np.array([within_ms]), style.INK, name, "share"))
-    return curves
 
 
 def _quantities(log: TrialLog) -> list[_Quantity]:
@@ -207,9 +202,8 @@ def _quantities(log: TrialLog) -> list[_Quantity]:
     return quantities
 
 
-def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setup) -> list[Curve]:
-    """Draw a quantity at the times (K,) of its estimates, and return the curves to name at their
-    ends: those of robots.
+def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setup) -> None:
+    """Draw a quantity at the times (K,) of its estimates; the curves of robots are named.
 
     The axis shows the range between OUTLIERS and every last value.
     """
@@ -219,7 +213,7 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
     band = np.stack([values - stds, values + stds])
     if values.ndim == 1:
         draw_curves(axes, time_s, [Curve(values, style.INK, "", "all", band, width=1.2)])
-        return []
+        return
     if quantity.spec is not None:
         axes.axhline(0, color=style.GREY, lw=0.6)
     curves = robot_curves(setup, values, band)
@@ -240,7 +234,7 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
         low = min(low, true.min() - TRUE_MARGIN)
         high = max(high, true.max() + TRUE_MARGIN)
     axes.set_ylim(low, high)
-    return curves
+    name_curves(axes, curves)
 
 
 def _named(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:

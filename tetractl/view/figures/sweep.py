@@ -12,19 +12,14 @@ from matplotlib.transforms import ScaledTranslation
 from tetractl.core.errors import unit_of
 from tetractl.results.estimate import ArmErrors, Interval, numeric
 from tetractl.view import style
-from tetractl.view.figures.axes import ErrorScale, log_axis, name_categories
+from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
 
 HEIGHT_IN = 2.8
 """Height of the figure [in]."""
 CURVES_ASIDE_IN = 0.12
 """Horizontal distance between two curves at the same value [in]: no curve hides another."""
-TRIALS_ASIDE_IN = 0.12
-"""Largest horizontal distance between a mean and its trials [in]; their columns are as far from one
-another as room allows."""
-COLUMN_IN = 0.035
-"""Largest horizontal distance between two columns of trials [in]."""
-TRIALS_ROOM_IN = 2.5
-"""Sum of the widths of trials over all values, at most [in]."""
+TRIALS_ASIDE_IN = 0.05
+"""Horizontal distance between a mean and its trials [in]."""
 ROOM = 0.05
 """Room beyond the errors of a logarithmic axis, as a fraction of their range."""
 LABEL_LENGTH = 24
@@ -62,10 +57,9 @@ def errors_by(
     places = _places(axes, all_arms)
     numbers = numeric(all_arms)
     errors = np.array([error for arm in all_arms for error in arm.errors])
-    scale = ErrorScale.of(errors)
-    if scale.logarithmic:
+    is_logarithmic = spans_orders(errors)
+    if is_logarithmic:
         log_axis(axes, errors, ROOM, ROOM)
-    trials_in = min(TRIALS_ASIDE_IN, TRIALS_ROOM_IN / len(places))
     for number, (name, arms) in enumerate(curves.items()):
         pooled = {arm.arms for arm in arms}
         comparable = len(pooled) == 1 and (only or arms[0].arms > 1)
@@ -75,13 +69,13 @@ def errors_by(
         aside_in = CURVES_ASIDE_IN * rank if field else 0
         color = style.batch_look(number)["color"]
         _means(axes, curve, _look(axes, color, aside_in))
-        _trials(axes, curve, scale, color, aside_in - trials_in, trials_in)
+        _trials(axes, curve, _look(axes, color, aside_in - TRIALS_ASIDE_IN))
         _show_all(axes, curve)
     if not field:
         name_categories(axes, [arm.label for arm in all_arms], 0.9 * style.PAGE_IN)
     axes.set_xlabel(field)
     axes.set_ylabel(f"total error [{unit_of(unit)}]")
-    if not scale.logarithmic:
+    if not is_logarithmic:
         axes.set_ylim(bottom=0)
     style.grid_of_heights(axes)
     if any(curves):
@@ -134,21 +128,11 @@ def _means(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
     axes.vlines(x, low, high, linewidth=2.5, alpha=0.45, **look)
 
 
-def _trials(
-    axes: Axes, curve: SweptCurve, scale: ErrorScale, color: str, aside_in: float, width_in: float
-) -> None:
-    """Draw a dot for each trial, in columns about a place aside of its arm's mean; together they
-    are at most `width_in` wide."""
+def _trials(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
+    """Draw a dot for each trial."""
     errors = np.concatenate([arm.errors for arm in curve.arms])
     places = np.repeat(curve.x, [len(arm.errors) for arm in curve.arms])
-    columns = np.concatenate([scale.columns(arm.errors) for arm in curve.arms])
-    step_in = min(COLUMN_IN, width_in / (2 * columns.max() + 1))
-    for column in np.unique(columns):
-        is_in_column = columns == column
-        x = places[is_in_column]
-        y = errors[is_in_column]
-        look = _look(axes, color, aside_in + column * step_in)
-        axes.plot(x, y, "o", markersize=2.5, mew=0, alpha=0.7, gid="trials", **look)
+    axes.plot(places, errors, "o", markersize=2.5, mew=0, alpha=0.5, gid="trials", **look)
 
 
 def _show_all(axes: Axes, curve: SweptCurve) -> None:

@@ -1,9 +1,8 @@
 """Draws the paths of the robots in one trial or several (the paper's Figure 5); for a dish, over
 the microscope's picture.
 
-`trajectory_figure` draws, in this order: the scene (`draw_scene`), the limits of the axes, the
-paths (`_draw_one` or `_draw_several`), their ends, and a legend of robots above and of signs below.
-Limits come before paths, since times are written where the figure has space.
+`trajectory_figure` draws the scene (`draw_scene`), the paths (`_draw_one` or `_draw_several`),
+their ends, and a legend of robots above and of signs below.
 
 Shapes: T trials of N robots; a trail is (M, N, 2), NaN where a robot was not seen. Places are in
 the trials' unit of length, sizes on paper in points [1/72 inch] or inches.
@@ -44,9 +43,8 @@ from tetractl.view.figures.trials import (
 
 WIDTH_IN = style.COLUMN_IN
 BESIDE_AXES_IN = 0.55
-BESIDE_AXES_AT_LABELS_IN = 0.65
 ABOVE_AND_BELOW_AXES_IN = 0.5
-"""Space of the axes' own labels; the second counts the frame's line, for the size of a point."""
+"""Space of the axes' own labels."""
 LEGEND_LINE_IN = 0.156
 """Height of a line of a legend."""
 SHAPE_LEAST = 0.3
@@ -79,19 +77,11 @@ LAST_TIME = 0.92
 """Times marked at most, and before which part of the trial: the end has its own sign."""
 TICK = 0.028
 """Length of a tick that shows a heading, over the arena's longer side."""
-LABEL_PT = (9.0, 6.5)
-"""Half axes of the ellipse around a mark on which the centre of its label may lie."""
-LABEL_DIRECTIONS = 12
-LABEL_REACH_PT = 4.0
-"""From the centre of a label to its ends."""
-HIGHER = 1.5
-"""By how much vertical gaps count more: a label is wider than high."""
-MARK_RADIUS_PT = 4.0
-"""Size of starts, targets and ends, which labels keep clear of."""
-FRAMES_APART = 6
-"""Labels keep clear of each so many-th frame of a trail."""
-EDGE_POINTS = 60
-"""Points of each side of the arena, which labels keep clear of."""
+LABEL_ASIDE_PT = 9.0
+"""How far to the left of a robot, as it heads, its time is written."""
+ERROR_SEEN = 0.04
+"""From which error on the signs of end and target leave a line between them free, over the arena's
+longer side."""
 
 DASHED: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
 """A true path, and the arena's edge in the legend."""
@@ -131,7 +121,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         _draw_several(axes, trails, colors)
     for robot, color in enumerate(colors):
         axes.plot(*ends[:, robot].T, "D", ms=5 if alone else 3, color=color, **END)
-    far = alone and bool(_shows_error(axes, logs[0]).any())
+    far = alone and bool(_shows_error(logs[0]).any())
     _name_signs(figure, logs, leaves=leaves, truth=truth is not None, far=far)
     return figure
 
@@ -258,101 +248,43 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
     ends = final_poses(log)[:, :2]
     last_ns = log.stop.sent_ns if log.stop else int(log.mocap_ns.max(initial=0))
     DishGround(axes, log).show(last_ns)
-    labels = TimeLabels(axes, _marks(log, trail, ends, _point(axes)))
     for robot, color in enumerate(colors):
         axes.plot(*trail[:, robot].T, color=color, zorder=3, gid=f"trail-{robot}")
         if truth is not None:
             axes.plot(*truth[:, robot].T, color=style.INK, zorder=3.5, **DASHED)
         for time_s in _marked_times(log):
-            foot, tip = _tick(log, robot, time_s)
-            axes.plot(*np.array([foot, tip]).T, color=color, lw=1.0, zorder=3.6)
-            axes.plot(*foot, ".", color=color, ms=4, zorder=3.6)
-            if len(colors) < NUMBERED:
-                labels.write(foot, tip, f"{time_s:g} s")
-    for robot in np.flatnonzero(_shows_error(axes, log)):
+            _mark_time(axes, log, robot, color, time_s)
+    for robot in np.flatnonzero(_shows_error(log)):
         error = np.array([ends[robot], setup.targets[robot]])
         axes.plot(*error.T, color=colors[robot], zorder=2, **DOTTED)
 
 
-def _shows_error(axes: Axes, log: TrialLog) -> Bools:
+def _shows_error(log: TrialLog) -> Bools:
     """Return of which robots (N,) the signs of end and target leave a line between them free."""
     errors = np.linalg.norm(final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
-    return np.asarray(errors > 2 * MARK_RADIUS_PT * _point(axes))
+    return np.asarray(errors > ERROR_SEEN * _longer_side(log.start.setup.arena))
 
 
-def _tick(log: TrialLog, robot: int, time_s: float) -> tuple[Floats, Floats]:
-    """Return the foot (2,) and the tip (2,) of the tick that shows a robot's pose at a time since
-    the first direction: its place, and a point ahead of it."""
+def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float) -> None:
+    """Draw a tick along a robot's heading at a time since the first direction and, of fewer than
+    NUMBERED robots, write the time to the left of it; nothing where the robot was not seen."""
     frame = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
-    x, y, heading = log.mocap[min(frame, len(log.mocap) - 1), robot]
+    frame = min(frame, len(log.mocap) - 1)
+    if not log.valid[frame, robot]:
+        return
+    x, y, heading = log.mocap[frame, robot].tolist()
     ahead = TICK * _longer_side(log.start.setup.arena)
-    tip = np.array([x + ahead * np.cos(heading), y + ahead * np.sin(heading)])
-    return np.array([x, y]), tip
-
-
-class TimeLabels:
-    """Writes times next to ticks, each where it is farthest from other marks (M, 2)."""
-
-    def __init__(self, axes: Axes, marks: Floats) -> None:
-        self._axes = axes
-        self._point = _point(axes)
-        self._marks = marks[np.isfinite(marks).all(axis=1)]
-
-    def write(self, foot: Floats, tip: Floats, text: str) -> None:
-        """Write text next to the tick from `foot` (2,) to `tip` (2,), and keep later texts clear of
-        both; nothing where the robot was not seen."""
-        if not np.isfinite(tip).all():
-            return
-        self._keep_clear_of(np.array([tip, (foot + tip) / 2]))
-        angles = np.arange(0, 2 * np.pi, 2 * np.pi / LABEL_DIRECTIONS)
-        aside_pt = np.column_stack([LABEL_PT[0] * np.cos(angles), LABEL_PT[1] * np.sin(angles)])
-        centres = foot + aside_pt * self._point
-        gaps = centres[:, None] - self._marks
-        gaps[..., 1] *= HIGHER
-        nearest = np.linalg.norm(gaps, axis=-1).min(axis=1, initial=np.inf)
-        best = int(nearest.argmax())
-        along = np.linspace(-LABEL_REACH_PT, LABEL_REACH_PT, 5) * self._point
-        self._keep_clear_of(
-            np.column_stack([centres[best, 0] + along, np.full(len(along), centres[best, 1])])
-        )
-        self._axes.annotate(
-            text, tuple(foot.tolist()), tuple(aside_pt[best]), textcoords="offset points",
-            ha="center", va="center", fontsize=5.5, color=style.INK, path_effects=HALO, zorder=5,
-        )  # fmt: skip
-
-    def _keep_clear_of(self, marks: Floats) -> None:
-        self._marks = np.concatenate([self._marks, marks])
-
-
-def _point(axes: Axes) -> float:
-    """Return how long 1/72 inch of the figure is in the trial, by the limits of the axes."""
-    left, right = axes.get_xlim()
-    return (right - left) / (72 * (WIDTH_IN - BESIDE_AXES_AT_LABELS_IN))
-
-
-def _marks(log: TrialLog, trail: Floats, ends: Floats, point: float) -> Floats:
-    """Return points (M, 2) of what labels keep clear of: trails, the outlines of starts, targets
-    and ends (N, 2), and the arena's edge.
-    """
-    setup = log.start.setup
-    around = np.arange(0, 2 * np.pi, np.pi / 4)
-    circle = MARK_RADIUS_PT * point * np.column_stack([np.cos(around), np.sin(around)])
-    centres = np.concatenate([ends, setup.targets, first_seen(trail, setup.starts.xy)])
-    outlines = centres[:, None] + circle
-    path = trail[::FRAMES_APART]
-    points = (path.reshape(-1, 2), outlines.reshape(-1, 2), _edge(setup.arena))
-    return np.concatenate(points)
-
-
-def _edge(arena: Bounds) -> Floats:
-    """Return points along the edge of the arena, shape (M, 2)."""
-    x = np.linspace(arena.left, arena.right, EDGE_POINTS)
-    y = np.linspace(arena.bottom, arena.top, EDGE_POINTS)
-    bottom = np.column_stack([x, np.full(EDGE_POINTS, y[0])])
-    top = np.column_stack([x, np.full(EDGE_POINTS, y[-1])])
-    left = np.column_stack([np.full(EDGE_POINTS, x[0]), y])
-    right = np.column_stack([np.full(EDGE_POINTS, x[-1]), y])
-    return np.concatenate([bottom, top, left, right])
+    tip_x = x + ahead * math.cos(heading)
+    tip_y = y + ahead * math.sin(heading)
+    axes.plot([x, tip_x], [y, tip_y], color=color, lw=1.0, zorder=3.6)
+    axes.plot(x, y, ".", color=color, ms=4, zorder=3.6)
+    if len(log.start.setup.names) >= NUMBERED:
+        return
+    aside_pt = -LABEL_ASIDE_PT * math.sin(heading), LABEL_ASIDE_PT * math.cos(heading)
+    axes.annotate(
+        f"{time_s:g} s", (x, y), aside_pt, textcoords="offset points", ha="center", va="center",
+        fontsize=5.5, color=style.INK, path_effects=HALO, zorder=5,
+    )  # fmt: skip
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:

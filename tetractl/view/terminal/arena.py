@@ -15,7 +15,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.replay.player import Moment, first_seen
-from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
+from tetractl.view.terminal.glyphs import arrow
 
 DOWN = 4
 ACROSS = 2
@@ -27,10 +27,8 @@ BRAILLE = 0x2800
 DOT_MOST = 1e6
 """Largest column and row of a dot, far outside of every terminal; numbers of dots stay integers."""
 _PLAIN = Style()
-TICKS = "-/|\\"
-"""The tick ahead of a robot in ASCII, by the eighth of a turn; after four they repeat."""
-TICK_PLACES = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
-"""Where it is next to the robot: columns to the right and rows up, by the eighth of a turn."""
+START = "○"
+TARGET = "□"
 OBSTACLE_STYLE = Style(color=OBSTACLE_EDGE)
 BORDER_STYLE = Style(dim=True)
 
@@ -86,19 +84,16 @@ class Projection:
 class Canvas:
     """Character cells of braille dots with one style each: the style of the newest dots."""
 
-    def __init__(self, width: int, height: int, glyphs: Glyphs) -> None:
+    def __init__(self, width: int, height: int) -> None:
         self.width = width
         self.height = height
-        self._ascii = glyphs.ascii
         self._bits = np.zeros((height, width), dtype=np.uint8)
         self._styles: list[Style] = [_PLAIN]
         self._style = np.zeros((height, width), dtype=np.intp)
         self._chars = np.full((height, width), " ")
 
-    def dots(
-        self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style, char: str
-    ) -> None:
-        """Draw dots; an ASCII canvas shows `char` in each cell with a dot."""
+    def dots(self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style) -> None:
+        """Draw dots; those outside the canvas are left out."""
         inside = (columns >= 0) & (columns < ACROSS * self.width)
         inside &= (rows >= 0) & (rows < DOWN * self.height)
         columns = columns[inside]
@@ -106,7 +101,6 @@ class Canvas:
         cells = (rows // DOWN, columns // ACROSS)
         np.bitwise_or.at(self._bits, cells, _BITS[rows % DOWN, columns % ACROSS])
         self._style[cells] = self._index(style)
-        self._chars[cells] = char
 
     def put(self, column: int, row: int, char: str, style: Style) -> None:
         """Replace a cell's dots by a character; nothing is drawn outside the canvas."""
@@ -117,10 +111,8 @@ class Canvas:
 
     def text(self) -> list[str]:
         """Return the rows of the canvas as text."""
-        chars = self._chars
-        if not self._ascii:
-            braille = (BRAILLE + self._bits.astype(np.uint32)).view("<U1")
-            chars = np.where(self._bits > 0, braille, chars)
+        braille = (BRAILLE + self._bits.astype(np.uint32)).view("<U1")
+        chars = np.where(self._bits > 0, braille, self._chars)
         return ["".join(row) for row in chars]
 
     def segments(self) -> list[list[Segment]]:
@@ -137,46 +129,46 @@ class Canvas:
         return self._styles.index(style)
 
 
-def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: int) -> Canvas:
+def draw(frame: Moment, colors: list[str], width: int, height: int) -> Canvas:
     """Draw one instant of a trial on a canvas of at most `width` x `height` cells.
 
-    Drawn are obstacles, the plan (dotted), trails, starts (circles), targets (squares) and robots.
-    On an ASCII canvas a robot is its number with a tick ahead, and a target the number in brackets.
+    Drawn are obstacles, the plan (dotted), trails, starts (circles), targets (squares) and robots
+    (arrows).
     """
     setup = frame.setup
     view = Projection.fit(setup.arena, width, height)
-    canvas = Canvas(view.width, view.height, glyphs)
+    canvas = Canvas(view.width, view.height)
     for obstacle in setup.obstacles:
-        canvas.dots(*view.dots(_filling(obstacle, view)), OBSTACLE_STYLE, "#")
+        canvas.dots(*view.dots(_filling(obstacle, view)), OBSTACLE_STYLE)
     if frame.step is not None and frame.result is None:
         plan = frame.step.plan.path
         for robot, color in enumerate(colors):
             dotted = Style(color=color, dim=True)
-            canvas.dots(*view.dots(plan[:, robot, :2]), dotted, ":")
+            canvas.dots(*view.dots(plan[:, robot, :2]), dotted)
     for robot, color in enumerate(colors):
-        canvas.dots(*view.dots(frame.trail[:, robot]), Style(color=color), ".")
+        canvas.dots(*view.dots(frame.trail[:, robot]), Style(color=color))
     starts = first_seen(frame.trail, setup.starts.xy)
     for robot, color in enumerate(colors):
-        canvas.put(*view.cell(*starts[robot]), glyphs.start, Style(color=color))
+        canvas.put(*view.cell(*starts[robot]), START, Style(color=color))
         for target in setup.legs[:, robot]:
-            _target(canvas, view, target, robot, color, glyphs)
+            canvas.put(*view.cell(*target), TARGET, Style(color=color))
     for robot, color in enumerate(colors):
-        _robot(canvas, view, frame.poses[robot], robot, color, glyphs)
+        x, y, heading = frame.poses[robot].tolist()
+        canvas.put(*view.cell(x, y), arrow(heading), Style(color=color, bold=True))
     return canvas
 
 
-def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]]:
+def framed(canvas: Canvas, label: str) -> Iterable[list[Segment]]:
     """Add a thin border to a canvas, with a label in the lower edge if there is space."""
-    nw, ne, se, sw, line, side = glyphs.box
     words = f" {label} "
     if len(words) > canvas.width:
         words = ""
     before = (canvas.width - len(words)) // 2
     after = canvas.width - len(words) - before
-    yield [Segment(nw + line * canvas.width + ne, BORDER_STYLE)]
+    yield [Segment(f"┌{'─' * canvas.width}┐", BORDER_STYLE)]
     for row in canvas.segments():
-        yield [Segment(side, BORDER_STYLE), *row, Segment(side, BORDER_STYLE)]
-    yield [Segment(sw + line * before + words + line * after + se, BORDER_STYLE)]
+        yield [Segment("│", BORDER_STYLE), *row, Segment("│", BORDER_STYLE)]
+    yield [Segment(f"└{'─' * before}{words}{'─' * after}┘", BORDER_STYLE)]
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
@@ -201,42 +193,3 @@ def _ticks(low: float, high: float, step: float) -> Floats:
     if high < low:
         return np.empty(0)
     return np.linspace(low, high, math.ceil((high - low) / step) + 1)
-
-
-def _target(
-    canvas: Canvas,
-    view: Projection,
-    xy: Floats,
-    robot: int,
-    color: str,
-    glyphs: Glyphs,
-) -> None:
-    """Draw a target of a robot: a square, or in ASCII the robot's number in brackets."""
-    column, row = view.cell(*xy)
-    style = Style(color=color)
-    if not glyphs.ascii:
-        canvas.put(column, row, glyphs.target, style)
-        return
-    for offset, char in enumerate(f"[{_digit(robot)}]", start=-1):
-        canvas.put(column + offset, row, char, style)
-
-
-def _robot(
-    canvas: Canvas, view: Projection, pose: Floats, robot: int, color: str, glyphs: Glyphs
-) -> None:
-    """Draw a robot: an arrow, or in ASCII its number with a tick ahead."""
-    x, y, heading = pose.tolist()
-    column, row = view.cell(x, y)
-    style = Style(color=color, bold=True)
-    if not glyphs.ascii:
-        canvas.put(column, row, arrow(glyphs, heading), style)
-        return
-    turn = eighth(heading)
-    across, up = TICK_PLACES[turn]
-    canvas.put(column + across, row - up, TICKS[turn % len(TICKS)], style)
-    canvas.put(column, row, _digit(robot), style)
-
-
-def _digit(robot: int) -> str:
-    """Return the last digit of a robot's number, which counts from 1."""
-    return str(robot + 1)[-1]

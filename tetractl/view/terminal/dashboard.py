@@ -17,7 +17,6 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -30,7 +29,7 @@ from tetractl.core.plan import Outcome, State, StopReason
 from tetractl.core.trial import Result, Step
 from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
-from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
+from tetractl.view.terminal.glyphs import arrow, bar, sparkline
 
 ENDED: Mapping[str, str] = {
     StopReason.CRITERION: "by its criterion",
@@ -42,8 +41,6 @@ ENDED: Mapping[str, str] = {
 """Why the search of the newest plan ended, after the number of its iterations."""
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 """Style of an event by its level."""
-SHORT_LABELS_BELOW = 30
-"""Width of the numbers below which labels are short."""
 ARENA_SHARE = 0.58
 """Part of the width that the arena may take, and more if the numbers still have NUMBERS_WANTED."""
 NUMBERS_WANTED = 36
@@ -76,14 +73,14 @@ class Footer:
     after: str
     hints: tuple[str, ...] = ()
 
-    def text(self, glyphs: Glyphs, width: int) -> Text:
+    def text(self, width: int) -> Text:
         """Return the line; if it is too long, hints are left out, then the bar is shortened."""
         words = len(self.before) + len(self.after) + 2
         hints = list(self.hints)
         while hints and words + BAR_WANTED + _width_of_hints(hints) > width:
             hints.pop()
         bar_width = max(width - words - _width_of_hints(hints), 0)
-        filled = bar(glyphs, min(bar_width, BAR_MOST), self.fraction, "bold")
+        filled = bar(min(bar_width, BAR_MOST), self.fraction, "bold")
         line = Text.assemble(f"{self.before} ", filled, f" {self.after}")
         for hint in hints:
             key, _, action = hint.partition(" ")
@@ -135,50 +132,48 @@ class Dashboard:
         self._plain = plain
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        glyphs = glyphs_for(console)
         width = options.max_width
         height = options.height or console.height
         events = self._events(height)
-        footer = self._footer.text(glyphs, width)
+        footer = self._footer.text(width)
         body_height = max(height - 1 - len(events), 1)
 
-        rows = self._arena(glyphs, width, body_height)
+        rows = self._arena(width, body_height)
         arena_width = Segment.get_line_length(rows[0])
         numbers_width = min(width - arena_width - GAP, NUMBERS_MOST)
         if numbers_width > 0:
-            numbers = self._numbers(glyphs, numbers_width, body_height)
+            numbers = self._numbers(numbers_width, body_height)
             for row, text in zip(rows, numbers, strict=False):
                 row += [Segment(" " * GAP), *fitted(console, text, numbers_width)]
-        cut = "crop" if glyphs.ascii else "ellipsis"
-        rows += [fitted(console, event, width, cut) for event in events]
+        rows += [fitted(console, event, width) for event in events]
         rows.append(fitted(console, footer, width))
         yield from printed(rows, width)
 
-    def _arena(self, glyphs: Glyphs, width: int, height: int) -> list[list[Segment]]:
+    def _arena(self, width: int, height: int) -> list[list[Segment]]:
         """Return exactly `height` rows of equal width: the arena in its frame, then blanks."""
         arena = self._moment.setup.arena
         left_by_share = width - GAP - round(ARENA_SHARE * width)
         numbers_width = min(max(left_by_share, NUMBERS_LEAST), NUMBERS_WANTED)
         arena_width = max(width - GAP - numbers_width, 3)  # a frame, and a column inside
         inside = Projection.fit(arena, arena_width - 2, height - 2)
-        canvas = draw(self._moment, self._colors, glyphs, inside.width, inside.height)
-        size = f"{arena.width:g} {glyphs.times} {arena.height:g} {self._moment.setup.unit}"
-        rows = list(framed(canvas, size, glyphs))
+        canvas = draw(self._moment, self._colors, inside.width, inside.height)
+        size = f"{arena.width:g} × {arena.height:g} {self._moment.setup.unit}"
+        rows = list(framed(canvas, size))
         blank = Segment(" " * (inside.width + 2))
         while len(rows) < height:
             rows.append([blank])
         return rows[:height]
 
-    def _numbers(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
+    def _numbers(self, width: int, height: int) -> list[Text]:
         """Return the numbers in at most `height` lines: the blocks that fit, with an empty line
         between them as far as lines are left.
         """
         blocks = [
-            _Block(0, self._head(glyphs, width)),
-            _Block(3, self._robots(glyphs, width, height)),
-            _Block(2, self._total(glyphs, width)),
-            _Block(4, self._plan(glyphs, width)),
-            _Block(5, self._effort(width)),
+            _Block(0, self._head()),
+            _Block(3, self._robots(width, height)),
+            _Block(2, self._total(width)),
+            _Block(4, self._plan(width)),
+            _Block(5, self._effort()),
             _Block(1, self._warnings_and_end(width)),
         ]
         blocks = [block for block in blocks if block.lines]
@@ -193,39 +188,37 @@ class Dashboard:
             lines += block.lines
         return lines[:height]
 
-    def _head(self, glyphs: Glyphs, width: int) -> list[Text]:
+    def _head(self) -> list[Text]:
         """Return what the trial is, the time, the control step and the direction sent."""
         moment = self._moment
         step = moment.step
         until = "" if moment.end_s is None else f" / {moment.end_s:.1f}"
-        parts = self._heading.split(", ")  # the last ones are left out first
-        headings = [", ".join(parts[:count]) for count in range(len(parts), 0, -1)]
         lines = [
-            Text(_first_fitting(width, *headings), "bold", no_wrap=True),
-            _row(width, "time", "t", f"{moment.time_s:.1f}{until} s"),
+            Text(self._heading, "bold", no_wrap=True),
+            _row("time", f"{moment.time_s:.1f}{until} s"),
         ]
         if not self._plain:
             number = "none yet" if step is None else f"{step.k}"
-            lines.append(_row(width, "step k", "k", number))
+            lines.append(_row("step k", number))
         if step is None:
             return lines
         if not (self._plain or step.plan.pauses or _is_given(step)):
             count = len(step.plan.signals)
             signals = "1 signal" if count == 1 else f"{count} signals"
-            lines.append(_row(width, "horizon", "h", signals))
+            lines.append(_row("horizon", signals))
         direction = step.command.direction
         if direction is None:
             doing = step.plan.doing
             searches = moment.result is None and step.plan.state is not State.STUCK
-            long = f"{doing}, searching" if searches and step.plan.pauses else doing
-            lines.append(_row(width, "robots", "do", long, doing))
+            if searches and step.plan.pauses:
+                doing += ", searching"
+            lines.append(_row("robots", doing))
         else:
             degrees = math.degrees(math.remainder(direction, math.tau))
-            turned = f"{arrow(glyphs, direction)} {degrees:+.0f}{glyphs.degree}"
-            lines.append(_row(width, "direction", "u", turned))
+            lines.append(_row("direction", f"{arrow(direction)} {degrees:+.0f}°"))
         return lines
 
-    def _robots(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
+    def _robots(self, width: int, height: int) -> list[Text]:
         """Return a title, then each robot's distance to its target as a number and a bar; as many
         as fit, and a line on the others.
         """
@@ -233,17 +226,17 @@ class Dashboard:
         distances = self._moment.distances
         lines_most = max(height - LINES_OF_OTHERS, ROBOTS_LEAST)
         listed = len(distances) if len(distances) <= lines_most else lines_most - 1
-        what = f"to target [{setup.unit}]"
-        how = "" if self._plain else f", {self._moment.known}"
-        title = _first_fitting(width, f"distance {what}{how}", f"{what}{how}", what)
+        title = f"to target [{setup.unit}]"
+        if not self._plain:
+            title += f", {self._moment.known}"
         lines = [Text(title, "dim", no_wrap=True)]
-        lines += self._robot_lines(glyphs, width, listed)
+        lines += self._robot_lines(width, listed)
         if listed < len(distances):
             worst = _number(float(distances[listed:].max()))
             lines.append(Text(f"and {len(distances) - listed} more, at most {worst}", "dim"))
         return lines
 
-    def _robot_lines(self, glyphs: Glyphs, width: int, count: int) -> Iterator[Text]:
+    def _robot_lines(self, width: int, count: int) -> Iterator[Text]:
         """Yield the lines of the first robots, `MARK NAME VALUE BAR`: names are cut before values
         are, bars have what is left. A whole bar is the greatest distance at the start, which has
         four digits: 854.0 mm.
@@ -263,17 +256,16 @@ class Dashboard:
         standing = self._standing()
         for robot, (name, color) in enumerate(zip(names, self._colors, strict=False)):
             heading = self._moment.poses[robot, 2]
-            mark = str(robot + 1)[-1] if glyphs.ascii else arrow(glyphs, heading)
             distance = float(distances[robot])
             line = Text.assemble(
-                (mark, f"bold {color}"),
+                (arrow(heading), f"bold {color}"),
                 (f" {name[:name_width]:<{name_width}} ", color),
                 f"{distance:{value_width}.{decimals}f} ",
             )
             if name in standing:
-                line.append(_first_fitting(bar_width, "stands", ""), "yellow")
+                line.append("stands", "yellow")
             else:
-                line.append_text(bar(glyphs, bar_width, distance / full, color))
+                line.append_text(bar(bar_width, distance / full, color))
             yield line
 
     def _standing(self) -> list[str]:
@@ -283,17 +275,17 @@ class Dashboard:
             return []
         return step.plan.estimate.standing(self._moment.setup.names)
 
-    def _total(self, glyphs: Glyphs, width: int) -> list[Text]:
+    def _total(self, width: int) -> list[Text]:
         """Return the total error, and how it went."""
         moment = self._moment
         total = _number(float(moment.distances.sum()))
         line_width = min(width, SPARKLINE_MOST)
         return [
-            _row(width, "total error", "error", f"{total} {moment.setup.unit}"),
-            sparkline(glyphs, moment.totals, line_width, total=moment.steps_end),
+            _row("total error", f"{total} {moment.setup.unit}"),
+            sparkline(moment.totals, line_width, total=moment.steps_end),
         ]
 
-    def _plan(self, glyphs: Glyphs, width: int) -> list[Text]:
+    def _plan(self, width: int) -> list[Text]:
         """Return the cost of the newest plan before and after its search, and the iterations."""
         setup = self._moment.setup
         step = self._moment.step
@@ -306,34 +298,24 @@ class Dashboard:
         most = max(setup.iterations_max, done)
         first = _number(float(search.history[0])) if done >= 0 else "?"
         last = _number(step.plan.cost)
-        change = f"{first} {glyphs.to} {last}"
-        iterations = f"{done} of {most}"
         ended = ENDED.get(str(search.stopped), search.ended)
         line_width = min(width, SPARKLINE_MOST)
         return [
-            _row(width, "plan cost J", "J", f"{change} {setup.unit}", change, last),
-            sparkline(glyphs, search.history, line_width, total=most + 1, log=True),
-            _row(
-                width,
-                "iterations",
-                "z",
-                f"{iterations}, search ended {ended}",
-                f"{iterations}, {ended}",
-                iterations,
-            ),
+            _row("plan cost J", f"{first} → {last} {setup.unit}"),
+            sparkline(search.history, line_width, total=most + 1, log=True),
+            _row("iterations", f"{done} of {most}, {ended}"),
         ]
 
-    def _effort(self, width: int) -> list[Text]:
+    def _effort(self) -> list[Text]:
         """Return how long the newest search took, and its evaluations."""
         step = self._moment.step
         if step is None or self._plain or _is_given(step):
             return []
-        solve = _row(width, "solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
+        solve = _row("solve time", f"{milliseconds(step.solve_ns):.1f} ms")
         if step.deadline_missed:
-            late = "late" if width < SHORT_LABELS_BELOW else "deadline missed"
-            solve.append(f"  {late}", "bold red")
+            solve.append("  too late", "bold red")
         evaluations = f"{step.plan.evaluations:,}".replace(",", " ")
-        return [solve, _row(width, "evaluations", "evals", evaluations)]
+        return [solve, _row("evaluations", evaluations)]
 
     def _warnings_and_end(self, width: int) -> list[Text]:
         """Return the notes, the text aside and, at the end, the result."""
@@ -364,12 +346,11 @@ class Dashboard:
         return empty + lines
 
 
-def fitted(
-    console: Console, text: Text, width: int, overflow: Literal["crop", "ellipsis"] = "crop"
-) -> list[Segment]:
-    """Return a line of text as segments, cut at a width."""
+def fitted(console: Console, text: Text, width: int) -> list[Segment]:
+    """Return a line of text as segments. If it is cut at the width, its last sign is an ellipsis:
+    no number is taken for a shorter one."""
     text.no_wrap = True
-    text.truncate(width, overflow=overflow)
+    text.truncate(width, overflow="ellipsis")
     return list(text.render(console))
 
 
@@ -395,19 +376,9 @@ def _end_lines(result: Result, width: int) -> list[Text]:
     return lines
 
 
-def _row(width: int, label: str, short: str, *values: str) -> Text:
-    """Return a row of a label and the first of several values that fits, with a short label if
-    there is little width.
-    """
-    words = f"{short:<5} " if width < SHORT_LABELS_BELOW else f"{label:<11} "
-    return Text.assemble((words, "dim"), _first_fitting(width - len(words), *values), no_wrap=True)
-
-
-def _first_fitting(width: int, *texts: str) -> str:
-    """Return the first of several texts that fits, else the last: a number without its last digits
-    would be another number.
-    """
-    return next((text for text in texts if len(text) <= width), texts[-1])
+def _row(label: str, value: str) -> Text:
+    """Return a row of a label and a value."""
+    return Text.assemble((f"{label:<11} ", "dim"), value, no_wrap=True)
 
 
 def _number(value: float) -> str:

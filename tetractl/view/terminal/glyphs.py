@@ -1,78 +1,42 @@
-"""The characters of the terminal views, in Unicode and in ASCII."""
+"""The signs of the terminal views: arrows, bars, and curves of characters."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from rich.console import Console
 from rich.text import Text
 
 from tetractl.core.poses import Floats
 
-
-@dataclass(frozen=True, slots=True)
-class Glyphs:
-    """A set of characters, by default in Unicode."""
-
-    ascii: bool = False
-    arrows: str = "→↗↑↖←↙↓↘"  # eight directions, anticlockwise from +x
-    start: str = "○"
-    target: str = "□"
-    box: str = "┌┐┘└─│"  # corners from top left clockwise, then horizontal and vertical
-    bar: str = "━─"  # characters for the done and the open part of a bar
-    spark: str = "▁▂▃▄▅▆▇█"  # characters of a sparkline, from low to high
-    rest: str = "·"  # character for values to come in a sparkline
-    degree: str = "°"
-    play: str = "▶"
-    pause: str = "‖"
-    times: str = "×"
-    plus_minus: str = "±"
-    left_right: str = "←→"
-    to: str = "→"
-
-
+ARROWS = "→↗↑↖←↙↓↘"
+"""Eight directions, anticlockwise from +x."""
+DONE = "━"
+OPEN = "─"
+"""Characters of the done and the open part of a bar."""
+SPARKS = "▁▂▃▄▅▆▇█"
+"""Characters of a sparkline, from low to high."""
+TO_COME = "·"
+"""Character of a sparkline for values to come."""
 LEAST = 1e-12
 """Values below it are shown as if they were this, on a logarithmic scale."""
-UNICODE = Glyphs()
-ASCII = Glyphs(
-    True, ">/^\\</v\\", "o", "+", "++++-|", "=-", "_.-~=*%#", ".", " deg", ">", "=", "x", "+/-",
-    "arrows", "->",
-)  # fmt: skip
 
 
-def glyphs_for(console: Console) -> Glyphs:
-    """Return Unicode glyphs, or ASCII for a terminal that lacks cursor control, UTF-8 or colour.
-
-    Without colour the robots' dots look alike: the ASCII view distinguishes them by number.
-    """
-    plain = console.is_dumb_terminal or console.options.ascii_only or console.no_color
-    return ASCII if plain else UNICODE
-
-
-def arrow(glyphs: Glyphs, angle: float) -> str:
-    """Return the arrow nearest to an angle [rad]."""
-    return glyphs.arrows[eighth(angle)]
-
-
-def eighth(angle: float) -> int:
-    """Return the index of the nearest eighth of a turn, 0 to 7 anticlockwise from +x; 0 for NaN."""
+def arrow(angle: float) -> str:
+    """Return the arrow nearest to an angle [rad], that along +x for an unknown one."""
     if not math.isfinite(angle):
-        return 0
-    return round(math.remainder(angle, math.tau) / (math.pi / 4)) % 8
+        return ARROWS[0]
+    return ARROWS[round(math.remainder(angle, math.tau) / (math.pi / 4)) % len(ARROWS)]
 
 
-def bar(glyphs: Glyphs, width: int, fraction: float, style: str) -> Text:
+def bar(width: int, fraction: float, style: str) -> Text:
     """Return a bar of `width` characters, `fraction` of it filled; all for an unknown one."""
     filled = width
     if math.isfinite(fraction):
         filled = round(width * min(max(fraction, 0.0), 1.0))
-    full, empty = glyphs.bar
-    return Text.assemble((full * filled, style), (empty * (width - filled), "dim"))
+    return Text.assemble((DONE * filled, style), (OPEN * (width - filled), "dim"))
 
 
 def sparkline(
-    glyphs: Glyphs,
     values: Sequence[float] | Floats,
     width: int,
     *,
@@ -88,8 +52,8 @@ def sparkline(
     y = np.asarray(values, dtype=float)
     y = np.where(np.isfinite(y), y, np.nan)
     if not len(y) or np.isnan(y).all() or width < 1:
-        return Text(glyphs.rest * max(width, 0), "dim")
-    bars = [glyphs.spark[level] for level in _levels(y, len(glyphs.spark), log)]
+        return Text(TO_COME * max(width, 0), "dim")
+    bars = [SPARKS[level] for level in _levels(y, log)]
     total = max(total, len(bars))
     cells = min(width, total)
     edges = (np.arange(cells) + 1) * total / cells
@@ -98,11 +62,11 @@ def sparkline(
     shown_to = newest[len(drawn) - 1] + 1 if drawn else 0
     if len(drawn) < cells and len(bars) > shown_to:  # the first values of the next cell
         drawn.append(bars[-1])
-    return Text.assemble("".join(drawn), (glyphs.rest * (cells - len(drawn)), "dim"))
+    return Text.assemble("".join(drawn), (TO_COME * (cells - len(drawn)), "dim"))
 
 
-def _levels(y: Floats, count: int, log: bool) -> list[int]:
-    """Return the level of each value, 0 to count - 1: the highest for a value that is unknown."""
+def _levels(y: Floats, log: bool) -> list[int]:
+    """Return the index of each value in SPARKS: the highest for a value that is unknown."""
     if log:
         y = np.log(np.maximum(y, LEAST))
     low = np.nanmin(y) if log else 0.0
@@ -110,6 +74,6 @@ def _levels(y: Floats, count: int, log: bool) -> list[int]:
     share = np.zeros_like(y)
     if high > low:
         share = (np.clip(y, low, high) - low) / (high - low)
-    highest = count - 1
+    highest = len(SPARKS) - 1
     levels = np.nan_to_num(share * highest, nan=highest).round()
     return levels.astype(int).tolist()

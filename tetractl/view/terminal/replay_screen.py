@@ -14,7 +14,6 @@ from tetractl.core.plan import State
 from tetractl.replay.player import Playback, Player, Recording
 from tetractl.tools.table.table import lengths
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
-from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
 from tetractl.view.terminal.keys import Keyboard
 from tetractl.view.terminal.screen import Screen
 
@@ -22,6 +21,18 @@ SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "a
 """What the space bar does, by the player's state."""
 TURNS = {"n": 1, "p": -1}
 """Keys that go to another trial, and how many trials on."""
+KEYS = {
+    "space": "pause or continue; at the end: play again from the start",
+    "←→": "1 s back or forward",
+    ", .": "previous or next control step, and pause",
+    "E e": "previous or next event, and pause",
+    "Home End": "start or end",
+    "+ -": "double or halve the rate",
+    "p n": "previous or next trial, if several logs are given",
+    "?": "show or hide this list",
+    "q": "quit",
+}
+"""What each key does, as the help shows it."""
 LOOK_S = 1 / 15
 """How long a key is waited for before a picture is due again [s]."""
 
@@ -49,8 +60,7 @@ def play(
             # what a picture depends on: while it is the same, nothing is drawn
             wanted = (index, player.now, player.rate, player.state, console.size, shows_help)
             if wanted != drawn:
-                glyphs = glyphs_for(console)
-                screen.show(Help(glyphs) if shows_help else dashboard(player, glyphs, index, count))
+                screen.show(Help() if shows_help else dashboard(player, index, count))
                 drawn = wanted
             for key in keyboard.read(LOOK_S):
                 next_index = index + TURNS.get(key, 0)
@@ -62,7 +72,7 @@ def play(
     return keyboard.interrupted
 
 
-def dashboard(player: Player, glyphs: Glyphs, index: int = 0, count: int = 1) -> Dashboard:
+def dashboard(player: Player, index: int = 0, count: int = 1) -> Dashboard:
     """Return the dashboard at the player's time, of trial `index` of `count` that are played."""
     recording = player.recording
     log = recording.log
@@ -70,24 +80,24 @@ def dashboard(player: Player, glyphs: Glyphs, index: int = 0, count: int = 1) ->
     return Dashboard(
         recording.at(player.now),
         heading=f"{log.start.setup.name}, trial {log.start.trial}{which}",
-        footer=_footer(player, glyphs, has_next=index + 1 < count),
+        footer=_footer(player, has_next=index + 1 < count),
         notes=("damaged log", *log.damage.lost) if log.damage else (),
     )
 
 
-def _footer(player: Player, glyphs: Glyphs, has_next: bool) -> Footer:
+def _footer(player: Player, has_next: bool) -> Footer:
     """Return the rate, how far the trial is, and what keys do, the most useful first."""
     recording = player.recording
-    sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
+    sign = "▶" if player.state is Playback.PLAYING else "‖"
     now_s = recording.log.elapsed_s(player.now)
     end_s = recording.log.elapsed_s(recording.end_ns)
     end = f"{end_s:.1f}"
     hints = [f"space {SPACE.get(player.state, '')}", "? keys", "q quit"]
     if has_next:
         hints.append("n next trial")
-    hints += [f"{glyphs.left_right} {glyphs.plus_minus}1 s", ". step", "e event", "+/- rate"]
+    hints += ["←→ ±1 s", ". step", "e event", "+/- rate"]
     return Footer(
-        before=f"{sign} {player.rate:g}{glyphs.times}",
+        before=f"{sign} {player.rate:g}×",
         fraction=now_s / end_s if end_s > 0 else 1.0,
         after=f"{now_s:{len(end)}.1f} / {end} s",
         hints=tuple(hints),
@@ -97,26 +107,13 @@ def _footer(player: Player, glyphs: Glyphs, has_next: bool) -> Footer:
 class Help:
     """Shows the list of keys, on all the space available; the library rich prints it."""
 
-    def __init__(self, glyphs: Glyphs) -> None:
-        self._keys = {
-            "space": "pause or continue; at the end: play again from the start",
-            glyphs.left_right: "1 s back or forward",
-            ", .": "previous or next control step, and pause",
-            "E e": "previous or next event, and pause",
-            "Home End": "start or end",
-            "+ -": "double or halve the rate",
-            "p n": "previous or next trial, if several logs are given",
-            "?": "show or hide this list",
-            "q": "quit",
-        }
-
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width = options.max_width
         height = options.height or console.height
-        key_width = max(len(key) for key in self._keys)
+        key_width = max(len(key) for key in KEYS)
         title = [Text("Keys of the player", "bold"), Text()]
-        lines = title if height > len(self._keys) + len(title) else []
-        for key, action in self._keys.items():
+        lines = title if height > len(KEYS) + len(title) else []
+        for key, action in KEYS.items():
             lines.append(Text.assemble((f" {key:<{key_width}}", "bold"), f"  {action}"))
         while len(lines) < height:
             lines.append(Text())

@@ -6,6 +6,11 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 
+def shows_pictures(console: Console) -> bool:
+    """Return whether a console is a terminal for pictures: it moves its cursor, and has UTF-8."""
+    return console.is_terminal and not (console.is_dumb_terminal or console.options.ascii_only)
+
+
 class Screen:
     """Shows one picture at a time, and gives the terminal back when it is closed; a context
     manager, and open within it.

@@ -6,8 +6,6 @@ from itertools import combinations
 import matplotlib
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from support.marked_robots import MarkedRobots
 from support.trials import THREE_M3PI, cut_short, experiment, three_robots
@@ -23,7 +21,7 @@ from tetractl.core.trial import PlantInfo
 from tetractl.replay.player import Recording, first_seen
 from tetractl.report.trial_data import trial_data
 from tetractl.view import style
-from tetractl.view.figures.curves import errors_at, separated
+from tetractl.view.figures.curves import errors_at
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.trajectory import trajectory_figure
 
@@ -66,15 +64,14 @@ def estimated(log, **more):
     return replace(log, steps=steps)
 
 
-def test_a_robot_that_was_never_seen_puts_no_label_at_the_place_of_others(log):
-    """Regression: its place of NaN was the nearest mark of every later label, so that all stood
-    to the right of their ticks."""
+def test_a_robot_that_was_never_seen_has_no_times(log):
+    (axes,) = trajectory_figure([log]).axes
     poses = log.mocap.copy()
     poses[:, 0] = np.nan
-    figure = trajectory_figure([replace(log, mocap=poses, valid=np.isfinite(poses[..., 0]))])
-    aside = {text.xyann for text in figure.axes[0].texts}
-    assert len(figure.axes[0].texts) > 0
-    assert len(aside) > 1
+    unseen = replace(log, mocap=poses, valid=np.isfinite(poses[..., 0]))
+    (axes_without,) = trajectory_figure([unseen]).axes
+    assert len(axes.texts) > 0
+    assert len(axes_without.texts) == 2 / 3 * len(axes.texts)  # of two robots of three
 
 
 def many_robots(count):
@@ -279,6 +276,7 @@ def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log)
     figure = draw("over-time", [replace(log, steps=(first, *late, *rest))])
     text = words(figure)
     assert f"{missed} of {len(log.steps)} deadlines missed" in text
+    assert "half within" in text
     assert "control period 200 ms" in text
     assert "first plan" in text
     (late,) = [line for line in figure.axes[1].lines if line.get_color() == style.ALARM]
@@ -371,21 +369,11 @@ def test_an_aborted_trial_says_so(log, kind):
     assert "the log breaks off before the end of the trial" in text
 
 
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.floats(0.001, 0.05))
-def test_labels_stay_apart_in_order_and_inside(heights, gap):
-    wanted = np.sort(np.array(heights))
-    placed = separated(wanted, gap)
-    assert (np.diff(placed) >= gap - 1e-9).all()
-    assert placed.min() >= 0
-    assert placed.max() <= 1 + 1e-9
-    if (np.diff(wanted) >= gap).all() and wanted[-1] <= 1 - gap * len(wanted):
-        assert placed == pytest.approx(wanted)  # those that do not touch stay
-
-
-def test_labels_stay_apart_beside_one_of_an_unknown_value():
-    """As of a robot that was never seen."""
-    placed = separated(np.array([0.5, 0.5, np.nan]), 0.1)
-    assert placed == pytest.approx([0.45, 0.55, np.nan], nan_ok=True)
+def test_names_stand_beside_their_panel_in_the_order_of_the_last_values(log):
+    _, of_robots = draw("errors", [log]).axes
+    names = [text.get_text().split()[0] for text in of_robots.get_legend().get_texts()]
+    falling = np.argsort(log.result.robot_errors)[::-1]
+    assert names == [log.start.setup.names[robot] for robot in falling]
 
 
 def refusals():

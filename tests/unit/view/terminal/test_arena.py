@@ -12,7 +12,7 @@ from support.trials import experiment, three_robots
 from tetractl.core.setup import Bounds
 from tetractl.replay.player import Moment, Recording
 from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
-from tetractl.view.terminal.glyphs import ASCII, UNICODE, arrow, bar, sparkline
+from tetractl.view.terminal.glyphs import arrow, bar, sparkline
 
 pytestmark = pytest.mark.slow
 
@@ -67,9 +67,8 @@ def test_a_square_stays_square_in_dots():
     st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3),
     sizes.filter(lambda n: n < 60),
     sizes.filter(lambda n: n < 40),
-    st.sampled_from([UNICODE, ASCII]),
 )
-def test_any_pose_whatever_can_be_drawn(pose, width, height, glyphs):
+def test_any_pose_whatever_can_be_drawn(pose, width, height):
     spec = experiment()
     frame = Moment(
         spec.setup,
@@ -82,33 +81,32 @@ def test_any_pose_whatever_can_be_drawn(pose, width, height, glyphs):
         0,
         None,
     )
-    canvas = draw(frame, COLORS, glyphs, width, height)
+    canvas = draw(frame, COLORS, width, height)
     text = canvas.text()
     assert len(text) <= height
     assert {len(line) for line in text} == {canvas.width}
-    assert all(line.isascii() for line in text) or glyphs is UNICODE
 
 
 def test_the_robots_stand_where_they_are_and_look_where_they_head():
     recording = Recording(three_robots())
     frame = recording.at(3_000_000_000)
-    canvas = draw(frame, COLORS, UNICODE, 60, 30)
+    canvas = draw(frame, COLORS, 60, 30)
     view = Projection.fit(frame.setup.arena, 60, 30)
     text = canvas.text()
     for robot in range(3):
         x, y, heading = frame.poses[robot]
         column, row = view.cell(x, y)
-        assert text[row][column] == arrow(UNICODE, heading)
+        assert text[row][column] == arrow(heading)
         column, row = view.cell(*frame.setup.targets[robot])
         assert text[row][column] == "□"
     assert [row for row in range(len(text)) if "⣿" in text[row]]
 
 
 def test_a_canvas_keeps_the_last_style_of_a_cell_and_cuts_where_it_changes():
-    canvas = Canvas(3, 1, UNICODE)
+    canvas = Canvas(3, 1)
     red = Style(color="red")
     blue = Style(color="blue")
-    canvas.dots(np.array([0, 2, 4]), np.array([0, 0, 0]), red, ".")
+    canvas.dots(np.array([0, 2, 4]), np.array([0, 0, 0]), red)
     canvas.put(1, 0, "x", blue)
     canvas.put(9, 9, "y", blue)
     (row,) = canvas.segments()
@@ -123,14 +121,14 @@ def test_a_canvas_keeps_the_last_style_of_a_cell_and_cuts_where_it_changes():
     ("degrees", "sign"), [(0, "→"), (44, "↗"), (90, "↑"), (179, "←"), (-91, "↓"), (700, "→")]
 )
 def test_arrows_point_along_angles(degrees, sign):
-    assert arrow(UNICODE, math.radians(degrees)) == sign
+    assert arrow(math.radians(degrees)) == sign
 
 
 def test_a_sparkline_scales_from_zero_and_leaves_the_rest_open():
-    line = sparkline(UNICODE, [8, 4, 0], 6, total=6)
+    line = sparkline([8, 4, 0], 6, total=6)
     assert line.plain == "█▅▁···"
-    assert sparkline(UNICODE, [100, 10, 1], 3, log=True).plain == "█▅▁"
-    assert sparkline(ASCII, [], 4).plain == "...."
+    assert sparkline([100, 10, 1], 3, log=True).plain == "█▅▁"
+    assert sparkline([], 4).plain == "····"
 
 
 @given(
@@ -140,9 +138,9 @@ def test_a_sparkline_scales_from_zero_and_leaves_the_rest_open():
     st.booleans(),
 )
 def test_a_sparkline_of_anything_fits(values, width, total, log):
-    assert len(sparkline(UNICODE, values, width, total=total, log=log).plain) <= width
+    assert len(sparkline(values, width, total=total, log=log).plain) <= width
 
 
 @given(st.integers(0, 80), st.floats(allow_nan=True, allow_infinity=True))
 def test_a_bar_of_anything_is_as_wide_as_asked(width, fraction):
-    assert len(bar(UNICODE, width, fraction, "red").plain) == width
+    assert len(bar(width, fraction, "red").plain) == width

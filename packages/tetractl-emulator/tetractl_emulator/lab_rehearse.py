@@ -19,7 +19,7 @@ from tetractl.tools.table.table import plural
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
 
-DRAWN = 4
+DRAWN = 5
 """Which draw of days a folder has: days that were drawn otherwise are not continued."""
 WATCHDOG_S = 0.25
 """Time after which robots stop whose spec names none [s]."""

@@ -223,7 +223,12 @@ FAULTS = (
         fields={"robot": Name, "share": (Share, 0.0), "every": (Frames, 1)},
         rows=[
             FaultRow("tracked in part", SIGHT, {"share": lost}),
-            FaultRow("tracked at times", SIGHT, {"every": whole_number(22, 34)}),
+            FaultRow(
+                "tracked at times",
+                SIGHT,
+                {"every": whole_number(24, 34), "for": between(6, 16)},
+                weight=2.0,
+            ),
         ],
     ),
     fault_kind(
@@ -240,9 +245,9 @@ FAULTS = (
         EXPOSED,
         fields={"robot": Name, "by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
         rows=[
-            _creeping("ghost drives", by=along(3, 600, 0.0), axes="robot"),
-            _creeping("ghost slides", by=along(3, 600, math.pi / 2), axes="robot"),
-            _creeping("ghost drifts", by=off(3, 600, FRAME_S)),
+            _creeping("ghost drives", by=along(20, 300, 0.0), axes="robot"),
+            _creeping("ghost slides", by=along(20, 300, math.pi / 2), axes="robot"),
+            _creeping("ghost drifts", by=off(20, 300, FRAME_S)),
             _creeping("ghost turns", by=[0, 0], turn=signed(0.02, 4, FRAME_S)),
         ],
     ),

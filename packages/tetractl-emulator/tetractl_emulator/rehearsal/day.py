@@ -18,7 +18,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import permutations
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.cli.app import run_app
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.yaml.core_yaml import dump
@@ -55,10 +55,10 @@ BLIND_SHARE = 0.1
 """Share of the days on which robots on wheels are driven blindly, until a limit stops them."""
 BLIND_S = 15
 """Time of a day's blind drive [s], in which each robot comes to a rim."""
-NEARER = 0.4
-"""Factor by which robots start nearer to their middle on such a day, so that they meet."""
-APART = 1.5
-"""Least distance of robots at such starts, as a multiple of `separation_mm`."""
+FACING_SHARE = 0.5
+"""Share of these days on which two robots start face to face."""
+FACING = (2.0, 3.0)
+"""Distance of these two, as a multiple of `separation_mm`: while one turns round, they meet."""
 SHORT_SHARE = 0.15
 """Share of the days whose trial ends after SHORT_S, while robots drive."""
 SHORT_S = (2.0, 8.0)
@@ -138,41 +138,58 @@ def plan_of_day(
     for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
         if hasattr(side, "world_of_day"):
             emulation[name] = side.world_of_day(random, lab, setup)
-    starts = setup.starts.xy
+    starts = setup.starts
     settings: list[str] = []
     trial_seed = random.randrange(2**31)
     drawn = random.random() if bad and lab.actuator.type != "field" else SHORT_SHARE
     if drawn < SHORT_SHARE:
         settings = [f"controller.time_limit={random.uniform(*SHORT_S):.1f}"]
     elif drawn > 1 - BLIND_SHARE:
-        apart = APART * lab.limits.separation_mm / 1000 / setup.metres
-        starts = _nearer(random, starts, apart)
-        settings = [_blind(random, setup.period_s)]
-        settings += [f"robots.{i}.start={start}" for i, start in enumerate(starts.tolist())]
+        separation = lab.limits.separation_mm / 1000 / setup.metres
+        first_rad = random.uniform(-math.pi, math.pi)
+        if random.random() < FACING_SHARE:
+            starts, first_rad = _face_to_face(random, setup, separation)
+        settings = [_blind(random, setup.period_s, first_rad)]
+        for i, (x, y, heading) in enumerate(starts.array().tolist()):
+            settings += [f"robots.{i}.start={[x, y]}", f"robots.{i}.heading={heading}"]
     if not chosen:
         near = START_SHARE * lab.limits.start_mm / 1000 / setup.metres
-        emulation["robots"] = _placed(random, setup, starts, near)
+        emulation["robots"] = _placed(random, setup.names, starts, near)
     return DayPlan(trial_seed, emulation, faults, settings)
 
 
-def _blind(random: Random, period_s: float) -> str:
-    """Draw a blind controller, of which each direction is held for about a second."""
+def _blind(random: Random, period_s: float, first_rad: float) -> str:
+    """Draw a blind controller, of which each direction is held for about a second; the first one is
+    given.
+    """
     held = round(1 / period_s)
-    drawn_rad = (round(random.uniform(-math.pi, math.pi), 2) for _ in range(BLIND_S))
-    directions = [direction for direction in drawn_rad for _ in range(held)]
+    drawn_rad = [first_rad, *(random.uniform(-math.pi, math.pi) for _ in range(BLIND_S - 1))]
+    directions = [round(direction, 2) for direction in drawn_rad for _ in range(held)]
     return f"controller={{type: sequence, period: {period_s}, directions: {directions}}}"
 
 
-def _nearer(random: Random, starts: Floats, apart: float) -> Floats:
-    """Return starts (N, 2) that are nearer to their middle, but at least `apart` if they were, and
-    belong to robots in a random order.
+def _face_to_face(random: Random, setup: Setup, separation: float) -> tuple[Poses, float]:
+    """Return starts of which two are face to face, and the heading of the first of the two [rad]:
+    sent that direction, it drives ahead, and the other towards it until it has turned round.
+
+    The first stands on its own start, and faces the middle of the arena. Where the other would
+    stand in an obstacle, a further pair is drawn; if none is left, all stand as in the spec.
     """
-    pairs = combinations(starts, 2)
-    nearest = min((float(math.dist(*pair)) for pair in pairs), default=math.inf)
-    factor = min(1.0, max(NEARER, apart / nearest))
-    middle = starts.mean(axis=0)
-    order = random.sample(range(len(starts)), len(starts))
-    return np.round(middle + factor * (starts[order] - middle), 4)
+    starts = setup.starts.array()
+    pairs = list(permutations(range(len(starts)), 2))
+    middle_x = setup.arena.left + setup.arena.width / 2
+    middle_y = setup.arena.bottom + setup.arena.height / 2
+    for first, second in random.sample(pairs, len(pairs)):
+        x, y, _ = starts[first]
+        ahead_rad = math.atan2(middle_y - y, middle_x - x)
+        apart = random.uniform(*FACING) * separation
+        other_x = x + apart * math.cos(ahead_rad)
+        other_y = y + apart * math.sin(ahead_rad)
+        if all(shape.distance(other_x, other_y) > setup.body_radius for shape in setup.obstacles):
+            starts[first, 2] = ahead_rad
+            starts[second] = (other_x, other_y, ahead_rad - math.pi)
+            return Poses.of(np.round(starts, 4)), ahead_rad
+    return setup.starts, 0.0
 
 
 def faults_of_day(
@@ -209,12 +226,12 @@ def _fault(
     return fault
 
 
-def _placed(random: Random, setup: Setup, starts: Floats, near: float) -> list[dict[str, Any]]:
-    """Return robots at places off their starts (N, 2) by up to `near` [length unit]."""
+def _placed(
+    random: Random, names: Sequence[str], starts: Poses, near: float
+) -> list[dict[str, Any]]:
+    """Return robots at places off their starts by up to `near` [length unit]."""
     placed = []
-    for name, (x, y), heading in zip(
-        setup.names, starts.tolist(), setup.starts.heading.tolist(), strict=True
-    ):
+    for name, (x, y, heading) in zip(names, starts.array().tolist(), strict=True):
         off = random.uniform(0, near)
         angle = random.uniform(-math.pi, math.pi)
         placed_x = x + off * math.cos(angle)

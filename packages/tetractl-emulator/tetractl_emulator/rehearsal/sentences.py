@@ -68,8 +68,8 @@ TILT_NOISE_RAD = 0.05
 """Noise of a tilt of the worst camera."""
 MOTION_SEEN_S = NOISE_MM / MOVES_MM_S
 """Time in which the slowest motion that counts is more than noise."""
-POSE_MM = 95.0
-"""Error of a pose accepted: a body's length."""
+POSE_MM = 47.5
+"""Error of a pose accepted: half a body's length, beyond which it is not on its robot."""
 POSE_RAD = 1.0
 """Error of a heading accepted: the turn by which a robot leaves its way."""
 RESULT_MM = 10.0

@@ -9,6 +9,8 @@ from support.paths import ROOT
 from tetractl_emulator.rehearsal.day import (
     BLIND_S,
     BLIND_SHARE,
+    FACING,
+    FACING_SHARE,
     SHORT_SHARE,
     DayPlan,
     faults_of_day,
@@ -54,6 +56,33 @@ def test_some_trials_are_short_and_some_robots_are_driven_blindly_by_settings_of
     script = DayPlan(1, {}, [], (short[0],)).script()
     assert script["runner"] == {"set": [short[0]]}
     assert script_of(script, "optitrack", "m3pi-xbee").runner == {"set": (short[0],)}
+
+
+def test_on_half_of_the_blind_days_two_robots_start_face_to_face():
+    """The first direction is the heading of one: it drives ahead, and the other has to turn round.
+    Each pair is drawn, and the third robot stands as in the spec."""
+    separation = EXPERIMENT.lab.limits.separation_mm
+    as_in_the_spec = EXPERIMENT.setup.starts.array()
+    blind = 0
+    pairs = Counter()
+    for day in range(1000):
+        settings = plan_of_day(1, day, *LAB).settings
+        if not settings or "sequence" not in settings[0]:
+            continue
+        blind += 1
+        experiment = load_spec(SPEC, settings).experiment
+        starts = experiment.setup.starts.array()
+        moved = tuple(i for i in range(3) if (starts[i] != as_in_the_spec[i]).any())
+        pairs[moved] += 1
+        if moved:
+            first, second = starts[list(moved)]
+            apart = math.dist(first[:2], second[:2]) / separation
+            assert FACING[0] <= apart <= FACING[1]
+            assert math.cos(first[2] - second[2]) == pytest.approx(-1)
+            ahead_rad = experiment.controller.directions[0]
+            assert any(math.isclose(ahead_rad, robot[2], abs_tol=0.01) for robot in (first, second))
+    assert pairs[()] / blind == pytest.approx(1 - FACING_SHARE, abs=0.15)
+    assert pairs.keys() == {(), (0, 1), (0, 2), (1, 2)}
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tetractl_emulator.emulated_udp import UdpPlug
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_wires import LabClock, started
+from tetractl_emulator.virtual_lab import LabClock, started
 from tetractl_vw import TEMPLATES
 from tetractl_vw.actuator import VwRobots
 from tetractl_vw.camera import JsonPoses, JsonPosesSection

@@ -13,7 +13,7 @@ from tetractl.testing import MovedRobots, SeenRobots, check_actuator, check_came
 from tetractl_emulator.m3pi.wheeled_side import PortedSide
 from tetractl_emulator.pose_stream import PoseStream
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_wires import LabClock, started
+from tetractl_emulator.virtual_lab import LabClock, started
 
 
 def check_lab(lab: LabSection, setup: Setup) -> None:

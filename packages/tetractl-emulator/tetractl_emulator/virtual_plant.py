@@ -61,7 +61,7 @@ class EmulatedPlantSection(RigSection):
 
     def clock(self) -> Clock:
         """Return a clock in virtual time, or in real time if a device is real."""
-        from tetractl_emulator.virtual_wires import LabClock, LiveClock
+        from tetractl_emulator.virtual_lab import LabClock, LiveClock
 
         return LiveClock() if self.real else LabClock()
 
@@ -107,7 +107,7 @@ class EmulatedPlantSection(RigSection):
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator, refuse_cells
         from tetractl_emulator.script import NOTHING, script_of
         from tetractl_emulator.sides import Options
-        from tetractl_emulator.virtual_wires import LabClock, LiveClock, outlive, started
+        from tetractl_emulator.virtual_lab import LabClock, LiveClock, outlive, started
 
         assert isinstance(clock, LabClock), "`clock` returned it"
         assert isinstance(seed.entropy, int), "the root seed is one number"
@@ -186,7 +186,7 @@ class BusyPlant(LabPlant):
 
     def send(self, action: Action) -> Command:
         """Let the time of the plan pass, and hold an action."""
-        from tetractl_emulator.virtual_wires import LabClock
+        from tetractl_emulator.virtual_lab import LabClock
 
         assert isinstance(self.clock, LabClock), "the section returned it"
         self._plans += 1

@@ -93,11 +93,11 @@ class Ghost:
 
     @property
     def _since_s(self) -> float:
-        return (self.lab.clock.timeline.now_ns - (self._began or 0)) / SECOND
+        return (self.lab.emulation.timeline.now_ns - (self._began or 0)) / SECOND
 
     def _show(self, poses: tuple[Pose, ...]) -> tuple[Pose, ...]:
         """Return the poses that are shown of robots with these, and move the ghosts on."""
-        now = self.lab.clock.timeline.now_ns
+        now = self.lab.emulation.timeline.now_ns
         self._begin_when_due(now)
         dt_s = (now - self._then) / SECOND
         self._then = now
@@ -170,7 +170,7 @@ class Ghost:
         )
 
     def _watch(self) -> None:
-        if self._began is None or self.lab.clock.timeline.now_ns < self._began:
+        if self._began is None or self.lab.emulation.timeline.now_ns < self._began:
             self._from = [(robot.x, robot.y) for robot in self.lab.robots]
             return
         guard = self.lab.plant.rig.loop.guard

@@ -24,7 +24,7 @@ from support.paths import EXAMPLES
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING, parse_script
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_wires import LabClock, LiveClock, started
+from tetractl_emulator.virtual_lab import LabClock, LiveClock, started
 from tetractl_microscope.cells.section import CellsSection
 
 from tetractl.core.clock import SECOND, wait_for

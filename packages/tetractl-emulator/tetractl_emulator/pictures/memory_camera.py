@@ -1,4 +1,8 @@
-"""A network camera in memory, in virtual time."""
+"""A network camera in memory: gives our program the parts of a picture stream in virtual time.
+
+They are the parts that `network_camera` would send over HTTP, and our side takes them apart as it
+does those. Pictures are exposed in true time, and wait on the wire while our process stands still.
+"""
 
 from collections import deque
 from collections.abc import Callable
@@ -6,42 +10,49 @@ from typing import Self
 
 from tetractl_microscope.pictures.multipart import Multipart
 
-from tetractl_emulator.pictures.network_camera import BOUNDARY, EmulatedNetworkCamera, coded, part
-from tetractl_emulator.virtual_wires import LabClock
+from tetractl_emulator.pictures.network_camera import (
+    BOUNDARY,
+    WAITING_MAX,
+    DuePart,
+    PictureStream,
+    url_at,
+)
+from tetractl_emulator.virtual_lab import LabClock
 
-WAIT = 32  # pictures that wait on the wire; further ones push out the oldest
 
+class MemoryCamera:
+    """A camera of a `stream` on a LabClock, at the spec's `port`, which is not opened; a context
+    manager. It is also the `Feed` of the program that watches it, which `join` returns.
 
-class MemoryCamera(EmulatedNetworkCamera):
-    """A network camera without threads and sockets, and the `Feed` of the program that watches it.
-
-    Pictures travel as JPEG parts, as over HTTP; they are exposed in true time, and wait on the wire
-    while our side stands still. `on_shown(exposed_ns)` is called when one arrives undamaged.
+    `shown(exposed_ns)` is called when the picture of an exposure arrives undamaged. Nothing is
+    drawn while nobody watches: before `join` and after `interrupt`. Of more than `WAITING_MAX`
+    pictures on the wire the oldest are lost.
     """
 
     live = emulated = True
     rate_hz: float | None = None
-    _take: Callable[[bytes], None] | None = None
-    _clock: LabClock
-    on_shown: Callable[[int], None] = staticmethod(lambda exposed_ns: None)
 
-    def _open(self, port: int) -> None:
-        self._port = port  # not opened
+    def __init__(
+        self, stream: PictureStream, clock: LabClock, port: int, shown: Callable[[int], None]
+    ) -> None:
+        self.port = port
+        self.url = url_at(port)
+        self._stream = stream
+        self._clock = clock
+        self._shown = shown
+        self._start_ns = 0  # when the camera was entered
+        self._next = 0  # number of the next picture
+        self._wire = deque[DuePart](maxlen=WAITING_MAX)
+        self._parts = Multipart(BOUNDARY)
+        self._take: Callable[[bytes], None] | None = None  # None while nobody watches
 
     def __enter__(self) -> Self:
-        self._start = self._clock.true_ns
-        self._number = 0  # of the next picture
-        self._sent = deque[tuple[int, int, bytes]](maxlen=WAIT)
-        self._clock.steps.append(self._turn)
+        self._start_ns = self._clock.true_ns
+        self._clock.steps.append(self._step)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._clock.steps.remove(self._turn)
-
-    @property
-    def port(self) -> int:
-        """The port in the spec."""
-        return self._port
+        self._clock.steps.remove(self._step)
 
     @property
     def watched(self) -> bool:
@@ -50,7 +61,7 @@ class MemoryCamera(EmulatedNetworkCamera):
 
     @property
     def damaged(self) -> int:
-        """Number of parts that could not be read."""
+        """Number of parts that could not be read, since the last `join`."""
         return self._parts.damaged
 
     def join(self, take: Callable[[bytes], None]) -> Self:
@@ -63,20 +74,29 @@ class MemoryCamera(EmulatedNetworkCamera):
         """Pass on no further pictures."""
         self._take = None
 
-    def _turn(self) -> None:
-        now = self._clock.true_ns
-        exposed = self._start + self.timing.middle_ns(self._number)
-        if now >= exposed + self.timing.half_ns:
-            self._number += 1
-            if self.watched and not self.withholds(self._number):
-                jpeg = coded(self._draw(exposed))
-                self._sent.append((exposed + self._latency_ns, exposed, jpeg))
-        while self._sent and self._sent[0][0] <= now:
-            _, exposed, jpeg = self._sent.popleft()
-            sent_part = part(jpeg)
-            body = self.changed(sent_part)
-            if self._take is not None:
-                if body.startswith(sent_part):
-                    self.on_shown(exposed)
-                for jpeg in self._parts.feed(body):
-                    self._take(jpeg)
+    def _step(self) -> None:
+        now_ns = self._clock.true_ns
+        self._expose(now_ns)
+        while self._wire and self._wire[0].due_ns <= now_ns:
+            self._deliver(self._wire.popleft())
+
+    def _expose(self, now_ns: int) -> None:
+        """Put the next picture on the wire, if its exposure has ended."""
+        timing = self._stream.timing
+        exposed_ns = self._start_ns + timing.middle_ns(self._next)
+        if now_ns < exposed_ns + timing.half_ns:
+            return
+        self._next += 1
+        if self.watched and not self._stream.withholds(self._next):
+            drawn = self._stream.drawn_part(exposed_ns)
+            self._wire.append(DuePart(exposed_ns + self._stream.latency_ns, exposed_ns, drawn))
+
+    def _deliver(self, due: DuePart) -> None:
+        """Pass a part to the program that watches, if any, as faults change it."""
+        sent = self._stream.send(due.drawn)
+        if self._take is None:
+            return
+        if sent.startswith(due.drawn):
+            self._shown(due.exposed_ns)
+        for jpeg in self._parts.feed(sent):
+            self._take(jpeg)

@@ -1,4 +1,13 @@
-"""An emulated network camera, which serves drawn pictures as multipart MJPEG on this computer."""
+"""An emulated network camera: serves drawn pictures over HTTP, as web cameras in a network do.
+
+The stream is multipart MJPEG: part after part, each with a boundary, a header, and a JPEG file.
+
+    stream = PictureStream(draw, PictureTiming(rate_hz=30.0))
+    with EmulatedNetworkCamera(stream, MonotonicClock()) as camera:
+        print(camera.url)                                 for any program that reads such streams
+
+`memory_camera` gives the same parts to our program without a network.
+"""
 
 import queue
 import random
@@ -19,6 +28,8 @@ from tetractl.tools.worker import LOOK_S
 from tetractl_emulator.faults import ActingFaults
 
 BOUNDARY = "emulated-by-tetractl"
+WAITING_MAX = 32
+"""Most pictures that wait on the way to a client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,42 +58,87 @@ class PictureTiming:
         return round(self.latency_s * SECOND)
 
 
-class EmulatedNetworkCamera:
-    """Serves pictures at http://127.0.0.1:`port`/; a context manager.
+class PictureStream:
+    """The pictures of an emulated camera, as parts of a multipart stream, with the faults that act.
 
-    `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. A
-    picture is sent when its `timing` says so, or as soon as it is drawn; a busy host skips some
-    exposures. `seed` draws which parts faults spoil. A camera that `drips` sends an endless header
-    byte by byte. TetractlError if the port is in use.
+    `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on the camera's
+    clock. `seed` draws which parts the fault `bad_pictures` spoils.
     """
 
     def __init__(
         self,
         draw: Callable[[int], Grey],
-        clock: Clock,
         timing: PictureTiming,
-        port: int = 0,
-        drips: bool = False,
         acting: ActingFaults | None = None,
         seed: int = 0,
     ) -> None:
         self.timing = timing
+        self._draw = draw
+        self._acting = acting or ActingFaults()
         self._chance = random.Random(seed)
         self._newest = b""  # the last part, before faults spoil it
-        self.acting = acting or ActingFaults()
-        self._drips = drips
-        self._draw = draw
-        self._clock = clock
-        self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
-        self._closing = threading.Event()
-        self._open(port)
 
-    def _open(self, port: int) -> None:
-        camera = self
+    @property
+    def latency_ns(self) -> int:
+        """Time from the middle of an exposure to the sending of its picture, at present [ns]."""
+        late_s = self._acting.total_by("late_pictures")
+        return self.timing.latency_ns + round(late_s * SECOND)
+
+    def withholds(self, number: int) -> bool:
+        """Return whether the picture with this number is not exposed or not sent."""
+        slow = any(number % fault.every for fault in self._acting.of("half_rate"))
+        return slow or bool(self._acting.of("no_frames"))
+
+    def drawn_part(self, exposed_ns: int) -> bytes:
+        """Return the picture of an exposure as a part of the stream."""
+        return part(coded(self._draw(exposed_ns)))
+
+    def send(self, drawn: bytes) -> bytes:
+        """Take a part that is due; return what is sent in its place: the one before if pictures
+        repeat, and perhaps spoilt."""
+        if not self._acting.of("repeat") or not self._newest:
+            self._newest = drawn
+        sent = self._newest
+        for fault in self._acting.of("bad_pictures"):
+            if self._chance.random() < fault.share:
+                sent = SPOILT[fault.how](sent)
+        return sent
+
+
+@dataclass(frozen=True, slots=True)
+class DuePart:
+    """A part of a stream on its way, when it is sent and when it was exposed [ns]."""
+
+    due_ns: int
+    exposed_ns: int
+    drawn: bytes
+
+
+class EmulatedNetworkCamera:
+    """Serves a stream of pictures at http://127.0.0.1:`port`/, by default any free port; a context
+    manager. TetractlError if the port is in use.
+
+    One thread exposes pictures, while anybody watches, and puts each into the queue of every
+    client; a busy host skips some exposures. A thread for each client sends what is in its queue,
+    when it is due; a client that reads slowly misses pictures. `_lock` guards what they share: the
+    queues of the clients, and the stream. A camera that `drips` sends an endless header byte by
+    byte.
+    """
+
+    def __init__(
+        self, stream: PictureStream, clock: Clock, port: int = 0, drips: bool = False
+    ) -> None:
+        self._stream = stream
+        self._clock = clock
+        self._drips = drips
+        self._lock = threading.Lock()
+        self._clients = set[queue.Queue[DuePart]]()
+        self._closing = threading.Event()
+        serve = self._serve
 
         class Answer(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
-                camera._serve(self)
+                serve(self)
 
             def log_message(self, format: str, *args: object) -> None:
                 """Do nothing, so that requests are not printed."""
@@ -112,7 +168,7 @@ class EmulatedNetworkCamera:
     @property
     def url(self) -> str:
         """The stream's URL."""
-        return f"http://127.0.0.1:{self.port}/"
+        return url_at(self.port)
 
     def __enter__(self) -> Self:
         for thread in self._threads:
@@ -128,45 +184,32 @@ class EmulatedNetworkCamera:
             thread.join()
 
     def _expose(self) -> None:
-        start = self._clock.now()
-        half = self.timing.half_ns
+        """Expose picture after picture until the camera closes."""
+        timing = self._stream.timing
+        start_ns = self._clock.now()
         number = 0
         while not self._closing.is_set():
-            due = int((self._clock.now() - start - half) * self.timing.rate_hz / SECOND)
-            number = max(number + 1, due)  # a busy host skips some exposures
-            exposed = start + self.timing.middle_ns(number)
-            self._clock.sleep_until(exposed + half)
-            if self.withholds(number) or not self._clients:
-                continue
-            jpeg = coded(self._draw(exposed))
-            for client in list(self._clients):
+            past_ns = self._clock.now() - start_ns - timing.half_ns
+            number = max(number + 1, int(past_ns * timing.rate_hz / SECOND))
+            exposed_ns = start_ns + timing.middle_ns(number)
+            self._clock.sleep_until(exposed_ns + timing.half_ns)
+            if self.watched and not self._stream.withholds(number):
+                self._queue(exposed_ns)
+
+    def _queue(self, exposed_ns: int) -> None:
+        """Draw a picture, and put it into the queue of every client that is not full."""
+        drawn = self._stream.drawn_part(exposed_ns)
+        due = DuePart(exposed_ns + self._stream.latency_ns, exposed_ns, drawn)
+        with self._lock:
+            for client in self._clients:
                 with suppress(queue.Full):
-                    client.put_nowait((exposed + self._latency_ns, jpeg))
-
-    @property
-    def _latency_ns(self) -> int:
-        """Time from the middle of an exposure to the sending of its picture, at present [ns]."""
-        return self.timing.latency_ns + round(self.acting.total_by("late_pictures") * SECOND)
-
-    def withholds(self, number: int) -> bool:
-        """Return whether the picture with this number is not exposed or not sent."""
-        slow = any(number % fault.every for fault in self.acting.of("half_rate"))
-        return slow or bool(self.acting.of("no_frames"))
-
-    def changed(self, part: bytes) -> bytes:
-        """Return a part as it is sent: the one before if pictures repeat, and perhaps spoilt."""
-        if not self.acting.of("repeat") or not self._newest:
-            self._newest = part
-        sent = self._newest
-        for fault in self.acting.of("bad_pictures"):
-            if self._chance.random() < fault.share:
-                sent = SPOILT[fault.how](sent)
-        return sent
+                    client.put_nowait(due)
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
-        # further pictures are dropped, for a client that reads slowly
-        mine: queue.Queue[tuple[int, bytes]] = queue.Queue(32)
-        self._clients.add(mine)
+        """Answer a client until it has gone or the camera closes."""
+        waiting = queue.Queue[DuePart](WAITING_MAX)
+        with self._lock:
+            self._clients.add(waiting)
         try:
             answer.send_response(200)
             answer.send_header("Server", f"camera ({EMULATED_NAME})")
@@ -178,13 +221,21 @@ class EmulatedNetworkCamera:
             answer.end_headers()
             while not self._closing.is_set():
                 with suppress(queue.Empty):
-                    due, jpeg = mine.get(timeout=LOOK_S)
-                    self._clock.sleep_until(due)
-                    answer.wfile.write(self.changed(part(jpeg)))
+                    due = waiting.get(timeout=LOOK_S)
+                    self._clock.sleep_until(due.due_ns)
+                    with self._lock:
+                        sent = self._stream.send(due.drawn)
+                    answer.wfile.write(sent)
         except OSError:
             pass  # the client has gone
         finally:
-            self._clients.discard(mine)
+            with self._lock:
+                self._clients.discard(waiting)
+
+
+def url_at(port: int) -> str:
+    """Return the URL of a camera at a port of this computer."""
+    return f"http://127.0.0.1:{port}/"
 
 
 def coded(picture: Grey, quality: int = 90) -> bytes:

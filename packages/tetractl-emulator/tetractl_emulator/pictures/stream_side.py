@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 from urllib.parse import urlsplit
@@ -28,9 +29,11 @@ from tetractl_emulator.loop import Loop
 from tetractl_emulator.pictures.memory_camera import MemoryCamera
 from tetractl_emulator.pictures.network_camera import (
     EmulatedNetworkCamera,
+    PictureStream,
     PictureTiming,
 )
 from tetractl_emulator.sides import Body, Facts, Stage
+from tetractl_emulator.virtual_lab import LabClock
 
 SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
 
@@ -178,20 +181,15 @@ class StreamedCamera(ABC):
         named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0
         self._stage = stage
         self._bodies = bodies
-        self._make_camera = partial(
-            EmulatedNetworkCamera if http else MemoryCamera,
-            self._taken,
-            timing=PictureTiming(settings.rate, settings.exposure, section.latency),
-            port=named if port is None else port,
-            drips=settings.drips,
-            acting=stage.acting,
-            seed=self.seed,
-        )
+        self._port = named if port is None else port
+        self._drips = settings.drips
+        timing = PictureTiming(settings.rate, settings.exposure, section.latency)
+        self.pictures = PictureStream(self._taken, timing, stage.acting, self.seed)
         self._history = SceneHistory()
         self._shown: ShownBodies | None = None  # over HTTP, where it is not known what has come
         self._watched = False
-        self._opened = False
         self._exposures = 0
+        self._releases = ExitStack()
 
     @property
     def seed(self) -> int:
@@ -229,20 +227,21 @@ class StreamedCamera(ABC):
         clock = wires.clock()
         self._start_ns = loop.now() - clock.now()
         self._remember()
-        self.camera: Any = self._make_camera(clock=clock)
-        if not wires.http:
+        self.camera: Any
+        if wires.http:
+            self.camera = EmulatedNetworkCamera(self.pictures, clock, self._port, self._drips)
+        else:
+            assert isinstance(clock, LabClock), "wires in memory are those of a LabClock"
             self._shown = ShownBodies(len(self._visible_now()))
-            self.camera.on_shown = partial(self._shown.come, start_ns=self._start_ns)
-        self.camera.__enter__()
-        self._opened = True
+            shown = partial(self._shown.come, start_ns=self._start_ns)
+            self.camera = MemoryCamera(self.pictures, clock, self._port, shown)
+        self._releases.enter_context(self.camera)
         self._expose()
         return {"camera": self.camera.url, "url": self.camera.url}
 
     def close(self) -> Facts:
         """End the stream; return the number of pictures, to be recorded."""
-        if self._opened:
-            self.camera.__exit__()
-            self._opened = False
+        self._releases.close()
         return {"pictures": self._exposures}
 
     @property
@@ -281,4 +280,4 @@ class StreamedCamera(ABC):
             self._joined()
             self._stage.client(self.camera.url)
         self._watched = self.camera.watched
-        self._stage.timeline.at(now + self.camera.timing.middle_ns(1), self._expose)
+        self._stage.timeline.at(now + self.pictures.timing.middle_ns(1), self._expose)

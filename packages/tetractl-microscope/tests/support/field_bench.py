@@ -1,10 +1,11 @@
 """A current driver, a section of the spec for it, in virtual time."""
 
+from support.heard_port import HeardPort
 from support.virtual_lab import PatientClock
 from tetractl_emulator.loop import Timeline
+from tetractl_emulator.memory_wires import MemoryNetwork
 from tetractl_emulator.pictures.driver_core import DriverLimits
 from tetractl_emulator.pictures.field import CurrentDriver
-from tetractl_emulator.virtual_wires import memory_wires
 from tetractl_microscope.coils.actuator import FieldActuator
 from tetractl_microscope.coils.driver import FieldCommand
 from tetractl_microscope.coils.section import FieldSection
@@ -35,24 +36,24 @@ class Bench:
     def __init__(self, limits=LIMITS, baud=115_200):
         self.clock = PatientClock()
         self.told = []
-        self.clock.timeline = Timeline(lambda until: self.driver.advance(until))
-        self.wires = memory_wires(self.clock)
-        self.port = self.wires.port("coils")
+        timeline = Timeline(lambda until: self.driver.advance(until))
+        self.clock.carry(timeline)
+        self.network = MemoryNetwork()
+        self.port = HeardPort(self.network, "coils", lambda: self.driver.readable())
         self.driver = CurrentDriver(
-            self.clock.timeline,
+            timeline,
             self.port,
             limits,
             baud,
             note=lambda event, **facts: self.told.append((event, facts)),
         )
         self.port.plug()
-        self.port.written = self.driver.readable
         self.clock.sleep_until(SECOND // 100)  # it has measured
 
     def opened(self, setup, **changes):
         """Return an actuator that leads to the driver."""
         coils = section(port="coils", **changes)
-        return FieldActuator(coils, setup, self.clock, self.wires.ports)
+        return FieldActuator(coils, setup, self.clock, self.network.serial)
 
 
 class Wire:

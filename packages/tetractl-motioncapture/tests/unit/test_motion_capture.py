@@ -12,7 +12,7 @@ from support.lab_specs import SPEC
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING
 from tetractl_emulator.sides import Options
-from tetractl_emulator.virtual_wires import LabClock, started
+from tetractl_emulator.virtual_lab import LabClock, started
 from tetractl_motioncapture.bridge import stream
 from tetractl_motioncapture.camera import MotionCapture
 from tetractl_motioncapture.process_port import ProcessPort

@@ -2,8 +2,10 @@
 
 import pytest
 from support.device_replies import packed_reply
+from support.heard_port import HeardPort
 from tetractl_emulator.m3pi.emulated_radio import at_response
-from tetractl_emulator.virtual_wires import LabClock, memory_wires
+from tetractl_emulator.memory_wires import MemoryNetwork
+from tetractl_emulator.virtual_lab import LabClock
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
@@ -29,10 +31,9 @@ class Module:
     def __init__(self, answers=SERIES_1, respond=lambda frame: []):
         self.name = "radio"
         self.clock = LabClock()
-        self.wires = memory_wires(self.clock)
-        self.port = self.wires.port(self.name)
+        self.network = MemoryNetwork()
+        self.port = HeardPort(self.network, self.name, self._hear)
         self.port.plug()
-        self.port.written = self._hear
         self.answers = answers
         self.respond = respond
         self.decoder = Decoder()
@@ -46,7 +47,7 @@ class Module:
 
     def _ports(self, *args):
         """Make the port of the link, whose baud rate a test may read."""
-        self.port_of_link = self.wires.ports(*args)
+        self.port_of_link = self.network.serial(*args)
         return self.port_of_link
 
     def _hear(self):
@@ -153,7 +154,7 @@ def test_an_answer_to_another_question_is_dropped():
         frame_id = question[1]
         radio.say(at_response(frame_id, b"BD", b"\x07"))
 
-    radio.port.written = answer_as_if_asked_for_the_baud_rate
+    radio.port.hear = answer_as_if_asked_for_the_baud_rate
     assert link.ask(b"AP") is None
     assert len(questions) == 1
 
@@ -177,7 +178,7 @@ def test_an_answer_to_an_earlier_request_is_none_to_the_next():
         for content in heard[-2:-1]:
             radio.say(at_response(content[1], b"HV", SERIES_1[b"HV"]))
 
-    radio.port.written = late
+    radio.port.hear = late
     assert [link.ask(b"HV") for _ in range(3)] == [None] * 3
 
 
@@ -224,7 +225,7 @@ def stop_robots(monkeypatch):
     """Return what `lab stop` does at a module's port: what it says, or its error."""
 
     def stop(module, alone=True):
-        monkeypatch.setattr("tetractl.lab.actuators.xbee.link.SerialPort", module.wires.ports)
+        monkeypatch.setattr("tetractl.lab.actuators.xbee.link.SerialPort", module.network.serial)
         return stop_all(XbeeSection(port=module.name), module.clock, alone)
 
     return stop

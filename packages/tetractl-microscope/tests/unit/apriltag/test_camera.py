@@ -11,8 +11,13 @@ import pytest
 from support.acting import act
 from support.needs_opencv import finds_small_tags
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
+from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
-from tetractl_emulator.pictures.network_camera import EmulatedNetworkCamera, PictureTiming
+from tetractl_emulator.pictures.network_camera import (
+    EmulatedNetworkCamera,
+    PictureStream,
+    PictureTiming,
+)
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
 from tetractl_microscope.pictures.feed import Picture
@@ -258,7 +263,9 @@ class Served:
     def __init__(self, rate_hz=40.0, **changes):
         clock = MonotonicClock()
         draw = partial(rendered().picture, standing)
-        self.server = EmulatedNetworkCamera(draw, clock, PictureTiming(rate_hz, latency_s=0.02))
+        self.acting = ActingFaults()
+        stream = PictureStream(draw, PictureTiming(rate_hz, latency_s=0.02), self.acting)
+        self.server = EmulatedNetworkCamera(stream, clock)
         source = {"type": "mjpeg", "url": self.server.url}
         self.camera, self.woken = built(source, clock, **{"latency": 0.02, **changes})
 
@@ -282,7 +289,8 @@ def test_exposure_times_are_right_to_a_few_milliseconds():
         return Poses(STANDING.x + 1e-9 * t_ns * speed, STANDING.y, np.zeros(3))
 
     draw = partial(rendered().picture, driving)
-    with EmulatedNetworkCamera(draw, clock, PictureTiming(latency_s=0.04)) as server:
+    stream = PictureStream(draw, PictureTiming(latency_s=0.04))
+    with EmulatedNetworkCamera(stream, clock) as server:
         source = {"type": "mjpeg", "url": server.url}
         camera, woken = built(source, clock, latency=0.04)
         with camera:
@@ -298,7 +306,7 @@ def test_exposure_times_are_right_to_a_few_milliseconds():
 def test_a_camera_that_stops_sending_is_told():
     with Served(connect=0.7) as it:
         it.woken.wait(lambda: it.woken.count >= 3)
-        act(it.server.acting, "no_frames")
+        act(it.acting, "no_frames")
         problems = it.camera.check().problems
         assert problems == (f"no picture comes from {it.server.url} any more",)
 
@@ -306,7 +314,7 @@ def test_a_camera_that_stops_sending_is_told():
 def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
     """Regression: on a busy computer "no picture comes, URL closed the stream"."""
     it = Served(connect=0.1)
-    act(it.server.acting, "no_frames")
+    act(it.acting, "no_frames")
     monkeypatch.setattr(it.camera, "_see", lambda picture, exposed_ns: None)
     it.camera._search(1, Picture(np.zeros((9, 9), np.uint8), 0))
     with pytest.raises(AbortError, match=r"pictures come .* 0.1 s no search") as told:
@@ -317,10 +325,10 @@ def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
 
 def test_a_camera_without_pictures_is_no_camera():
     clock = MonotonicClock()
-    with EmulatedNetworkCamera(
-        partial(rendered().picture, standing), clock, PictureTiming()
-    ) as server:
-        act(server.acting, "no_frames")
+    acting = ActingFaults()
+    act(acting, "no_frames")
+    stream = PictureStream(partial(rendered().picture, standing), PictureTiming(), acting)
+    with EmulatedNetworkCamera(stream, clock) as server:
         camera, _ = built({"type": "mjpeg", "url": server.url}, clock, connect=0.3)
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
             camera.__enter__()

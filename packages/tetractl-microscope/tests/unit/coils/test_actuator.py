@@ -297,7 +297,7 @@ def stop_coils(monkeypatch):
     """Return what `lab stop` does at the port of an emulated driver: what it says, or its error."""
 
     def stop(stage, alone=True):
-        monkeypatch.setattr("tetractl_microscope.coils.driver.SerialPort", stage.wires.ports)
+        monkeypatch.setattr("tetractl_microscope.coils.driver.SerialPort", stage.network.serial)
         return section(port="coils").stop_all(SETUP, stage.clock, alone)
 
     return stop

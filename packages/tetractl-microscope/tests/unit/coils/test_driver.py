@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support.codec_checks import ANY_BYTES, check_any_bytes, check_round_trip
 from support.device_replies import packed_reply
 from support.paths import ROOT
-from tetractl_emulator.virtual_wires import LabClock
+from tetractl_emulator.virtual_lab import LabClock
 from tetractl_microscope.coils import driver
 from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 

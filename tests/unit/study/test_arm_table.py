@@ -231,18 +231,3 @@ def test_errors_of_which_one_is_thirty_times_another_have_a_logarithmic_axis():
     assert drawn_arms([10.0, 11.0], [290.0, 250.0]).get_yscale() == "linear"
     assert drawn_arms([10.0, 11.0], [300.0, 250.0]).get_yscale() == "log"
     assert drawn_arms([0.0, 11.0], [300.0, 250.0]).get_yscale() == "linear"
-
-
-@pytest.mark.parametrize("far", [1.0, 2546.0])
-def test_trials_of_nearly_the_same_error_are_dots_beside_one_another(far):
-    axes = drawn_arms([5.89, 5.9, 5.91, 5.92], [far])
-    figure = axes.get_figure()
-    figure.draw_without_rendering()
-    places_px = {
-        round(float(line.get_transform().transform((x, y))[0]), 1)
-        for line in axes.get_lines()
-        if line.get_gid() == "trials"
-        for x, y in zip(*line.get_data(), strict=True)
-        if y != far
-    }
-    assert len(places_px) == 4

@@ -28,7 +28,7 @@ from tetractl.view.figures.trials import (
 )
 
 NAME_IN = 0.1
-"""Height of a robot's name beside its curve."""
+"""Height of a robot's name next to its curve."""
 NAME_PT = 6.5
 NAME_OF_MANY_PT = 5.5
 """Sizes of names [points], the second for NUMBERED curves or more."""
@@ -47,7 +47,7 @@ SINCE = "time since the first command [s]"
 class Curve:
     """Values (M,) over time, with a `band` of two rows (2, M), from low to high, unless it is None.
 
-    `name` is written beside the axes; `key` is the curve's entry in a legend.
+    `name` is written next to the axes; `key` is the curve's entry in a legend.
     """
 
     values: Floats

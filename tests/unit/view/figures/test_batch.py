@@ -56,6 +56,13 @@ def test_every_counted_trial_is_a_dot_at_its_error_and_a_step_of_its_batchs_curv
     assert len(of_curves.collections) == 2  # a band for each
 
 
+def test_trials_of_the_same_error_are_dots_next_to_one_another():
+    (of_dots, _) = batch_figure([group(batch([[5.9, 0, 0]] * 20))]).axes
+    (dots,) = [drawn for drawn in of_dots.collections if drawn.get_gid() == "trials"]
+    asides = np.sort(dots.get_offsets()[:, 0])
+    assert np.diff(asides).min() > 0.005  # categories
+
+
 def test_a_batch_without_a_controller_is_called_given_directions():
     without_controller = experiment(controller={"type": "sequence", "directions": [0.1]})
     statistics = group(batch(ERRORS[:7].tolist(), without_controller), name="a")

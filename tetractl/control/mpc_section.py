@@ -26,7 +26,8 @@ from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.swimmers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
 
 SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
-_PSO, _MULTISTART = (KindSection(OPTIMIZERS, default=name) for name in ("pso", "multistart"))
+_PSO = KindSection(OPTIMIZERS, OptimizerSection, default="pso")
+_MULTISTART = KindSection(OPTIMIZERS, OptimizerSection, default="multistart")
 
 
 class PriorSection(Model):

@@ -45,7 +45,9 @@ def _valid_actuator(lab: Any) -> ActuatorSection | None:
     """Return the valid section `actuator` of a section of a lab, None if there is none."""
     if not isinstance(lab, dict) or "actuator" not in lab:
         return None
-    adapter = TypeAdapter[ActuatorSection](Annotated[ActuatorSection, KindSection(ACTUATORS)])
+    adapter = TypeAdapter[ActuatorSection](
+        Annotated[ActuatorSection, KindSection(ACTUATORS, ActuatorSection)]
+    )
     try:
         return adapter.validate_python(with_tuples(lab["actuator"]), strict=True, context=STRICT)
     except ValidationError:

@@ -58,7 +58,7 @@ class ShapeSection(Model):
         """Return the obstacle's corners and radius."""
 
 
-Obstacle = Annotated[ShapeSection, KindSection(SHAPES)]
+Obstacle = Annotated[ShapeSection, KindSection(SHAPES, ShapeSection)]
 
 
 class Arena(Model):
@@ -215,9 +215,9 @@ class Scale(Model):
 
 
 _Listed = Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)]
-_PLANT = KindSection(PLANTS, default="sim")
+_PLANT = KindSection(PLANTS, PlantSection, default="sim")
 DEFAULT_CONTROLLER = "mpc"
-_CONTROLLER = KindSection(CONTROLLERS, default=DEFAULT_CONTROLLER)
+_CONTROLLER = KindSection(CONTROLLERS, ControllerSection, default=DEFAULT_CONTROLLER)
 
 
 class Experiment(Model):
@@ -270,7 +270,7 @@ class Experiment(Model):
     """The controller."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
     """The plant; a simulation if no `type` is given."""
-    lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
+    lab: Annotated[LabSection, KindSection(PLANTS, LabSection, default="lab")] | None = None
     """The lab that `--plant lab`, or `emulated`, takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
     """File written by `tetractl identify`, relative to the spec: the turning rate a and speed of

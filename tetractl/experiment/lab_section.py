@@ -226,9 +226,9 @@ class LabSection(PlantSection):
     """A lab with real robots: a camera, an actuator and limits."""
 
     simulated: ClassVar[bool] = False
-    camera: Annotated[CameraSection, KindSection(CAMERAS)]
+    camera: Annotated[CameraSection, KindSection(CAMERAS, CameraSection)]
     """The camera system that tracks the robots."""
-    actuator: Annotated[ActuatorSection, KindSection(ACTUATORS)]
+    actuator: Annotated[ActuatorSection, KindSection(ACTUATORS, ActuatorSection)]
     """The actuator that moves the robots."""
     limits: LabLimits = LabLimits()
     """Limits that stop robots or end a run, and waiting times of a run."""

@@ -3,7 +3,7 @@ registry, and plug-ins add more.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, LiteralString
 
 from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -28,24 +28,24 @@ class KindSection:
     """Annotation of a field that holds a mapping with a `type`, the name of a class in a registry;
     this class validates the mapping.
 
-    `Annotated[Base, KindSection(REGISTRY)]` accepts an instance of Base, or a mapping whose `type`
-    is a name in the registry; `default` is the type of a mapping without `type`. Each class of the
-    registry is a `Model` with its name as the `Literal` of its `type`; classes not derived from
-    Base cannot be chosen here. A class is imported when it is first chosen; PluginError if another
+    `Annotated[Base, KindSection(REGISTRY, Base)]` accepts an instance of Base, or a mapping whose
+    `type` is a name in the registry; `default` is the type of a mapping without `type`. Each class
+    of the registry is a `Model` with its name as the `Literal` of its `type`; classes not derived
+    from Base cannot be chosen here. A class is imported when it is first chosen; PluginError if another
     package's class cannot be used.
     """
 
     registry: Registry
+    base: type[BaseModel]
     default: str | None = None
-    _base: type[Any] = field(default=object, init=False)
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        self._base = source
-
         def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
-            return value if isinstance(value, source) else read(self._section(value), value, info)
+            if isinstance(value, self.base):
+                return value
+            return read(self._section(value), value, info)
 
         return core_schema.with_info_plain_validator_function(validate)
 
@@ -53,7 +53,7 @@ class KindSection:
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
         usable = self.registry.usable()  # so that a broken package does not hide other mistakes
-        sections = {name: kind for name, kind in usable.items() if issubclass(kind, self._base)}
+        sections = {name: kind for name, kind in usable.items() if issubclass(kind, self.base)}
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
         for name, option in options.items():
             if name != self.default:  # a mapping without `type` has the default kind
@@ -80,7 +80,7 @@ class KindSection:
                 raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(missing)})
             raise self._wrong_type("union_tag_invalid", "has an unknown type")
         section = self.registry.load(name)
-        if not issubclass(section, self._base):
+        if not issubclass(section, self.base):
             raise self._wrong_type("union_tag_invalid", "cannot be used here", without=name)
         return section
 

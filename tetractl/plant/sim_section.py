@@ -123,9 +123,9 @@ class SimSection(PlantSection):
     """The true speed is the spec's times 1 + e, with e uniform in [-speed_error, speed_error],
     drawn once per trial and robot.
     """
-    disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
-        default=(), max_length=100
-    )
+    disturbances: tuple[
+        Annotated[DisturbanceSection, KindSection(DISTURBANCES, DisturbanceSection)], ...
+    ] = Field(default=(), max_length=100)
     """Further disturbances, each applied to the result of the one before."""
 
     def clock(self) -> Clock:

@@ -106,7 +106,7 @@ class Study(Model):
     ]
     """Path of the spec that every arm changes, relative to the study's file. In Python also the
     spec's contents."""
-    sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
+    sweep: Annotated[Sweep, KindSection(SWEEPS, Sweep)] | None = None
     """The swept fields with their values; without a sweep, the base's values are used."""
     controllers: dict[Name, dict[FieldPath, Any]] = Field(default={}, max_length=1000)
     """The controllers to compare, by name: each a mapping of paths to values, set before the

@@ -1,20 +1,16 @@
 """An overview of a log: its records of the run, and the counts and sizes of its records."""
 
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import dataclass
 from pathlib import Path
-
-from mcap.records import Attachment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
 from tetractl.core.trial import Result
-from tetractl.log.format import tetractl_pb2 as pb
-from tetractl.log.format.channels import CHANNELS, COMMANDS, LOG, STEP, SUMMARY, Record
+from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.run_records import run_items
 from tetractl.log.provenance import is_version
 from tetractl.log.read.raw_log import ALTERED, RawLog
-from tetractl.log.read.reader import decode_errors, trial_of
+from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Event
 
@@ -59,14 +55,11 @@ class Overview:
 
 
 def overview(path: Path) -> Overview:
-    """Read a whole log and return its overview; raises LogError as `read_trial` does.
-
-    Of an undamaged log, frames, plans and pictures are counted and hashed, but not decoded.
+    """Read a whole log, which may be brief, and return its overview; raises LogError as
+    `read_trial` does.
     """
     contents = scan(path)
-    with decode_errors(contents):
-        needed = contents.records if contents.problems else _shown(contents)
-    trial = trial_of(replace(contents, records=needed))
+    trial = trial_of(contents)
     damage = trial.damage
     if contents.altered:
         before = damage or Damage((), ())
@@ -90,30 +83,6 @@ def overview(path: Path) -> Overview:
         brief=contents.brief,
         damage=damage,
     )
-
-
-def _shown(contents: RawLog) -> list[Record]:
-    """Return what an overview shows or needs of a log's records, in file order: attachments, run,
-    result, events, the first command with a direction, and control steps: the first, and the last
-    with an estimate.
-    """
-    steps = contents.by_topic[STEP]
-    commands = contents.by_topic[COMMANDS]
-    directed = (entry for entry in commands if not pb.WheelCommand.FromString(entry.data).stop)
-    estimates = (
-        entry
-        for entry in reversed(steps)
-        if pb.ControllerStep.FromString(entry.data).HasField("estimate")
-    )
-    needed = [*islice(directed, 1), *steps[:1], *islice(estimates, 1)]
-    needed_ids = {id(entry) for entry in needed}  # of two entries with the same bytes, one
-
-    def is_shown(record: Record) -> bool:
-        if isinstance(record, Attachment):
-            return True
-        return record.topic in SUMMARY or record.topic == LOG or id(record) in needed_ids
-
-    return [record for record in contents.records if is_shown(record)]
 
 
 def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:

@@ -147,7 +147,7 @@ class MicroManagerSource(PictureSource):
 class PictureSection(CameraSection):
     """A camera that searches the pictures of its `source`."""
 
-    source: Annotated[PictureSource, KindSection(PICTURE_SOURCES)]
+    source: Annotated[PictureSource, KindSection(PICTURE_SOURCES, PictureSource)]
     """Source of the pictures."""
     latency: NonNegative = 0.05
     """Time from exposure to arrival of a picture [s]; sources do not report it."""

@@ -31,8 +31,8 @@ class KindSection:
     `Annotated[Base, KindSection(REGISTRY, Base)]` accepts an instance of Base, or a mapping whose
     `type` is a name in the registry; `default` is the type of a mapping without `type`. Each class
     of the registry is a `Model` with its name as the `Literal` of its `type`; classes not derived
-    from Base cannot be chosen here. A class is imported when it is first chosen; PluginError if another
-    package's class cannot be used.
+    from Base cannot be chosen here. A class is imported when it is first chosen; PluginError if
+    another package's class cannot be used.
     """
 
     registry: Registry

@@ -250,7 +250,7 @@ def run_study(
         executor = on_this_machine(jobs, len(tasks), interrupt)
         watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)
         report = batch.run_batch(tasks, store, executor, watcher, fail_fast=False)
-        arm_table.write_tables(loaded, store)
+        arm_table.write_table(loaded, store)
         figure.write_figures(loaded, store)
     for error in report.errors.values():
         raise error

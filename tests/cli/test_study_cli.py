@@ -38,7 +38,7 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(finished_study):
     assert len(arms) == 8
     assert "few-dead_time=0.1-a=3" in arms
     assert {path.name for path in out.iterdir() if path.is_file()} == {
-        "trials.csv", "times.csv", "error-arms.png", "error-plant.dead_time.png",
+        "trials.csv", "error-arms.png", "error-plant.dead_time.png",
         "error-robots.r.a.png",
     }  # fmt: skip
 

@@ -28,7 +28,7 @@ run study.yaml | study.yaml: is a study, not a spec | run it with: tetractl stud
 study spec.yaml | spec.yaml: is a spec, not a study | run it with: tetractl run spec.yaml; a study
 replay spec.yaml | spec.yaml: is not a log (*.mcap) | run it with: tetractl run spec.yaml
 stats out/trials.csv | out/trials.csv: is not a log (*.mcap) | name the folder: out
-report out/times.csv | out/times.csv: is not a log (*.mcap) | name the folder: out
+report out/trials.csv | out/trials.csv: is not a log (*.mcap) | name the folder: out
 replay picture.png | picture.png: is not a log (*.mcap)
 replay logs/figure.png | logs/figure.png: is not a log (*.mcap) | name a log, such as logs/trial-0
 run | SPEC

@@ -8,7 +8,7 @@ from support.running import QUICK, Started
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
-from tetractl.study.arm_table import finished_trials, write_tables
+from tetractl.study.arm_table import finished_trials, write_table
 from tetractl.study.load_study import load_study
 from tetractl.study.missing_trials import lacking
 
@@ -81,7 +81,7 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
             options.get("jobs", 1), len(tasks), Interrupt()
         )
         report = run_batch(tasks, store, executor, watcher, options.get("fail_fast", False))
-        write_tables(loaded, store)
+        write_table(loaded, store)
     return Ran(loaded, store, tasks, outdated, report, watcher)
 
 

@@ -145,14 +145,14 @@ def _run_tasks(
 
 
 def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:
-    """Write tables and, unless the study was interrupted, figures, which take seconds; print the
+    """Write the table and, unless the study was interrupted, figures, which take seconds; print the
     errors and the number of missing trials; return the exit code.
     """
-    from tetractl.study.arm_table import arms_table, finished_trials, write_tables
+    from tetractl.study.arm_table import arms_table, finished_trials, write_table
 
     finished = [trial for _, trial in finished_trials(loaded, store)]
     if finished:
-        paths = list(write_tables(loaded, store))
+        paths = [write_table(loaded, store)]
         if not interrupted:
             from tetractl.study.figure import write_figures
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.clock import MILLISECOND
 from tetractl.core.trial import PlantInfo
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
@@ -20,11 +19,9 @@ from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.table_files import table_files
 
 TRIALS = "trials.csv"
-"""Name of the table of what is repeatable."""
-TIMES = "times.csv"
-"""Name of the table of what differs from run to run."""
-HOST_COLUMNS = ("deadline_misses",)
-"""Columns of `export` that differ between two runs of a trial; only `times.csv` has them."""
+"""Name of the table of all trials, which is the same whenever the study is run."""
+OF_HOST = ("log", "trial", "deadline_misses")
+"""Columns of `export` that this table has in another form, or that differ from run to run."""
 LISTED = 100
 """Largest number of arms in the printed table."""
 
@@ -43,47 +40,30 @@ def origins(loaded: LoadedStudy) -> list[Origin]:
     return [Origin.of(arm.spec.experiment, simulated) for arm in loaded.arms]
 
 
-def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
-    """Write the tables and return their paths; the same results give the same `trials.csv`.
+def write_table(loaded: LoadedStudy, store: Store) -> Path:
+    """Write `trials.csv` and return its path; the same results give the same bytes.
 
-    The columns of `trials.csv` are `log` (its path, from the study's folder), `trial`, `arm`,
-    `controller`, the swept fields by their paths, all columns of `tetractl export`,
-    `content_digest` and `code`. `times.csv` has the columns that differ from run to run.
+    Its columns are `log` (the path from the study's folder), `trial`, `arm`, `controller`, the
+    swept fields by their paths, all columns of `tetractl export` that do not differ from run to
+    run, `content_digest` and `code`.
     """
-    paths = {"trials": store.folder / TRIALS, "times": store.folder / TIMES}
-    trials: list[dict[str, Any]] = []
-    times: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for arm, trial in finished_trials(loaded, store):
         log = Path(trial.log).relative_to(store.folder)
-        name = {"log": str(log), "trial": trial.trial, "arm": arm.name}
-        of_host: dict[str, Any] = {}
-        repeatable: dict[str, Any] = {}
-        for column in trials_table(Batch.of([trial])).columns:
-            if column.name not in ("log", "trial"):
-                cells = of_host if column.key in HOST_COLUMNS else repeatable
-                cells[column.key] = column.known[0]
-        swept: dict[str, Any] = {}
+        row = {"log": str(log), "trial": trial.trial, "arm": arm.name, "controller": arm.controller}
         for path in loaded.paths:
             value = arm.values.get(path)
             is_cell = isinstance(value, int | float | str) or value is None
-            swept[path] = value if is_cell else as_yaml(value)
-        sources = {"content_digest": trial.digest, "code": trial.code}
-        trials.append(name | {"controller": arm.controller} | swept | repeatable | sources)
-        times.append(name | of_host | _times(trial))
-    with table_files(paths) as add:
-        if trials:
-            add("trials", Table.of_records("trials", trials), "")
-            add("times", Table.of_records("times", times), "")
-    return list(paths.values())
-
-
-def _times(trial: ResultSummary) -> dict[str, Any]:
-    """Return the times that a trial's steps took [ms]."""
-    solve_ms = [ns / MILLISECOND for ns in trial.result.solve_ns]
-    return {
-        "solve_mean_ms": sum(solve_ms) / len(solve_ms) if solve_ms else None,
-        "solve_max_ms": max(solve_ms, default=None),
-    }
+            row[path] = value if is_cell else as_yaml(value)
+        for column in trials_table(Batch.of([trial])).columns:
+            if column.key not in OF_HOST:
+                row[column.key] = column.known[0]
+        rows.append(row | {"content_digest": trial.digest, "code": trial.code})
+    path = store.folder / TRIALS
+    with table_files({"trials": path}) as add:
+        if rows:
+            add("trials", Table.of_records("trials", rows), "")
+    return path
 
 
 def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:

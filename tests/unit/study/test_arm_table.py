@@ -8,7 +8,7 @@ import pytest
 from support.studies import FAILING, STUDY, run
 
 from tetractl.results.estimate import ArmErrors, distributions
-from tetractl.study.arm_table import arms_table, field_values, group_of, write_tables
+from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
 from tetractl.study.figure import figure_by_arm, figure_by_field, write_figures
 from tetractl.study.load_study import arm_name
 from tetractl.view.figures.sweep import errors_by
@@ -71,7 +71,7 @@ def test_a_trial_that_aborted_does_not_count(tmp_path):
 
 
 def test_the_table_has_one_tidy_row_a_trial(ran):
-    trials, _ = write_tables(ran.loaded, ran.store)
+    trials = write_table(ran.loaded, ran.store)
     rows = rows_of(trials)
     assert [(row["arm"], int(row["trial"])) for row in rows] == list(ran.finished)
     columns = list(rows[0])
@@ -79,13 +79,6 @@ def test_the_table_has_one_tidy_row_a_trial(ran):
     assert columns[4:6] == ["plant.dead_time", "robots.r.a"]
     assert columns[-2:] == ["content_digest", "code"]
     assert "deadline_misses" not in columns  # the same on every machine
-
-
-def test_times_are_a_table_of_their_own(ran):
-    _, times = write_tables(ran.loaded, ran.store)
-    rows = rows_of(times)
-    assert float(rows[0]["solve_max_ms"]) >= float(rows[0]["solve_mean_ms"]) > 0
-    assert len(rows) == len(ran.loaded.arms) * TRIALS == 40
 
 
 def test_the_errors_of_arms_are_a_table(ran):

@@ -35,7 +35,6 @@ from tetractl.tools.cache import (
     say_once,
 )
 from tetractl.tools.kernels import sources
-from tetractl.tools.kernels.light_parts import light
 
 _dumps: Any
 _rebuild: Any
@@ -183,7 +182,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(**light(numba.__version__), **options)(function)
+        dispatcher: Any = njit(**options)(function)
         if options.get("no_cpython_wrapper"):
             return dispatcher
         place = folder()

@@ -26,7 +26,7 @@ LEFT_OUT = shutil.ignore_patterns(".git", ".venv*", "logs", "build", "node_modul
 TABLE = r"""
 tetractl/analysis/analyze.py | least_gap < TOO_ALIKE | least_gap > TOO_ALIKE | tests/unit/analysis/test_analyze.py
 tetractl/cli/logs.py | min(max(digits, 0), 9) | min(max(digits, 1), 9) | tests/cli/test_info_cli.py
-tetractl/control/kernels/clearance.py | range(FIRST, last + 1, 2) | range(FIRST, last, 2) | tests/unit/control/kernels/test_clearance.py
+tetractl/control/kernels/clearance.py | range(count) | range(count - 1) | tests/unit/control/kernels/test_clearance.py
 tetractl/control/kernels/filter.py | (model, i, z, u) - _turning_rate(model, i, z, u_before) | (model, i, z, u) + _turning_rate(model, i, z, u_before) | tests/unit/control/test_filter.py
 tetractl/control/kernels/filter_motion.py | += cos_less_1 * p + s * q + sine_w * ln_w | += cos_less_1 * p - s * q + sine_w * ln_w | tests/unit/control/test_filter.py
 tetractl/core/poses.py | return corner + 4 * self.noise_mm | return corner + self.noise_mm | tests/unit/lab/test_sight.py

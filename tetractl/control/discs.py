@@ -15,6 +15,7 @@ import numpy as np
 
 from tetractl.control.evaluate import compiled_drive
 from tetractl.control.kernels import clearance
+from tetractl.control.kernels.obstacles import arrays_of
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -29,7 +30,7 @@ lines between them."""
 def gaps(obstacles: Obstacles, x: Floats, y: Floats) -> Floats:
     """Return the distance of each point x, y (P,) to each obstacle, (O, P), negative inside."""
     distances = np.empty((obstacles.count, len(x)))
-    clearance.gaps(obstacles.rows, obstacles.walls, x, y, distances)
+    clearance.gaps(arrays_of(obstacles), x, y, distances)
     return distances
 
 
@@ -39,20 +40,14 @@ class Discs:
     def __init__(self, radius: float, shapes: Sequence[Shape], walls: Bounds | None) -> None:
         self._radius = radius
         self._obstacles = Obstacles.of(shapes, 0.0, walls)
+        self._bare = arrays_of(self._obstacles)
         # a disc touches an obstacle where its centre is in the obstacle grown by the radius
-        self._grown = Obstacles.of(shapes, radius, walls)
+        self._grown = arrays_of(Obstacles.of(shapes, radius, walls))
 
     def enters(self, path: Floats) -> bool:
         """Return whether a disc touches an obstacle or another disc on the way along path
         (M, N, 3), or goes deeper if it touches one at the beginning."""
-        return clearance.enters(
-            self._obstacles.rows,
-            self._obstacles.walls,
-            self._grown.rows,
-            self._grown.walls,
-            self._radius,
-            path,
-        )
+        return clearance.enters(self._bare, self._grown, self._radius, path)
 
     def enters_if_held(self, problem: Problem, directions: Floats, seconds: float) -> bool:
         """Return whether a disc touches something within `seconds`, in which robots follow their

@@ -1,33 +1,53 @@
-"""The obstacle region O of (13): a union of shapes, and what lies outside the walls of an arena."""
+"""Where robots may not be, the region O of (13): shapes, and what lies outside an arena's walls.
+
+    obstacles = Obstacles.of(setup.obstacles, margin=40.0, walls=setup.arena)
+    obstacles.distance(x, y)  # of each point to the nearest obstacle, negative inside
+
+`Obstacles` keeps all shapes in a few arrays, which compiled kernels read: see
+`tetractl.control.kernels.obstacles`, the twin of what is here and in `tetractl.core.shape`.
+"""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 
-OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
-"""Sign of the way out through the left, bottom, right and top wall of an arena."""
+# the entries of `Obstacles.walls`
+LEFT = 0
+"""Least x of the region between the walls [length unit]."""
+BOTTOM = 1
+"""Least y of it [length unit]."""
+RIGHT = 2
+"""Greatest x of it [length unit]."""
+TOP = 3
+"""Greatest y of it [length unit]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacles:
-    """A union of O obstacles, edges included: shapes, then the left, bottom, right and top wall.
+    """A union of O obstacles, edges included: M shapes, then the left, bottom, right and top wall.
 
-    Obstacles are numbers, which the kernels read: `rows` (M, 6 + 2 K), padded with zeros, has for
-    each shape its radius, number of corners, left, bottom, right and top, then x, y of each corner;
-    `walls` (4,) are left, bottom, right and top of the region between the walls, or (0,) for none;
-    `boxes` (M, 4) the sides of each polygon without its radius. Lengths in the spec's unit.
+    A shape is every point within a radius of a polygon, see `Shape`. Lengths in the spec's unit.
     """
 
-    rows: Floats
+    corners: Floats
+    """x, y of the corners of each polygon, (M, K, 2), padded with zeros."""
+    corner_counts: Integers
+    """Number of corners of each polygon, (M,)."""
+    radii: Floats
+    """Radius of each shape, (M,)."""
+    low: Floats
+    """Least x, y of the corners of each polygon, (M, 2)."""
+    high: Floats
+    """Greatest x, y of them, (M, 2)."""
     walls: Floats
-    boxes: Floats
+    """The walls at LEFT, BOTTOM, RIGHT and TOP, (4,); (0,) for none."""
 
     @classmethod
     def of(
@@ -35,43 +55,54 @@ class Obstacles:
     ) -> Self:
         """Return the union of shapes and of the walls of an arena, all grown by a margin."""
         corners_max = max((len(shape.corners) for shape in shapes), default=0)
-        rows = np.zeros((len(shapes), 6 + 2 * corners_max))
-        boxes = np.zeros((len(shapes), 4))
+        corners = np.zeros((len(shapes), corners_max, 2))
+        low = np.zeros((len(shapes), 2))
+        high = np.zeros((len(shapes), 2))
         for i, shape in enumerate(shapes):
-            rows[i, 0] = shape.radius
-            rows[i, 1] = len(shape.corners)
-            rows[i, 6 : 6 + shape.corners.size] = shape.corners.ravel()
-            boxes[i] = replace(shape, radius=0.0).box
-        edges = () if walls is None else astuple(walls)
-        bare = cls(rows, np.array(edges, dtype=np.float64), boxes)
+            corners[i, : len(shape.corners)] = shape.corners
+            low[i] = shape.corners.min(axis=0)
+            high[i] = shape.corners.max(axis=0)
+        sides = () if walls is None else (walls.left, walls.bottom, walls.right, walls.top)
+        bare = cls(
+            corners=corners,
+            corner_counts=np.array([len(shape.corners) for shape in shapes], dtype=np.int64),
+            radii=np.array([shape.radius for shape in shapes], dtype=np.float64),
+            low=low,
+            high=high,
+            walls=np.array(sides, dtype=np.float64),
+        )
         return bare.grown(np.full(bare.count, margin))
 
     @property
     def count(self) -> int:
         """The number O of obstacles; each wall counts."""
-        return len(self.rows) + self.walls.size
+        return len(self.radii) + self.walls.size
 
     def grown(self, margins: Floats) -> Self:
         """Return the obstacles, each grown by its own margin, (O,)."""
-        rows = self.rows.copy()
-        walls = self.walls
-        rows[:, 0] += margins[: len(rows)]
-        rows[:, 2:6] = self.boxes + OUTWARD * rows[:, :1]
+        shapes = len(self.radii)
+        walls = self.walls.copy()
         if walls.size:
-            walls = walls - OUTWARD * margins[-4:]
-        return type(self)(rows, walls, self.boxes)
+            of_walls = margins[shapes:]
+            walls[LEFT] += of_walls[LEFT]
+            walls[BOTTOM] += of_walls[BOTTOM]
+            walls[RIGHT] -= of_walls[RIGHT]
+            walls[TOP] -= of_walls[TOP]
+        return replace(self, radii=self.radii + margins[:shapes], walls=walls)
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
         """The shapes, as the readable functions below use them."""
-        corners = [row[6 : 6 + 2 * int(row[1])].reshape(-1, 2) for row in self.rows]
-        radii = self.rows[:, 0]
-        return tuple(Shape(*shape) for shape in zip(corners, radii, strict=True))
+        of_all = zip(self.corners, self.corner_counts, self.radii, strict=True)
+        return tuple(Shape(corners[:count], radius) for corners, count, radius in of_all)
 
     @property
     def inside(self) -> Bounds | None:
         """The region between the walls, None for no walls."""
-        return Bounds(*self.walls.tolist()) if self.walls.size else None
+        if not self.walls.size:
+            return None
+        left, bottom, right, top = self.walls.tolist()
+        return Bounds(left=left, bottom=bottom, right=right, top=top)
 
     def distances(self, x: Floats, y: Floats) -> Floats:
         """Return the distance of each point to each obstacle (O, ...), negative inside."""
@@ -104,7 +135,9 @@ class Obstacles:
         """Return a lower bound of `distance`, or of 0 inside, that is quick to compute: the
         distance to the nearest box of a shape, or wall; inf if there is no obstacle."""
         least_squared = np.full(x.shape, np.inf)
-        for left, bottom, right, top in self.rows[:, 2:6].tolist():
+        lows = (self.low - self.radii[:, None]).tolist()
+        highs = (self.high + self.radii[:, None]).tolist()
+        for (left, bottom), (right, top) in zip(lows, highs, strict=True):
             east = np.maximum(np.maximum(left - x, x - right), 0.0)
             north = np.maximum(np.maximum(bottom - y, y - top), 0.0)
             least_squared = np.minimum(least_squared, east * east + north * north)

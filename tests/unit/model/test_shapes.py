@@ -12,7 +12,6 @@ from support.geometry import gap, meets
 from support.shapes import GRID, L_SHAPE, SHAPES, circles, combs, rectangles
 
 from tetractl.control.kernels import obstacles as kernel
-from tetractl.core.obstacles import Obstacles
 from tetractl.core.registries import SHAPES as REGISTRY
 from tetractl.core.shape import Shape
 from tetractl.model.shapes.polygon import Polygon
@@ -57,17 +56,13 @@ def least_distance(shape, x0, y0, x1, y1):
 
 
 @njit
-def compiled_touches(row, x0, y0, x1, y1):
-    return kernel.touches(row, x0, y0, x1, y1)
+def compiled_touches(corners, radius, x0, y0, x1, y1):
+    return kernel.touches(corners, len(corners), radius, x0, y0, x1, y1)
 
 
 @njit
-def compiled_nearest(row, x, y):
-    return kernel.nearest(row, x, y)
-
-
-def row(shape):
-    return Obstacles.of((shape,)).rows[0]
+def compiled_nearest(corners, radius, x, y):
+    return kernel.nearest(corners, len(corners), radius, x, y)
 
 
 def test_the_strategies_know_every_kind_that_is_built_in():
@@ -123,11 +118,11 @@ def test_shapes_grow_by_the_margin_and_no_more(section, x0, y0, x1, y1, margin):
 @example(L_SHAPE, 4.0, 0.5, 0.0, 0.0, 0.0)  # on an edge
 def test_the_kernels_agree(section, x0, y0, x1, y1, margin):
     shape = section.shape().grown(margin)
-    touches = compiled_touches(row(shape), x0, y0, x1, y1)
+    touches = compiled_touches(shape.corners.copy(), shape.radius, x0, y0, x1, y1)
     if touches != crosses(shape, x0, y0, x1, y1):  # only where the segment just touches
         assert crosses(shape.grown(1e-7), x0, y0, x1, y1)
         assert margin == 0 or not crosses(shape.grown(-1e-7), x0, y0, x1, y1)
-    gap_size, east, north = compiled_nearest(row(shape), x0, y0)
+    gap_size, east, north = compiled_nearest(shape.corners.copy(), shape.radius, x0, y0)
     assert gap_size == pytest.approx(distance(shape, x0, y0), abs=1e-9)
     assert math.hypot(east, north) == pytest.approx(1, abs=1e-6)
     if gap_size < -1e-6 and margin == 0:
@@ -141,7 +136,7 @@ def test_the_kernels_agree(section, x0, y0, x1, y1, margin):
     [(2.0, 0.0, (0, -1)), (4.0, 0.5, (1, 0)), (1.0, 2.0, (1, 0)), (3.0, 1.0, (0, 1))],
 )
 def test_outward_of_a_point_on_an_edge_is_its_normal(x, y, out):
-    _, east, north = compiled_nearest(row(L), x, y)
+    _, east, north = compiled_nearest(L.corners.copy(), L.radius, x, y)
     assert (east, north) == out
 
 
@@ -152,7 +147,7 @@ def test_two_corners_with_a_radius_are_a_capsule():
     assert capsule.distance(x, y).tolist() == [-1, 1, 0, 2]
     assert crosses(capsule, 2, 3, 2, -3)
     assert not crosses(capsule, 4.8, 1, 6, -1)
-    assert compiled_touches(row(capsule), 2.0, 3.0, 2.0, -3.0)
+    assert compiled_touches(capsule.corners, capsule.radius, 2.0, 3.0, 2.0, -3.0)
     assert capsule.distance(*capsule.outline().T) == pytest.approx(0, abs=1e-12)
 
 

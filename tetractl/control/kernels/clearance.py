@@ -1,41 +1,33 @@
-"""The clearance of robots from obstacles, walls and each other, which `tetractl.control.margins`
-and `discs` ask at every control step. Obstacles are `rows` and `walls` of
-`tetractl.core.obstacles`.
+"""How far robots are from obstacles and from each other, and whether they touch on their way.
+
+Compiled, as a controller asks this at every control step, by `tetractl.control.margins` and
+`discs`. Distances [length unit] have the bits of `tetractl.core.obstacles`, which is the readable
+twin; obstacles are `ObstacleArrays`, of which obstacle o is a shape or a wall. x, y (P,) are points
+and a path (M, N, 3) the x, y and heading of N robots at M moments, with straight ways in between.
 """
 
 import math
 
-from tetractl.control.kernels.obstacles import (
-    BOTTOM,
-    CORNERS,
-    FIRST,
-    LEFT,
-    RADIUS,
-    RIGHT,
-    TOP,
-    touches,
-)
+from tetractl.control.kernels.obstacles import touches, wall_distance
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 
 
 @compiled(**INLINE_EXACT)
-def _gap(rows, walls, o, x, y):
-    """Return the distance of (x, y) to obstacle o, negative inside; bit by bit that of
-    `tetractl.core.shape`."""
-    if o >= rows.shape[0]:
-        w = o - rows.shape[0]
-        along = x if w % 2 == 0 else y
-        return along - walls[w] if w < 2 else walls[w] - along
-    row = rows[o]
-    last = FIRST + 2 * int(row[CORNERS]) - 2
+def _distance(obstacles, o, x, y):
+    """Return the distance of (x, y) to obstacle o, negative inside."""
+    shapes = obstacles.radii.size
+    if o >= shapes:
+        return wall_distance(obstacles.walls, o - shapes, x, y)
+    corners = obstacles.corners[o]
+    count = obstacles.corner_counts[o]
     inside = False
     least = math.inf
-    ax = row[last]
-    ay = row[last + 1]
-    for k in range(FIRST, last + 1, 2):
-        bx = row[k]
-        by = row[k + 1]
+    ax = corners[count - 1, 0]
+    ay = corners[count - 1, 1]
+    for k in range(count):
+        bx = corners[k, 0]
+        by = corners[k, 1]
         ex = bx - ax
         ey = by - ay
         if (ay > y) != (by > y) and (ex * (y - ay) - ey * (x - ax) > 0) == (by > ay):
@@ -46,42 +38,46 @@ def _gap(rows, walls, o, x, y):
         least = min(least, math.hypot(x - (ax + along * ex), y - (ay + along * ey)))
         ax = bx
         ay = by
-    return (-least if inside else least) - row[RADIUS]
+    return (-least if inside else least) - obstacles.radii[o]
 
 
 @compiled(**INLINE_EXACT)
-def _least(rows, walls, x, y):
+def _least_distance(obstacles, x, y):
     """Return the distance of (x, y) to the nearest obstacle, inf if there is none."""
     least = math.inf
-    for o in range(rows.shape[0] + walls.size):
-        least = min(least, _gap(rows, walls, o, x, y))
+    for o in range(obstacles.radii.size + obstacles.walls.size):
+        least = min(least, _distance(obstacles, o, x, y))
     return least
 
 
 @compiled(**INLINE_EXACT)
-def crosses(rows, walls, x0, y0, x1, y1):
+def crosses(obstacles, x0, y0, x1, y1):
     """Return whether the segment from (x0, y0) to (x1, y1) touches an obstacle."""
+    walls = obstacles.walls
     for w in range(walls.size):
-        o = rows.shape[0] + w
-        if _gap(rows, walls, o, x0, y0) <= 0 or _gap(rows, walls, o, x1, y1) <= 0:
+        if wall_distance(walls, w, x0, y0) <= 0 or wall_distance(walls, w, x1, y1) <= 0:
             return True
-    for o in range(rows.shape[0]):
-        row = rows[o]
-        if max(x0, x1) < row[LEFT] or min(x0, x1) > row[RIGHT]:
+    for o in range(obstacles.radii.size):
+        radius = obstacles.radii[o]
+        left = obstacles.low[o, 0] - radius
+        right = obstacles.high[o, 0] + radius
+        if max(x0, x1) < left or min(x0, x1) > right:
             continue
-        if max(y0, y1) < row[BOTTOM] or min(y0, y1) > row[TOP]:
+        bottom = obstacles.low[o, 1] - radius
+        top = obstacles.high[o, 1] + radius
+        if max(y0, y1) < bottom or min(y0, y1) > top:
             continue
-        if touches(row, x0, y0, x1, y1):
+        if touches(obstacles.corners[o], obstacles.corner_counts[o], radius, x0, y0, x1, y1):
             return True
     return False
 
 
 @compiled(**ENTRY)
-def gaps(rows, walls, x, y, distances):
+def gaps(obstacles, x, y, distances):
     """Write the distance of each point x, y (P,) to each obstacle to distances (O, P)."""
     for o in range(distances.shape[0]):
         for n in range(x.size):
-            distances[o, n] = _gap(rows, walls, o, x[n], y[n])
+            distances[o, n] = _distance(obstacles, o, x[n], y[n])
 
 
 @compiled(**ENTRY)
@@ -95,24 +91,47 @@ def least_apart(x, y):
 
 
 @compiled(**ENTRY)
-def enters(rows, walls, body_rows, body_walls, radius, path):
-    """Return whether a body would touch an obstacle or another body on the way along path
-    (M, N, 3), or would go deeper if it touches one at the beginning.
+def enters(bare, grown, radius, path):
+    """Return whether a body of this radius touches an obstacle or another body on the way along
+    path, or goes deeper if it touches one at the beginning.
 
-    The obstacles are given bare and grown by the bodies' radius.
+    Obstacles are given `bare`, and `grown` by the radius: a body touches one where its centre is in
+    the grown one.
     """
     for i in range(path.shape[1]):
-        crossed = deeper = False
-        first = _least(rows, walls, path[0, i, 0], path[0, i, 1])
-        for m in range(1, path.shape[0]):
-            ends = path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]
-            crossed |= crosses(body_rows, body_walls, *ends)
-            deeper |= _least(rows, walls, path[m, i, 0], path[m, i, 1]) < first
-            for k in range(i):
-                before = math.hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
-                apart = math.hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
-                if apart < min(2 * radius, before):
-                    return True
-        if crossed and (deeper or _least(body_rows, body_walls, path[0, i, 0], path[0, i, 1]) > 0):
+        if _meets_another(i, radius, path) or _enters_obstacle(i, bare, grown, path):
             return True
     return False
+
+
+@compiled(**INLINE_EXACT)
+def _meets_another(i, radius, path):
+    """Return whether body i overlaps one of the bodies before it at a moment after the first, and
+    is nearer to it than at the first."""
+    for m in range(1, path.shape[0]):
+        for k in range(i):
+            before = math.hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
+            apart = math.hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
+            if apart < min(2 * radius, before):
+                return True
+    return False
+
+
+@compiled(**INLINE_EXACT)
+def _enters_obstacle(i, bare, grown, path):
+    """Return whether body i touches an obstacle on its way: whether it did not at the first moment,
+    or is nearer to the nearest one at a later moment."""
+    crossed = False
+    deeper = False
+    x = path[0, i, 0]
+    y = path[0, i, 1]
+    first = _least_distance(bare, x, y)
+    begins_clear = _least_distance(grown, x, y) > 0
+    for m in range(1, path.shape[0]):
+        x_after = path[m, i, 0]
+        y_after = path[m, i, 1]
+        crossed |= crosses(grown, x, y, x_after, y_after)
+        deeper |= _least_distance(bare, x_after, y_after) < first
+        x = x_after
+        y = y_after
+    return crossed and (deeper or begins_clear)

@@ -312,9 +312,9 @@ def _push_out_of_obstacles(problem, room, floor, slack, residuals):
             depth = room.depths[i, o] + slack
             if depth > 0:
                 signal = room.deepest[i, o]
-                east, north = outward(
-                    problem.rows, problem.walls, o, path.x[i, signal], path.y[i, signal]
-                )
+                x = path.x[i, signal]
+                y = path.y[i, signal]
+                east, north = outward(problem.obstacles, o, x, y)
                 c = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 room.residual[r] = c * depth
                 _write_pull(room, r, r, i, signal, -c * east, -c * north)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
+from tetractl.control.kernels.obstacles import ObstacleArrays, arrays_of
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
@@ -63,10 +64,7 @@ class FlatProblem(NamedTuple):
     turning right."""
     rest: Any
     """`Lanes`, the same for the other signals; both have the same class."""
-    rows: Floats
-    """`Obstacles.rows`"""
-    walls: Floats
-    """`Obstacles.walls`"""
+    obstacles: ObstacleArrays
     obstacle_weight: float
     """omega_p of (7)."""
     swept: bool
@@ -105,8 +103,7 @@ def flatten(problem: Problem) -> FlatProblem:
         period=float(problem.period),
         first=first,
         rest=rest,
-        rows=problem.obstacles.rows,
-        walls=problem.obstacles.walls,
+        obstacles=arrays_of(problem.obstacles),
         obstacle_weight=float(problem.obstacle_weight),
         swept=problem.swept,
         separation=float(problem.separation),

@@ -1,34 +1,45 @@
 """Whether robots are in obstacles, and how deep: the compiled twin of `tetractl.core.shape`.
 
-Obstacles are numbers: `rows` and `walls` of `tetractl.core.obstacles`, which number first the
-shapes and then the walls. Every shape runs the same code.
+Kernels take obstacles as `ObstacleArrays`; obstacle o is shape o if o < M, else wall o - M, the
+walls being LEFT, BOTTOM, RIGHT and TOP. All shapes are polygons with a radius and run the same
+code. The `corners` of one shape are (K, 2), of which the first `count` are in use.
 """
 
 import math
+from typing import NamedTuple
 
+from tetractl.core.obstacles import BOTTOM, LEFT, RIGHT, TOP, Obstacles
+from tetractl.core.poses import Floats, Integers
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST
-
-# Columns of a row.
-RADIUS = 0
-"""Radius by which the polygon is grown [length unit]."""
-CORNERS = 1
-"""Number of corners of the polygon."""
-LEFT = 2
-"""Least x of the box around the shape [length unit]."""
-BOTTOM = 3
-"""Least y of the box [length unit]."""
-RIGHT = 4
-"""Greatest x of the box [length unit]."""
-TOP = 5
-"""Greatest y of the box [length unit]."""
-FIRST = 6
-"""x of the first corner, then y, then x of the next [length unit]."""
 
 HALF_MORE = 0.5000001
 """Half, and a little more than rounding takes: a box must not be too small."""
 ON_EDGE = 1e-9
 """Distance from an edge, over the coordinates, below which a point is on it."""
+
+
+class ObstacleArrays(NamedTuple):
+    """What `Obstacles` are, in arrays that compiled code can read; see there."""
+
+    corners: Floats  # (M, K, 2) x, y of the corners of each polygon
+    corner_counts: Integers  # (M,)
+    radii: Floats  # (M,) of the shapes
+    low: Floats  # (M, 2) least x, y of the corners
+    high: Floats  # (M, 2) greatest x, y of the corners
+    walls: Floats  # (4,) or, for none, (0,)
+
+
+def arrays_of(obstacles: Obstacles) -> ObstacleArrays:
+    """Return the arrays of obstacles, which are shared."""
+    return ObstacleArrays(
+        corners=obstacles.corners,
+        corner_counts=obstacles.corner_counts,
+        radii=obstacles.radii,
+        low=obstacles.low,
+        high=obstacles.high,
+        walls=obstacles.walls,
+    )
 
 
 @compiled(**INLINE_FAST)
@@ -42,18 +53,17 @@ def gap2(x, y, ex, ey):
 
 
 @compiled(**INLINE_FAST)
-def touches(row, x0, y0, x1, y1):
-    """Return whether the segment from (x0, y0) to (x1, y1) touches the shape of a row."""
-    last_corner = FIRST + 2 * int(row[CORNERS]) - 2
-    reach = row[RADIUS] * row[RADIUS]
+def touches(corners, count, radius, x0, y0, x1, y1):
+    """Return whether the segment from (x0, y0) to (x1, y1) touches a shape."""
+    reach = radius * radius
     inside = False
     dx = x1 - x0
     dy = y1 - y0
-    ax = row[last_corner]
-    ay = row[last_corner + 1]
-    for k in range(FIRST, last_corner + 1, 2):
-        bx = row[k]
-        by = row[k + 1]
+    ax = corners[count - 1, 0]
+    ay = corners[count - 1, 1]
+    for k in range(count):
+        bx = corners[k, 0]
+        by = corners[k, 1]
         ex = bx - ax
         ey = by - ay
         if gap2(x1 - ax, y1 - ay, ex, ey) <= reach or gap2(x0 - ax, y0 - ay, ex, ey) <= reach:
@@ -74,22 +84,21 @@ def touches(row, x0, y0, x1, y1):
 
 
 @compiled(**INLINE_FAST)
-def nearest(row, x, y):
-    """Return the distance of (x, y) to the shape of a row, negative inside, and the unit vector
-    along which it grows; at an edge of the polygon, the edge's normal.
+def nearest(corners, count, radius, x, y):
+    """Return the distance of (x, y) to a shape, negative inside, and the unit vector along which it
+    grows; at an edge of the polygon, the edge's normal.
     """
-    last = FIRST + 2 * int(row[CORNERS]) - 2
     inside = False
     least = math.inf
     normal_x = 0.0
     normal_y = 0.0
     out_x = 1.0
     out_y = 0.0
-    ax = row[last]
-    ay = row[last + 1]
-    for k in range(FIRST, last + 1, 2):
-        bx = row[k]
-        by = row[k + 1]
+    ax = corners[count - 1, 0]
+    ay = corners[count - 1, 1]
+    for k in range(count):
+        bx = corners[k, 0]
+        by = corners[k, 1]
         ex = bx - ax
         ey = by - ay
         px = x - ax
@@ -118,7 +127,7 @@ def nearest(row, x, y):
         out_x = -out_x
         out_y = -out_y
     size = math.sqrt(out_x * out_x + out_y * out_y)
-    return (-away if inside else away) - row[RADIUS], out_x / size, out_y / size
+    return (-away if inside else away) - radius, out_x / size, out_y / size
 
 
 @compiled(**INLINE_FAST)
@@ -128,7 +137,8 @@ def count_hits(problem, x, y, i, room):
     The robot is at x, y (N, P); if ways are `swept`, it came there from x_before, y_before (P,) of
     the room. Its gap and near (P,) are scratch.
     """
-    walls = problem.walls
+    obstacles = problem.obstacles
+    walls = obstacles.walls
     swept = problem.swept
     x0 = room.x_before
     y0 = room.y_before
@@ -138,24 +148,30 @@ def count_hits(problem, x, y, i, room):
     for n in range(particles):
         gap[n] = 1.0
     if walls.size:
-        left = walls[0]
-        bottom = walls[1]
-        right = walls[2]
-        top = walls[3]
+        left = walls[LEFT]
+        bottom = walls[BOTTOM]
+        right = walls[RIGHT]
+        top = walls[TOP]
         for n in range(particles):
             across = min(x[i, n] - left, right - x[i, n])
             gap[n] = min(across, min(y[i, n] - bottom, top - y[i, n]))
         for n in range(particles if swept else 0):
             across = min(x0[n] - left, right - x0[n])
             gap[n] = min(gap[n], min(across, min(y0[n] - bottom, top - y0[n])))
-    for o in range(problem.rows.shape[0]):
+    for o in range(obstacles.radii.size):
         # the box around the shape, tested for all particles at once, leaves few to be tested
-        row = problem.rows[o]
+        corners = obstacles.corners[o]
+        count = obstacles.corner_counts[o]
+        radius = obstacles.radii[o]
+        box_left = obstacles.low[o, 0] - radius
+        box_bottom = obstacles.low[o, 1] - radius
+        box_right = obstacles.high[o, 0] + radius
+        box_top = obstacles.high[o, 1] + radius
         in_box = 0.0
-        mid_x = (row[LEFT] + row[RIGHT]) / 2.0
-        mid_y = (row[BOTTOM] + row[TOP]) / 2.0
-        half_x = (row[RIGHT] - row[LEFT]) * HALF_MORE
-        half_y = (row[TOP] - row[BOTTOM]) * HALF_MORE
+        mid_x = (box_left + box_right) / 2.0
+        mid_y = (box_bottom + box_top) / 2.0
+        half_x = (box_right - box_left) * HALF_MORE
+        half_y = (box_top - box_bottom) * HALF_MORE
         if swept:
             for n in range(particles):
                 hx = (x[i, n] - x0[n]) / 2.0
@@ -174,7 +190,7 @@ def count_hits(problem, x, y, i, room):
             for n in range(particles):
                 if near[n] <= 0 and gap[n] > 0:
                     ax, ay = (x0[n], y0[n]) if swept else (x[i, n], y[i, n])
-                    if touches(row, ax, ay, x[i, n], y[i, n]):
+                    if touches(corners, count, radius, ax, ay, x[i, n], y[i, n]):
                         gap[n] = 0.0
     for n in range(particles):
         room.hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
@@ -188,32 +204,38 @@ def find_deepest(problem, floor, room):
     index of the first deepest position. near (M,) is scratch.
     """
     length = room.trial.size
-    shapes = problem.rows.shape[0]
+    obstacles = problem.obstacles
+    walls = obstacles.walls
+    shapes = obstacles.radii.size
     for i in range(len(problem.robots)):
         x = room.path.x[i]
         y = room.path.y[i]
         for o in range(shapes):
-            row = problem.rows[o]
+            corners = obstacles.corners[o]
+            count = obstacles.corner_counts[o]
+            radius = obstacles.radii[o]
+            box_left = obstacles.low[o, 0] - radius
+            box_bottom = obstacles.low[o, 1] - radius
+            box_right = obstacles.high[o, 0] + radius
+            box_top = obstacles.high[o, 1] + radius
             depth_most = floor
             deepest = 0
             for j in range(room.near.size):
-                beside = max(row[LEFT] - x[j], x[j] - row[RIGHT])
-                room.near[j] = -max(beside, max(row[BOTTOM] - y[j], y[j] - row[TOP]))
+                beside = max(box_left - x[j], x[j] - box_right)
+                room.near[j] = -max(beside, max(box_bottom - y[j], y[j] - box_top))
             for j in range(length):
                 if room.near[j] > depth_most:
-                    depth = -nearest(row, x[j], y[j])[0]
+                    depth = -nearest(corners, count, radius, x[j], y[j])[0]
                     if depth > depth_most:
                         depth_most = depth
                         deepest = j
             room.depths[i, o] = depth_most
             room.deepest[i, o] = deepest
-        for w in range(problem.walls.size):
-            side = -1.0 if w < 2 else 1.0
-            along = x if w % 2 == 0 else y
+        for w in range(walls.size):
             depth_most = floor
             deepest = 0
             for j in range(length):
-                depth = side * (along[j] - problem.walls[w])
+                depth = -wall_distance(walls, w, x[j], y[j])
                 if depth > depth_most:
                     depth_most = depth
                     deepest = j
@@ -222,11 +244,30 @@ def find_deepest(problem, floor, room):
 
 
 @compiled(**INLINE_FAST)
-def outward(rows, walls, o, x, y):
+def wall_distance(walls, w, x, y):
+    """Return the distance of (x, y) to wall w, negative beyond it."""
+    if w == LEFT:
+        return x - walls[LEFT]
+    if w == BOTTOM:
+        return y - walls[BOTTOM]
+    if w == RIGHT:
+        return walls[RIGHT] - x
+    return walls[TOP] - y
+
+
+@compiled(**INLINE_FAST)
+def outward(obstacles, o, x, y):
     """Return the unit vector from (x, y) out of obstacle o."""
-    if o < rows.shape[0]:
-        _, east, north = nearest(rows[o], x, y)
+    shapes = obstacles.radii.size
+    if o < shapes:
+        corners = obstacles.corners[o]
+        _, east, north = nearest(corners, obstacles.corner_counts[o], obstacles.radii[o], x, y)
         return east, north
-    w = o - rows.shape[0]
-    side = 1.0 if w < 2 else -1.0
-    return (side, 0.0) if w % 2 == 0 else (0.0, side)
+    w = o - shapes
+    if w == LEFT:
+        return 1.0, 0.0
+    if w == BOTTOM:
+        return 0.0, 1.0
+    if w == RIGHT:
+        return -1.0, 0.0
+    return 0.0, -1.0

@@ -85,14 +85,12 @@ def costs_along(problem, path):
 def _count_touches(problem, before, after):
     """Return how many robots touch an obstacle `after` a signal, or, if that counts, on the way,
     and how many pairs are too near to each other then."""
-    rows = problem.rows
-    walls = problem.walls
     since = before if problem.swept else after
     touches = 0.0
     for i in range(len(problem.robots)):
         x = after[i, 0]
         y = after[i, 1]
-        touches += crosses(rows, walls, since[i, 0], since[i, 1], x, y)
+        touches += crosses(problem.obstacles, since[i, 0], since[i, 1], x, y)
         for k in range(i if problem.separation > 0 else 0):
             dx = x - after[k, 0]
             dy = y - after[k, 1]

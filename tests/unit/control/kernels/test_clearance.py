@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from support.shapes import SHAPES
 
 from tetractl.control.kernels import clearance
+from tetractl.control.kernels.obstacles import arrays_of
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.setup import Bounds
 from tetractl.tools.kernels import kernel_options as options
@@ -28,7 +29,7 @@ PATHS = st.lists(POINTS, min_size=4, max_size=12)
 def test_gaps_are_those_of_the_readable_region_to_the_last_bit(region, points):
     x, y = np.array(points).T.copy()
     distances = np.empty((region.count, len(x)))
-    clearance.gaps(region.rows, region.walls, x, y, distances)
+    clearance.gaps(arrays_of(region), x, y, distances)
     assert np.array_equal(distances, region.distances(x, y))
 
 

@@ -40,10 +40,10 @@ class StateEstimator:
         self.problem = problem
         self.losses = Losses(loss, problem.speed)
         self.robots_changed = False  # whether robots were lost or replaced since the step before
-        self.period = round(period_s * SECOND)
+        self._period_ns = round(period_s * SECOND)
         self.filter = FilterBank(prior)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
-        self._last_sent: int | None = None
+        self._last_sent_ns: int | None = None
         self._newest_ns = 0
         self._held = np.full(len(problem.a), np.nan)
         self.dead_time_s = prior.dead_time  # [s]; later the identified one, if any is
@@ -108,7 +108,7 @@ class StateEstimator:
         within a signal period. So the filter is given each signal once.
         """
         if not isinstance(command.action, FieldOff):
-            self._last_sent = None if command.direction is None else command.sent_ns
+            self._last_sent_ns = None if command.direction is None else command.sent_ns
         if self.estimate is None:
             command = replace(command, sent_ns=self._newest_ns)
         if self.is_radio_sparse and self._is_sent_again(command):
@@ -117,14 +117,14 @@ class StateEstimator:
 
     def _is_sent_again(self, command: Command) -> bool:
         """Return whether a command repeats the last one given to the filter, within a signal
-        period."""
-        sent = self.filter.commands.all
-        if command.direction is None or not len(sent.sent_s):
+        period; the step that comes a whole period later may come up to half a step early."""
+        given = self.filter.commands.all
+        if command.direction is None or not len(given.sent_s):
             return False
-        half_step_ns = self.period // 2
-        since_s = (command.sent_ns + half_step_ns) / SECOND - sent.sent_s[-1]
-        is_same = command.direction == sent.directions[-1]
-        return bool(is_same and since_s < self.problem.period)
+        is_same = command.direction == given.directions[-1]
+        since_ns = command.sent_ns - round(given.sent_s[-1] * SECOND)
+        signal_ns = round(self.problem.period * SECOND)
+        return bool(is_same and since_ns < signal_ns - self._period_ns // 2)
 
     def sending_ns(self, observation: Observation) -> int:
         """Return the time to which the dead time of a direction decided on a frame is added [ns].
@@ -137,10 +137,10 @@ class StateEstimator:
         if self.estimate is None:
             return observation.sampled_ns
         received_ns = observation.received_ns
-        if self._last_sent is None:
+        if self._last_sent_ns is None:
             return received_ns
-        due_ns = self._last_sent + self.period
-        is_due = received_ns <= due_ns <= received_ns + 3 * self.period // 2
+        due_ns = self._last_sent_ns + self._period_ns
+        is_due = received_ns <= due_ns <= received_ns + 3 * self._period_ns // 2
         return due_ns if is_due else received_ns
 
     @property

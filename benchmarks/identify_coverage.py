@@ -24,7 +24,6 @@ import numpy as np
 from tetractl import api
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.plant.simulation import SimPlant
-from tetractl.plant.wheel_kernel import GAIN, TRUE_GAIN
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
 from tetractl.results.estimate import proportion_interval
@@ -91,7 +90,7 @@ def bench_coverage(number: int):
     plant = SimPlant(experiment.plant, experiment.setup, VirtualClock(), trial_seeds(number, 0)[1])
     drive = plant.drive
     trains = drive.host.trains
-    gains = (trains[TRUE_GAIN] / trains[GAIN]).mean(
+    gains = (trains.true_gain / trains.gain).mean(
         axis=0
     )  # of true speed to that sent, of both wheels
     a = plant.a * gains * experiment.setup.wheel_radius / drive.radius

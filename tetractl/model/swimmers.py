@@ -15,6 +15,7 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.model.motion import swimming
+from tetractl.model.motion.swimming import CellArrays
 
 BODY_UM = 52.3, 7.8  # length, mean and standard deviation over n = 1504
 WIDTH_UM = 26.3, 4.5  # width, the same
@@ -128,34 +129,39 @@ class Swimmers:
         field: tuple[float, float] = (0.0, 0.0),
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
-    ) -> Floats:
-        """Return the cells as an array (ROWS, N) of `model.motion.swimming`.
+    ) -> CellArrays:
+        """Return copies of the cells, for `swimming.step` and `swim`.
 
         `field` is B / B_ref times the unit vector of u; the turning rate is proportional to its
         length. `drift` [um/s] is the medium's flow, `walls` [um] are edges along which cells slide.
         """
         if walls is None:
             walls = Bounds(-math.inf, -math.inf, math.inf, math.inf)
-        body = np.empty((swimming.ROWS, len(self)))
-        body[swimming.X] = self.x
-        body[swimming.Y] = self.y
-        body[swimming.HEADING] = self.heading
-        body[swimming.PHASE] = self.phase
-        body[swimming.DEPTH] = self.depth
-        body[swimming.A] = self.a
-        body[swimming.BIAS] = self.bias
-        body[swimming.SPEED] = self.speed
-        body[swimming.WALK] = self.walk
-        body[swimming.TURN] = 2 * math.pi * self.helix_hz
-        body[swimming.HELIX] = self.helix_um
-        body[swimming.GOING] = np.where(self.resting, 0.0, 1.0)
-        body[swimming.FIELD], body[swimming.FIELD + 1] = field
-        body[swimming.FLOW], body[swimming.FLOW + 1] = drift
-        body[swimming.WALLS] = walls.left
-        body[swimming.WALLS + 1] = walls.right
-        body[swimming.WALLS + 2] = walls.bottom
-        body[swimming.WALLS + 3] = walls.top
-        return body
+        field_x, field_y = field
+        drift_x, drift_y = drift
+        count = len(self)
+        return CellArrays(
+            x=self.x.copy(),
+            y=self.y.copy(),
+            heading=self.heading.copy(),
+            phase=self.phase.copy(),
+            depth=self.depth.copy(),
+            a=self.a.copy(),
+            bias=self.bias.copy(),
+            speed=self.speed.copy(),
+            walk=self.walk.copy(),
+            phase_rate=2 * math.pi * self.helix_hz,
+            helix_um=self.helix_um.copy(),
+            going=np.where(self.resting, 0.0, 1.0),
+            field_x=np.full(count, field_x),
+            field_y=np.full(count, field_y),
+            flow_x=np.full(count, drift_x),
+            flow_y=np.full(count, drift_y),
+            wall_left=np.full(count, walls.left),
+            wall_right=np.full(count, walls.right),
+            wall_bottom=np.full(count, walls.bottom),
+            wall_top=np.full(count, walls.top),
+        )
 
     def swim(
         self,
@@ -168,13 +174,14 @@ class Swimmers:
         """Advance every cell by a time [s]; arguments as of `laid_out`."""
         noise = random.standard_normal((swimming.steps_in(seconds), 2, len(self)))
         # plain floats: for a few cells ten times faster than arrays
-        body = self.laid_out(field, drift, walls).tolist()
-        swimming.step(body, seconds, noise.tolist())
-        self.x = np.array(body[swimming.X])
-        self.y = np.array(body[swimming.Y])
-        self.heading = np.array(body[swimming.HEADING])
-        self.phase = np.array(body[swimming.PHASE])
-        self.depth = np.array(body[swimming.DEPTH])
+        arrays = self.laid_out(field, drift, walls)
+        cells = CellArrays(*(values.tolist() for values in arrays))
+        swimming.step(cells, seconds, noise.tolist())
+        self.x = np.array(cells.x)
+        self.y = np.array(cells.y)
+        self.heading = np.array(cells.heading)
+        self.phase = np.array(cells.phase)
+        self.depth = np.array(cells.depth)
 
     def rest(self, cell: int, resting: bool = True) -> None:
         """Make a cell rest, or swim again if not `resting`."""

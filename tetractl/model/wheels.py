@@ -10,12 +10,10 @@ an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried 
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.clock import NEVER
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.model.motion.rolling import (
     HEADING,
@@ -28,6 +26,8 @@ from tetractl.model.motion.rolling import (
     ROWS,
     STANDS_BELOW,
     TURNS,
+    KnownRobots,
+    SentRates,
     X,
     Y,
     count,
@@ -38,8 +38,6 @@ from tetractl.model.motion.rolling import (
 
 COUNT_MAX = 127
 """Largest count of a wheel: counts are sent as signed bytes."""
-ENTRIES_AT_FIRST = 8
-"""Number of entries of `SentRates` at first; it doubles when they are in use."""
 Counts = tuple[int, int]
 """Counts of one robot's two wheels, each in -COUNT_MAX..COUNT_MAX."""
 STOP: Counts = (0, 0)
@@ -102,33 +100,6 @@ class Drivetrains:
         return np.where(self.swap, counts[::-1], counts) if self.swap.any() else counts
 
 
-class SentRates(NamedTuple):
-    """The turning rates that were sent to N robots: the arguments `sent_ns` and `sent` of `wish`,
-    which forgets those that it no longer needs."""
-
-    times_ns: Times
-    """When each of them acts, oldest first, (Q,); NEVER for entries not in use."""
-    rates: Floats
-    """The true rates at the first time, then those sent [rad/s], (Q + 1, N)."""
-
-    @classmethod
-    def none(cls, robots: int) -> Self:
-        """Return the rates of robots that stand, with room for a few."""
-        times_ns = np.full(ENTRIES_AT_FIRST, NEVER)
-        times_ns[0] = 0
-        return cls(times_ns, np.zeros((ENTRIES_AT_FIRST + 1, robots)))
-
-    def with_room(self) -> "SentRates":
-        """Return the same rates with room for another one."""
-        if self.times_ns[-2] == NEVER:
-            return self
-        unused_ns = np.full_like(self.times_ns, NEVER)
-        unused = np.zeros_like(self.rates[1:])
-        return SentRates(
-            np.concatenate([self.times_ns, unused_ns]), np.concatenate([self.rates, unused])
-        )
-
-
 class WheelHost:
     """Computes the wheel speeds of N robots that all get the same direction.
 
@@ -141,26 +112,17 @@ class WheelHost:
         self, a: Floats, speed: Floats, radius: Floats, lag_s: float, drivetrains: Drivetrains
     ) -> None:
         self.drivetrains = drivetrains
-        self._lag_s = lag_s
-        self._known = np.array([a, speed, radius])
+        self._known = KnownRobots(a, speed, radius, lag_s)
         self._sent = SentRates.none(a.size)
         self._owed = np.zeros((2, a.size))
 
     def wished(
         self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
     ) -> Floats:
-        """Return the wheel speeds (2, N) for the direction `u` [rad], see `wish`."""
-        return wish(
-            heading,
-            np.full(heading.shape, u),
-            drives,
-            since_ns,
-            acts_ns,
-            self._known,
-            self._lag_s,
-            self._sent.times_ns,
-            self._sent.rates,
-        )
+        """Return the wheel speeds (2, N) for the direction `u` [rad], see `wish`; if not `drives`,
+        they turn the robots on the spot."""
+        robots = self._known if drives else self._known.turning()
+        return wish(heading, np.full(heading.shape, u), since_ns, acts_ns, robots, self._sent)
 
     def counts(self, wished: Floats) -> CountArray:
         """Return the counts (2, N) to send for wheel speeds (2, N)."""
@@ -170,10 +132,10 @@ class WheelHost:
     def sent(self, acts_ns: int, speeds: Floats) -> tuple[Floats, Floats]:
         """Take wheel speeds (2, N) that were sent and act from `acts_ns` [ns] on; return the
         speeds and the turning rates [rad/s] of the robots, (N,) each."""
-        if self._lag_s > 0:
+        if self._known.lag_s > 0:
             self._sent = self._sent.with_room()
-            note(acts_ns, speeds, self._known, self._sent.times_ns, self._sent.rates)
-        return body_velocity(speeds[0], speeds[1], self._known[2])
+            note(self._sent, acts_ns, speeds, self._known.radius)
+        return body_velocity(speeds[0], speeds[1], self._known.radius)
 
 
 NOTHING = np.zeros((0, 0))

@@ -1,4 +1,9 @@
-"""Simulates cells that swim on a helix under a field, between walls; see `model.swimmers`."""
+"""Simulated cells, as what moves the robots of a trial: they swim on a helix under a field.
+
+A cell is `model.swimmers`: its axis follows (1)-(3), and its body circles about the axis. What a
+camera measures, and what is asked for here, is the body: a pose is its centre and the direction of
+its axis. Poses are in the spec's length unit, the cells' arrays in micrometres.
+"""
 
 import math
 
@@ -9,26 +14,16 @@ from tetractl.core.commands import Steer, Stop
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.motion.swimming import (
-    FIELD,
-    GOING,
-    HEADING,
-    HELIX,
-    PHASE,
-    SPEED,
-    A,
-    X,
-    Y,
-    steps_until,
-)
+from tetractl.model.motion.swimming import CellArrays, steps_until
 from tetractl.model.swimmers import Swimmers, to_the_left, walls_of
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_section import CultureSection
 
 
 class CellDrive:
-    """A `Drive` of N cells. As measured by the `cells` camera, a pose is the centre of the body and
-    the heading of the helix.
+    """A `Drive` of N cells with turning rates `a` and speeds, (N,) each, at the `starts`; what the
+    spec leaves open is drawn from the trial's `seed`. `walk` [rad/sqrt(s)] is the random walk of
+    the headings.
 
     Simulated cells do not swim before the first command or after a stop, so that a trial ends with
     the poses at the stop; real cells swim on.
@@ -49,19 +44,17 @@ class CellDrive:
         walk: float,
         seed: np.random.SeedSequence,
     ) -> None:
-        """`walk` [rad/sqrt(s)] is the random walk of the headings."""
-        from tetractl.plant.swim_kernel import swim  # late: reading a spec needs no kernel
+        from tetractl.plant.drive_kernels import swim  # late: reading a spec needs no kernel
 
         self._swim = swim
         self._random = generator(seed, RandomStream.BODIES)
         self._unit_um = setup.metres * 1e6
-        self.body = self._drawn(section, setup, walk)
-        """The cells, (ROWS, N) of `model.motion.swimming`."""
+        self.cells = self._drawn(section, setup, walk)
         self.gains = np.ones((2, a.size))  # no wheels
         self.vary(a, speed)
         self.poses = starts
 
-    def _drawn(self, section: CultureSection, setup: Setup, walk: float) -> Floats:
+    def _drawn(self, section: CultureSection, setup: Setup, walk: float) -> CellArrays:
         """Draw what is not given of the cells, in an order that is part of the result."""
         count = len(setup.names)
         cells = Swimmers.drawn(self._random, count)
@@ -84,33 +77,33 @@ class CellDrive:
     @poses.setter
     def poses(self, poses: Poses) -> None:
         """Put each cell's axis where its body, at its present phase, has this pose."""
-        body = self.body
-        to_the_left_um = body[HELIX] * np.cos(body[PHASE])
+        cells = self.cells
+        to_the_left_um = cells.helix_um * np.cos(cells.phase)
         x_um, y_um = to_the_left(poses.heading, to_the_left_um)
-        body[X] = poses.x * self._unit_um - x_um
-        body[Y] = poses.y * self._unit_um - y_um
-        body[HEADING] = poses.heading
+        cells.x[:] = poses.x * self._unit_um - x_um
+        cells.y[:] = poses.y * self._unit_um - y_um
+        cells.heading[:] = poses.heading
         self._poses = poses
 
     @property
     def moving(self) -> Floats:
         """1 for cells whose last command lets them swim, 0 for others, (N,)."""
-        return self.body[GOING].copy()
+        return self.cells.going.copy()
 
     commanded = moving
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
-        self.body[A] = a
-        self.body[SPEED] = speed * self._unit_um
+        self.cells.a[:] = a
+        self.cells.speed[:] = speed * self._unit_um
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
         """Move the cells; return x, y, heading (M, 3, N) at the times (M,) [ns]."""
         steps = steps_until(since_ns, times_ns.tolist())
-        count = self.body.shape[1]
+        count = self.cells.x.size
         noise = self._random.standard_normal((steps, 2, count))
         path = np.empty((times_ns.size, 3, count))
-        self._swim(self.body, since_ns, times_ns, noise, self._unit_um, path)
+        self._swim(self.cells, since_ns, times_ns, noise, self._unit_um, path)
         self._poses = Poses(*path[-1].copy())
         return path
 
@@ -122,6 +115,6 @@ class CellDrive:
         if isinstance(command.action, Steer):
             field_x = math.cos(command.action.direction)
             field_y = math.sin(command.action.direction)
-        self.body[FIELD, reached] = field_x
-        self.body[FIELD + 1, reached] = field_y
-        self.body[GOING, reached] = 0.0 if isinstance(command.action, Stop) else 1.0
+        self.cells.field_x[reached] = field_x
+        self.cells.field_y[reached] = field_y
+        self.cells.going[reached] = 0.0 if isinstance(command.action, Stop) else 1.0

@@ -37,7 +37,7 @@ class WheelDrive(WheeledRobots):
         starts: Poses,
         seed: np.random.SeedSequence,
     ) -> None:
-        from tetractl.plant.wheel_kernel import roll  # late: reading a spec needs no kernel
+        from tetractl.plant.drive_kernels import roll  # late: reading a spec needs no kernel
 
         wheels = section.drive
         assert wheels is not None, "the plant has no wheels"

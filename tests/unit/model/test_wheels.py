@@ -9,15 +9,14 @@ import pytest
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.motion.rolling import note, wheel_speeds, wish
+from tetractl.model.motion.rolling import KnownRobots, SentRates, note, wheel_speeds, wish
 from tetractl.model.wheels import (
     Drivetrains,
-    SentRates,
     WheeledRobots,
     WheelHost,
     body_velocity,
 )
-from tetractl.plant import wheel_kernel as kernels
+from tetractl.plant import drive_kernels as kernels
 
 pytestmark = pytest.mark.slow
 
@@ -35,14 +34,13 @@ def headings_at_rest(lag_s, sent, frames, acts_ns):
 
     With an a and a radius of 1, half the difference of the wheels' speeds is sin(u - heading)."""
     sent_rates = SentRates.none(2)
-    parameters = np.ones((3, 2))
+    robots = KnownRobots(a=np.ones(2), speed=np.ones(2), radius=np.ones(2), lag_s=lag_s)
     for sent_ns, rates in sent:
         sent_rates = sent_rates.with_room()
-        note(sent_ns, np.array([-rates, rates]), parameters, *sent_rates)
+        note(sent_rates, sent_ns, np.array([-rates, rates]), robots.radius)
 
     def sine_to(u, heading, seen_ns):
-        timing = (True, seen_ns, acts_ns, parameters, lag_s)
-        left_and_right = wish(heading, np.full(2, u), *timing, *sent_rates)
+        left_and_right = wish(heading, np.full(2, u), seen_ns, acts_ns, robots, sent_rates)
         return np.diff(left_and_right, axis=0)[0] / 2
 
     headings = []
@@ -83,12 +81,14 @@ def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
 def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
     """A frame of the moment 0, and a command that acts 0.02 s later."""
     u = 1.2
-    parameters = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]])
+    a = np.array([6.0, 3.0])
+    speed = np.array([180.0, 150.0])
+    radius = np.array([40.0, 40.0])
+    robots = KnownRobots(a, speed, radius, lag_s=0.0)
     heading = np.array([0.3, -2.0])
-    timing = (True, 0, SECOND // 50, parameters, 0.0)
-    wished = wish(heading, np.full(2, u), *timing, *SentRates.none(2))
-    _, _, ahead = exact(0.0, 0.0, heading, u, parameters[0], parameters[1], 0.02)
-    expected = np.array(wheel_speeds(np.sin(u - ahead), *parameters))
+    wished = wish(heading, np.full(2, u), 0, SECOND // 50, robots, SentRates.none(2))
+    _, _, ahead = exact(0.0, 0.0, heading, u, a, speed, 0.02)
+    expected = np.array(wheel_speeds(np.sin(u - ahead), a, speed, radius))
     assert wished == pytest.approx(expected, abs=1e-9)
 
 
@@ -110,21 +110,17 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
     count = 3
     a = rng.uniform(2, 6, count)
     speed = rng.uniform(100, 300, count)
-    parameters = np.array([a, speed, np.full(count, 40.0)])
+    robots = KnownRobots(a, speed, np.full(count, 40.0), lag_s)
     calibrated = uneven_wheels(rng, count)
     true = replace(calibrated, gain=2 * calibrated.gain, dead_zone=calibrated.dead_zone + 1)
-    host = WheelHost(*parameters, lag_s, calibrated)
-    nothing_owed = np.zeros((2, count))
-    limit_of_both = np.tile(calibrated.limit, (2, 1))
-    rows = np.array(
-        [
-            nothing_owed,
-            calibrated.gain,
-            calibrated.dead_zone,
-            true.gain,
-            true.dead_zone,
-            limit_of_both,
-        ]
+    host = WheelHost(*robots, calibrated)
+    trains = kernels.Trains(
+        owed=np.zeros((2, count)),
+        gain=calibrated.gain,
+        dead_zone=calibrated.dead_zone.astype(float),
+        true_gain=true.gain,
+        true_dead_zone=true.dead_zone.astype(float),
+        limit=calibrated.limit.astype(float),
     )
     rates = SentRates.none(count)
     for k in range(40):
@@ -133,10 +129,9 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
         heading = rng.uniform(-3, 3, count)
         u = rng.uniform(-3, 3)
         drives = k % 5 > 0
-        timing = (drives, seen_ns, acts_ns, parameters, lag_s)
         rates = rates.with_room()
-        speeds = np.empty((2, 2, count))
-        kernels.answer(heading, np.full(count, u), *timing, *rates, rows, speeds)
+        wishes = robots if drives else robots.turning()
+        speeds = kernels.answer(heading, np.full(count, u), seen_ns, acts_ns, wishes, rates, trains)
         wished = host.wished(heading, u, seen_ns, acts_ns, drives)
         host.sent(acts_ns, wished)
         counts = host.counts(wished)

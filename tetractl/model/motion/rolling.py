@@ -1,10 +1,16 @@
-"""Two-wheeled robots, see `model.wheels`: what a host sends them, and where they go.
+"""Two-wheeled robots in plain loops: which wheel speeds a host sends them, and where they go.
 
-Plain loops over arrays: `tetractl.plant.wheel_kernel` compiles them for the simulation.
+    host      wish    wheel speeds towards a direction, by the paper's (24)-(25), for the headings
+                      that robots will have when the speeds act; `note` what was sent
+              count   speeds rounded to whole counts of a motor
+    robots    roll    x, y and heading after some time, by (21)-(23)
+
+The emulated robots and the lab's actuator run the loops as they are, by the classes of
+`model.wheels`; `plant.drive_kernels` compiles them for the simulation, with the same bits.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -52,71 +58,141 @@ def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
     return chord * math.cos(heading + half), chord * math.sin(heading + half)
 
 
+class KnownRobots(NamedTuple):
+    """What a host knows of N robots on wheels, (N,) each."""
+
+    a: Floats
+    """Turning rates [rad/s]."""
+    speed: Floats
+    """[length unit/s]; 0 for robots that turn on the spot."""
+    radius: Floats
+    """Distances from a wheel to the centre [length unit]."""
+    lag_s: float
+    """Time constant T with which the wheels follow commands [s], 0 to neglect it; of all robots."""
+
+    def turning(self) -> Self:
+        """Return the robots with speed 0, as they turn on the spot."""
+        return self._replace(speed=np.zeros_like(self.speed))
+
+
+ENTRIES_AT_FIRST = 8
+"""Number of entries of `SentRates` at first; it doubles when they are in use."""
+
+
+class SentRates(NamedTuple):
+    """The turning rates sent to N robots that still matter: `wish` drops older ones."""
+
+    times_ns: Times
+    """When each of them begins to act, oldest first, (Q,); NEVER for entries not in use, of which
+    the last always is one."""
+    rates: Floats
+    """The rates that the wheels then follow [rad/s], (Q, N)."""
+    true_at_first: Floats
+    """The true rates at the first of the times [rad/s], (N,)."""
+
+    @classmethod
+    def none(cls, robots: int) -> Self:
+        """Return the rates of robots that stand, with room for a few."""
+        times_ns = np.full(ENTRIES_AT_FIRST, NEVER)
+        times_ns[0] = 0
+        return cls(times_ns, np.zeros((ENTRIES_AT_FIRST, robots)), np.zeros(robots))
+
+    def with_room(self) -> "SentRates":
+        """Return the same rates with room for another one."""
+        if self.times_ns[-2] == NEVER:
+            return self
+        return SentRates(
+            times_ns=np.concatenate([self.times_ns, np.full_like(self.times_ns, NEVER)]),
+            rates=np.concatenate([self.rates, np.zeros_like(self.rates)]),
+            true_at_first=self.true_at_first,
+        )
+
+
 def wish(
-    heading: Floats,
-    u: Floats,
-    drives: bool,
-    since_ns: int,
-    acts_ns: int,
-    parameters: Floats,
-    lag_s: float,
-    sent_ns: Times,
-    sent: Floats,
+    heading: Floats, u: Floats, since_ns: int, acts_ns: int, robots: KnownRobots, sent: SentRates
 ) -> Floats:
-    """Return the wheel speeds (2, N) by (24)-(25) for the directions `u` (N,) [rad], and for the
-    headings predicted from the measured ones (N,), exposed at `since_ns`, to `acts_ns`, when the
-    command acts [ns]; `since_ns` must not decrease between calls. If not `drives`, the speeds turn
-    the robots on the spot. `parameters` (3, N) are a [rad/s], speed and radius.
+    """Return the wheel speeds (2, N), left and right, by (24)-(25) for the directions `u` (N,).
 
-    Without a lag, headings are predicted by (3). If the wheels follow commands with a first-order
-    lag T = `lag_s` [s], a robot has heading theta and turning rate w at time s. If the turning
-    rates c sent to it act until time t, and the rate 0 after t, the robot comes to rest at
-
-        theta + T w(s) + integral of c from s to t.
-
-    If equations (24)-(25) are computed at this heading, robots turn by (3), as without lag.
-    From the times `sent_ns` (Q,) [ns] the rates `sent[1:]` (Q, N) [rad/s] act, oldest first, NEVER
-    for entries not in use, such as the last; `sent[0]` are the true rates at the first time.
+    They are computed for the headings at `acts_ns`, when the command acts, predicted from the
+    headings (N,) measured at `since_ns`, which must not decrease between calls: `sent` forgets
+    what acted before. Wheels without a lag have turned by (3) until then. Of wheels with a lag, the
+    heading at which the robot would come to rest is taken: from there robots turn by (3), as
+    without a lag.
     """
+    if robots.lag_s > 0:
+        forget(sent, since_ns, robots.lag_s)
+        ahead = headings_at_rest(heading, since_ns, acts_ns, robots.lag_s, sent)
+    else:
+        ahead = headings_turned(heading, u, since_ns, acts_ns, robots.a)
     wished = np.empty((2, len(heading)))
-    share = 0.0  # of the difference of true rate and rate sent that is left after a time
-    if lag_s > 0:
-        while sent_ns[1] <= since_ns:  # forget the oldest
-            share = math.exp((sent_ns[0] - sent_ns[1]) / SECOND / lag_s)
-            for i in range(len(heading)):
-                sent[0, i] = sent[1, i] + (sent[0, i] - sent[1, i]) * share
-                for k in range(1, len(sent_ns)):
-                    sent[k, i] = sent[k + 1, i]
-            for k in range(1, len(sent_ns)):
-                sent_ns[k - 1] = sent_ns[k]
-        share = math.exp(min(sent_ns[0] - since_ns, 0) / SECOND / lag_s)
     for i in range(len(heading)):
-        a = parameters[0, i]
-        speed = parameters[1, i] if drives else 0.0
-        radius = parameters[2, i]
-        theta = heading[i]
-        if lag_s > 0:
-            theta = theta + lag_s * (sent[1, i] + (sent[0, i] - sent[1, i]) * share)
-            k = 0
-            while sent_ns[k] < acts_ns:
-                begin = max(sent_ns[k], since_ns)
-                end = min(sent_ns[k + 1], acts_ns)
-                theta += sent[k + 1, i] * (max(end - begin, 0) / SECOND)
-                k += 1
-        elif acts_ns > since_ns:
-            theta += turn(u[i] - theta, a, (acts_ns - since_ns) / SECOND)
-        wished[0, i], wished[1, i] = wheel_speeds(math.sin(u[i] - theta), a, speed, radius)
+        sine = math.sin(u[i] - ahead[i])
+        wished[0, i], wished[1, i] = wheel_speeds(
+            sine, robots.a[i], robots.speed[i], robots.radius[i]
+        )
     return wished
 
 
-def note(acts_ns: int, speeds: Floats, parameters: Floats, sent_ns: Times, sent: Floats) -> None:
-    """Add wheel speeds (2, N), which act from `acts_ns` [ns] on, to those sent; see `wish`."""
+def headings_turned(heading: Floats, u: Floats, since_ns: int, acts_ns: int, a: Floats) -> Floats:
+    """Return the headings (N,) after robots have turned towards `u` by (3) from `since_ns` on."""
+    seconds = (acts_ns - since_ns) / SECOND
+    turned = heading.copy()
+    if seconds > 0:
+        for i in range(len(heading)):
+            turned[i] = heading[i] + turn(u[i] - heading[i], a[i], seconds)
+    return turned
+
+
+def headings_at_rest(
+    heading: Floats, since_ns: int, acts_ns: int, lag_s: float, sent: SentRates
+) -> Floats:
+    """Return the headings (N,) at which robots come to rest if the rates sent act until `acts_ns`.
+
+    A robot of the heading theta and the true turning rate w at `since_ns`, whose wheels follow
+    the rates c sent to it with the time constant T until `acts_ns` and then 0, comes to rest at
+
+        theta + T w + integral of c from `since_ns` to `acts_ns`.
+    """
+    times_ns = sent.times_ns
+    share = math.exp(min(times_ns[0] - since_ns, 0) / SECOND / lag_s)  # that the lag has left
+    at_rest = np.empty(len(heading))
+    for i in range(len(heading)):
+        rate = sent.rates[0, i] + (sent.true_at_first[i] - sent.rates[0, i]) * share
+        theta = heading[i] + lag_s * rate
+        k = 0
+        while times_ns[k] < acts_ns:
+            begin_ns = max(times_ns[k], since_ns)
+            end_ns = min(times_ns[k + 1], acts_ns)
+            theta += sent.rates[k, i] * (max(end_ns - begin_ns, 0) / SECOND)
+            k += 1
+        at_rest[i] = theta
+    return at_rest
+
+
+def forget(sent: SentRates, now_ns: int, lag_s: float) -> None:
+    """Drop the rates that were replaced by others until `now_ns`."""
+    times_ns = sent.times_ns
+    rates = sent.rates
+    true_rates = sent.true_at_first
+    while times_ns[1] <= now_ns:
+        share = math.exp((times_ns[0] - times_ns[1]) / SECOND / lag_s)
+        for i in range(len(true_rates)):
+            true_rates[i] = rates[0, i] + (true_rates[i] - rates[0, i]) * share
+        for k in range(1, len(times_ns)):
+            times_ns[k - 1] = times_ns[k]
+            for i in range(len(true_rates)):
+                rates[k - 1, i] = rates[k, i]
+
+
+def note(sent: SentRates, acts_ns: int, speeds: Floats, radius: Floats) -> None:
+    """Add to the rates sent those of wheel speeds (2, N) that act from `acts_ns` [ns] on; there
+    must be room."""
     k = 0
-    while sent_ns[k] != NEVER:
+    while sent.times_ns[k] != NEVER:
         k += 1
-    sent_ns[k] = acts_ns
-    for i in range(speeds.shape[1]):
-        sent[k + 1, i] = (speeds[1, i] - speeds[0, i]) / (2 * parameters[2, i])
+    sent.times_ns[k] = acts_ns
+    for i in range(len(radius)):
+        sent.rates[k, i] = (speeds[1, i] - speeds[0, i]) / (2 * radius[i])
 
 
 # the rows of the array (ROWS, N) of N robots on wheels

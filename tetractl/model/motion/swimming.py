@@ -6,7 +6,7 @@ micrometres. `model.swimmers` draws cells and states the source of each number.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Times
@@ -15,38 +15,52 @@ STEP_S = 0.005  # largest time step
 SINK_UM = 10.0  # guess: standard deviation of cells' wander in depth
 SINK_S = 5.0  # guess: time constant of the wander in depth
 
-# the rows of the array (ROWS, N) of N cells
-X = 0
-"""x of the helix's axis."""
-Y = 1
-"""y of the helix's axis."""
-HEADING = 2
-"""Direction of the helix's axis [rad]."""
-PHASE = 3
-"""Place of the body on the helix [rad]."""
-DEPTH = 4
-"""Height of the axis from focus."""
-A = 5
-"""Turning rate at the reference field [rad/s]."""
-BIAS = 6
-"""Angle of the dipole from the axis [rad]."""
-SPEED = 7
-"""Speed along the axis [um/s]."""
-WALK = 8
-"""Random walk of the heading [rad/sqrt(s)]."""
-TURN = 9
-"""Turning of the phase [rad/s]."""
-HELIX = 10
-"""Radius of the helix."""
-GOING = 11
-"""1, or 0 for a cell that rests, which only drifts."""
-FIELD = 12
-"""Two rows: x and y of the field, as a fraction of the reference field."""
-FLOW = 14
-"""Two rows: x and y of the medium's flow [um/s]."""
-WALLS = 16
-"""Four rows: coordinates of the left, right, lower and upper wall, along which cells slide."""
-ROWS = 20  # of the array
+
+class CellArrays(NamedTuple):
+    """N swimming cells and what acts on them, a number per cell in each array (N,). `step` also
+    takes lists of them.
+    """
+
+    x: Any
+    """x of the helix's axis [um]."""
+    y: Any
+    """y of the helix's axis [um]."""
+    heading: Any
+    """Direction of the helix's axis [rad]."""
+    phase: Any
+    """Place of the body on the helix [rad]."""
+    depth: Any
+    """Height of the axis from focus [um]."""
+    a: Any
+    """Turning rate at the reference field [rad/s]."""
+    bias: Any
+    """Angle of the dipole from the axis [rad]."""
+    speed: Any
+    """Speed along the axis [um/s]."""
+    walk: Any
+    """Random walk of the heading [rad/sqrt(s)]."""
+    phase_rate: Any
+    """Turning of the phase [rad/s]."""
+    helix_um: Any
+    """Radius of the helix [um]."""
+    going: Any
+    """1, or 0 for a cell that rests, which only drifts."""
+    field_x: Any
+    """x of the field, as a fraction of the reference field."""
+    field_y: Any
+    """y of the field, as a fraction of the reference field."""
+    flow_x: Any
+    """x of the medium's flow [um/s]."""
+    flow_y: Any
+    """y of the medium's flow [um/s]."""
+    wall_left: Any
+    """x of the left wall, along which cells slide [um]; -inf for none."""
+    wall_right: Any
+    """x of the right wall [um]; inf for none."""
+    wall_bottom: Any
+    """y of the lower wall [um]; -inf for none."""
+    wall_top: Any
+    """y of the upper wall [um]; inf for none."""
 
 
 def steps_in(seconds: float) -> int:
@@ -73,18 +87,19 @@ def torque(dipole: float, across: float, up: float) -> tuple[float, float]:
     return up * cos - across * sin, -(up * sin + across * cos)
 
 
-def step(body: Any, seconds: float, noise: Any) -> None:
-    """Advance N cells `body` (ROWS, N) by a time [s], by the midpoint rule in equal steps of at
-    most STEP_S; `noise` (at least steps_in(seconds), 2, N) is standard normal. Arrays or lists."""
-    x = body[X]
-    y = body[Y]
-    heading = body[HEADING]
-    phase = body[PHASE]
-    depth = body[DEPTH]
-    wall_left = body[WALLS]
-    wall_right = body[WALLS + 1]
-    wall_bottom = body[WALLS + 2]
-    wall_top = body[WALLS + 3]
+def step(cells: CellArrays, seconds: float, noise: Any) -> None:
+    """Advance N cells by a time [s], by the midpoint rule in equal steps of at most STEP_S; `noise`
+    (at least steps_in(seconds), 2, N) is standard normal: swerves of the headings, and jolts of
+    the depths."""
+    x = cells.x
+    y = cells.y
+    heading = cells.heading
+    phase = cells.phase
+    depth = cells.depth
+    wall_left = cells.wall_left
+    wall_right = cells.wall_right
+    wall_bottom = cells.wall_bottom
+    wall_top = cells.wall_top
     parts = steps_in(seconds)
     dt = seconds / max(parts, 1)
     root = math.sqrt(dt)
@@ -95,22 +110,22 @@ def step(body: Any, seconds: float, noise: Any) -> None:
         swerves = noise[k][0]
         jolts = noise[k][1]
         for i in range(len(x)):
-            going = body[GOING][i]
-            bias = body[BIAS][i]
-            a = body[A][i] * going
-            speed = body[SPEED][i] * going
-            field_x = body[FIELD][i]
-            field_y = body[FIELD + 1][i]
+            going = cells.going[i]
+            bias = cells.bias[i]
+            a = cells.a[i] * going
+            speed = cells.speed[i] * going
+            field_x = cells.field_x[i]
+            field_y = cells.field_y[i]
             theta = heading[i]
             # the heading in the middle of the step, which gives the way and the turn of all of it
             sine, _ = torque(theta + bias, field_x, field_y)
             half = theta + a * sine * dt / 2
-            x[i] += (speed * math.cos(half) + body[FLOW][i]) * dt  # (1)
-            y[i] += (speed * math.sin(half) + body[FLOW + 1][i]) * dt  # (2)
+            x[i] += (speed * math.cos(half) + cells.flow_x[i]) * dt  # (1)
+            y[i] += (speed * math.sin(half) + cells.flow_y[i]) * dt  # (2)
             sine, _ = torque(half + bias, field_x, field_y)
             theta += a * sine * dt  # (3)
-            theta += body[WALK][i] * going * root * swerves[i]
-            phase[i] += body[TURN][i] * going * dt
+            theta += cells.walk[i] * going * root * swerves[i]
+            phase[i] += cells.phase_rate[i] * going * dt
             depth[i] += jolt * jolts[i] - pull * depth[i]
             # A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall,
             # and leaves the wall once its heading points away from it.
@@ -128,10 +143,10 @@ def step(body: Any, seconds: float, noise: Any) -> None:
 
 
 def swim(
-    body: Floats, now_ns: int, times: Times, noise: Floats, unit_um: float, path: Floats
+    cells: CellArrays, now_ns: int, times: Times, noise: Floats, unit_um: float, path: Floats
 ) -> None:
-    """Advance N cells, `body` (ROWS, N), from `now_ns` to the last of the `times` (M,) [ns]; write
-    x, y and heading of the bodies, in units of `unit_um`, at these into `path` (M, 3, N).
+    """Advance N cells from `now_ns` to the last of the `times` (M,) [ns]; write x, y and heading of
+    the bodies, in units of `unit_um`, at these into `path` (M, 3, N).
 
     `noise` (S, 2, N) is standard normal, a row for each time step. A path does not depend on how
     it is divided into calls.
@@ -140,12 +155,12 @@ def swim(
     used = 0
     for k in range(len(times)):
         seconds = (times[k] - since) / SECOND
-        step(body, seconds, noise[used:])
+        step(cells, seconds, noise[used:])
         used += steps_in(seconds)
         since = times[k]
-        for i in range(body.shape[1]):
-            heading = body[HEADING, i]
-            to_the_left = body[HELIX, i] * math.cos(body[PHASE, i])
-            path[k, 0, i] = (body[X, i] - to_the_left * math.sin(heading)) / unit_um
-            path[k, 1, i] = (body[Y, i] + to_the_left * math.cos(heading)) / unit_um
+        for i in range(len(cells.x)):
+            heading = cells.heading[i]
+            to_the_left = cells.helix_um[i] * math.cos(cells.phase[i])
+            path[k, 0, i] = (cells.x[i] - to_the_left * math.sin(heading)) / unit_um
+            path[k, 1, i] = (cells.y[i] + to_the_left * math.cos(heading)) / unit_um
             path[k, 2, i] = heading

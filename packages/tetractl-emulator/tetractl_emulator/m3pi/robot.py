@@ -13,7 +13,7 @@ from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.poses import Floats, Poses
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
-from tetractl.plant.wheel_kernel import roll
+from tetractl.plant.drive_kernels import roll
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.firmware import RobotCore
 

@@ -12,7 +12,6 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
 from tetractl.model.wheels import Drivetrains
-from tetractl.plant import wheel_kernel
 
 pytestmark = pytest.mark.long
 
@@ -71,14 +70,12 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
     simulated, commands, samples = simulated_drive()
     trains = simulated.drive.host.trains
     true_wheels = Drivetrains(
-        gain=trains[wheel_kernel.TRUE_GAIN],
-        dead_zone=trains[wheel_kernel.TRUE_DEAD_ZONE],
-        limit=trains[wheel_kernel.COUNT_LIMIT, 0],
+        gain=trains.true_gain,
+        dead_zone=trains.true_dead_zone,
+        limit=trains.limit,
         swap=np.zeros(len(ROBOTS), np.bool_),
     )
-    known_wheels = replace(
-        true_wheels, gain=trains[wheel_kernel.GAIN], dead_zone=trains[wheel_kernel.DEAD_ZONE]
-    )
+    known_wheels = replace(true_wheels, gain=trains.gain, dead_zone=trains.dead_zone)
     fleet = emulated_fleet(true_wheels)
     waiting = list(commands)
     differences = []

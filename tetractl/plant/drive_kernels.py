@@ -1,0 +1,82 @@
+"""What moves simulated robots, compiled: plain loops of `tetractl.model.motion`, with their bits.
+
+    answer   what a host sends robots on wheels, and how fast their wheels then turn in truth
+    roll     moves robots on wheels, `rolling.roll`
+    swim     moves cells, `swimming.swim`
+
+Import this module late: reading a spec needs no compiler.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.model.motion import rolling, swimming
+from tetractl.model.motion.rolling import KnownRobots, SentRates
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY, exact, with_parts
+
+roll = compiled(**ENTRY)(with_parts(rolling.roll, exact))
+swim = compiled(**ENTRY)(with_parts(swimming.swim, exact))
+_wish = exact(rolling.wish)
+_note = exact(rolling.note)
+_count = exact(rolling.count)
+
+
+class Trains(NamedTuple):
+    """The left and right wheels of N robots with their motors, (2, N) each."""
+
+    owed: Floats
+    """The rounding error that is carried to the next transmission [counts]; `answer` changes it."""
+    gain: Floats
+    """Wheel speed of one count, as the host knows it [length unit/s]."""
+    dead_zone: Floats
+    """Largest count at which a wheel does not move, as the host knows it."""
+    true_gain: Floats
+    """The wheel's true gain [length unit/s]."""
+    true_dead_zone: Floats
+    """The wheel's true dead zone [counts]."""
+    limit: Floats
+    """Largest count that is sent, (N,); 0 if speeds are not rounded to counts."""
+
+
+@compiled(**ENTRY)
+def answer(
+    heading: Floats,
+    u: Floats,
+    since_ns: int,
+    acts_ns: int,
+    robots: KnownRobots,
+    sent: SentRates,
+    trains: Trains,
+) -> Floats:
+    """Return the wheel speeds sent, as the host knows them, and the true ones, each left and right,
+    (2, 2, N) [length unit/s].
+
+    The arguments up to `sent` are those of `rolling.wish`; what is sent is also noted in `sent`.
+    """
+    wished = _wish(heading, u, since_ns, acts_ns, robots, sent)
+    if robots.lag_s > 0:
+        _note(sent, acts_ns, wished, robots.radius)
+    gain = trains.gain
+    zone = trains.dead_zone
+    limit = trains.limit
+    steps = _count(wished, trains.owed, gain, zone, limit) if limit[0] > 0 else wished
+    speeds = np.empty((2, 2, heading.size))
+    for side in range(2):
+        for i in range(heading.size):
+            step = steps[side, i]  # counts beyond the dead zone; without counts a speed
+            known_speed = step
+            true_step = step
+            if limit[i] > 0:
+                known_speed = gain[side, i] * step
+                if step != 0:
+                    counts = abs(step) + zone[side, i] - trains.true_dead_zone[side, i]
+                    true_step = math.copysign(max(counts, 0), step)
+                else:
+                    true_step = 0.0
+            speeds[0, side, i] = known_speed
+            speeds[1, side, i] = trains.true_gain[side, i] * true_step
+    return speeds

@@ -10,9 +10,8 @@ rise. The paper gives no parameters for this earlier algorithm of its authors; t
 tetractl's choice. Obstacles are ignored.
 """
 
-from collections import deque
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -28,7 +27,7 @@ from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Positive
 from tetractl.experiment.controller import ALONE, Host
-from tetractl.model.motion.exact import step as exact
+from tetractl.model.motion.exact import step as exact_step
 
 
 class EnsembleSection(PlainSection):
@@ -60,90 +59,104 @@ class EnsembleSection(PlainSection):
         return Ensemble(self, setup, key)
 
 
+class Held(NamedTuple):
+    """What robots follow from a time on: a direction of the field [rad], or None for no field."""
+
+    since_ns: int
+    direction: float | None
+
+
 class Ensemble(PlainController):
-    """The controller of one trial. No random numbers are drawn; `key` is only used for the log."""
+    """The controller of one trial. No random numbers are drawn; `key` is only used for the log.
+
+    At each step it asks what is less: V after driving without a field, or V now less `fall`.
+    """
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
         super().__init__(section, setup, key)
         self.section = section
-        self._delay_ns = round(section.dead_time * SECOND)
-        # times from which directions act [ns], and the directions u [rad], None for no field
-        self._acting: deque[tuple[int, float | None]] = deque()
-        # direction of the rotating field [rad], None while it is off
-        self._phase: float | None = None
-        self._turned = 0.0  # angle by which the field has turned since it was switched on [rad]
+        self._dead_time_ns = round(section.dead_time * SECOND)
+        self._held: list[Held] = []
+        """The decisions that act or are still to act, oldest first."""
+        self._field: float | None = None
+        """The direction of the rotating field [rad], None while it is off."""
+        self._turned_rad = 0.0
+        """Angle by which the field has turned since it was switched on."""
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
         """Return the problem with the poses at which the decision acts."""
-        return replace(self.problem, poses=self._when_acting(observation))
+        self._forget(observation.sampled_ns)
+        return replace(self.problem, poses=self._poses_when_acting(observation))
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
         """Rotate the field further, switch it off, or end the trial."""
         section = self.section
-        straight = _ahead(problem, problem.poses, None, section.period)
-        error = float(problem.poses.distances(problem.targets).sum())
-        fall = error - _sum(problem, straight.array())
-        driving = self._phase is None and self.k > 0  # the field stays off until V would rise
-        least = 0.0 if driving else section.fall * float(problem.speed.sum()) * section.period
-        if fall > least:
-            self._phase = None
-            self._turned = 0.0
-            plan = self._decide(problem, np.zeros(1), straight)
+        error = problem.poses.distances(problem.targets).sum()  # V
+        straight = driven(problem, problem.poses, None, section.period)
+        fall = error - straight.distances(problem.targets).sum()
+        is_off = self._field is None and self.k > 0  # the field stays off until V would rise
+        largest_fall = problem.speed.sum() * section.period
+        least_fall = 0.0 if is_off else section.fall * largest_fall
+        if fall > least_fall:
+            self._switch_off()
+            signals = np.zeros(1)
+            end = straight
         else:
-            self._turn(problem)
-            signals = np.array([self._phase])
-            path = predict(problem, signals)
-            if self._turned > 2 * np.pi * section.turns and _sum(problem, path[-1]) >= error:
+            self._rotate(problem)
+            signals = np.array([self._field])
+            end = Poses.of(predict(problem, signals)[-1])
+            in_vain = self._turned_rad > 2 * np.pi * section.turns
+            if in_vain and end.distances(problem.targets).sum() >= error:
                 return Outcome.NO_BETTER_PLAN
-            plan = self._decide(problem, signals, Poses.of(path[-1]))
-        self._acting.append((observation.sampled_ns + self._delay_ns, plan.direction))
-        return plan
+        self._held.append(Held(observation.sampled_ns + self._dead_time_ns, self._field))
+        return self._planned(problem, signals, end)
 
-    def _turn(self, problem: Problem) -> None:
-        """Rotate the field by one step; if the field is off, begin at the robots' mean heading."""
-        step = self.section.rate * float(problem.a.min()) * self.section.period
-        if self._phase is None:
+    def _switch_off(self) -> None:
+        self._field = None
+        self._turned_rad = 0.0
+
+    def _rotate(self, problem: Problem) -> None:
+        """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
+        if self._field is None:
             heading = problem.poses.heading
-            sine = np.sin(heading).sum()
-            cosine = np.cos(heading).sum()
-            self._phase = float(np.arctan2(sine, cosine))
-        self._phase = float(np.remainder(self._phase + step + np.pi, 2 * np.pi) - np.pi)
-        self._turned += step
+            self._field = float(np.arctan2(np.sin(heading).sum(), np.cos(heading).sum()))
+        step_rad = self.section.rate * float(problem.a.min()) * self.section.period
+        self._field = float(np.remainder(self._field + step_rad + np.pi, 2 * np.pi) - np.pi)
+        self._turned_rad += step_rad
 
-    def _decide(self, problem: Problem, signals: Floats, end: Poses) -> Plan:
+    def _planned(self, problem: Problem, signals: Floats, end: Poses) -> Plan:
         """Return the plan of one control period, which ends at the poses `end`."""
         path = np.stack([problem.poses.array(), end.array()])
         foreseen = foreseen_along(problem, path)
         search = given_search(problem, signals, foreseen)
         plan = make_plan([search], 0, mix(self.key, self.k), foreseen)
-        return replace(plan, instead=FieldOff() if self._phase is None else None)
+        return replace(plan, instead=FieldOff() if self._field is None else None)
 
-    def _when_acting(self, observation: Observation) -> Poses:
+    def _forget(self, now_ns: int) -> None:
+        """Drop the decisions that others have replaced by now."""
+        while len(self._held) > 1 and self._held[1].since_ns <= now_ns:
+            self._held.pop(0)
+
+    def _poses_when_acting(self, observation: Observation) -> Poses:
         """Return the poses one dead time after the frame's exposure, when the decision acts."""
-        now = observation.sampled_ns
+        now_ns = observation.sampled_ns
+        acts_ns = now_ns + self._dead_time_ns
         poses = observation.poses
-        until = now + self._delay_ns
-        while len(self._acting) > 1 and self._acting[1][0] <= now:
-            self._acting.popleft()
-        ends = [since for since, _ in self._acting][1:]
-        for (since, u), end in zip(self._acting, [*ends, until], strict=False):
-            seconds = (end - max(since, now)) / SECOND
+        ends_ns = [held.since_ns for held in self._held[1:]] + [acts_ns]
+        for held, end_ns in zip(self._held, ends_ns, strict=False):
+            seconds = (end_ns - max(held.since_ns, now_ns)) / SECOND
             if seconds > 0:
-                poses = _ahead(self.problem, poses, u, seconds)
+                poses = driven(self.problem, poses, held.direction, seconds)
         return poses
 
 
-def _ahead(problem: Problem, poses: Poses, u: float | None, seconds: float) -> Poses:
-    """Return the poses after a time [s] under a direction u [rad], or without a field.
+def driven(problem: Problem, poses: Poses, direction: float | None, seconds: float) -> Poses:
+    """Return the poses after a time [s] under a field's direction [rad], or without a field.
 
     Without a field, robots follow their own headings and so do not turn.
     """
-    towards = poses.heading if u is None else np.array(u)
-    return Poses(
-        *exact(poses.x, poses.y, poses.heading, towards, problem.a, problem.speed, seconds)
+    towards = poses.heading if direction is None else np.array(direction)
+    x, y, heading = exact_step(
+        poses.x, poses.y, poses.heading, towards, problem.a, problem.speed, seconds
     )
-
-
-def _sum(problem: Problem, poses: Floats) -> float:
-    """Return V, the sum of the distances to the targets, for poses (N, 3) [length unit]."""
-    return float(np.hypot(*(poses[:, :2] - problem.targets).T).sum())
+    return Poses(x, y, heading)

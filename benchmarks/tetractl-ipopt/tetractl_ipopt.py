@@ -21,7 +21,6 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from tetractl.control.cost import evaluate, predict
-from tetractl.control.optimizers.sampling import bearing, interpolate
 from tetractl.control.search_progress import Progress
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
@@ -133,9 +132,14 @@ def promising(
     problem: Problem, length: int, rng: np.random.Generator, count: int
 ) -> Sequence[Floats]:
     """Return those `count` of many random curves (length,) that cost least, best first."""
-    knots = max(LEAST_KNOTS, KNOTS * problem.a.size)
-    size = min(knots, length), max(SCATTERED, count)
-    curves = bearing(problem) + interpolate(rng.uniform(-np.pi, np.pi, size), length)
+    knots_max = max(LEAST_KNOTS, KNOTS * problem.a.size)
+    size = min(knots_max, length), max(SCATTERED, count)
+    x, y = (problem.targets - problem.poses.xy).T
+    bearing = np.arctan2(y.sum(), x.sum())  # of the mean vector from robots to targets
+    knots = rng.uniform(-np.pi, np.pi, size)
+    places = np.linspace(0, len(knots) - 1, length)
+    turns = [np.interp(places, range(len(knots)), of_curve) for of_curve in knots.T]
+    curves = bearing + np.array(turns).T
     costs = evaluate(problem, curves.T).total
     return [curves[:, i] for i in np.argsort(costs, kind="stable")[:count]]
 

@@ -10,8 +10,6 @@ from tetractl.core.registries import OPTIMIZERS
 SMALL: dict[str, dict[str, Any]] = {
     "pso": {"particles": 12, "iterations": 15},
     "multistart": {"type": "multistart", "particles": 16, "rounds": 2},
-    "cem": {"type": "cem", "particles": 16, "iterations": 12},
-    "mppi": {"type": "mppi", "particles": 16, "iterations": 12},
 }
 """A quick search by each optimiser."""
 PSO = SMALL["pso"]

@@ -19,7 +19,7 @@ from support.paths import ROOT
 from support.trials import experiment
 
 from tetractl.cli.specs import template
-from tetractl.control.optimizers.mppi import Mppi
+from tetractl.control.optimizers.pso import Pso
 from tetractl.control.sequence import SequenceSection
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Transmission
@@ -179,7 +179,7 @@ def test_what_is_wrong_with_a_shape_is_found(corners, radius, what):
     assert any(problem.startswith(what) for problem in problems)
 
 
-class Other(Mppi):
+class Other(Pso):
     """An optimiser that is one with a fault."""
 
     fault: str = ""
@@ -207,7 +207,7 @@ class Other(Mppi):
     ],
 )
 def test_what_is_wrong_with_an_optimiser_is_found(fault, what):
-    optimizer = Other(type="mppi", iterations=6, particles=12, fault=fault)
+    optimizer = Other(type="pso", iterations=6, particles=12, fault=fault)
     problems = wrong(check_optimizer, optimizer, SETUP)
     if what:
         assert what in problems

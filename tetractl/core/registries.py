@@ -13,8 +13,6 @@ OPTIMIZERS = Registry(
     {
         "pso": "tetractl.control.optimizers.pso:Pso",
         "multistart": "tetractl.control.optimizers.multistart:Multistart",
-        "cem": "tetractl.control.optimizers.cem:CrossEntropy",
-        "mppi": "tetractl.control.optimizers.mppi:Mppi",
     },
     SECTION,
 )

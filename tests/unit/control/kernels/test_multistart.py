@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support import problems
+from support.curves import bearing, interpolate
 
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels import multistart as kernel
@@ -14,7 +15,6 @@ from tetractl.control.kernels.levenberg import PolishSettings, room_for
 from tetractl.control.kernels.motion import flatten
 from tetractl.control.kernels.multistart import UNLIMITED, WARM
 from tetractl.control.kernels.rollout import rollouts_of
-from tetractl.control.optimizers.sampling import bearing, interpolate
 from tetractl.control.rng import mix, uniform
 from tetractl.core.poses import wrap
 

@@ -1,6 +1,6 @@
 """tetractl: steer several robots at once with one control signal."""
 
-from tetractl.core.version import __version__
+from tetractl.core import __version__
 
 TYPE_CHECKING = False  # type checkers read it as true; importing `typing` takes half the time
 if TYPE_CHECKING:

@@ -116,7 +116,7 @@ kinds --check json | json: must be MODULE:NAME | such as pivot:PIVOT
 kinds --check : | :: must be MODULE:NAME | such as pivot:PIVOT
 kinds --check json:dumps --set =3 | --set =3: must be FIELD=VALUE
 kinds --check json:dumps | json:dumps: there is no check for this kind
-kinds --check tetractl.model.shapes.circle:Circle | Circle: center: is missing
+kinds --check tetractl.model.shapes:Circle | Circle: center: is missing
 kinds --check tetractl.control.stop:PaperStop | PaperStop: there is no check for this kind
 lab stop | give either a SPEC or --port
 lab stop --port x --baud 7 | --baud

@@ -7,9 +7,7 @@ from tetractl.cli.specs import template
 from tetractl.core import registries
 from tetractl.core.registries import DISTURBANCES, MOTIONS, OPTIMIZERS
 from tetractl.experiment.load import parse_spec
-from tetractl.model.shapes.circle import Circle
-from tetractl.model.shapes.polygon import Polygon
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Circle, Polygon, Rectangle
 from tetractl.testing import (
     check_controller,
     check_disturbance,

@@ -4,9 +4,7 @@ import itertools
 import math
 from typing import assert_never
 
-from tetractl.model.shapes.circle import Circle
-from tetractl.model.shapes.polygon import Polygon
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Circle, Polygon, Rectangle
 
 Thing = Rectangle | Circle | Polygon
 

@@ -8,9 +8,7 @@ from tetractl.control.optimizers.pso import Pso, best_of
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
-from tetractl.model.shapes.circle import Circle
-from tetractl.model.shapes.polygon import Polygon
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Circle, Polygon, Rectangle
 
 HOOK = np.array([(0, 0), (3, 0), (3, 2), (2.4, 2), (2.4, 0.6), (0, 0.6)])
 

@@ -4,9 +4,7 @@ import math
 
 from hypothesis import strategies as st
 
-from tetractl.model.shapes.circle import Circle
-from tetractl.model.shapes.polygon import Polygon
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Circle, Polygon, Rectangle
 
 GRID = st.integers(-6, 6)
 POINTS = st.tuples(GRID, GRID)

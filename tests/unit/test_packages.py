@@ -9,8 +9,8 @@ import pytest
 from support.paths import EXAMPLES as MICROSCOPE_EXAMPLES
 from support.paths import ROOT
 
+from tetractl.core import __version__
 from tetractl.core.registries import EXAMPLES
-from tetractl.core.version import __version__
 from tetractl.experiment.packages import BRINGS
 
 TAKEN = re.compile(r"^ *from support\.(\w+) import", re.M)

@@ -16,8 +16,7 @@ from tetractl.analysis.closed_loop import (
     mean_errors,
     of_each,
 )
-from tetractl.control.collision import Collision
-from tetractl.control.mpc_section import RecommendedMpc, SearchFields
+from tetractl.control.mpc_section import Collision, RecommendedMpc, SearchFields
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Floats, Observation

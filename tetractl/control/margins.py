@@ -36,7 +36,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.collision import Collision
 from tetractl.control.discs import gaps
 from tetractl.control.kernels.clearance import least_apart
 from tetractl.control.near_targets import lost_way
@@ -45,6 +44,7 @@ from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
+from tetractl.experiment.section_abilities import Clearance
 
 SIGMAS = 2.0
 """Standard deviations by which uncertain values are taken into account; chosen."""
@@ -79,7 +79,7 @@ class Margins:
 
     def __init__(
         self,
-        collision: Collision,
+        collision: Clearance,
         shapes: Sequence[Shape],
         walls: Bounds | None,
         targets: Floats,

@@ -10,7 +10,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, PositiveInt
 
-from tetractl.control.collision import Collision
 from tetractl.control.plain import PlainSection
 from tetractl.control.prior import Prior, Sticks
 from tetractl.core.obstacles import Obstacles
@@ -28,6 +27,32 @@ from tetractl.model.swimmers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, R
 SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
 _PSO = KindSection(OPTIMIZERS, OptimizerSection, default="pso")
 _MULTISTART = KindSection(OPTIMIZERS, OptimizerSection, default="multistart")
+
+
+class Collision(Model):
+    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
+    do not stop by default."""
+
+    margin: NonNegative = 0.0
+    """Distance by which obstacles are grown for the planner [length unit]."""
+    walls: bool = True
+    """Whether leaving the arena counts as entering an obstacle."""
+    radius: NonNegative = 0.0
+    """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
+    separation: NonNegative = Field(default_factory=lambda fields: 2 * fields.get("radius", 0.0))
+    """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
+    meet. The distance is tested at the predicted positions. The default is two radii."""
+    adaptive: bool = True
+    """Whether the margin grows by a robot's greatest deviation from its course before the next
+    command acts, given the uncertainty of its motion. If a robot or target is within the margin,
+    the margin is reduced to its distance.
+    """
+    stop_before_collision: bool = True
+    """Whether all robots rest if the best plan found leads one into an obstacle, or if a new plan
+    from rest is worth more. From rest, robots of which no plan keeps clear turn on
+    the spot first; the trial ends if that does not help either. Robots also end at rest,
+    and drive on if their total error is then too large. Only for robots that can stand still, which
+    have `wheels`."""
 
 
 class PriorSection(Model):

@@ -39,9 +39,9 @@ MOTIONS = Registry(
 SHAPES = Registry(
     "tetractl.shapes",
     {
-        "rectangle": "tetractl.model.shapes.rectangle:Rectangle",
-        "circle": "tetractl.model.shapes.circle:Circle",
-        "polygon": "tetractl.model.shapes.polygon:Polygon",
+        "rectangle": "tetractl.model.shapes:Rectangle",
+        "circle": "tetractl.model.shapes:Circle",
+        "polygon": "tetractl.model.shapes:Polygon",
     },
     SECTION,
 )

@@ -12,9 +12,9 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from tetractl.core import __version__
 from tetractl.core.errors import printable
 from tetractl.core.registry import package_files
-from tetractl.core.version import __version__
 from tetractl.tools.cache import compiler_settings
 from tetractl.tools.cache import digest as cache_name
 from tetractl.tools.children import run_tool

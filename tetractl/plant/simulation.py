@@ -37,13 +37,12 @@ from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.command_sender import CommandSender
 from tetractl.plant.direct import DirectDrive
-from tetractl.plant.drive import Drive
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.timetable import Timetable
 from tetractl.plant.transit import Transit, Watchdogs
-from tetractl.plant.true_motion import MotionDisturbances, TrueMotion
+from tetractl.plant.true_motion import Drive, MotionDisturbances, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive
 
 NO_FRAME_S = 60

@@ -11,7 +11,7 @@ from support.trials import experiment
 from tetractl.control.cost import evaluate, predict
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Rectangle
 
 
 def robot_at(x, y, heading=0.0, a=6.0, speed=100.0, target=(0.0, 0.0)):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tetractl.control.discs import Discs
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Rectangle
 
 BOX = Rectangle(type="rectangle", left=1000, bottom=1000, width=100, height=100).shape()
 

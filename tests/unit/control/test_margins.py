@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from support.trials import experiment
 
-from tetractl.control.collision import Collision
 from tetractl.control.margins import Margins, off_course
+from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.setup import Bounds
-from tetractl.model.shapes.circle import Circle
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Circle, Rectangle
 
 BOX = Rectangle(type="rectangle", left=1000, bottom=1000, width=100, height=100).shape()
 ROUND = Circle(type="circle", center=(3000, 3000), radius=50).shape()

@@ -5,8 +5,8 @@ import pytest
 from support.scripted import mpc
 from support.trials import THREE_M3PI, experiment
 
-from tetractl.control.collision import Collision
 from tetractl.control.mpc import Mpc
+from tetractl.control.mpc_section import Collision
 from tetractl.control.near_targets import LOST_SHARE, kept_apart, parted
 
 FAR = np.array([[100.0, 100], [100, 300], [700, 100]])

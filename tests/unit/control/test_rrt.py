@@ -14,7 +14,7 @@ from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import End, Outcome
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.model.shapes.circle import Circle
+from tetractl.model.shapes import Circle
 from tetractl.run.checked_controller import build_controller
 
 ONE = [{"name": "r", "start": [900, 1200], "target": [1700, 1200], "a": 6, "speed": 180}]

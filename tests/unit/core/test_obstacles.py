@@ -14,8 +14,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.model.path_check import FEW, PathCheck, check_path
-from tetractl.model.shapes.circle import Circle
-from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.model.shapes import Circle, Rectangle
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from support.shapes import GRID, L_SHAPE, SHAPES, circles, combs, rectangles
 from tetractl.control.kernels import obstacles as kernel
 from tetractl.core.registries import SHAPES as REGISTRY
 from tetractl.core.shape import Shape
-from tetractl.model.shapes.polygon import Polygon
+from tetractl.model.shapes import Polygon
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from tetractl.core.version import __version__
+from tetractl.core import __version__
 from tetractl.log.format.channels import CHANNELS, METADATA, NUMBERS, WRITER, Record
 from tetractl.log.format.digest import LogDigests
 

@@ -1,4 +1,8 @@
-"""Simple polygons, which may be concave, such as walls and channels of micro-arenas."""
+"""The kinds of obstacles that a spec may have: rectangles, circles and polygons.
+
+Each is a section of the spec, a `ShapeSection`, whose `shape()` returns the `Shape` with which
+everything is computed. A further kind is another such class, named in `core.registries`.
+"""
 
 from typing import Literal, Self
 
@@ -7,8 +11,43 @@ from pydantic import Field, model_validator
 
 from tetractl.core.poses import Floats
 from tetractl.core.shape import Shape, meet, turn
-from tetractl.experiment.base import Point, inconsistent
+from tetractl.experiment.base import Finite, Point, Positive, inconsistent
 from tetractl.experiment.experiment import ShapeSection
+
+
+class Rectangle(ShapeSection):
+    """An axis-aligned rectangle, defined as in the paper by left, bottom, width and height."""
+
+    type: Literal["rectangle"]
+    left: Finite
+    """Least x [length unit]."""
+    bottom: Finite
+    """Least y [length unit]."""
+    width: Positive
+    """Extent in x [length unit]."""
+    height: Positive
+    """Extent in y [length unit]."""
+
+    def shape(self) -> Shape:
+        """Return the four corners."""
+        right = self.left + self.width
+        top = self.bottom + self.height
+        corners = [(self.left, self.bottom), (right, self.bottom), (right, top), (self.left, top)]
+        return Shape(np.array(corners))
+
+
+class Circle(ShapeSection):
+    """A round obstacle."""
+
+    type: Literal["circle"]
+    center: Point
+    """Centre [x, y]."""
+    radius: Positive
+    """Radius [length unit]."""
+
+    def shape(self) -> Shape:
+        """Return the centre with the radius."""
+        return Shape(np.array([self.center], dtype=np.float64), self.radius)
 
 
 class Polygon(ShapeSection):

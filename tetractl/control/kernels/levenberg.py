@@ -90,14 +90,6 @@ class Room(NamedTuple):
     deepest: Integers  # (N, O) number of the signal after which it has that position
     meetings: Floats  # (pairs,) d_ik, separation minus the least distance of each pair of robots
     nearest: Integers  # (pairs,) number of the signal after which they have that distance
-    # how residuals depend on positions: entry e says that residual pull_residual[e] has the
-    # derivatives pull_east[e] and pull_north[e] by x and y of a robot after a signal; a miss or a
-    # depth depends on one position, a meeting of two robots on two
-    pull_residual: Integers  # (R + pairs,)
-    pull_robot: Integers  # (R + pairs,)
-    pull_signal: Integers  # (R + pairs,)
-    pull_east: Floats  # (R + pairs,)
-    pull_north: Floats  # (R + pairs,)
     rows: Floats  # (R, L) the Jacobian J
     residual: Floats  # (R,) r
     gram: Floats  # (R, R) J J', lower triangle
@@ -131,11 +123,6 @@ def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int)
         deepest=np.empty((robots, obstacles), dtype=np.int64),
         meetings=np.empty(pairs),
         nearest=np.empty(pairs, dtype=np.int64),
-        pull_residual=np.empty(residuals + pairs, dtype=np.int64),
-        pull_robot=np.empty(residuals + pairs, dtype=np.int64),
-        pull_signal=np.empty(residuals + pairs, dtype=np.int64),
-        pull_east=np.empty(residuals + pairs),
-        pull_north=np.empty(residuals + pairs),
         rows=np.empty((residuals, length)),
         residual=np.empty(residuals),
         gram=np.empty((residuals, residuals)),
@@ -269,21 +256,8 @@ def linearise(problem, room, floor, slack):
     _pull_to_targets(problem, room, floor)
     residuals = 2 * len(problem.robots)
     residuals = _push_out_of_obstacles(problem, room, floor, slack, residuals)
-    pulls = residuals  # so far, each residual depends on one position
     if room.meetings.size:
-        pulls, residuals = _push_apart(problem, room, floor, slack, residuals)
-    for r in range(residuals):
-        for j in range(room.rows.shape[1]):
-            room.rows[r, j] = 0.0
-    for e in range(pulls):
-        backward(
-            room.path,
-            room.pull_robot[e],
-            room.pull_signal[e],
-            room.pull_east[e],
-            room.pull_north[e],
-            room.rows[room.pull_residual[e]],
-        )
+        residuals = _push_apart(problem, room, floor, slack, residuals)
     return residuals
 
 
@@ -295,11 +269,10 @@ def _pull_to_targets(problem, room, floor):
     root_mean_square = math.sqrt(_squared_misses(problem, room) / len(problem.robots))
     c = 1 / math.sqrt(max(root_mean_square, floor))
     for i in range(len(problem.robots)):
-        r = 2 * i
-        room.residual[r] = c * (path.x[i, last] - problem.targets[i, 0])
-        _write_pull(room, r, r, i, last, c, 0.0)
-        room.residual[r + 1] = c * (path.y[i, last] - problem.targets[i, 1])
-        _write_pull(room, r + 1, r + 1, i, last, 0.0, c)
+        _begin_row(room, 2 * i, c * (path.x[i, last] - problem.targets[i, 0]))
+        backward(path, i, last, c, 0.0, room.rows[2 * i])
+        _begin_row(room, 2 * i + 1, c * (path.y[i, last] - problem.targets[i, 1]))
+        backward(path, i, last, 0.0, c, room.rows[2 * i + 1])
 
 
 @compiled(**INLINE_FAST)
@@ -316,20 +289,19 @@ def _push_out_of_obstacles(problem, room, floor, slack, residuals):
                 y = path.y[i, signal]
                 east, north = outward(problem.obstacles, o, x, y)
                 c = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
-                room.residual[r] = c * depth
-                _write_pull(room, r, r, i, signal, -c * east, -c * north)
+                _begin_row(room, r, c * depth)
+                backward(path, i, signal, -c * east, -c * north, room.rows[r])
                 r += 1
     return r
 
 
 @compiled(**INLINE_FAST)
 def _push_apart(problem, room, floor, slack, residuals):
-    """Write a residual r = c d for each d_ik above zero, which depends on two positions; return the
-    numbers of pulls and of residuals.
+    """Write a residual r = c d for each d_ik above zero, which depends on the positions of two
+    robots; return the number of residuals.
     """
     path = room.path
     r = residuals
-    e = residuals
     pair = 0
     for i in range(len(problem.robots)):
         for k in range(i):
@@ -342,22 +314,19 @@ def _push_apart(problem, room, floor, slack, residuals):
                 distance = math.sqrt(dx * dx + dy * dy)
                 c = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 share = c / distance if distance > 0 else 0.0
-                room.residual[r] = c * depth
-                _write_pull(room, e, r, i, signal, -share * dx, -share * dy)
-                _write_pull(room, e + 1, r, k, signal, share * dx, share * dy)
-                e += 2
+                _begin_row(room, r, c * depth)
+                backward(path, i, signal, -share * dx, -share * dy, room.rows[r])
+                backward(path, k, signal, share * dx, share * dy, room.rows[r])
                 r += 1
-    return e, r
+    return r
 
 
 @compiled(**INLINE_FAST)
-def _write_pull(room, e, residual, robot, signal, east, north):
-    """Write entry e of the pulls."""
-    room.pull_residual[e] = residual
-    room.pull_robot[e] = robot
-    room.pull_signal[e] = signal
-    room.pull_east[e] = east
-    room.pull_north[e] = north
+def _begin_row(room, r, residual):
+    """Write residual r, and zeros into its row of the Jacobian, to which `backward` adds."""
+    room.residual[r] = residual
+    for j in range(room.rows.shape[1]):
+        room.rows[r, j] = 0.0
 
 
 @compiled(**INLINE_FAST)

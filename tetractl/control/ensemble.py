@@ -98,7 +98,8 @@ class Ensemble(PlainController):
         largest_fall = problem.speed.sum() * section.period
         least_fall = 0.0 if is_off else section.fall * largest_fall
         if fall > least_fall:
-            self._switch_off()
+            self._field = None
+            self._turned_rad = 0.0
             signals = np.zeros(1)
             end = straight
         else:
@@ -110,10 +111,6 @@ class Ensemble(PlainController):
                 return Outcome.NO_BETTER_PLAN
         self._held.append(Held(observation.sampled_ns + self._dead_time_ns, self._field))
         return self._planned(problem, signals, end)
-
-    def _switch_off(self) -> None:
-        self._field = None
-        self._turned_rad = 0.0
 
     def _rotate(self, problem: Problem) -> None:
         """Rotate the field by one step; if it is off, begin at the robots' mean heading."""

@@ -1,6 +1,7 @@
-"""Simulates robots on two wheels, see `model.wheels`, with errors drawn at random.
+"""Simulated robots on two wheels, as what moves the robots of a trial, with errors drawn at random.
 
-`SimHost` computes the wheel speeds that are sent; `WheelDrive` moves the robots that receive them.
+`SimHost` computes the wheel speeds that are sent; `WheelDrive` moves the robots that receive them,
+by the paper's (21)-(23), see `model.wheels`. Wheels lag, gains and radii differ from the spec's.
 """
 
 import numpy as np
@@ -51,11 +52,11 @@ class WheelDrive(WheeledRobots):
         self.gains = self.host.gains * np.array([setup.wheel_radius / radii, np.ones(a.size)])
         super().__init__(starts, radii, wheels.lag, REST * float(setup.speed.max(initial=0.0)))
         self._setup = setup
-        self._walk_rad = section.heading_noise / np.sqrt(
-            section.truth_rate
-        )  # from sample to sample
+        self._walk_rad = section.heading_noise / np.sqrt(section.truth_rate)
+        """Standard deviation of the headings' random walk from sample to sample."""
         self._walking = generator(seed, RandomStream.HEADINGS)
-        self._moving = self.body[MOVING, :]
+        self._moving = self.body[MOVING]  # which `roll` reads
+        self._able = np.ones(a.size, dtype=np.bool_)  # to drive or to turn
         self.vary(a, speed)
 
     @property
@@ -83,10 +84,10 @@ class WheelDrive(WheeledRobots):
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
         """Move the robots; return x, y, heading (M, 3, N) at the times (M,) [ns]."""
-        steps = NOTHING
+        swerves = NOTHING
         if self._walk_rad > 0:
-            steps = self._walking.standard_normal((np.count_nonzero(samples), self._able.size))
-        return self.drive(since_ns, times_ns, samples, self._walk_rad, steps)
+            swerves = self._walking.standard_normal((np.count_nonzero(samples), self._able.size))
+        return self.drive(since_ns, times_ns, samples, self._walk_rad, swerves)
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the wheels of the robots that received it."""

@@ -66,12 +66,6 @@ def test_robots_in_a_corner_turn_to_where_they_come_nearer_to_neither_wall():
     assert -1e-9 < facing < UPWARDS + 1e-9
 
 
-def test_robots_whose_bodies_touch_a_wall_turn_away_from_it():
-    touching_the_lower_wall = row_of_robots(FAR, BODY - 5.0)
-    facing = roomiest(touching_the_lower_wall, BODIES, APART)
-    assert facing == pytest.approx(UPWARDS, abs=BETWEEN_FACINGS)
-
-
 def test_a_direction_is_kept_for_some_steps_also_if_poses_are_measured_anew():
     """Regression: a robot opposite to it dithered, as each step chose another one: 1,769 turns."""
     first_facing = facing_after(row_of_robots(FAR, NEAR), NOT_TURNING)
@@ -92,7 +86,3 @@ def test_turns_in_vain_are_followed_by_turns_to_other_directions_and_end():
     assert facing_of_steps == list(np.repeat(facing_of_turns, STEPS))
     changes = np.abs(wrap(np.diff(facing_of_turns)))
     assert changes.min() > math.pi / 2  # to other sides, not to neighbours
-
-
-def test_robots_that_do_anything_else_begin_to_turn_anew():
-    assert NOT_TURNING.then(1.0).then(None) == NOT_TURNING

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support import oracle, problems
 from support.trials import experiment
 
-from tetractl.control.cost import evaluate, predict
+from tetractl.control.cost import evaluate
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
 from tetractl.model.shapes import Rectangle
@@ -34,17 +34,6 @@ def test_the_cost_is_7_to_13(seed, robots, obstacles, length, model, swept):
     assert costs.total == pytest.approx(costs.target + world.weight * costs.obstacle, rel=1e-15)
 
 
-def test_a_length_counts_signals_and_the_last_cannot_move_an_euler_robot():
-    world = oracle.World([robot_at(0, 0, target=(40, 0))], [], period=0.2)
-    problem = problems.problem(world)
-    for length in (1, 2, 3):
-        path = predict(problem, np.zeros(length))
-        assert path.shape == (length + 1, 1, 3)
-        assert path[:, 0, 0].tolist() == pytest.approx([20.0 * j for j in range(length + 1)])
-    turned = evaluate(problem, np.array([[0.0, 0.0], [0.0, 2.5]])).total
-    assert turned.tolist() == [0, 0]
-
-
 def test_13_sees_samples_only_and_swept_sees_the_corner_cut():
     wall = Rectangle(type="rectangle", left=25, bottom=-50, width=10, height=100)
     world = oracle.World([robot_at(0, 0)], [wall], weight=1000)
@@ -53,14 +42,6 @@ def test_13_sees_samples_only_and_swept_sees_the_corner_cut():
     straight_on = np.zeros((1, 3))
     assert evaluate(sampled, straight_on).obstacle.tolist() == [0]
     assert evaluate(swept, straight_on).obstacle.tolist() == [1]
-
-
-def test_the_first_signal_may_be_held_for_another_time():
-    """At 100 mm/s: 5 mm in 0.05 s, then 20 mm in each period of 0.2 s."""
-    world = oracle.World([robot_at(0, 0, speed=100.0)], [], period=0.2)
-    problem = replace(problems.problem(world), first_period=0.05)
-    path = predict(problem, np.zeros(3))
-    assert path[:, 0, 0].tolist() == pytest.approx([0, 5, 25, 45])
 
 
 def test_a_problem_is_taken_from_the_experiment():

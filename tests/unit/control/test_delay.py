@@ -1,6 +1,5 @@
 """The state predicted over the dead time if nothing is identified."""
 
-import math
 from dataclasses import replace
 from functools import partial
 
@@ -80,26 +79,8 @@ def test_the_state_at_the_end_of_the_dead_time_is_known(dead_time):
     assert checked > 15
 
 
-@pytest.mark.parametrize("watchdog", [math.inf, 0.25])
-def test_robots_stand_before_the_first_command_acts(watchdog):
-    problem, estimates = estimator(0.3, watchdog=watchdog)
-    assert np.array_equal(estimates.add_step(seen(problem, 0.0)).poses.x, problem.poses.x)
-    motion = estimates.add_step(seen(problem, 0.2), command(0.0, 0.0))
-    assert motion.poses.x - problem.poses.x == pytest.approx(0.2 * problem.speed, rel=1e-3)
-    assert estimates.held_at_action.tolist() == [0.0] * 3
-
-
 @pytest.mark.parametrize(("last_s", "next_s"), [(0.9, 1.1), (0.7, 1.0), (1.2, 1.0)])
 def test_the_next_direction_comes_a_period_after_the_last_if_that_is_near(last_s, next_s):
     problem, estimates = estimator(0.1, dead_time_std=0.02)
     estimates.add_command(command(0.0, last_s))
     assert estimates.sending_ns(seen(problem, 1.0)) == round(next_s * SECOND)
-
-
-def test_the_last_of_many_commands_is_held():
-    problem, estimates = estimator(0.1)
-    estimates.add_step(seen(problem, 0.0), None)
-    for k in range(1, 300):
-        sent = command(float(k), 0.2 * (k - 1))
-        estimates.add_step(seen(problem, 0.2 * k), sent)
-    assert estimates.held_at_action.tolist() == [299.0] * 3

@@ -49,13 +49,6 @@ def test_the_sum_of_distances_falls_while_the_field_is_off():
     assert sums[-1] < 0.5 * sums[0]
 
 
-def test_the_field_rotates_at_its_rate():
-    _, off, plans, _ = drive({"rate": 0.5})
-    pairs = [k for k in range(1, len(off)) if not off[k] and not off[k - 1]]
-    turns = [plans[k].signals[0] - plans[k - 1].signals[0] for k in pairs]
-    assert np.remainder(turns, 2 * np.pi) == pytest.approx(0.5 * 3 * 0.2)
-
-
 def test_one_robot_comes_near_its_target():
     robots = [{"name": "r", "start": [900, 800], "target": [1700, 500], "a": 6, "speed": 180}]
     sums, *_ = drive({"rate": 0.7}, robots=robots)

@@ -1,7 +1,6 @@
 """The filters of the robots: what they identify, and what they take for lost, stuck or stale."""
 
 import math
-from copy import deepcopy
 from dataclasses import asdict, replace
 from typing import NamedTuple
 
@@ -22,7 +21,6 @@ from tetractl.control.kernels.filter_state import (
     HEADING,
     LN_SATURATION,
     LOG_FOLLOWS,
-    MARKER_BIAS,
     TURN_BIAS,
     Bank,
     PoseFrames,
@@ -32,9 +30,9 @@ from tetractl.control.kernels.filter_state import (
 )
 from tetractl.control.prior import Prior, Sticks
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Command, Steer, Stop
-from tetractl.core.plan import INNOVATIONS, OF_PLACES, OF_TURNING, Estimate
-from tetractl.core.poses import Observation, Poses, Sight, wrap
+from tetractl.core.commands import Steer, Stop
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Poses, Sight, wrap
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -44,20 +42,6 @@ pytestmark = pytest.mark.slow
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 CELLS = ROOT / "experiments" / "tetrahymena_disturbed.yaml"
 NOISY = ("plant.measurement_noise={position: 0.3, heading: 0.004}", "plant.heading_noise=0.03")
-
-
-class Late(Disturbance):
-    """Stands for radio and wheels that answer late: from a time [s] on, commands act later on each
-    robot by a time of its own (N,) [s]."""
-
-    def __init__(self, late_s, since_s=0.0):
-        self.late_ns = (np.array(late_s) * SECOND).astype(np.int64)
-        self.since_ns = since_s * SECOND
-
-    def sent(self, command):
-        if command.sent_ns < self.since_ns:
-            return command
-        return replace(command, late_ns=self.late_ns)
 
 
 class Sparse(Disturbance):
@@ -218,25 +202,6 @@ def test_the_dead_time_is_found_from_nothing(dead_time, rate):
     assert estimate.dead_time == pytest.approx(dead_time, abs=0.005)
 
 
-def test_each_robot_may_have_a_dead_time_of_its_own():
-    late_s = [0.0, 0.06, 0.12]
-    settings = [*NOISY, "plant.dead_time=0.1"]
-    estimate, plant, *_ = drive(settings, 8, 20, disturbance=Late(late_s))
-    assert estimate.own_dead_time == pytest.approx(np.add(0.1, late_s), abs=0.006)
-    assert estimate.dead_time_std > 0.04
-    assert estimate.a == pytest.approx(plant.a, rel=0.03)
-
-
-@pytest.mark.long
-def test_a_dead_time_that_changes_is_found_again():
-    """Regression: the dead times around 0.26 s had been dropped by then: 0.25 s, and a misfit."""
-    settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
-    estimate, _, estimator = drive(settings, 24, 20, disturbance=Late([0.15] * 3, since_s=12.0))
-    assert estimate.dead_time == pytest.approx(0.26, abs=0.004)
-    assert estimate.misfit.max() < 1
-    assert (estimator.filter.reopened_ns or 0) > 12 * SECOND
-
-
 @pytest.mark.long
 def test_the_side_to_which_a_robot_turns_faster_is_found():
     more = np.array([0.2, -0.2, 0.1])
@@ -260,49 +225,11 @@ def test_motors_that_saturate_are_found_by_the_misfit():
     assert (free.saturation == 1).all()
 
 
-@pytest.mark.long
-def test_a_bank_is_not_opened_again_while_the_model_fits():
-    driven = drive(["plant.dead_time=0.11", "plant.a_error=0.2", *NOISY], 20, 20)
-    assert driven.filters.reopened_ns is None
-
-
-@pytest.mark.long
-def test_a_motion_that_the_model_leaves_out_is_noticed():
-    """Robots slide, and are taken not to."""
-    names = ["green", "blue", "red"]
-    seconds = 15
-    estimate, *_ = drive(NOISY, seconds, 20)
-    assert estimate.unexplained(names, INNOVATIONS) == set()
-    slide = "plant.disturbances=[{type: flow, speed: 30}]"
-    wrong, *_ = drive([*NOISY, slide, "controller.prior.flow=0"], seconds, 20)
-    assert wrong.unexplained(names, OF_PLACES)
-    assert wrong.unexplained(names, OF_TURNING) == set()
-    assert (wrong.speed_std > estimate.speed_std).all()
-    right, *_ = drive([*NOISY, slide, "controller.prior.flow=30"], seconds, 20)
-    assert right.unexplained(names, INNOVATIONS) == set()
-
-
 @pytest.mark.parametrize("error", [0.0, 0.1, 0.25])
 def test_a_and_speed_are_found_while_the_robots_move(error):
     settings = [f"plant.a_error={error}", f"plant.speed_error={error}", "plant.dead_time=0.1"]
     estimate, plant, _ = drive(settings)
     assert estimate.a == pytest.approx(plant.a, rel=0.02)
-    assert estimate.speed == pytest.approx(plant.speed, rel=0.005)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("rate", [5, 20])
-def test_lost_commands_and_noise_do_not_lead_the_estimate_astray(rate):
-    settings = [
-        *NOISY,
-        "wheels.watchdog=null",
-        "plant.lost_commands=0.1",
-        "plant.dead_time=0.14",
-        "plant.a_error=0.2",
-    ]
-    estimate, plant, _ = drive(settings, 10, rate)
-    assert estimate.dead_time == pytest.approx(0.14, abs=0.01)
-    assert estimate.a == pytest.approx(plant.a, rel=0.06)
     assert estimate.speed == pytest.approx(plant.speed, rel=0.005)
 
 
@@ -335,35 +262,6 @@ def test_a_radio_that_lets_one_direction_in_four_through_is_noticed_within_four_
     settings = (*RADIO, f"plant.dead_time={0.11 + later_s}")
     driven = drive(settings, rate=20, disturbance=Sparse(of=4), directions=four_seconds)
     assert driven.estimator.is_radio_sparse
-
-
-@pytest.mark.parametrize("dead_time_s", [0.105, 0.11])
-def test_a_radio_that_works_seems_so_whenever_commands_act_between_frames(dead_time_s):
-    """Regression: frames after the next direction had acted spoke against the one before."""
-    settings = (f"plant.dead_time={dead_time_s}", "plant.a_error=0.2", "plant.lost_commands=0")
-    driven = drive(settings, rate=20, seed=5, directions=JUMPING)
-    assert driven.filters.reception.times_shown == 0
-
-
-@pytest.mark.parametrize("is_learnt", [True, False])
-def test_the_radio_is_tested_where_something_is_to_be_learnt(is_learnt):
-    experiment = load_spec(EXPERIMENT, [f"controller.estimate={str(is_learnt).lower()}"]).experiment
-    bank = FilterBank(experiment.controller.known(experiment.setup))
-    assert bank.tests_radio == is_learnt
-
-
-def test_a_signal_that_is_sent_again_is_reported_once_where_few_get_through():
-    driven = drive(NOISY, 1, 20)
-    estimator = driven.estimator
-    signal_s = estimator.problem.period
-    estimator.filter.reception.times_shown = 2
-    before = estimator.filter.commands.number
-    for since_s in (0.0, 0.05, 0.1, 0.15, signal_s):
-        estimator.add_command(Command(Steer(0.7), round((2 + since_s) * SECOND), (True,) * 3))
-    assert estimator.filter.commands.number == before + 2
-    estimator.filter.reception.times_shown = 0
-    estimator.add_command(Command(Steer(0.7), round(2.25 * SECOND), (True,) * 3))
-    assert estimator.filter.commands.number == before + 3
 
 
 def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
@@ -456,20 +354,6 @@ def test_a_cell_that_backs_off_and_turns_is_followed():
     assert np.max(turned_rad[since_backing]) < 0.5
 
 
-def test_a_robot_that_is_stuck_is_expected_to_stand_whatever_is_sent():
-    filters = drive(rate=20, seconds=2).filters
-    let_all_be_stuck(filters)
-    now_ns = filters.last_frame.sampled_ns
-    filters.add_command(Command(Steer(1.0), now_ns + 1, (True,) * 3))
-    assert np.isnan(filters.forecast(now_ns + 1).directions).all()  # as it would act
-
-
-def let_all_be_stuck(filters):
-    """Make the hypothesis that a robot is stuck, the last slot, the only one of each filter."""
-    filters.bank.ln_weight[...] = -np.inf
-    filters.bank.ln_weight[..., -1] = 0.0
-
-
 def frozen_from(first):
     """Show the poses before the frame of this number in its place and that of the next ones, for
     0.4 s at 120 frames a second."""
@@ -496,18 +380,6 @@ def test_a_picture_that_is_shown_again_is_no_measurement():
     assert np.max(off_mm) < 10
     assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.01)
     assert estimate.a == pytest.approx(plant.setup.a, rel=0.06)
-
-
-def test_equal_poses_of_robots_that_were_commanded_to_stand_are_measurements():
-    """A camera without noise sees them 30 mm from where the stop should have left them."""
-
-    def slid(frame):
-        off_mm = 30.0 if frame.frame >= 250 else 0.0  # 120 frames a second, the stop is at 240
-        return replace(frame, poses=replace(frame.poses, x=frame.poses.x + off_mm))
-
-    driven = drive(seconds=3, rate=20, altered=slid, stop_s=2.0)
-    plant = driven.plant
-    assert likely(driven.filters)[:, X] == pytest.approx(plant.poses.x + 30, abs=1)
 
 
 def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
@@ -673,54 +545,6 @@ def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
 
 
 @pytest.mark.long
-def test_a_robot_whose_watchdog_stops_it_fits_a_hypothesis():
-    """At 5 Hz, a robot that misses one direction stands after 0.25 s, until it hears the next."""
-    unfit = []
-
-    def compare(k, estimator, plant):
-        if k > 15:
-            filters, robots, _ = estimator.filter.likeliest()
-            unfit.append(estimator.filter.bank.unfit_s[filters, robots].max())
-
-    settings = [*NOISY, "plant.dead_time=0.12", "plant.lost_commands=0.15"]
-    drive(settings, seconds=30, watch=compare, seed=4)
-    assert max(unfit) < 0.1
-
-
-def test_a_covariance_of_many_orders_stays_a_covariance():
-    filters = drive(rate=20, seconds=2).filters
-    filters.bank.cov[...] *= 1e16
-    for _ in range(3):
-        last = filters.last_frame
-        filters.add_frames(replace(last, sampled_ns=last.sampled_ns + SECOND // 25))
-        used = filters.bank.ln_weight > -np.inf
-        cov = filters.bank.cov[used]
-        assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
-        heading_var = cov[:, HEADING, HEADING]
-        marker_var = cov[:, MARKER_BIAS, MARKER_BIAS]
-        of_both = cov[:, HEADING, MARKER_BIAS]
-        of_what_is_seen = heading_var + marker_var + 2 * of_both
-        assert of_what_is_seen.min() >= 0
-        assert np.isfinite(filters.bank.score).all()
-
-
-def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
-    """Regression: commands that had acted were forgotten at once, 65 at a time."""
-    directions = []
-
-    def replaced(k, estimator, plant):
-        filters = deepcopy(estimator.filter)
-        filters.restart([0])
-        if k > 10:
-            directions.append(filters.bank.direction[:, 0, 0])
-            of_one_that_is_stuck = filters.bank.direction[:, 0, -1]
-            assert np.isnan(of_one_that_is_stuck).all()
-
-    drive(["plant.dead_time=0.1"], seconds=4, rate=20, watch=replaced)
-    assert not np.isnan(np.concatenate(directions)).any()
-
-
-@pytest.mark.long
 def test_poses_are_followed_at_their_own_times():
     late_ns = 30_000_000
 
@@ -755,50 +579,3 @@ def test_a_grid_is_noise_and_its_poses_may_repeat():
     assert more[2] == pytest.approx(step_rad**2 / 12)
     assert model.coarse
     assert not usual.coarse
-
-
-def filters_of_one_robot():
-    """Filters that have not seen a frame yet, of a robot that is measured without noise."""
-    prior = Prior(
-        a=np.array([4.0]),
-        speed=np.array([300.0]),
-        dead_time=0.1,
-        a_std=0.2,
-        speed_std=0.15,
-        dead_time_std=0.05,
-        heading_bias_std=0.05,
-    )
-    return FilterBank(prior)
-
-
-def test_frames_of_one_robot_alone_may_repeat():
-    """One robot may stand, and be measured without noise: its equal poses are measurements."""
-    filters = filters_of_one_robot()
-    poses = Poses.of(np.zeros((1, 3)))
-    for k in range(20):
-        now_ns = k * SECOND // 25
-        filters.add_frames(Observation(k, now_ns, now_ns, poses, np.array([True])))
-    first_var = filters.model.noise[0, 0] ** 2
-    filter_row, robot, slot = (index[0] for index in filters.likeliest())
-    assert filters.bank.cov[filter_row, robot, slot, X, X] < first_var
-
-
-@pytest.mark.long
-def test_where_robots_will_be_can_be_asked_any_number_of_times():
-    """A forecast changes nothing: what later frames bring does not depend on it."""
-
-    def ask(k, estimator, plant):
-        for later_ns in (0, SECOND):
-            estimator.filter.forecast(plant.clock.now() + later_ns)
-
-    settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
-    quiet = drive(settings, 6, 20, disturbance=Turns(most=1.5))
-    questioned = drive(settings, 6, 20, disturbance=Turns(most=1.5), watch=ask)
-    assert_same_estimates(questioned.estimate, quiet.estimate)
-    assert questioned.filters.reopened_ns == quiet.filters.reopened_ns > 0
-
-
-def test_poses_are_predicted_only_after_a_frame():
-    filters = filters_of_one_robot()
-    with pytest.raises(AssertionError, match="poses are predicted from those of a frame"):
-        filters.forecast(0)

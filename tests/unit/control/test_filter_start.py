@@ -31,11 +31,6 @@ def opened_again(filters, heading_fits):
     return reopened_bank(filters.bank, filters.likeliest(), heading_fits, filters.prior)
 
 
-def test_motors_of_no_robot_saturate_where_every_heading_fits():
-    bank = opened_again(filters_of_slow_turns(), heading_fits=True)
-    assert (bank.group == NO_LIMIT).all()
-
-
 def test_motors_of_all_robots_may_saturate_where_one_heading_does_not_fit():
     """Regression: robots that just saturate do not show it by a misfit: their a was found 14 to
     25 % too small, by 8 to 15 deviations."""

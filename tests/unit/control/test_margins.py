@@ -10,13 +10,11 @@ from tetractl.control.margins import Margins, off_course
 from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Observation, Poses
-from tetractl.core.setup import Bounds
 from tetractl.model.shapes import Circle, Rectangle
 
 BOX = Rectangle(type="rectangle", left=1000, bottom=1000, width=100, height=100).shape()
 ROUND = Circle(type="circle", center=(3000, 3000), radius=50).shape()
 FAR = np.array([[100.0, 100], [200, 2000]])
-ARENA = Bounds(0, 0, 4000, 4000)
 
 
 def margins_of(shapes, walls=None, targets=FAR, radius=0.0):
@@ -44,21 +42,6 @@ def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
     assert unreduced.radius == 90
 
 
-def test_a_target_inside_the_margin_can_be_reached():
-    margins = margins_of([], ARENA, np.array([[20.0, 500], [2000, 2000]]))
-    region = margins.grown(at((500, 500), (900, 900)), 40)
-    target = at((20, 500))
-    opposite = at((3980, 500))  # as far from the right wall as the target from the left one
-    assert not region.contain(target.x, target.y).any()
-    assert region.contain(opposite.x, opposite.y).all()
-
-
-def test_inside_an_obstacle_nothing_of_the_margin_is_left():
-    margins = margins_of([BOX])
-    (shape,) = margins.grown(at((1050, 1050), (600, 600)), 40).shapes
-    assert shape.radius == 0
-
-
 @pytest.mark.parametrize(
     ("away", "margin_kept"), [(30, 0.98 * 30), (15, 14.7), (10.1, 10), (5, 10)]
 )
@@ -81,25 +64,6 @@ def test_two_robots_keep_their_radii_apart_unless_they_are_nearer():
     assert separation_at(120) == 100
     assert separation_at(95) == pytest.approx(94)
     assert separation_at(90) == pytest.approx(90)
-
-
-def test_robots_keep_the_separation_they_have():
-    margins = margins_of([])
-    assert margins.separation(at((500, 500), (900, 500)), 100) == 100
-    assert margins.separation(at((500, 500), (550, 500)), 100) == pytest.approx(49)
-    assert margins.separation(at((500, 500), (500, 500)), 0) == 0
-    assert margins_of([], targets=FAR[:1]).separation(at((5, 5)), 100) == 0
-
-
-def test_the_separation_grows_by_what_both_robots_may_be_off():
-    """Targets and starts are farther apart than that."""
-    spec = experiment(controller={"type": "mpc", "collision": {"separation": 50}})
-    section = spec.controller
-    problem = section.problem(spec.setup)
-    margins = Margins(section.collision, [], None, spec.setup.targets)
-    applied = margins.applied(problem, section.period, section.dead_time, None)
-    off_mm = off_course(problem.speed, section.period, section.dead_time, None)
-    assert applied.separation == pytest.approx(50 + 2 * off_mm)
 
 
 def test_what_is_uncertain_takes_more_room():
@@ -163,10 +127,3 @@ def test_margins_that_are_not_adaptive_are_the_papers_wherever_robots_are():
     applied = margins.applied(problem, 0.2, 0.1, None)
     assert applied.obstacles.shapes[0].radius == 40
     assert applied.separation == 55
-
-
-def test_margins_without_targets_are_those_that_robots_leave():
-    margins = margins_of([BOX, ROUND], targets=np.empty((0, 2)))
-    near, far = margins.grown(at((990, 1050)), 40).shapes
-    assert near.radius == pytest.approx(9.8)
-    assert far.radius == 90

@@ -29,12 +29,6 @@ def test_of_two_near_targets_each_is_moved_by_half_of_what_is_missing():
     np.testing.assert_array_equal(near[0], [100, 100])  # those given are not changed
 
 
-@pytest.mark.parametrize("robots", [3, 8])
-def test_targets_in_a_row_are_all_moved_apart(robots):
-    row = np.stack([100.0 * np.arange(robots), np.zeros(robots)], axis=1)
-    assert nearest(parted(row, 110.0)) > 109.8
-
-
 def test_targets_at_one_point_and_those_of_robots_that_may_meet_stay():
     same = np.array([[100.0, 100], [100, 100]])
     np.testing.assert_array_equal(parted(same, 50.0), same)

@@ -13,13 +13,9 @@ from tetractl.control.discs import Discs
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.passage import Squares, ways
 from tetractl.core.obstacles import Obstacles
-from tetractl.core.plan import Limits, State
+from tetractl.core.plan import Limits
 from tetractl.core.setup import Bounds
 from tetractl.experiment.load import load_spec
-from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.log.read.reader import read_trial
-from tetractl.replay.verify import verify
-from tetractl.run.spec_trial import log_path, run_logged
 
 RADIUS = 47.0
 SEPARATION = 95.0
@@ -91,17 +87,6 @@ def test_there_is_no_way_through_a_wall():
     region = Obstacles.of(closed.obstacles, RADIUS, closed.arena)
     nearest = list(ways(replace(problem, obstacles=region), arena, 200, key=5))
     assert not nearest or (predict(problem, nearest[0])[..., 0] < 1300).all()
-
-
-@pytest.mark.long
-def test_three_robots_pass_a_gap_one_after_the_other_to_their_targets(tmp_path):
-    spec = walled(260)
-    result = run_logged(LoadedSpec(spec, "", ""), tmp_path)
-    states = [step.plan.state for step in read_trial(log_path(tmp_path, 0)).steps]
-    assert states[0] is State.PASSING
-    assert result.total_error < 12
-    assert min(result.verdict.clearance) > RADIUS
-    assert verify(log_path(tmp_path, 0)).problems == ()
 
 
 @pytest.mark.long

@@ -79,12 +79,6 @@ def test_the_activation_stands_between_the_layers_alone(activation, hidden):
     np.testing.assert_allclose(outputs, [2 * hidden + 0.5, -7.0])
 
 
-def test_outputs_are_clipped_before_they_give_a_direction(tmp_path):
-    constant = {"weights": np.zeros((2, 6)).tolist(), "bias": [3.0, 1.0]}
-    trial = api.run_trial(spec_file(tmp_path, [constant], time_limit=0.4))
-    assert trial.steps[0].plan.direction == math.atan2(1.0, 1.0)
-
-
 @pytest.mark.parametrize(
     ("layers", "words"),
     [
@@ -115,19 +109,3 @@ def test_a_file_that_holds_no_weights_is_refused_by_name(text, words, tmp_path):
     (tmp_path / "weights.json").write_text(text)
     with pytest.raises(InvalidSpecError, match=rf"weights.json: {words}"):
         api.load_spec(path)
-
-
-def test_a_policy_without_weights_is_refused(tmp_path):
-    path = spec_file(tmp_path, [TOWARDS_TARGET], weights=None)
-    with pytest.raises(InvalidSpecError, match="needs weights"):
-        api.load_spec(path)
-
-
-def test_a_policy_that_overflows_says_so_and_warns_of_nothing(tmp_path, recwarn):
-    large = {"weights": np.zeros((2, 6)).tolist(), "bias": [1e308, 1e308]}
-    layers = [large, {"weights": [[10, -10]] * 2, "bias": [0, 0]}]  # inf - inf
-    path = spec_file(tmp_path, layers, activation="relu")
-    result = api.run_trial(path).result
-    assert result.outcome == "aborted"
-    assert result.reason == "the policy's outputs are not finite numbers"
-    assert not recwarn.list

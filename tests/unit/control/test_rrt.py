@@ -77,18 +77,6 @@ def test_the_robot_goes_round_the_obstacle_to_its_target(key):
     assert np.hypot(*(verdict.final.xy[0] - TARGET)) < 30  # v/a: it turns no tighter
 
 
-@pytest.mark.parametrize("key", range(4))
-def test_a_dead_time_that_is_told_and_noise_are_borne(key):
-    noise = {"measurement_noise": {"position": 2.0, "heading": 0.02}, "heading_noise": 0.05}
-    verdict, _ = drive(key, {"dead_time": 0.1}, dead_time=0.1, **noise)
-    assert np.hypot(*(verdict.final.xy[0] - TARGET)) < 60
-
-
-def test_arrival_ends_it_earlier():
-    _, decision = drive(1, {"arrival_tolerance": 60})
-    assert decision is Outcome.ARRIVED
-
-
 def test_several_robots_and_one_that_stands_are_refused():
     text = experiment().model_dump_json()
     with pytest.raises(InvalidSpecError, match="steers one robot, but there are 3"):

@@ -32,14 +32,6 @@ def test_a_trial_of_two_seconds_has_ten_periods_after_its_first_command(latency_
     assert steps == 10
 
 
-def test_a_rest_takes_its_time():
-    time = TrialTime(2.0, 0.2)
-    time.add_step(seen(0.0), None)
-    time.add_step(seen(0.2), sent(0.0))
-    time.add_step(seen(1.1), sent(0.4))
-    assert time.passed_s == pytest.approx(1.1)
-
-
 def test_after_a_rest_of_three_and_a_half_periods_each_step_takes_one_of_those_left():
     """Regression: the time left was then a whole number of periods, which rounding made one less in
     some steps; so a plan that fitted lost its next signal.

@@ -31,14 +31,6 @@ def test_a_reader_gets_every_frame_once_and_in_order(arrivals):
     assert buffer.count == total
 
 
-def test_the_newest_frame_is_the_last_one_if_there_is_any():
-    buffer = FrameBuffer()
-    assert buffer.newest is None
-    for number in (1, 2):
-        buffer.append(frame(number))
-        assert buffer.newest.frame.number == number
-
-
 def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
     buffer = FrameBuffer()
     for number in range(WAITING_MAX + 5):

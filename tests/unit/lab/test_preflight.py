@@ -81,25 +81,6 @@ def test_all_missing_devices_are_problems_beside_those_of_the_others(missing):
     assert not report.ready
 
 
-def test_a_run_names_all_devices_that_are_missing():
-    lab = fake_lab(experiment().setup)
-    rig = lab.plant.rig
-    rig.actuator = Missing(rig.actuator, "actuator")
-    rig.camera = Missing(rig.camera, "camera")
-    with pytest.raises(AbortError) as caught, rig:
-        pass
-    assert caught.value.message == "there is no actuator; there is no camera"
-    assert caught.value.hint == "plug in the actuator; plug in the camera"
-
-
-def test_a_rig_that_was_closed_stays_closed():
-    rig = fake_lab(experiment().setup).plant.rig
-    with rig:
-        pass
-    rig.camera = Missing(rig.camera, "camera")
-    rig.open()  # AbortError if it opened the camera
-
-
 def test_a_camera_whose_frames_are_all_dropped_is_a_problem_with_a_reason():
     """Regression: all of the frames watched were dropped, and nothing was wrong."""
 
@@ -124,19 +105,6 @@ def test_a_silent_camera_is_a_problem():
 
     (problem,) = looked_over(silence).problems
     assert problem.startswith("no new camera frame for 0.5")
-
-
-def test_a_camera_whose_program_ends_meanwhile_is_the_problem():
-    """Regression: its frames were reported as missing."""
-
-    def end(camera):
-        camera.silent = True
-        camera.frames = gone
-
-    def gone():
-        raise AbortError("the program of the camera has ended")
-
-    assert looked_over(end).problems == ("the program of the camera has ended",)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import problems
 
-from tetractl.control.cost import evaluate, predict
-from tetractl.control.evaluate import compiled_costs
+from tetractl.control.cost import predict
 from tetractl.control.kernels import gradient
 from tetractl.control.kernels.gradient import Trace
 from tetractl.control.kernels.motion import flatten
@@ -103,12 +102,3 @@ def test_a_robot_along_or_against_the_direction_has_a_finite_gradient(model, hea
         found.keep,
     ):
         assert np.isfinite(slope).all()
-
-
-def test_costs_of_many_sequences_know_how_robots_turn():
-    world = problems.world(7, robots=4)
-    problem = turning(problems.problem(world, drifts=True), 7)
-    rng = np.random.default_rng(7)
-    signals = rng.uniform(-math.pi, math.pi, (12, 16))
-    costs = compiled_costs(problem, 16)(signals)
-    assert costs == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)

@@ -95,26 +95,6 @@ def test_the_best_of_all_starts_is_kept_and_the_history_ends_with_its_cost(look)
     assert together.state.evaluations == sum(result.state.evaluations for result in alone)
 
 
-def test_a_start_is_ended_as_it_is():
-    problem = problems.problem(problems.world(4, 3, 2, "exact"))
-    starts = starts_of(1, 3, 20)
-    _, result = searched(problem, starts, cut_short=True)
-    assert result.state.starts_done == 1
-    assert result.signals == pytest.approx(starts[0])
-    assert result.state.best_cost == pytest.approx(evaluate(problem, starts[:1]).total[0], rel=1e-9)
-
-
-def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
-    problem = problems.problem(problems.world(4, 3, 2, "exact"))
-    starts = starts_of(1, 1, 20)
-    _, alone = searched(problem, starts)
-    _, result = searched(problem, starts, tolerance=1e9, warm=starts[0])
-    assert result.history[0] == pytest.approx(evaluate(problem, starts).total[0], rel=1e-9)
-    assert result.state.evaluations == 3  # its cost, then one merit and the cost again
-    _, result = searched(problem, starts, warm=starts[0])
-    assert result.state.evaluations == alone.state.evaluations + 1
-
-
 @given(
     seed=st.integers(0, 2**32),
     length=st.integers(1, 30),

@@ -51,24 +51,6 @@ def test_it_leads_where_the_readable_prediction_does(
     assert fast.obstacle == slow.obstacle
 
 
-@pytest.mark.parametrize(
-    ("motion", "period"),
-    [("euler", 0.2), ("arc", 0.2), ("arc", 1.0), *(("exact", t) for t in (0.2, 1.0, 4.0, 40.0))],
-)
-def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion, period):
-    """Swarms clamp signals to pi, against which a robot stands that heads for 0. Where it heads on
-    a circle's far side by a rounding error, the error grows by e^(a T) in a step."""
-    world = problems.world(4, 3, 0, motion, period=period)
-    problem = problems.problem(world)
-    poses = replace(problem.poses, heading=np.array([0.0, 0.3, -math.pi]))
-    problem = replace(problem, poses=poses, a=np.array([6.0, 4.0, 3.0]))
-    signals = np.array([math.pi, 0.7, -math.pi, 2.0, 2.2, -1.0])
-    slow = foresee(problem, signals)
-    fast = compiled_foresee(problem, signals)
-    assert fast.path == pytest.approx(slow.path, rel=1e-6, abs=1e-4)
-    assert fast.target == pytest.approx(slow.target, rel=1e-6)
-
-
 @pytest.mark.long
 @given(seed=SEEDS, swept=st.booleans(), margin=st.sampled_from([0.0, 30.0]))
 def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
@@ -164,24 +146,3 @@ def spread(problem, signals, reference):
     rng = np.random.default_rng(0)
     moved = [signals + rng.choice([-1e-12, 1e-12], signals.shape) for _ in range(4)]
     return np.max([np.abs(evaluate(problem, m).total - reference) for m in moved], axis=0)
-
-
-@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
-@pytest.mark.parametrize("turn", [1e-6, 1e-3, 1.25, 3.0, 5.0, 20.0, 50.0])
-def test_costs_agree_whatever_a_robot_turns_in_a_period(model, turn):
-    """Regression: above a T of about 4 the sines of `euler` and `arc` left their range."""
-    problem = problems.problem(problems.world(1, obstacles=0, model=model))
-    problem = replace(problem, a=np.full(3, turn / problem.period))
-    signals = np.random.default_rng(1).uniform(-math.pi, math.pi, (33, 3))
-    reference = evaluate(problem, signals).total
-    assert costs_twice(problem, signals) == pytest.approx(reference, rel=1e-8)
-
-
-@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
-def test_costs_agree_at_the_bounds_and_along_the_axes(model):
-    """Directions of exactly 0, +-pi/2 and +-pi, where a sine or a turn vanishes."""
-    problem = problems.problem(problems.world(2, obstacles=4, model=model))
-    axes = np.array([0.0, math.pi / 2, -math.pi / 2, math.pi, -math.pi])
-    signals = np.random.default_rng(2).choice(axes, (64, 9))
-    reference = evaluate(problem, signals).total
-    assert costs_twice(problem, signals) == pytest.approx(reference, rel=1e-9)

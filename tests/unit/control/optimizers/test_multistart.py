@@ -1,5 +1,4 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +7,6 @@ from hypothesis import strategies as st
 from support import problems
 from support.paths import ROOT
 
-from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, Problem
@@ -31,42 +29,6 @@ def test_the_reference_problem_is_solved_from_any_seed():
     spec = Multistart()
     searches = [spec.search(problem, 44, None, key, Limits()) for key in range(20)]
     assert [search.stopped for search in searches] == ["target"] * 20
-
-
-def test_a_solved_problem_costs_one_look():
-    problem = reference_problem()
-    spec = Multistart()
-    solved = spec.search(problem, 44, None, 3, Limits()).signals
-    again = spec.search(problem, 44, solved, 4, Limits())
-    assert again.stopped == "target"
-    assert again.evaluations <= 3
-    assert again.cost <= spec.tolerance
-
-
-def test_a_warm_start_through_the_obstacle_is_led_out_of_it():
-    """Every robot in a row behind the obstacle: straight on goes through it."""
-    problem = reference_problem()
-    spec = Multistart()
-    start = np.zeros(44)
-    poses = Poses.of(np.array([[900.0, 1200.0, 0.0]]))
-    robot = replace(
-        problem,
-        poses=poses,
-        targets=np.array([[1700.0, 1210.0]]),
-        a=problem.a[1:2],
-        speed=problem.speed[1:2] / 2,
-    )
-    assert evaluate(robot, start[None]).obstacle[0] > 0
-    result = spec.search(robot, 44, start, 1, Limits())
-    assert evaluate(robot, result.signals[None]).obstacle[0] == 0
-
-
-def test_what_is_out_of_reach_is_given_up_after_one_round():
-    problem = reference_problem()
-    spec = Multistart(rounds=1000)
-    result = spec.search(problem, 3, None, 1, Limits())
-    assert result.stopped == "iterations"
-    assert result.evaluations < 3000
 
 
 @given(

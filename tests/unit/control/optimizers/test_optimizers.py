@@ -12,7 +12,6 @@ from support import problems
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso import Pso
-from tetractl.control.search_progress import Progress
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits, StopReason
 
@@ -78,14 +77,3 @@ def test_costs_that_are_not_finite_are_refused(optimizer, bad):
     with pytest.raises(ControlError, match="not finite") as caught:
         optimizer.search(problems.problem(world), 4, None, 1, Limits())
     assert caught.value.hint
-
-
-def test_progress_keeps_the_best_and_counts():
-    progress = Progress(2, Limits(evaluations=5))
-    progress.add(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([7.0, 5.0]))
-    progress.add(np.array([[0.0], [0.0]]), np.array([6.0]))
-    assert progress.limit_before(2) is None
-    progress.ended = progress.limit_before(3)
-    result = progress.search()
-    assert (result.signals.tolist(), result.cost, result.evaluations) == ([2.0, 4.0], 5.0, 3)
-    assert (result.history.tolist(), result.stopped) == ([5.0, 5.0], StopReason.EVALUATIONS)

@@ -70,19 +70,6 @@ def test_line_5_takes_a_bad_warm_start_and_19_then_drops_it():
     assert result.history[1] <= best * (1 + 1e-12)
 
 
-@pytest.mark.parametrize("warm", [False, True])
-def test_a_budget_ends_a_search_with_the_best_so_far(warm):
-    problem = problems.problem(problems.world(6))
-    start = np.zeros(5) if warm else None
-    unlimited = search(problem, 5, start, swarm(10, 20), 3)
-    for budget in (1, 10, 20 + warm, 29 + warm, 57, 210 + warm, 10_000):
-        limited = search(problem, 5, start, swarm(10, 20), 3, budget)
-        done = max(0, min(20, (budget - 10 - warm) // 10))
-        assert limited.history.tolist() == unlimited.history[: done + 1].tolist()
-        assert limited.evaluations == 10 * (done + 1) + warm
-        assert limited.stopped == ("iterations" if done == 20 else "evaluations")
-
-
 def test_the_paper_stop_ends_a_search_at_a_standstill():
     """One particle that knows the best already cannot improve on it, so log 0 stops at z = 11."""
     world = problems.world(2, robots=1, obstacles=0)
@@ -92,28 +79,3 @@ def test_the_paper_stop_ends_a_search_at_a_standstill():
     one_particle = swarm(1, 100, {"type": "paper"})
     result = search(problem, 1, np.zeros(1), one_particle, 1)
     assert (len(result.history) - 1, result.stopped) == (11, "criterion")
-
-
-def test_a_target_ends_a_search_as_soon_as_it_is_met():
-    problem = problems.problem(problems.world(6))
-    unlimited = search(problem, 5, None, swarm(10, 20), 3)
-    for z in (1, 4, 12):
-        stop = {"type": "target", "cost": float(unlimited.history[z])}
-        limited = search(problem, 5, None, swarm(10, 20, stop), 3)
-        first = max(1, int(np.argmax(unlimited.history <= unlimited.history[z])))
-        assert limited.history.tolist() == unlimited.history[: first + 1].tolist()
-        assert limited.stopped == "target"
-
-
-def test_the_swarm_is_scattered_over_its_whole_search_space():
-    problem = problems.problem(problems.world(6))
-    scattered = swarm(particles=2000).swarm(problem, 3, None, 1)
-    spread = ((scattered.u, math.pi), (scattered.v, 2 * math.pi), (scattered.u_lb, math.pi))
-    for part, bound in spread:
-        assert part.shape == (3, 2000)
-        assert np.abs(part).max() <= bound
-        assert part.min() < -0.99 * bound
-        assert part.max() > 0.99 * bound
-        assert abs(part.mean()) < 0.05 * bound
-    correlation = np.corrcoef(scattered.u.ravel(), scattered.u_lb.ravel())[0, 1]
-    assert abs(correlation) < 0.05

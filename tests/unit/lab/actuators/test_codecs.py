@@ -62,14 +62,6 @@ def test_stuffing_as_in_its_paper(payload, stuffed):
 CUTS = st.lists(st.integers(0, 100), max_size=10)
 
 
-@given(st.binary(max_size=cobs.FRAME_MAX))
-def test_stuffing_round_trips(payload):
-    frame = cobs.encode(payload)
-    assert frame.index(0) == len(frame) - 1
-    assert len(frame) == len(payload) + 2
-    assert cobs.decode(frame[:-1]) == payload
-
-
 def test_the_documented_bytes_are_those_sent():
     page = (ROOT / "docs" / "reference" / "wires.md").read_text()
     words = " ".join(page.split())

@@ -68,16 +68,6 @@ def test_a_reply_with_the_sequence_of_another_command_is_not_believed():
     assert link.poll(1.0) == [None]
 
 
-def test_the_number_of_the_first_poll_cannot_be_foretold():
-    """Regression: it was always 1."""
-    asked = []
-    clock = VirtualClock()
-    clock.sleep_until(123_456_789)
-    link, _ = linked(["air"], {"air": lambda sequence: asked.append(sequence) or []}, clock)
-    link.poll(0.1)
-    assert asked == [(123_456_789 + 1) % 256]
-
-
 def test_a_robot_is_believed_at_its_own_port_alone():
     replies_of_two = {
         "a": lambda sequence: [reply_of(0, sequence)],

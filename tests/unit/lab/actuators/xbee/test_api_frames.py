@@ -63,11 +63,6 @@ def test_data_is_read_from_every_frame_in_which_a_module_reports_it(head):
         assert not received(head_bytes[:size])
 
 
-def test_a_frame_of_another_kind_reports_no_data():
-    modem_status = b"\x8a" + bytes(18)
-    assert received(modem_status) == b""
-
-
 def test_answers_to_requests():
     assert answered(at_response(5, b"AP", b"\x02")) == (5, b"AP", b"\x02")
     assert answered(at_response(5, b"QQ", None)) == (5, b"QQ", None)
@@ -102,13 +97,6 @@ def test_a_frame_behind_a_torn_one_is_found(torn):
     torn_bytes = bytes.fromhex(torn)
     assert decoder.feed(torn_bytes + encode(b"\x89\1\0")) == [b"\x89\1\0"]
     assert decoder.dropped_bytes == len(torn_bytes)
-
-
-def test_a_frame_with_a_wrong_checksum_is_dropped_whole():
-    good = encode(b"\x89\1\0")
-    decoder = Decoder()
-    assert decoder.feed(good[:-1] + b"\x76" + good) == [b"\x89\1\0"]
-    assert decoder.dropped_bytes == len(good)
 
 
 @pytest.mark.parametrize("size", [0, CONTENT_MAX + 1])

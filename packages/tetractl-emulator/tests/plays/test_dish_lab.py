@@ -1,6 +1,5 @@
 """Cells that a trial finds and steers through synthetic pictures, emulated, in virtual time."""
 
-import contextlib
 import json
 import re
 
@@ -106,19 +105,6 @@ def test_a_cell_that_divides_is_replaced(tmp_path):
     assert max(result.robot_errors) < 60
 
 
-def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkeypatch):
-    """Regression: the page said so, and the field turned at once; then the question was on stdout,
-    so that with `--json > cells.json` it was not seen."""
-    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
-    with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
-        words = [word for setting in dish.settings for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "survey", DISH, *words, stdin="n\n")
-        assert dish.events("run") == []
-    assert done.returncode != 0
-    assert "The field will turn the cells for" in done.stderr
-    assert done.stdout.strip() == ""
-
-
 def test_stop_of_a_field_needs_no_more_of_a_spec_than_its_driver(tmp_path, monkeypatch):
     """Regression: the field stayed on if any other part of the spec was wrong."""
     with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
@@ -130,27 +116,6 @@ def test_stop_of_a_field_needs_no_more_of_a_spec_than_its_driver(tmp_path, monke
         assert DriverStatus.EMERGENCY_STOPPED in dish.emulation.actuator.driver.status
     assert done.stdout == "sent 10 stops\n"
     assert "controller.typo" in done.stderr
-
-
-def test_a_key_is_the_emergency_stop_of_a_survey(tmp_path, monkeypatch):
-    """Regression: keys did nothing while a survey turned the field."""
-
-    class PressedKey(contextlib.nullcontext):
-        listening = True
-
-        def __init__(self, stop, enter):
-            super().__init__(self)
-            stop()
-
-    monkeypatch.setattr("tetractl.cli.lab.StopKey", PressedKey)
-    with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
-        words = [word for setting in dish.settings for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", *words)
-        dish.clock.sleep_until(dish.clock.now() + SECOND)
-        assert DriverStatus.EMERGENCY_STOPPED in dish.emulation.actuator.driver.status
-    assert done.returncode == 1
-    assert "SPACE or ESC" in done.stderr
-    assert "emergency stop by the operator" in done.stderr
 
 
 def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(tmp_path):

@@ -62,18 +62,6 @@ def test_check_says_ready_and_moves_nothing(lab, tmp_path):
     assert emulated.events("run") == []
 
 
-def test_check_asks_about_a_radio_that_it_does_not_know(lab, tmp_path):
-    emulated = lab("about: an odd radio\nemulation: {actuator: {hardware: 0x7F44}}")
-    command = ("lab", "check", str(SPEC), *flags(emulated.settings))
-    done = tetractl(tmp_path, *command)
-    assert done.returncode == 1
-    says = "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run"
-    assert says in done.stdout
-    assert "questions not answered: add --yes if there is no terminal" in done.stderr
-    done = tetractl(tmp_path, *command, "--yes").ok()
-    assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
-
-
 def test_check_says_who_is_off_and_how_far(lab, tmp_path):
     settings = lab().settings
     moved = ("robots.0.start=[955, 800]", "robots.1.start=[945, 1200]", "robots.2.heading=0.4")
@@ -83,17 +71,6 @@ def test_check_says_who_is_off_and_how_far(lab, tmp_path):
     assert "problem: red is turned by -0.40 rad from its start heading" in done.stdout
     assert "blue is" not in done.stdout
     assert done.stdout.rstrip().endswith("not ready")
-
-
-def test_check_prints_the_names_that_the_cameras_have_beside_the_one_wanted(lab, tmp_path):
-    settings = lab().settings
-    sets = flags((*settings, "lab.camera.robots.green.body=Gren"))
-    done = tetractl(tmp_path, "lab", "check", str(SPEC), *sets)
-    assert done.returncode == 1
-    assert (
-        "problem: the cameras know no rigid body 'Gren', wanted for green; did you mean 'green'?; "
-        "they have 'green' (id 1); 'blue' (id 2); 'red' (id 3)"
-    ) in done.stdout
 
 
 def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
@@ -154,22 +131,6 @@ def test_stop_needs_no_more_of_a_spec_than_its_actuator(lab, tmp_path, monkeypat
     assert field in done.stderr
 
 
-def test_stop_needs_no_calibration(lab, tmp_path, monkeypatch):
-    """Regression: not one stop was sent if the file was missing."""
-    replaced = ("  # calibration: m3pi", "  calibration: m3pi")
-    done, count = stops_by_spec(lab(), tmp_path, monkeypatch, [replaced])
-    assert (done.returncode, count, done.stderr) == (0, 10, "")
-
-
-def test_stop_takes_the_settings_of_a_run(lab, tmp_path, monkeypatch):
-    """Regression: `--set plant.actuator.port=..`, as of `run --plant lab`, was refused."""
-    emulated = lab()
-    port = f"plant.actuator.port={tmp_path / 'radio'}"
-    replaced = (str(tmp_path / "radio"), "/dev/ttyUSB0")
-    done, count = stops_by_spec(emulated, tmp_path, monkeypatch, [replaced], port)
-    assert (done.returncode, count, done.stderr) == (0, 10, "")
-
-
 def test_stop_refuses_an_actuator_or_a_setting_that_is_wrong(lab, tmp_path, monkeypatch):
     """What is wrong may be the port, and stops on another one would stop no robot."""
     emulated = lab()
@@ -179,18 +140,6 @@ def test_stop_refuses_an_actuator_or_a_setting_that_is_wrong(lab, tmp_path, monk
     done, count = stops_by_spec(emulated, tmp_path, monkeypatch, [], "lab.actuator.robots.pink=1")
     assert (done.returncode, count) == (2, 0)
     assert "has no entry 'pink'" in done.stderr
-
-
-def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, monkeypatch):
-    def compiled(*_):
-        raise AssertionError("compiled")
-
-    monkeypatch.setattr("tetractl.control.build.warm_up", compiled)
-    done = tetractl(
-        tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--set", "lab.actuator.port=nowhere"
-    )
-    assert done.returncode == 1
-    assert done.stderr.endswith("nowhere: there is no such port\nhint: is the radio plugged in?\n")
 
 
 @pytest.mark.long
@@ -221,18 +170,6 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     started = 2
     again = run(*log, "lab", "--plant", "lab", "--yes").ok()
     assert "both logs are of the lab: they are not compared" in again.stderr
-
-
-def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):
-    """Regression: the question was on stdout, so that with `> values.txt` it was not seen."""
-    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
-    emulated = lab()
-    words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
-    done = tetractl(tmp_path, *words, stdin="n\n")
-    assert done.returncode != 0
-    assert "green, blue, red will move up to 0.3 m each. Continue?" in done.stderr
-    assert done.stdout.strip() == ""
-    assert emulated.events("run") == []
 
 
 @pytest.mark.long

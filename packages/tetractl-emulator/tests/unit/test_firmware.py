@@ -155,25 +155,6 @@ def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch)
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_without_a_compiler_the_error_says_so(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(TetractlError, match="no C compiler") as got:
-        firmware.load("m3pi", tmp_path / "out")
-    assert got.value.hint
-
-
-@needs_compiler
-def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(firmware, "cache_folder", lambda: tmp_path)
-    load = firmware.load.__wrapped__  # a process loads it once
-    load("m3pi")
-    (built,) = tmp_path.iterdir()
-    monkeypatch.setattr(firmware, "compiler", lambda: None)
-    assert load("m3pi")["size"]() > 0
-    assert list(tmp_path.iterdir()) == [built]
-
-
 @pytest.mark.skipif(
     shutil.which("make") is None or shutil.which("g++") is None, reason="no make or g++ found"
 )

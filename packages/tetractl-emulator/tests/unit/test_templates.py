@@ -20,13 +20,6 @@ def test_a_template_says_with_which_lag_emulated_wheels_follow(tmp_path, robots)
     assert loaded.experiment.setup.lag_s == 0, "simulated wheels of this spec have no lag"
 
 
-def test_a_lab_without_a_lag_of_its_own_has_that_of_all_plants(tmp_path):
-    tetractl(tmp_path, "init", "shelf", "--lab", "--robots", "twist").ok()
-    text = (tmp_path / "shelf.yaml").read_text(encoding="utf-8").replace("  lag: 0.04\n", "")
-    loaded = parse_spec(text, "shelf", ["wheels.lag=0.07"])
-    assert on_plant(loaded, "emulated").experiment.setup.lag_s == 0.07
-
-
 def test_a_lag_without_wheels_is_refused(tmp_path):
     tetractl(tmp_path, "init", "shelf", "--lab", "--robots", "twist").ok()
     text = (tmp_path / "shelf.yaml").read_text(encoding="utf-8").replace("wheels: {", "# {")

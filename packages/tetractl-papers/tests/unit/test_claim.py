@@ -6,7 +6,6 @@ from tetractl_papers.claim import (
     Claim,
     Fate,
     NumberKind,
-    as_often,
     assess,
     at_least,
     at_most,
@@ -14,7 +13,6 @@ from tetractl_papers.claim import (
     rarely,
     same_deviation,
     same_mean,
-    same_number,
 )
 
 
@@ -36,15 +34,6 @@ def test_a_mean_is_reached_or_missed_by_its_whole_interval(bound, verdict):
     assert fate_of(at_least(-bound), -VALUES) is verdict
 
 
-def test_equal_values_count_as_a_point():
-    equal = np.full(3, 11.0)
-    number = same_number(20).number(equal)
-    assert number.low == 11
-    assert number.high == 11
-    assert fate_of(same_number(20), equal) is Fate.MISSED
-    assert fate_of(same_number(11), equal) is Fate.AGREES
-
-
 @pytest.mark.parametrize(
     ("count", "n", "verdict"),
     [
@@ -58,11 +47,6 @@ def test_absence_needs_as_many_trials_as_presence(count, n, verdict):
     values = (np.arange(n) < count).astype(float)
     assert fate_of(rarely(0.05), values) is verdict
     assert rarely(0.05).number(values).kind is NumberKind.SHARE
-
-
-def test_a_fact_as_often_as_stated_agrees():
-    assert fate_of(as_often(0.05), np.zeros(20)) is Fate.AGREES
-    assert fate_of(as_often(0.05), np.ones(20)) is Fate.MISSED
 
 
 def test_a_published_mean_and_deviation_agree_within_their_own_uncertainty():

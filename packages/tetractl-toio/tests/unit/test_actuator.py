@@ -7,7 +7,6 @@ from tetractl_toio.messages import SPEED_MIN, WHEEL_MM_S, Characteristic, Unpack
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Steer
-from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.experiment.load import load_spec
 from tetractl.lab.serial_port import SerialPort
@@ -77,13 +76,3 @@ def test_a_direction_becomes_motor_commands_that_end_by_themselves(cubes):
     counts = np.array([steered.left, steered.right])
     np.testing.assert_allclose([sent.left[0], sent.right[0]], counts * WHEEL_MM_S)
     assert steered.right > steered.left >= 0
-
-
-def test_a_stop_reaches_the_other_cubes_when_one_is_gone(cubes):
-    actuator, wire = cubes
-    with actuator:
-        wire.broken.add("toio-M0p")
-        with pytest.raises(AbortError, match="toio-M0p of the cube is gone"):
-            actuator.stop()
-        assert motors(wire, "toio-a9R") == motors(wire, "toio-C3P") == [(0, 0, 250)]
-        assert "is gone" in actuator.failure

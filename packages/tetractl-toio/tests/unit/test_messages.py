@@ -25,15 +25,6 @@ def test_the_examples_of_the_specification_are_read_and_written():
     assert Characteristic.CONFIGURATION.uuid == "10b201ff-5b3b-4571-9508-cf3efcd7bbae"
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [b"", b"\x01", POSITION[:-1], POSITION + b"\0", b"\x05", POSITION[:5] + b"\xff" + POSITION[6:]],
-)
-def test_other_readings_are_refused(wrong):
-    with pytest.raises(WireError, match="no reading"):
-        messages.decode_reading(wrong)
-
-
 @pytest.mark.parametrize("index, value", [(0, 3), (1, 0), (1, 2), (2, 0), (5, 3), (4, 1)])
 def test_motor_commands_that_a_cube_ignores_are_refused(index, value):
     command = bytearray(DRIVE)

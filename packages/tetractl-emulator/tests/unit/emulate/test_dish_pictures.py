@@ -7,8 +7,6 @@ from tetractl_emulator.pictures.dish.picture import DishPainter, PictureLook
 
 from tetractl.model.swimmers import Swimmers, bodies
 
-PLAIN = PictureLook(width=160, height=120, vignetting=0.0, noise=0.0)
-
 
 def drawn(look, seed=1, **values):
     cells = Swimmers.drawn(np.random.default_rng(seed), 1)
@@ -41,22 +39,6 @@ def test_the_middle_and_the_axis_of_a_body_are_where_they_are_said_to_be(bright,
     assert abs((off + np.pi / 2) % np.pi - np.pi / 2) < 0.03
 
 
-def steepest_edge(picture):
-    """The greatest difference between a pixel and the next one of its row."""
-    return np.abs(np.diff(picture, axis=1)).max()
-
-
-def test_what_is_out_of_focus_is_blurred():
-    sharp, _ = drawn(PLAIN, depth=0.0, helix_um=0.01)
-    soft, _ = drawn(PLAIN, depth=60.0, helix_um=0.01)
-    assert steepest_edge(soft) < 0.6 * steepest_edge(sharp)
-
-
-def test_a_cell_outside_of_the_picture_leaves_it_empty():
-    picture, _ = drawn(PLAIN, x=-500.0)
-    assert np.ptp(picture) == 0
-
-
 @pytest.mark.long
 def test_the_same_seed_gives_the_same_film_and_its_pairs_cross():
     first, again = (film(seed=3, side=256, seconds=1.0) for _ in "ab")
@@ -66,13 +48,3 @@ def test_the_same_seed_gives_the_same_film_and_its_pairs_cross():
     for i in (0, 2, 4):
         gaps = np.linalg.norm(synthetic.body[:, i, :2] - synthetic.body[:, i + 1, :2], axis=1)
         assert gaps.min() < 40
-
-
-def test_events_add_a_daughter_and_let_a_cell_rest():
-    synthetic = film(seed=5, events=True)
-    assert synthetic.body.shape[1] == 5
-    half = len(synthetic.times) // 2
-    assert not synthetic.in_view[: half - 1, 4].any()
-    rest = (synthetic.times > 0.45 * 4) & (synthetic.times < 0.55 * 4)
-    path = synthetic.body[rest, 3, :2]
-    assert np.linalg.norm(path[-1] - path[0]) < 10

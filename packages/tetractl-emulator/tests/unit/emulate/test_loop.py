@@ -22,20 +22,6 @@ def test_events_happen_in_order_at_their_times(times, until):
     assert (moved or [0])[-1] == until
 
 
-def test_an_event_may_plan_others_and_none_is_in_the_past():
-    timeline = Timeline(lambda t: None)
-    gathered = []
-
-    def again():
-        gathered.append(timeline.now_ns)
-        if len(gathered) < 4:
-            timeline.at(timeline.now_ns - 5 if len(gathered) == 2 else timeline.now_ns + 10, again)
-
-    timeline.at(3, again)
-    timeline.run_to(100)
-    assert gathered == [3, 13, 13, 23]
-
-
 def test_lateness_is_noted():
     late = []
     timeline = Timeline(lambda t: None)

@@ -1,7 +1,5 @@
 """The emulated XBee over a real pseudo-terminal, spoken to with pyserial and our frames."""
 
-import os
-
 import pytest
 import serial
 from support.lab_processes import emulated, turn_until
@@ -84,41 +82,6 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     assert serial_ns + 500_000 < way_ns < serial_ns + 2_000_000  # and some time in the air
     turn_until(lab, lambda: lab.actuator.robots[0].wheels[0] > 100)
     assert lab.actuator.robots[1].counts() == (60, 60)
-
-
-def test_an_answer_keeps_the_air_until_it_is_acknowledged(opened):
-    lab, _ = opened()
-    radio = lab.actuator.radio
-    arrived = []
-    radio._answer = lambda data: arrived.append(lab.timeline.now_ns)
-    for _ in range(2):
-        radio._reply(bytes(13))
-    turn_until(lab, lambda: len(arrived) == 2)
-    assert arrived[1] - arrived[0] >= (13 + 17) * 32_000 + 860_000
-
-
-def test_a_name_left_by_a_killed_emulation_is_taken_over(tmp_path):
-    (tmp_path / "radio").symlink_to("/dev/pts/no-such-one")
-    with emulated(tmp_path) as lab:
-        assert lab.actuator.wired[0].port.link.exists()
-    assert not (tmp_path / "radio").is_symlink()
-
-
-def test_a_name_left_by_a_killed_emulation_is_taken_over_if_its_number_is_used_again(tmp_path):
-    """Regression: the new port had the number of the killed one, and the link to it "exists"."""
-    link = tmp_path / "radio"
-    first = PseudoPort(link)
-    first.plug()
-    target = link.readlink()
-    link.unlink()
-    first.unplug()
-    link.symlink_to(target)  # as SIGKILL leaves it
-    os.utime(link, (0, 0), follow_symlinks=False)
-    again = PseudoPort(link)
-    again.plug()
-    assert link.exists()
-    again.unplug()
-    assert not link.is_symlink()
 
 
 def test_a_name_that_an_emulation_uses_is_refused(tmp_path):

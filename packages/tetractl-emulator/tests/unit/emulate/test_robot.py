@@ -97,16 +97,6 @@ def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, count_left):
     assert watched.wheels == pytest.approx(alone.wheels, abs=1e-9)
 
 
-def test_a_wheel_that_sticks_stands_at_once():
-    robot = robot_at_start()
-    robot.hear(frame(1, (40, 40)))
-    robot.robots.advance(200 * MS)
-    act(robot.acting, "wheel_stuck", robot=robot.name, wheel="left")
-    robot.robots.advance(202 * MS)
-    assert robot.wheels[0] == 0
-    assert robot.wheels[1] > 0
-
-
 def test_a_robot_stops_by_its_watchdog():
     robot = robot_at_start()
     robot.hear(frame(1, (40, 40)))

@@ -7,7 +7,6 @@ from tetractl_emulator.m3pi.emulated_radio import at_response
 from tetractl_emulator.memory_wires import MemoryNetwork
 from tetractl_emulator.virtual_lab import LabClock
 
-from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command, stop_all
 from tetractl.lab.actuators.wheel_commands import Reply, Status
@@ -92,13 +91,6 @@ def test_a_module_that_would_not_do_is_refused(answers, radio, says):
     assert caught.value.hint
 
 
-def test_a_module_that_falls_silent_is_not_said_to_have_another_mode():
-    """Regression: a module that began again between two questions was "not in API mode"."""
-    answers = {command: value for command, value in SERIES_1.items() if command != b"AP"}
-    with pytest.raises(AbortError, match="the radio's module does not answer any more"):
-        Module(answers).opened()
-
-
 def test_an_answer_that_is_lost_once_is_asked_for_again():
     module = Module(SERIES_1)
     heard = []
@@ -117,83 +109,12 @@ def test_a_port_without_a_module_is_told():
         Module({}).opened()
 
 
-class Sleepy(Module):
-    """Stands for a module that wakes once it has received some requests, and then answers all."""
-
-    def __init__(self, wakes_after):
-        super().__init__()
-        self.wakes_after = wakes_after
-        self.unanswered = []
-
-    def say(self, frame):
-        self.unanswered.append(frame)
-        if len(self.unanswered) >= self.wakes_after:
-            for answer in self.unanswered:
-                super().say(answer)
-            self.unanswered.clear()
-            self.wakes_after = 0
-
-
-@pytest.mark.parametrize("wakes_after", range(1, 7))
-def test_a_late_answer_is_not_one_at_the_next_baud_rate(wakes_after):
-    """Regression: "the module answers at 38400 baud, not the spec's 57600"."""
-    radio = Sleepy(wakes_after)
-    link = radio.opened()
-    assert radio.port_of_link.bits_a_second == 57600
-    assert link.ask(b"AP") == b"\x02"
-
-
-def test_an_answer_to_another_question_is_dropped():
-    radio = Module()
-    link = radio.opened()
-    questions = []
-
-    def answer_as_if_asked_for_the_baud_rate():
-        (question,) = radio.decoder.feed(radio.port.read())
-        questions.append(question)
-        frame_id = question[1]
-        radio.say(at_response(frame_id, b"BD", b"\x07"))
-
-    radio.port.hear = answer_as_if_asked_for_the_baud_rate
-    assert link.ask(b"AP") is None
-    assert len(questions) == 1
-
-
 def test_a_broadcast_puts_every_robot_at_its_number():
     radio = Module()
     link = radio.opened()
     Broadcaster(link, radio.clock, [2, 0]).drive([(10, -20), (30, 40)])
     (frame,) = Splitter().feed(radio.sent[0].removeprefix(BROADCAST))
     assert decode_command(frame).wheels == ((30, 40), (0, 0), (10, -20))
-
-
-def test_an_answer_to_an_earlier_request_is_none_to_the_next():
-    """A module that answers each request only after the next one."""
-    radio = Module()
-    heard = []
-    link = radio.opened()
-
-    def late():
-        heard.extend(radio.decoder.feed(radio.port.read()))
-        for content in heard[-2:-1]:
-            radio.say(at_response(content[1], b"HV", SERIES_1[b"HV"]))
-
-    radio.port.hear = late
-    assert [link.ask(b"HV") for _ in range(3)] == [None] * 3
-
-
-def test_robots_are_asked_again_if_the_computer_slept_meanwhile():
-    """Regression: of a robot whose first reply was lost it was said that it does not answer."""
-    polls = []
-
-    def sleep(content):
-        polls.append(content)
-        radio.clock.sleep_until(radio.clock.now() + 3 * SECOND)
-        return []
-
-    radio = Module(respond=sleep)
-    assert Broadcaster(radio.opened(), radio.clock, (0, 1)).poll(1.0) == [None, None]
-    assert len(polls) == 5
 
 
 def test_a_poll_ends_once_the_port_is_gone():
@@ -252,7 +173,3 @@ def test_lab_stop_says_that_no_module_answers_after_the_stops(stop_robots):
     assert "baud rate" in raised.value.hint
     assert "switch the robots off by hand" in raised.value.hint
     assert emergency_stops(module) == 10
-
-
-def test_lab_stop_expects_no_answer_while_a_run_has_the_port(stop_robots):
-    assert stop_robots(Module(answers={}), alone=False).startswith("sent 10 stops")

@@ -1,13 +1,12 @@
 """The public `natnet` client reads what we pack, and reads it as we do."""
 
 import pytest
-from support.natnet_samples import every_version, full_frame, full_modeldef
+from support.natnet_samples import every_version, full_frame
 
 from tetractl.lab.cameras.optitrack.wire import HEADER, parse
 
 pytest.importorskip("natnet", reason="the PyPI package natnet is not installed")
 
-from natnet.data_descriptions import DataDescriptions
 from natnet.data_frame import DataFrame
 from natnet.packet_buffer import PacketBuffer
 from natnet.version import Version as TheirVersion
@@ -32,13 +31,3 @@ def test_frames_are_read_alike(version):
     if (3, 0) <= version < (4, 1):  # it does not know the suffixes before and after
         assert theirs.suffix.stamp_camera_mid_exposure == ours.exposure
         assert theirs.suffix.param == ours.params
-
-
-@every_version
-def test_names_are_read_alike(version):
-    # natnet 0.3.0 takes a force plate's four corners for three, and would read our asset
-    model, packed = full_modeldef(version, awkward=False)
-    theirs = DataDescriptions.read_from_buffer(
-        PacketBuffer(packed[HEADER.size :]), TheirVersion(*version)
-    )
-    assert [(body.name, body.id_num) for body in theirs.rigid_bodies] == list(model.bodies)

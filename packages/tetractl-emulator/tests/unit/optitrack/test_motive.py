@@ -9,13 +9,11 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.optitrack.scripted import OptitrackSettings
 from tetractl_emulator.optitrack.side import EmulatedOptitrack
-from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.sides import Options, Stage
 
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.wire import pack, parse
 
 TICKS_PER_MS = 10_000  # of the server's clock
@@ -105,18 +103,3 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
     assert 0.3 < gaps_ms.std(ddof=1) < 0.6
     assert gaps_ms.min() > 3.8
     assert gaps_ms.max() < 12.8
-
-
-def test_garbage_is_counted_and_survived(client):
-    for noise in (b"", b"\0", b"\xff" * 300, pack(natnet.Connect())[:-1]):
-        client.send(noise)
-    assert client.clock.wait(lambda: client.motive.counts["refused"] == 4)
-    client.send(natnet.Connect())
-    assert client.comes(natnet.ServerInfo)
-
-
-@pytest.mark.parametrize("up", UpAxis)
-def test_a_body_that_is_emulated_is_placed_where_it_is(up):
-    body = View(up, (100.0, -50.0), 0.7).rigid_body_at(1, 500.0, 300.0, 1.1, 60.0)
-    pose = Placement(100.0, -50.0, 0.7, 1000.0).pose(body, up)
-    assert (pose.x, pose.y, pose.heading, pose.height) == pytest.approx((500, 300, 1.1, 60))

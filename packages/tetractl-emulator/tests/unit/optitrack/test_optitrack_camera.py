@@ -9,7 +9,6 @@ from support.lab_specs import SPEC
 from support.virtual_lab import Joined, virtual_lab
 from tetractl_emulator.optitrack.natnet_server import pack_answer
 
-from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.cameras.optitrack import natnet
 
@@ -83,50 +82,6 @@ def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
         )
 
 
-@pytest.mark.parametrize("which", ["command", "data"])
-def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(tmp_path, which):
-    with motive(tmp_path) as (lab, camera, clock), camera:
-        model = camera.stream.model
-        info = camera.stream.info
-        offset = camera.stream.sync.to_host(0)
-        sender = getattr(lab.camera.ports, which)
-        forged = (
-            natnet.ServerInfo("else", natnet.Version(3, 0), 10**7, 1511),
-            natnet.ModelDef((("Green", 7),)),
-            natnet.EchoResponse(12345, 1),
-        )
-
-        for message in forged:
-            sender.sendto(pack_answer(message, V41), own_address(camera))
-
-        def dropped():
-            if which == "command":
-                return camera.stream.counts.unasked
-            return camera.senders.refused.total()
-
-        assert clock.wait(lambda: dropped() == len(forged))
-        assert camera.stream.model == model
-        assert camera.stream.info == info
-        assert camera.stream.sync.to_host(0) == pytest.approx(offset, abs=5_000_000)
-        assert camera.damaged == 0
-        assert len(camera.check().warnings) == 1
-
-
-def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
-    sets = (
-        "lab.camera.transport=multicast",
-        "lab.camera.group=239.255.42.97",
-        "lab.camera.interface=127.0.0.1",
-    )
-    with motive(tmp_path, "", *sets) as (lab, camera, clock), camera:
-        stranger = stranger_of()
-        assert camera.senders.frames_port == lab.camera.ports.data.getsockname()[1]
-        stranger.sendto(
-            stray(camera.stream.newest.number + 1), ("239.255.42.97", lab.camera.ports.data_port)
-        )
-        assert clock.wait(lambda: camera.senders.refused.total() == 1)
-
-
 @pytest.mark.parametrize(
     ("script", "said", "hint"),
     [
@@ -157,17 +112,6 @@ def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, s
     assert hint in advice
 
 
-def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
-    with motive(tmp_path, connect=SHORT) as (lab, camera, _):
-        act(lab.camera.acting, "other_version", version="3.0")
-        with pytest.raises(
-            AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
-        ) as e:
-            camera.__enter__()
-    assert e.value.message.endswith("which fit protocol 3.0")
-    assert "set lab.camera.version" in e.value.hint
-
-
 def test_a_server_that_answers_from_another_address_is_named(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         second = stranger_of("127.0.0.3")
@@ -190,14 +134,6 @@ def test_frames_of_version_2_are_dated_by_their_arrival(tmp_path, script, sets):
         assert camera.check().facts["natnet"] == "2.9"
 
 
-def test_bodies_given_by_their_ids_need_no_names(tmp_path):
-    ids = "robots: [{name: green, body: 1}, {name: blue, body: 7}]"
-    quiet = motive(tmp_path, "answers_models: false", robots=ids, connect=SHORT)
-    with quiet as (_, camera, _), camera:
-        assert all(camera.stream.newest.poses)
-        assert camera.check().problems == ()
-
-
 def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
     with motive(tmp_path) as (lab, camera, clock), camera:
         lab.camera.tracked_body("blue").asset.streamed = False
@@ -206,15 +142,6 @@ def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())
         (problem,) = camera.check().problems
         assert "know no rigid body of id 7, wanted for blue; the nearest id is 1;" in problem
-
-
-def test_a_body_that_is_known_but_not_streamed_is_told_as_that(tmp_path):
-    with motive(tmp_path, "robots: [{name: green, streamed: false}]") as (_, camera, _), camera:
-        (problem,) = camera.check().problems
-        assert problem == (
-            "the cameras do not stream the rigid body 'Green', wanted for green: switch it on in "
-            "Motive; they have 'Green' (id 1), not streamed; 'blue' (id 7)"
-        )
 
 
 @pytest.mark.parametrize("version", ["4.4", "4.5"])
@@ -227,20 +154,3 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
         assert health.problems == ()
         assert f"protocol {version} is newer than 4.3; it is read as 4.3" in (health.warnings)
         assert camera.damaged == 0
-
-
-@pytest.mark.long
-def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
-    """Regression: four times a second, for as long as the bit lasted."""
-    with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:
-        before = lab.camera.counts["models asked"]
-        clock.sleep_until(clock.now() + 60 * SECOND)
-        assert 5 <= lab.camera.counts["models asked"] - before <= 13
-
-
-def test_a_body_that_gets_its_name_is_found(tmp_path):
-    with motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (lab, camera, clock), camera:
-        assert camera.stream.newest.poses[0] is None
-        lab.camera.names = (("Green", 1), ("blue", 7))
-        assert clock.wait(lambda: camera.stream.newest.poses[0] is not None)
-        assert camera.check().problems == ()

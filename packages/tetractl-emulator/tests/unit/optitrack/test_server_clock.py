@@ -1,7 +1,6 @@
 """A camera server whose clock is set or runs wrongly, in virtual time: noticed, and named."""
 
 import random
-import re
 from dataclasses import dataclass
 
 import pytest
@@ -124,18 +123,6 @@ def test_a_clock_that_jumps_forward_is_a_fault_within_a_tenth_of_a_second(jump_s
     assert server.stream.counts.bad == 4  # dropped before the fault is certain
 
 
-@pytest.mark.parametrize("jump_s", [0.004, -0.05, -0.2, -5.0])
-def test_a_jump_that_frames_do_not_contradict_is_named_by_the_next_echo(jump_s):
-    server = Server()
-    assert server.until(10.1) is None
-    server.ahead += round(jump_s * SECOND)
-    assert server.until(12) - 10.1 < ECHO_NS / SECOND + 0.05
-    fault = server.stream.newest.fault
-    match = re.match(r"the camera server's clock (gained|lost) ([0-9.]+) ms", fault)
-    assert match[1] == ("gained" if jump_s > 0 else "lost")
-    assert float(match[2]) == pytest.approx(abs(jump_s) * 1e3, abs=1)
-
-
 @pytest.mark.parametrize("rate", [1.02, 1.005, 0.995, 0.98])
 def test_a_clock_that_runs_wrongly_is_named_within_two_echoes(rate):
     server = Server()
@@ -143,14 +130,6 @@ def test_a_clock_that_runs_wrongly_is_named_within_two_echoes(rate):
     server.run_at(rate)
     assert server.until(12) - 10.1 < 2 * ECHO_NS / SECOND + 0.1
     assert ("gained" if rate > 1 else "lost") in server.stream.newest.fault
-
-
-def test_frames_of_another_clock_than_the_echoes_are_named():
-    """Regression: every frame was dropped as damaged, and `lab check` found nothing wrong."""
-    server = Server()
-    server.ticks_of_frame = lambda number, host_ns: 0
-    assert server.until(2) < 0.5
-    assert "s before reception: the clock was set" in server.stream.newest.fault
 
 
 def test_single_frames_of_a_wrong_time_are_dropped_and_are_no_fault():
@@ -214,10 +193,3 @@ def test_a_drift_is_found_and_undone():
     assert abs(sync.drift - drift) < 5e-6
     later = 65 * SECOND
     assert abs(sync.to_host(ticks(later)) - later) < 200_000
-
-
-def test_without_echoes_it_is_not_synced_and_nonsense_is_ignored():
-    sync = ClockSync(1_000_000)
-    sync.add(1000, 0, 5)
-    sync.add(0, 2 * SECOND, 5)
-    assert not sync.synced

@@ -95,15 +95,6 @@ def test_an_echo_is_taken_once_and_only_with_the_time_that_was_sent():
     assert stream.counts.unasked == 2
 
 
-def test_the_newest_frame_wins():
-    stream = connected()
-    for number in (5, 6, 9, 8, 9):
-        stream.feed(frame(number), 0)
-    assert stream.newest.number == 9
-    assert stream.newest.fault == ""
-    assert stream.counts.frames == 3
-
-
 @pytest.mark.parametrize("exposure, fault", [(HZ // 2, ""), (HZ + 9, "the frame counter went")])
 def test_a_frame_of_the_past_was_overtaken_by_however_many_and_a_new_one_counts_back(
     exposure, fault
@@ -155,54 +146,3 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     assert stream.up is None
     assert says in str(error)
     assert error.hint.startswith(hint)
-
-
-def test_frames_before_the_server_is_known_are_no_bad_datagrams():
-    stream = Stream(ROBOTS, MILLIMETRES)
-    assert stream.feed(frame(1), 0) is None
-    assert stream.counts.bad == 0
-
-
-def test_exposure_is_told_in_host_time():
-    stream = connected()
-    stream.asked(natnet.EchoRequest(1_000_000_000))
-    stream.feed(pack_answer(natnet.EchoResponse(1_000_000_000, 5 * HZ)), 1_000_200_000)
-    stream.feed(frame(1, exposure=6 * HZ), 2_006_000_000)
-    assert stream.newest.sampled_ns == 2_000_100_000
-
-
-def test_an_exposure_that_cannot_be_is_a_bad_datagram():
-    """Regression: such an age did not fit into a log."""
-    stream = connected()
-    stream.asked(natnet.EchoRequest(0))
-    stream.feed(pack_answer(natnet.EchoResponse(0, 2**64 - 1)), 10)
-    stream.feed(frame(1, exposure=0), 20)
-    assert stream.counts.bad == 1
-    assert stream.counts.frames == 0
-    assert stream.newest is None
-
-
-def test_the_server_answers_its_axis():
-    stream = connected(up=None)
-    stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
-    assert stream.newest.poses == (None, None)
-    stream.asked(natnet.NatNetRequest(UP_AXIS))
-    stream.feed(answer_of("<i", 1), 0)
-    assert stream.up is UpAxis.Y
-
-
-def test_an_answer_that_is_no_number_is_a_bad_datagram():
-    stream = connected()
-    stream.asked(natnet.NatNetRequest(UNITS))
-    stream.feed(pack_answer(natnet.Response(b"Unrecognized request")), 0)
-    assert stream.unit_mm is None
-    assert stream.counts.bad == 1
-
-
-def test_no_frame_is_exposed_after_it_came():
-    """By an answer that took 10 ms for its way back, the server's clock seems 5 ms ahead."""
-    stream = connected()
-    stream.asked(natnet.EchoRequest(0))
-    stream.feed(pack_answer(natnet.EchoResponse(0, 0), V41), 10_000_000)
-    stream.feed(frame(7, exposure=HZ), 1_001_000_000)
-    assert stream.newest.sampled_ns == stream.newest.received_ns == 1_001_000_000

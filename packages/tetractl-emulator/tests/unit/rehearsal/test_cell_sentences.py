@@ -95,37 +95,10 @@ def test_a_sentence_is_broken(name, events, more):
     assert name in broken(*events, **more)
 
 
-def test_a_cell_that_was_born_is_one_of_the_dish():
-    later = {**truth_at(2.0), "born": [[1.5, 1.5, 0.0]]}
-    poses = truth_of(later).poses
-    assert poses.shape == (2, 5, 3)
-    assert np.isnan(poses[0, 4]).all()
-    assert poses[1, 4, 0] == 1.5
-
-
-def test_pictures_that_were_late_make_the_bound_later():
-    late = {
-        "kind": "pictures late",
-        "right": "not tracked",
-        "fault": "late_pictures",
-        "by": 0.2,
-        "at": 1,
-    }
-    assert not broken(SEEN, STOP, command(2.1, unseen=450.0), fault=late)
-
-
 def give_log(truth, **fields):
     """Give a day a log with these fields; all others are None."""
     empty = dict.fromkeys(TrialLog.__dataclass_fields__)
     vars(truth)["log"] = TrialLog(**empty | fields)
-
-
-def test_a_frame_whose_number_comes_twice_is_that_of_its_time():
-    events = [{**truth_at(t), "frame": n} for t, n in ((1.5, 7), (1.6, 8), (1.7, 7), (1.8, 8))]
-    truth = truth_of(*events)
-    times_ns = np.array([1_500_000_000, 1_600_000_000, 1_700_000_000])
-    give_log(truth, frames=np.array([7, 8, 7]), mocap_ns=times_ns)
-    assert truth.exposure_of_frame == [1, 2, 3]  # the first exposure of all has no number
 
 
 def day_with_shown_cell(seconds, shown_um, meets=False):

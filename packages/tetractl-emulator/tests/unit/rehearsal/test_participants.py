@@ -1,11 +1,10 @@
 """What a lab is rehearsed against: the faults of its sides."""
 
-import numpy as np
 import pytest
 from support.device_specs import APRILTAG_SPEC, TWIST_SPEC
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES
-from tetractl_emulator.fault_rows import FaultRow, scale_of
+from tetractl_emulator.fault_rows import FaultRow
 from tetractl_emulator.faults import fault_kind
 from tetractl_emulator.rehearsal.day import plan_of_day, rows_of
 from tetractl_emulator.script import Sides, script_of
@@ -28,12 +27,6 @@ def test_robots_that_take_lines_have_ports_of_their_own_at_which_no_other_progra
     of_lines = {row.name for row in rows_of_spec(TWIST_SPEC)}
     assert of_m3pi - of_lines == {"second sender", "sender at our rate"}
     assert not of_lines - of_m3pi
-
-
-def test_a_camera_of_pictures_has_none_of_a_motion_capture_system():
-    names = {kind.fault for kind in rows_of_spec(APRILTAG_SPEC)}
-    assert {"no_frames", "untracked", "unplug", "signal"} < names
-    assert not names & {"swap", "twin_id", "ghost"}
 
 
 @pytest.mark.long
@@ -62,16 +55,6 @@ def test_cells_can_have_what_pictures_coils_and_cells_have_and_nothing_of_wheels
     assert {"blurred", "knocked", "pictures late", "coils turned", "cell divides"} < names
     assert {"killed", "suspended", "disk full", "second run"} < names
     assert not names & {"wheel stuck", "pose frozen", "ghost turns", "radio late"}
-
-
-def test_lengths_are_drawn_in_the_scale_of_cells():
-    experiment = load_spec(EXAMPLES / "tetrahymena_lab.yaml").experiment
-    lab = experiment.lab, experiment.setup
-    assert scale_of(*lab) == pytest.approx(330 / 200_000)
-    plans = [plan_of_day(1, day, *lab) for day in range(300)]
-    jumps = [np.hypot(*f["by"]) for p in plans for f in p.faults if f["fault"] == "jump"]
-    assert 0.008 < min(jumps) < 0.02 < 0.3 < max(jumps) < 0.83
-    assert all(p.emulation["camera"]["noise_mm"] < 0.0009 for p in plans)
 
 
 def test_one_robot_is_not_swapped_with_itself():

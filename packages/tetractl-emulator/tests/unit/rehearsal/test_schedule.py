@@ -113,17 +113,6 @@ def test_every_fault_is_drawn_often_and_its_strongest_lasts():
     assert min(lasting.values()) >= 10
 
 
-NAMED = """no_frames late_frames doubled_frames reordered freeze slow_frames half_tracked untracked
-swap ghost picture slip lifted pushed wheel_stuck weak_wheel low_battery off late_radio loss deaf
-radio_resets baud doubled_packets clock_jump clock_rate host_clock busy stopped disk_full signal
-second_run bad_bytes bad_datagrams emergency stopped_elsewhere overtaken_packets
-reboots driven_elsewhere"""
-
-
-def test_the_table_has_each_fault_that_was_asked_for():
-    assert set(NAMED.split()) <= {kind.fault for kind in ROWS}
-
-
 def test_a_script_is_in_the_order_of_time_without_what_only_the_draw_has():
     faults = [
         {"kind": "killed", "fault": "signal", "signal": "KILL", "at": 4.0},
@@ -132,7 +121,3 @@ def test_a_script_is_in_the_order_of_time_without_what_only_the_draw_has():
     script = DayPlan(1, {}, faults).script()
     assert script["about"] == "untracked, killed"
     assert script["faults"][1] == {"fault": "signal", "signal": "KILL", "at": 4.0}
-
-
-def test_names_of_rows_are_unique():
-    assert len({kind.name for kind in ROWS}) == len(ROWS)

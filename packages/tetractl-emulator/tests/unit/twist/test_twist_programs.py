@@ -2,7 +2,6 @@
 
 import importlib
 import random
-import re
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -262,12 +261,6 @@ def test_a_robot_stops_by_its_watchdog():
     assert bench.speeds_by_ms[-1] == STANDING
 
 
-def test_a_robot_replies_with_its_battery():
-    bench = Bench(200, lines((20, Flag.POLL, ())), battery_mv=4321)
-    play(bench)
-    assert re.fullmatch(rb"S 0 1 0 4321 1 0\*[0-9A-F]{4}\n", bench.sent)
-
-
 def test_a_robot_keeps_an_emergency_stop():
     run = ((0, 100, 100),)
     sent = lines((60, Flag.RUN, run), (80, Flag.EMERGENCY_STOP, ()), (100, Flag.RUN, run))
@@ -275,10 +268,3 @@ def test_a_robot_keeps_an_emergency_stop():
     play(bench)
     assert any(speeds != STANDING for speeds in bench.speeds_by_ms[60:80])
     assert set(bench.speeds_by_ms[82:]) == {STANDING}
-
-
-@pytest.mark.parametrize("wrong", [{"battery_mv": 3900}, {"reset_cause": WATCHDOG_RESET}])
-def test_a_robot_with_an_empty_battery_or_after_its_watchdog_stands(wrong):
-    bench = Bench(200, runs(190, 99, 99), **wrong)
-    play(bench)
-    assert set(bench.speeds_by_ms) == {STANDING}

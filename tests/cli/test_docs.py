@@ -83,32 +83,6 @@ def test_the_learner_of_the_page_exports_a_policy(tmp_path):
     assert len(layers[0]["weights"][0]) == 6  # features of one robot
 
 
-def test_the_small_table_of_the_readme_has_the_numbers_of_its_first_command():
-    page = (ROOT / "README.md").read_text("utf-8")
-    printed = next(example.shown for example in console.examples(page) if example.shown)
-    for row in ("our controller", "the paper's controller"):
-        (line,) = [line for line in page.splitlines() if line.startswith(f"| {row}")]
-        mean, interval, *faults = (cell.strip() for cell in line.split("|")[3:7])
-        assert re.search(rf" {mean} .* {interval}", printed), line
-        assert set(faults) <= {"0", "4"}  # that entered an obstacle, and that left the arena
-    assert "left the arena: paper: 4 of 20" in printed
-
-
-def test_the_example_of_processors_has_the_numbers_of_the_same_command_in_the_readme():
-    """README's are compared with what the command prints."""
-    page = (ROOT / "docs/reference/statistics.md").read_text("utf-8")
-    mean, low, high, most = re.search(
-        r"total error is ([\d.]+) mm \(95 % interval ([\d.]+)\s+to ([\d.]+), at most ([\d.]+)\)",
-        page,
-    ).groups()
-    assert "\n    tetractl run experiments/three_m3pi_bench.yaml --quiet\n" in page
-    readme = (ROOT / "README.md").read_text("utf-8")
-    printed = next(example.shown for example in console.examples(readme) if example.shown)
-    (ours,) = [line for line in printed.splitlines() if line.startswith(" ours ")]
-    assert ours.split()[2] == mean
-    assert ours.split()[6:] == [most, low, "to", high]
-
-
 def test_each_mean_of_which_bench_is_which_stands_on_the_page_it_names():
     page = ROOT / "docs/explanation/bench.md"
     text = page.read_text("utf-8")
@@ -192,13 +166,6 @@ def test_the_site_has_every_page_and_needs_no_network(tmp_path):
         assert f'"{name}"' in searched
         built = (tmp_path / f"{name}.html").read_text("utf-8")
         assert not re.findall(r'<(?:script|img)[^>]* src="\w+:|<link[^>]* href="\w+:', built), name
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_is_offered_for_each_shell(shell):
-    script = _completion(f"source_{shell}", "")
-    assert "tetractl" in script
-    assert "_TETRACTL_COMPLETE" in script
 
 
 @pytest.mark.long

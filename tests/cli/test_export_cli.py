@@ -43,16 +43,6 @@ def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_pat
     assert len(pandas.read_csv(tmp_path / "out" / "trials.csv")) == 1
 
 
-def test_tables_of_before_stay_if_none_of_the_logs_can_be_read(tmp_path):
-    (tmp_path / "noise.mcap").write_bytes(b"nothing")
-    (tmp_path / "steps.csv").write_text("the table of before")
-    done = tetractl(tmp_path, "export", "noise.mcap", "-o", "steps.csv", "--table", "steps")
-    assert done.returncode == 1
-    assert done.stderr.endswith("error: none of the logs can be read\n")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["noise.mcap", "steps.csv"]
-    assert (tmp_path / "steps.csv").read_text() == "the table of before"
-
-
 @pytest.mark.parametrize(
     ("command", "out"),
     [("export", "\x1b[1mout"), pytest.param("report", "r.html", marks=pytest.mark.long)],

@@ -41,12 +41,6 @@ def test_a_spec_takes_its_numbers_from_the_file(folder, identified):
 
 
 @pytest.mark.usefixtures("identified")
-def test_a_setting_of_the_command_line_has_the_last_word(folder):
-    spec = resolved(folder, "--set", "robots.one.a=5")
-    assert spec["robots"][0]["a"] == 5
-
-
-@pytest.mark.usefixtures("identified")
 def test_what_was_identified_is_not_overwritten(folder):
     again = tetractl(folder, "identify", "logs", "-o", "found.yaml")
     assert again.returncode == 2
@@ -129,13 +123,3 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     ):
         done = identify(name, *words)
         assert done.returncode == 2 and why in done.stderr, done.stderr
-
-
-@pytest.mark.long
-def test_the_wheels_of_logs_are_identified(folder):
-    robots = identified_json(folder, "logs", "--wheels")
-    assert [robot["name"] for robot in robots] == ["one", "two"]
-    for robot in robots:
-        # between two commands these robots turn ever more slowly, without wheels
-        assert 0.7 < robot["turning_gain"]["value"] < 1.1
-        assert robot["speed_gain"]["value"] == pytest.approx(1.0, abs=0.1)

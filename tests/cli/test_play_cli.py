@@ -5,14 +5,13 @@ import sys
 from dataclasses import replace
 
 import pytest
-import yaml
 from support.cli import tetractl
 from support.running import TETRACTL
 from support.terminal import Terminal
 from support.trials import three_robots
 
 import tetractl as package
-from tetractl.cli.play import _best, _error
+from tetractl.cli.play import _best
 from tetractl.experiment.section_abilities import GivenDirections
 
 pytestmark = pytest.mark.slow
@@ -60,23 +59,6 @@ def test_a_script_steers_and_the_controller_does_the_same_trial(folder):
     assert "lower mean error" not in stats
     again = tetractl(folder, "rerun", "out/you/trial-000.mcap", "-o", "again").ok()
     assert "the content digests agree" in again.stderr
-
-
-def test_seed_and_settings_are_those_of_both_trials(folder):
-    words = ("--seed", "9", "--set", "plant.dead_time=0.2", "--script", "keys.txt", "-o", "out")
-    tetractl(folder, "play", "spec.yaml", *words).ok()
-    for who in ("you", "controller"):
-        log = package.read_log(folder / "out" / who / "trial-000.mcap")
-        assert log.start.seed == 9
-        assert log.experiment.plant.dead_time == 0.2
-
-
-def test_an_obstacle_is_named(folder):
-    spec = yaml.safe_load(SPEC)
-    spec["obstacles"] = [{"type": "circle", "center": [370, 500], "radius": 20}]
-    (folder / "spec.yaml").write_text(yaml.safe_dump(spec))
-    done = tetractl(folder, "play", "spec.yaml", "--script", "keys.txt", "-o", "out").ok()
-    assert re.match(r"you [\d.]+ mm in 1 s through an obstacle, the", done.stdout)
 
 
 @pytest.mark.parametrize(
@@ -141,33 +123,6 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
     assert yours.result.outcome == "sequence completed"
 
 
-@pytest.mark.long
-def test_a_person_may_steer_again_and_the_controller_drives_once(folder):
-    with on_terminal(folder) as terminal:
-        for answer in ("r", "\r"):
-            terminal.expect("arrows steer")
-            terminal.press("\x1b[C")
-            terminal.expect(r"→ \+0°")
-            terminal.press(" ")
-            terminal.expect("ENTER: the controller")
-            terminal.press(answer)
-        terminal.expect("R: steer again")
-        terminal.press("R")
-        terminal.expect("arrows steer")
-        terminal.press("\x1b[C")
-        terminal.expect(r"→ \+0°")
-        terminal.press(" ")
-        terminal.expect("Before: you")
-        terminal.press("q")
-        number = r"[\d.]+ mm in \d+ s"
-        terminal.expect(rf"you {number}, again {number}, again {number}, the controller {number}")
-        restored(terminal)
-        assert terminal.finish() == 0
-    logs = sorted((folder / "out").glob("*/trial-000.mcap"))
-    assert [log.parent.name for log in logs] == ["controller", "you", "you-2", "you-3"]
-    assert [package.read_log(log).start.seed for log in logs] == [5, 5, 5, 5]
-
-
 BROKEN = """
 from tetractl.run.hand import HandController
 from tetractl.cli import main
@@ -220,21 +175,6 @@ def test_a_trial_that_is_left_before_its_first_key_leaves_no_log(key, code, fold
         restored(terminal)
         assert terminal.finish() == code
     assert not (folder / "out").exists()
-
-
-def test_an_undisturbed_spec_is_said_to_be_one(folder):
-    words = ("--set", "plant={type: sim}", "--script", "keys.txt", "-o", "out")
-    done = tetractl(folder, "play", "spec.yaml", *words).ok()
-    assert done.stderr.startswith("here robots do exactly what the controller expects")
-
-
-def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():
-    """Regression: an undisturbed controller was 0.000519 mm off."""
-    log = three_robots()
-    assert log.result
-    result = replace(log.result, total_error=0.000519)
-    assert _error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
-    assert _error(replace(result, total_error=6.9), log.experiment).startswith("6.90 mm in")
 
 
 def test_the_best_try_is_one_that_is_not_lost():

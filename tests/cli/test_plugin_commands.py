@@ -84,13 +84,3 @@ def test_commands_that_cannot_be_used_say_why_and_break_no_other(tetractl):
     assert "'absent = unimported:f of tetractl.commands'" in hint
     assert tetractl("schema").returncode == 0
     assert "did you mean 'furthest'?" in tetractl("furthes").stderr.lower()
-
-
-def test_a_command_that_fails_names_its_package_and_may_ask(tetractl):
-    done = tetractl("crash")
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: plug-in command 'crash' (mine 1.0, ")
-    assert "raised KeyError: 'key'" in done.stderr
-    assert "statistics" in tetractl("run", "--help").stdout  # a name of ours stays ours
-    assert "crash" not in tetractl("stats", "--help").ok().stdout
-    assert tetractl("lab", "ask").stderr == "error: interrupted\n"

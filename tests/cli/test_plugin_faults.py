@@ -119,20 +119,6 @@ def test_other_exceptions_name_their_plug_in_too(tetractl, tmp_path):
     assert "KeyError: 'figure'\nhint: " in done.stderr
 
 
-def test_what_a_controller_returns_is_checked_and_names_it(tetractl):
-    """`sys.exit` is an error too; in both cases the log is complete and can be read."""
-    for out, why in (
-        ("nan", "(mine 1.0) returned a Plan that cannot be used: a cost is nan"),
-        ("exit", "raised SystemExit: 0"),
-    ):
-        done = tetractl("run", "one.yaml", "--out", out, "-q", "--set", f"controller.ends={out}")
-        assert done.returncode == 1
-        last = done.stderr.splitlines()[-1]
-        assert last.startswith("error: trial 1: plug-in controller 'east' (mine 1.0")
-        assert why in done.stderr
-        assert tetractl("verify", out).ok().stdout.startswith(f"{out}/trial-000.mcap: ok")
-
-
 def test_a_disturbance_that_fails_at_the_stop_too_leaves_a_complete_log(tetractl):
     """Regression: the stop asked it again, and the log stayed a .part without a result."""
     failing = "plant.disturbances=[{type: anchor, until_s: 0.5}]"

@@ -80,32 +80,6 @@ def test_every_key_reaches_the_player(folder):
 
 
 @pytest.mark.system
-def test_n_and_p_go_through_the_trials_at_the_same_rate(folder):
-    with play(folder, "other.mcap", "--paused", "--rate", "2") as terminal:
-        terminal.expect(r"three-m3pi, trial 0 \(1 of 2\)")
-        terminal.expect("n next trial")
-        terminal.press("p")
-        terminal.press("n")
-        terminal.expect(r"three-m3pi, trial 0 \(2 of 2\)")
-        terminal.expect("‖ 2×")
-        terminal.press("n")
-        terminal.press("p")
-        terminal.expect(r"\(1 of 2\)")
-        terminal.press("q")
-        assert terminal.finish() == 0
-
-
-@pytest.mark.system
-def test_a_damaged_trial_among_others_shows_in_the_exit_code(folder):
-    with play(folder, "cut.mcap.part", "--paused") as terminal:
-        terminal.expect(r"\(1 of 2\)")
-        terminal.press("n")
-        terminal.expect("damaged log")
-        terminal.press("q")
-        assert terminal.finish() == 1
-
-
-@pytest.mark.system
 def test_it_follows_the_size_of_the_terminal(folder):
     with play(folder, "--paused") as terminal:
         terminal.expect("solve time|step k")
@@ -164,14 +138,6 @@ echo "stopped=$?"; stty -a; fg; echo "ended=$?"
         assert terminal.finish() == 0
 
 
-@pytest.mark.long
-def test_a_dumb_terminal_gets_plain_lines(folder):
-    with play(folder, TERM="dumb") as terminal:
-        assert terminal.finish() == 0
-        assert "\x1b" not in terminal.raw
-        assert len(step_lines(terminal.raw)) == len(three_robots().steps)
-
-
 def test_without_a_terminal_one_line_a_step(folder):
     done = run("replay", "whole.mcap", cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
@@ -189,24 +155,6 @@ def test_without_a_terminal_one_line_a_step(folder):
         assert f"evaluations {step.plan.evaluations} " in line
         assert line.endswith(step.plan.search.ended)
     assert "\x1b" not in done.stdout
-
-
-def test_a_folder_without_a_terminal_is_one_trial_after_another(folder, tmp_path):
-    for name in ("a.mcap", "b.mcap"):
-        (tmp_path / name).write_bytes((folder / "whole.mcap").read_bytes())
-    done = run("replay", ".", "--until", "1", cwd=tmp_path).ok()
-    assert [line for line in done.stdout.splitlines() if line.endswith(":")] == [
-        "a.mcap:",
-        "b.mcap:",
-    ]
-    assert len(step_lines(done.stdout)) == 2 * 6
-
-
-def test_start_until_and_rate_without_a_terminal(folder):
-    done = run("replay", "whole.mcap", "--start", "1", "--until", "2", "--rate", "20", cwd=folder)
-    assert [line.split()[0] for line in done.stdout.splitlines()] == [
-        *("1.00", "1.20", "1.40", "1.60", "1.80", "2.00")
-    ]
 
 
 @pytest.mark.long
@@ -237,11 +185,3 @@ def test_a_figure_of_two_folders_is_named_after_what_holds_them(folder, tmp_path
         shutil.copy(folder / "whole.mcap", tmp_path / "demo" / arm)
     done = run("plot", "demo", "--kind", "errors", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "demo-errors.png\n"), done.stderr
-
-
-@pytest.mark.long
-def test_a_video_is_written_beside_where_it_was_asked_for(folder):
-    done = run("plot", "cut.mcap.part", "--kind", "video", cwd=folder)
-    assert (done.returncode, done.stdout) == (1, "cut-video.gif\n")
-    assert "damaged: cut.mcap.part" in done.stderr
-    assert (folder / "cut-video.gif").read_bytes().startswith(b"GIF89a")

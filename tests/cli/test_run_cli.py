@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,16 +111,6 @@ def test_a_run_writes_a_log_a_trial_and_says_where(batch):
         assert log.start.spec_text == QUICK
 
 
-def test_logs_go_to_a_folder_named_after_spec_and_hour(tmp_path):
-    (tmp_path / "quick.yaml").write_text(QUICK)
-    done = run("quick.yaml", "--trials", 1, "--quiet", cwd=tmp_path).ok()
-    (folder,) = (tmp_path / "logs").iterdir()
-    assert folder.name.startswith("quick-2")
-    assert [path.name for path in folder.iterdir()] == ["trial-000.mcap"]
-    assert f"logs in logs/{folder.name}" in done.stderr
-    assert "1 of 1 trials valid" in done.stdout
-
-
 @pytest.mark.long
 def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_path):
     folder, _ = batch
@@ -131,20 +120,6 @@ def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_
     assert len(set(first.values())) == 3
     for name, digest in first.items():
         assert content_digest(tmp_path / "two" / name) == digest
-
-
-@pytest.mark.long
-def test_searches_that_meet_their_deadline_give_the_same_logs_whatever_the_jobs(batch, tmp_path):
-    folder, _ = batch
-    control = (
-        "{type: mpc, period: 0.2, time_limit: 1.4, deadline: 0.001, optimizer: {tolerance: 1e-9}}"
-    )
-    late = ["--set", f"controller={control}", "--trials", 2]
-    for jobs in (1, 2):
-        run(folder / "quick.yaml", *late, "--jobs", jobs, "--out", f"l{jobs}", cwd=tmp_path).ok()
-    steps = read_trial(tmp_path / "l1" / "trial-000.mcap").steps
-    assert "deadline" in [search.stopped for step in steps for search in step.plan.searches]
-    assert digests(tmp_path / "l1") == digests(tmp_path / "l2")
 
 
 def test_a_dry_run_writes_nothing_and_prints_a_spec(batch, tmp_path):
@@ -162,15 +137,6 @@ def test_a_dry_run_writes_nothing_and_prints_a_spec(batch, tmp_path):
     first_lines = done.stdout.splitlines()
     lines = again.stdout.splitlines()
     assert lines[1:-1] == first_lines[1:-1]  # but for the name and the hour
-
-
-def test_a_dry_run_sends_a_terminal_nothing_that_it_obeys(batch, tmp_path):
-    """Regression: a description turned the writing direction of the operator's terminal."""
-    text = (batch[0] / "quick.yaml").read_text("utf-8") + 'description: "three \\u202e robots"\n'
-    (tmp_path / "turned.yaml").write_text(text, encoding="utf-8")
-    done = run("turned.yaml", "--dry-run", cwd=tmp_path).ok()
-    assert all(line.isprintable() for line in done.stdout.splitlines())
-    assert "u202" in done.stdout.lower()
 
 
 def test_a_dry_run_refuses_what_a_run_would(work):
@@ -223,17 +189,6 @@ def test_one_interruption_ends_trials_in_several_processes(tmp_path, everyone):
         assert_interrupted(running, 2, "interrupted; the step was finished")
 
 
-@pytest.mark.system
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
-def test_a_signal_to_all_while_processes_start_is_an_interruption_too(tmp_path):
-    """Regression: it met workers that had not prepared for it, and the pool broke."""
-    with Running(tmp_path, ENDLESS, "--jobs", "2") as running:
-        running.until(lambda: len(running.workers()) == 2)
-        os.killpg(running.process.pid, signal.SIGINT)
-        assert running.end() == 130
-        assert_interrupted(running, 2)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("limit", [4096, 30_000])
 def test_a_full_disk_aborts_the_trial_and_says_so_once(batch, tmp_path, limit):
@@ -275,10 +230,3 @@ def test_help_imports_nothing_heavy(tmp_path, args):
     if args[0] == "run":
         heavy.remove("pydantic")  # typer's own, to read a command's options
     assert heavy & imported == set()
-
-
-def test_a_dry_run_says_what_a_trial_can_do_at_most(work):
-    dry = run("quick.yaml", "--dry-run", "--set", "controller.time_limit=2", cwd=work).ok()
-    limits = dry.stdout.partition("# Limits")[2]
-    assert "duration of a trial: at most 2 s" in limits
-    assert "cameras" not in limits

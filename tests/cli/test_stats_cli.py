@@ -95,15 +95,6 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
     assert document["damaged"] == [{"log": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
 
 
-@pytest.mark.long
-def test_against_prints_what_several_folders_print(work):
-    write(work / "exact", 12, controller={"motion": "exact"})
-    for form in ("table", "json", "csv", "html"):
-        done = stats("exact", "--against", "ten", "--format", form, cwd=work)
-        assert done.stdout == stats("exact", "ten", "--format", form, cwd=work).stdout
-        assert done.returncode == 0
-
-
 @pytest.fixture
 def three(work):
     """A folder with the ten trials; twelve that differ in the controller, with equal errors; and
@@ -134,15 +125,6 @@ def test_comparisons_are_printed_and_drawn(three):
     assert "Final total errors of 3 batches" in done.stdout
     assert done.stdout.count("none: plants are not alike") == 2
     assert (three / "ecdf.svg").stat().st_size > 1000
-
-
-@pytest.mark.long
-def test_comparisons_are_csv_and_latex_too(three):
-    rows = csv_rows(stats("ten", "exact", "--format=csv", cwd=three).stdout)
-    mean_of_exact = 300 + 10 * sum(range(12)) / 12
-    assert (rows[0]["one_n"], float(rows[0]["other_mean"])) == ("10", mean_of_exact)
-    latex = stats("ten", "exact", "--format", "latex", "--full", cwd=three).stdout
-    assert "ten $-$ exact & 10 pairs" in latex
 
 
 @pytest.mark.long

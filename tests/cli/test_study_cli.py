@@ -43,16 +43,6 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(finished_study):
     }  # fmt: skip
 
 
-def test_a_study_says_how_far_it_is_and_what_came_of_it(finished_study):
-    _, done = finished_study
-    assert "quick: 8 arms of 5 trials, 40 of 40 to run, 1 at a time" in done.stderr
-    assert "expected duration" in done.stderr
-    assert "40 of 40 trials" in done.stderr
-    assert "quick: total error [mm]" in done.stdout
-    assert done.stdout.count("disturbed") == 8
-    assert "assumed in the spec" in done.stdout
-
-
 @pytest.mark.system
 def test_a_study_is_checked_previewed_and_run_from_python_alike(
     finished_study, tmp_path, monkeypatch
@@ -98,24 +88,6 @@ def test_a_study_killed_and_run_again_gives_the_same_table(finished_study, tmp_p
     torn.write_bytes(torn.read_bytes()[:-20])  # as a power cut may leave it
     done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=tmp_path).ok()
     assert "40 of 40 to run" not in done.stderr
-    assert results(out) == results(finished_study[0] / "out")
-
-
-@pytest.mark.system
-def test_a_study_interrupted_is_gone_on_with(finished_study, tmp_path):
-    write(tmp_path)
-    out = tmp_path / "out"
-    with Running(tmp_path, "study.yaml", "--out", "out", "--jobs", 2) as running:
-        running.until_logs(out, 5)
-        running.process.send_signal(signal.SIGINT)
-        assert running.end() == 130
-    lines = running.err.read_text().splitlines()
-    assert lines[-1] == "interrupted"
-    assert "trials are missing; continue with the same command" in lines[-2]
-    assert 5 <= len(table(out)) < 40
-    assert not list(out.glob("*.png"))  # they take seconds
-    assert study("study.yaml", "--out", "out", cwd=tmp_path).returncode == 0
-    assert list(out.glob("*.png"))
     assert results(out) == results(finished_study[0] / "out")
 
 

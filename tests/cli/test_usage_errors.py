@@ -16,8 +16,6 @@ from support.running import QUICK
 from support.studies import SMALL, write
 
 from tetractl.cli.lab import save_calibration
-from tetractl.cli.ui import announce_compiling
-from tetractl.core.errors import LogError
 from tetractl.experiment.lab_section import Measured
 
 pytestmark = pytest.mark.slow
@@ -231,20 +229,6 @@ def test_an_error_of_the_disk_is_one_line_and_a_failure(tmp_path):
     assert (done.returncode, done.stderr) == (1, "error: logs: No space left on device\n")
 
 
-@pytest.mark.long
-def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path):
-    """`report` takes what `stats` takes; a log that cannot be read is named with its cause."""
-    inside = sorted(f"out/{path.name}" for path in (folder / "out").iterdir())
-    assert "out/trials.csv" in inside
-    done = tetractl(folder, "stats", "out")
-    assert tetractl(folder, "stats", *inside) == done
-    assert (done.returncode, done.stderr) == (0, "")
-    page = tmp_path / "page.html"
-    done = tetractl(folder, "report", *inside, "noise.mcap", "-o", page)
-    assert (done.returncode, done.stderr) == (1, "warning: noise.mcap: not an MCAP file\n")
-    assert "dead_time=0.1" in page.read_text()
-
-
 def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
     """Half of a page or a picture stayed, under its final name."""
     file = tmp_path / "a.png"
@@ -261,31 +245,6 @@ def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
     assert done.stderr == f"error: {file}: cannot be written: No space left on device\n"
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
     assert file.read_text() == "the one before"
-
-
-@pytest.mark.parametrize(
-    ("source", "reason"),
-    [
-        ("raise SystemExit(7)", "SystemExit: 7"),
-        ("raise RuntimeError('two\\nlines')", "RuntimeError: two lines"),
-    ],
-)
-def test_a_module_that_ends_at_its_import_is_one_line(tmp_path, source, reason):
-    (tmp_path / "pivot.py").write_text(source)
-    done = tetractl(tmp_path, "kinds", "--check", "pivot:PIVOT")
-    message = f"error: pivot:PIVOT: cannot be imported: {reason}\n"
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", message)
-
-
-def test_a_full_disk_does_not_lose_what_robots_were_moved_for(tmp_path, capsys, monkeypatch):
-    def full(path, data):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("pathlib.Path.write_bytes", full)
-    measured = Measured(lines=("green: radius 40.1 mm",))
-    with pytest.raises(LogError, match="No space left on device"):
-        save_calibration(tmp_path / "calibration.yaml", measured)
-    assert capsys.readouterr().out == "green: radius 40.1 mm\n"
 
 
 def test_a_calibration_is_written_although_nobody_reads_stdout(tmp_path, capsys, monkeypatch):
@@ -310,14 +269,6 @@ def test_help_of_options_names_no_types_of_python(folder, words):
     assert not re.search("<(bool|int|str|float|path|list)", options), options
 
 
-def test_options_are_described_without_docstrings_too(folder, monkeypatch):
-    """`python -OO` keeps none: commands then have no description, but their options do."""
-    monkeypatch.setattr("tetractl.cli.run.run.__doc__", None)
-    text = tetractl(folder, "run", "--help").ok().stdout
-    words = " ".join(text.split()).replace(" │ │ ", " ")
-    assert "--quiet -q Show neither a live view nor progress." in words
-
-
 def test_warm_compiles_what_specs_and_studies_name(folder):
     done = tetractl(folder, "warm", "spec.yaml", "study.yaml").ok()
     kinds, seconds = done.stdout.split(": ")
@@ -326,22 +277,3 @@ def test_warm_compiles_what_specs_and_studies_name(folder):
     assert done.stderr.startswith("kept in /")
     done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")
     assert done.stdout.startswith("pso-mpc, pso, exact: ")
-
-
-def test_on_a_terminal_compiling_is_said_even_to_who_asked_for_quiet(capsys, monkeypatch):
-    for terminal, quiet, said in ((True, True, True), (False, True, False), (False, False, True)):
-        monkeypatch.setattr("sys.stderr.isatty", lambda terminal=terminal: terminal)
-        announce_compiling(quiet, "compiling")
-        assert capsys.readouterr().err == ("compiling\n" if said else "")
-
-
-def test_the_end_of_a_file_does_not_read_as_an_interruption(tmp_path, monkeypatch):
-    """Regression: typer takes every EOFError for Ctrl-D, as that of a killed process."""
-
-    def cut(*_):
-        raise EOFError("the pipe has ended")
-
-    monkeypatch.setattr("tetractl.experiment.yaml.document.read_document", cut)
-    done = tetractl(tmp_path, "lab", "check", "first.yaml")
-    assert done.returncode == 1
-    assert done.stderr.endswith("error: EOFError: the pipe has ended\n")

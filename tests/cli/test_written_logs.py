@@ -10,10 +10,8 @@ from support.tampering import SIM
 
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.run.spec_trial import log_path, run_logged
 
@@ -49,11 +47,6 @@ def log(request, tmp_path_factory):
 )
 def test_a_trial_that_began_anywhere_is_read(log, tmp_path, command):
     tetractl(tmp_path, *command.format(log=log).split()).ok()
-
-
-def test_a_person_may_not_place_a_robot_there(log):
-    with pytest.raises(InvalidSpecError, match=r"robots\.0\.start"):
-        parse_spec(read_trial(log).start.resolved, "copied.yaml")
 
 
 def test_verify_still_notices_a_start_that_was_changed(log, tmp_path):

@@ -9,7 +9,6 @@ from support.plants import sim
 from support.scripted import observation_of
 from support.trials import THREE_M3PI, experiment
 
-from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Outcome, Plan
@@ -24,16 +23,10 @@ from tetractl.run.spec_trial import log_path, run_logged
 pytestmark = pytest.mark.slow
 
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
-MPC = {name: fields for name, fields in CONTROLLERS.items() if fields["type"] in ("pso-mpc", "mpc")}
 
 
 @pytest.fixture(params=CONTROLLERS.values(), ids=list(CONTROLLERS))
 def fields(request):
-    return {"arrival_tolerance": 20} | request.param
-
-
-@pytest.fixture(params=MPC.values(), ids=list(MPC))
-def mpc_fields(request):
     return {"arrival_tolerance": 20} | request.param
 
 
@@ -72,23 +65,6 @@ def drive(fields, steps, key=7):
         plant.send(decision.action)
         plant.clock.sleep_until((k + 1) * SECOND // 5)
     return decisions
-
-
-def test_mpc_states_the_cost_of_its_problem(mpc_fields):
-    ((observation, plan), *_) = drive(mpc_fields, 1)
-    spec = experiment(controller=mpc_fields)
-    terms = plan.target_cost + spec.controller.obstacle_weight * plan.obstacle_cost
-    assert plan.cost == pytest.approx(terms, rel=1e-9, abs=1e-6)
-    problem = spec.controller.problem(spec.setup, observation.poses)
-    assert plan.cost == pytest.approx(evaluate(problem, plan.signals[None]).total[0], rel=1e-9)
-
-
-def test_another_key_decides_otherwise(fields):
-    def decisions(key):
-        plans = [plan for _, plan in drive(fields, 4, key) if isinstance(plan, Plan)]
-        return [(plan.signals.tobytes(), plan.cost, plan.generator) for plan in plans]
-
-    assert decisions(7) != decisions(8)
 
 
 def short(experiment):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from support.geometry import gap
 from support.plants import RIGS
 
 from tetractl.core.clock import SECOND
@@ -88,15 +87,6 @@ def ways(before, after):
     return np.hypot(*(after.xy - before.xy).T)
 
 
-def bits(poses):
-    return poses.array().tobytes()
-
-
-def greatest_difference(poses, others):
-    differences = poses.array() - others.array()
-    return np.abs(differences).max()
-
-
 DIRECTIONS = (0.5, -2.0, 3.1, 0.0, -1.0)
 
 
@@ -133,17 +123,6 @@ def test_an_observation_is_never_of_the_future_and_never_goes_back(make):
         assert frame > first
 
 
-def test_observing_twice_at_one_instant_gives_the_same(make):
-    rig = make(1)
-    with opened(rig):
-        rig.plant.send(Steer(1.0))
-        wait(rig, PERIOD)
-        observation = rig.plant.observe()
-        again = rig.plant.observe()
-        assert again.frame == observation.frame
-        assert bits(again.poses) == bits(observation.poses)
-
-
 def test_samples_come_once_each_in_order_at_camera_rate(make):
     rig = make(1)
     samples = drive(rig, DIRECTIONS).samples
@@ -153,15 +132,6 @@ def test_samples_come_once_each_in_order_at_camera_rate(make):
     gaps = np.diff(times) * rig.camera_rate_hz / SECOND
     assert gaps == pytest.approx(1.0, abs=1e-6)
     assert rig.plant.samples() == []
-
-
-def test_what_is_observed_is_among_the_samples(make):
-    rig = make(1)
-    driven = drive(rig, DIRECTIONS)
-    by_frame = {sample.observation.frame: sample.observation for sample in driven.samples}
-    for observation in driven.observations:
-        sampled = by_frame[observation.frame]
-        assert bits(sampled.poses) == bits(observation.poses)
 
 
 def test_commands_say_what_was_sent(make):
@@ -178,14 +148,6 @@ def test_commands_say_what_was_sent(make):
     if rig.spec.wheels:
         assert np.all(commands[-1].left == 0)
         assert np.all(commands[-1].right == 0)
-
-
-def test_robots_stand_until_they_are_steered(make):
-    rig = make(1)
-    with opened(rig):
-        wait(rig, PERIOD)
-        last = rig.plant.observe()
-        assert np.abs(last.poses.xy - starts_of(rig)).max() <= rig.true_to
 
 
 def test_robots_go_straight_on_with_the_field_off_where_it_can_be_switched(make):
@@ -276,45 +238,6 @@ def test_robots_on_wheels_turn_on_the_spot_in_a_pause(make):
         off = np.abs([wrap(facing - poses.heading) for poses in (before, after)])
         assert (off[1] < off[0]).all()
         assert off[1, 0] < 0.5
-
-
-def test_stop_and_close_need_no_open(make):
-    rig = make(1)
-    rig.plant.stop()
-    rig.plant.close()
-    rig.plant.close()
-
-
-def test_robots_stand_after_settle(make):
-    rig = make(1)
-    rig.plant.open()
-    rig.plant.send(Steer(0.7))
-    wait(rig, PERIOD)
-    rig.plant.send(Steer(-1.5))  # with a dead time, still under way when the stop is sent
-    rig.plant.stop()
-    verdict = rig.plant.settle()
-    rig.plant.samples()
-    wait(rig, PERIOD)
-    resting = [sample.truth or sample.observation.poses for sample in rig.plant.samples()]
-    assert resting
-    for poses in resting:
-        assert greatest_difference(poses, verdict.final) <= rig.true_to
-    rig.plant.close()
-
-
-def test_the_verdict_is_of_the_path(make):
-    rig = make(1)
-    driven = drive(rig, DIRECTIONS * 3)
-    verdict = driven.verdict
-    path = [sample.truth or sample.observation.poses for sample in driven.samples]
-    count = len(rig.spec.robots)
-    assert len(verdict.entered) == len(verdict.clearance) == count
-    assert np.abs(path[-1].xy - verdict.final.xy).max() <= rig.true_to
-    for i in range(count):
-        assert verdict.entered[i] == (verdict.clearance[i] <= 0)
-        for poses in path:
-            nearest = min(gap(thing, poses.x[i], poses.y[i]) for thing in rig.spec.obstacles)
-            assert verdict.clearance[i] <= nearest + rig.true_to
 
 
 def test_a_plant_in_virtual_time_repeats_itself_by_seed(make):

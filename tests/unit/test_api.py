@@ -1,6 +1,5 @@
 """The face: every name of `import tetractl`, used as a notebook uses it."""
 
-import re
 import signal
 import subprocess
 import sys
@@ -16,7 +15,6 @@ from support.paths import ROOT
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.experiment.plants import on_plant
-from tetractl.view.terminal.progress import ScriptProgress
 
 SPEC = """
 name: two
@@ -27,12 +25,6 @@ robots:
 controller: {type: pso-mpc, period: 0.2, horizon_max: 8, steps_max: 6}
 plant: {measurement_noise: {position: 2}}
 trials: {count: 3, seed: 4}
-"""
-STUDY = """
-name: few
-base: two.yaml
-sweep: {type: grid, fields: {plant.dead_time: [0, 0.1]}}
-trials: {count: 2, seed: 7}
 """
 
 
@@ -93,23 +85,6 @@ def test_a_notebook(tmp_path, batch):
     assert tetractl.verify(folder / "trial-000.mcap").ok
 
 
-def test_a_trial_that_is_kept_nowhere_is_the_one_of_the_batch(batch, tmp_path):
-    folder, _ = batch
-    before = set(Path.cwd().iterdir())
-    steps = []
-    trial = tetractl.run_trial(tetractl.parse_spec(SPEC), 2, observers=[Watch(steps.append)])
-    logged = tetractl.read_log(folder / "trial-002.mcap")
-    assert trial.mocap.tobytes() == logged.mocap.tobytes()
-    assert trial.result is not None
-    assert trial.result.outcome in tetractl.Outcome
-    assert [step.k for step in steps] == list(range(len(trial.steps)))
-    assert isinstance(trial.steps[0].plan, tetractl.Plan)
-    assert isinstance(trial.steps[0].observation, tetractl.Observation)
-    assert isinstance(trial.steps[0].observation.poses, tetractl.Poses)
-    assert trial.log == "spec, trial 2"
-    assert set(Path.cwd().iterdir()) == before
-
-
 def test_arrays_and_tables_hold_the_trial(batch):
     folder, finished = batch
     trial = tetractl.read_log(folder / "trial-000.mcap")
@@ -133,13 +108,6 @@ def test_arrays_and_tables_hold_the_trial(batch):
     ends = tetractl.to_dataframe(finished)
     assert list(ends.trial) == [0, 1, 2]
     assert ends.total_error_mm.mean() == pytest.approx(tetractl.summarise(finished).total.mean)
-
-
-def test_without_pandas_one_line_says_so(batch, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(tetractl.TetractlError, match="a DataFrame needs pandas") as raised:
-        tetractl.to_dataframe(batch[1])
-    assert "to_arrays" in str(raised.value.hint)
 
 
 def test_a_batch_goes_on_where_it_stopped(batch, tmp_path):
@@ -199,13 +167,6 @@ def test_a_path_or_a_dict_is_taken_where_an_object_is_asked(tmp_path):
     assert tetractl.parse_spec(contents).experiment == tetractl.parse_spec(SPEC).experiment
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("load", [tetractl.load_spec, tetractl.parse_spec])
-def test_settings_in_a_dict_are_refused_in_one_line(load):
-    with pytest.raises(tetractl.TetractlError, match="a setting is a text such as"):
-        load("name: x", {"trials.count": 2})
-
-
 def test_a_study_is_run_from_its_contents(tmp_path):
     """Also its base is what a script has in hand."""
     study = {
@@ -217,39 +178,6 @@ def test_a_study_is_run_from_its_contents(tmp_path):
     arms = tetractl.run_study(study, tmp_path / "logs", progress=False)
     assert [len(batch.trials) for batch in arms.values()] == [1, 1]
     assert list(arms) == ["a=2", "a=3"]
-
-
-def test_problems_of_contents_name_no_line_of_a_text_that_nobody_wrote(tmp_path):
-    contents = yaml.safe_load(SPEC)
-    with pytest.raises(SpecError, match=r"^spec: name: 3: must be text"):
-        tetractl.run_trial(contents | {"name": 3})
-    with pytest.raises(SpecError, match=r"^base: name: 3: must be text"):
-        tetractl.run_study({"name": "s", "base": contents | {"name": 3}}, tmp_path)
-    with pytest.raises(SpecError, match=r"^study: base: 5: must be text"):
-        tetractl.run_study({"name": "s", "base": 5}, tmp_path)
-
-
-@pytest.mark.parametrize("data", [3, None, {}, [3]], ids=repr)
-@pytest.mark.parametrize("name", ["summarise", "compare", "plot", "to_dataframe", "verify"])
-def test_what_is_no_trial_and_no_batch_is_refused_in_one_line(name, data):
-    """Regression: AttributeError, TypeError and IndexError, whose words were of other things."""
-    with pytest.raises(UsageError) as error:
-        getattr(tetractl, name)(data)
-    assert "\n" not in error.value.message
-
-
-def test_another_object_is_refused_in_one_line():
-    with pytest.raises(
-        UsageError, match=r"^a spec is a file, a dict or .* but this is of type int$"
-    ):
-        tetractl.run_trial(5)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(
-        UsageError, match=r"^a trial is a log's file, or .* but this is of type int$"
-    ):
-        tetractl.to_arrays(5)  # pyright: ignore[reportArgumentType]
-    contents = yaml.safe_load(SPEC) | {"name": np.zeros(3)}
-    with pytest.raises(SpecError, match=r"^spec: Object of type ndarray"):
-        tetractl.run_trial(contents)
 
 
 NOT_TAKEN = {
@@ -275,13 +203,6 @@ def test_an_argument_of_another_type_is_refused_in_one_line(name):
     assert "\n" not in error.value.message
 
 
-def test_folders_that_are_compared_have_their_own_names(tmp_path):
-    for name in ("early", "late"):
-        tetractl.run_trial(SPEC_DICT, folder=tmp_path / name)
-    comparison = tetractl.compare(tmp_path / "early", tetractl.read_batch(tmp_path / "late"))
-    assert [group.name for group in comparison.groups] == ["early", "late"]
-
-
 def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):
     folder = tmp_path / "logs"
     with pytest.raises(KeyboardInterrupt) as caught:
@@ -294,35 +215,6 @@ def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):
     assert said.startswith(f"read_batch({str(folder)!r}) reads the trials that ended")
     assert "resume=True runs the others" in said
     assert len(tetractl.read_batch(folder).trials) == 1
-
-
-@pytest.mark.long
-def test_an_interrupted_study_says_how_its_trials_are_read(tmp_path, monkeypatch):
-    (tmp_path / "two.yaml").write_text(SPEC, encoding="utf-8")
-    (tmp_path / "study.yaml").write_text(STUDY, encoding="utf-8")
-    monkeypatch.setattr(
-        ScriptProgress, "trial_ended", lambda self, ending: signal.raise_signal(signal.SIGINT)
-    )
-    with pytest.raises(KeyboardInterrupt) as caught:
-        tetractl.run_study(tmp_path / "study.yaml", tmp_path / "logs")
-    said = str(caught.value)
-    assert said.startswith(f"read_batch({str(tmp_path / 'logs')!r}) reads the trials that ended")
-    assert len(tetractl.read_batch(tmp_path / "logs").trials) == 1
-
-
-@pytest.mark.parametrize("progress", [True, False])
-def test_a_batch_says_now_and_then_how_far_it_is(tmp_path, monkeypatch, capsys, progress):
-    """Regression: a batch of 372 s said no word."""
-    monkeypatch.setattr("tetractl.view.terminal.progress.PAUSE_S", 0.0)
-    tetractl.run_batch(tetractl.parse_spec(SPEC), tmp_path, progress=progress)
-    printed = capsys.readouterr()
-    first, *rest = printed.err.splitlines() or [""]
-    assert printed.out == ""
-    if progress:
-        assert re.fullmatch(r"1 of 3 trials; \d+ s left", first)
-        assert len(rest) == 2
-    else:
-        assert printed.err == ""
 
 
 @pytest.mark.parametrize("progress", [True, False])
@@ -354,13 +246,3 @@ def test_importing_the_face_imports_next_to_nothing():
     done = subprocess.run(command, env=path, capture_output=True, text=True, check=True)
     assert len(done.stdout.split()) < 10, done.stdout
     assert not {"numpy", "numba", "pydantic", "typing"} & {*done.stdout.split()}
-
-
-def test_the_package_has_no_names_but_its_own():
-    assert not hasattr(tetractl, "TYPE_CHECKING")
-
-
-def test_a_folder_is_not_verified_as_one_log(tmp_path):
-    with pytest.raises(UsageError, match="is a folder, and verify reads one log") as refused:
-        tetractl.verify(tmp_path)
-    assert "read_batch" in refused.value.hint

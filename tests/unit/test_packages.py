@@ -82,12 +82,6 @@ def _names(package):
     return [path.with_suffix("").as_posix() for path in paths]
 
 
-ALL = """
-import pkgutil, tetractl
-for one in pkgutil.walk_packages(tetractl.__path__, "tetractl."):
-    if not one.name.endswith("__main__"):
-        __import__(one.name)
-"""
 COMMAND = "from tetractl.cli.app import run_app\nsys.argv[1:] = {!r}\nsys.exit(run_app())"
 
 
@@ -101,13 +95,6 @@ def test_tests_of_the_core_need_no_package():
         r"^ *(from|import) (tetractl_(emulator|microscope|papers|toio)|cv2|tifffile)", re.M
     )
     assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_the_core_imports_whole_without_the_packages_and_opencv():
-    code, said = python(ALL)
-    assert code == 0, said
 
 
 @pytest.mark.long
@@ -132,13 +119,3 @@ def test_what_a_missing_package_brings_is_answered_by_the_command_that_installs_
     assert code == 2, said
     assert f"needs {package}, which is not installed" in said
     assert f"pip install ./packages/{package}" in said
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_kinds_lists_what_it_can_without_the_packages():
-    code, said = python(COMMAND.format(["kinds"]))
-    assert code == 0, said
-    assert "pso-mpc" in said
-    assert re.search(r"^plant +emulated +tetractl-emulator +\[not installed\]$", said, re.M)
-    assert re.search(r"^camera +cells +tetractl-microscope +\[not installed\]$", said, re.M)

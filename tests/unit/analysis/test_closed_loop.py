@@ -12,7 +12,6 @@ from tetractl.analysis.closed_loop import (
     Linear,
     Noise,
     end_covariance,
-    information,
     left_out,
     linearise,
     mean_errors,
@@ -87,27 +86,12 @@ def test_feedback_and_identification_lower_the_error(plan):
     assert open_loop > feedback > identification > 0
 
 
-def test_a_turn_is_known_as_well_as_the_two_headings_measured_about_it(plan):
-    """The information on ln a is (d turn / d ln a)^2 over the variance of the turn measured."""
-    heading_errors = np.random.default_rng(2).normal(0, 0.1, (2, 100_000))
-    turn_errors = np.diff(heading_errors, axis=0)
-    on_a = information(plan.linear, replace(QUIET, heading=0.1), 5)[:ROBOTS]
-    assert on_a == pytest.approx(plan.linear.turn_by_a[5] ** 2 / turn_errors.var(), rel=0.02)
-
-
 def test_the_mean_length_of_a_normal_vector_is_that_of_many_drawn():
     rng = np.random.default_rng(3)
     root = rng.normal(size=(2, 2))
     drawn = root @ rng.standard_normal((2, 200_000))
     (mean_length,) = mean_errors(root @ root.T, np.zeros(1))
     assert mean_length == pytest.approx(np.hypot(*drawn).mean(), rel=0.01)
-
-
-def test_the_mean_length_of_a_normal_vector_along_one_axis_is_that_of_a_half_normal():
-    """sqrt(2/pi) times its standard deviation."""
-    deviation = 2.0
-    (mean_length,) = mean_errors(np.diag([deviation**2, 0.0]), np.zeros(1))
-    assert mean_length == pytest.approx(deviation * np.sqrt(2 / np.pi))
 
 
 @pytest.mark.long
@@ -129,10 +113,3 @@ def test_the_noise_is_the_plants():
     assert noise.position == 2
     assert noise.heading == 0.02
     assert left_out(spec.plant) == ("dead_time", "disturbances")
-
-
-def test_robots_that_stand_have_no_error(plan):
-    still = linearise(replace(plan.problem, speed=np.zeros(ROBOTS)), plan.signals)
-    noise = Noise(a=0.1, speed=0.1, walk=0.1, position=0.0, heading=0.0)
-    covariance = end_covariance(still, noise)
-    assert not mean_errors(covariance, np.zeros(ROBOTS)).any()

@@ -5,7 +5,7 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.analysis.analysis_text import as_json, tables
 from tetractl.analysis.analyze import analyze
-from tetractl.analysis.reach import ROBOTS_MAX, reach
+from tetractl.analysis.reach import reach
 
 ROBOTS = THREE_M3PI["robots"]
 NAMES = tuple(robot["name"] for robot in ROBOTS)
@@ -52,11 +52,6 @@ def test_a_robot_that_does_not_move_is_named():
     assert str(reached) == f"4 of 6; {NAMES[1]} has speed 0"
 
 
-def test_robots_that_hardly_differ_are_reached_barely():
-    one_percent_more = 6.06
-    assert reach(three_robots(a=(6, one_percent_more, 3))).barely > 0
-
-
 def least_spread(difference):
     """The spread in the direction that is hardest to reach, of rates that differ by a share."""
     return reach(three_robots(a=(6, 6 * (1 + difference), 3))).spread[-1]
@@ -73,13 +68,6 @@ def test_the_spread_grows_with_the_difference_and_not_with_rare_sequences():
 def test_any_motion_has_a_verdict(motion, a, rank):
     controller = {"type": "pso-mpc", "motion": motion}
     assert reach(three_robots(a, controller=controller)).rank == rank
-
-
-def test_of_very_many_robots_nothing_is_said():
-    robots = [
-        ROBOTS[0] | {"name": f"r{i}", "start": [100.0 + i, 100.0]} for i in range(ROBOTS_MAX + 1)
-    ]
-    assert reach(experiment(robots=robots)) is None
 
 
 @pytest.mark.long

@@ -1,5 +1,4 @@
 import os
-import select
 import sys
 import threading
 from contextlib import contextmanager
@@ -8,7 +7,6 @@ from tetractl.cli.unread import (
     Messages,
     close_stdout,
     give_up_unread,
-    notice_of_signals,
     say_at_once,
 )
 
@@ -50,18 +48,6 @@ def test_messages_that_nobody_can_read_are_no_error():
         say_at_once(b"message")
 
 
-def test_a_message_waits_for_its_reader_also_if_its_pipe_does_not_block():
-    with stderr_pipe() as (reading, writing):
-        fill(writing)
-        os.set_blocking(writing, False)
-        thread = threading.Thread(target=Messages().write, args=(b"message",))
-        thread.start()
-        said = b""
-        while not said.endswith(b"message"):
-            said += os.read(reading, 65536)
-        thread.join()
-
-
 def test_what_a_signal_says_never_waits():
     with stderr_pipe() as (reading, writing):
         say_at_once(b"first")
@@ -70,15 +56,6 @@ def test_what_a_signal_says_never_waits():
         os.set_blocking(reading, False)
         said = os.read(reading, 1_000_000)
     assert said.strip(b".") == b"first"
-
-
-def test_the_first_signal_is_told_once():
-    with stderr_pipe() as (reading, _):
-        notice = notice_of_signals(b"stopping\n")
-        notice(1)
-        notice(2)
-        assert os.read(reading, 100) == b"stopping\n"
-        assert not select.select([reading], [], [], 0)[0]
 
 
 def test_a_signal_frees_a_thread_whose_message_nobody_reads():

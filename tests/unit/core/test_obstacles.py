@@ -56,21 +56,6 @@ def test_what_is_not_well_inside_the_arena_is_in_a_wall(x, y, margin):
     assert walls.contain(*at(x, y))[0] == (not inside)
 
 
-@given(COORDINATES, COORDINATES, COORDINATES, COORDINATES)
-def test_a_way_crosses_a_wall_where_one_of_its_ends_does(x0, y0, x1, y1):
-    walls = Obstacles.of([], 0.0, FIELD)
-    begins_in_wall = walls.contain(*at(x0, y0))[0]
-    ends_in_wall = walls.contain(*at(x1, y1))[0]
-    assert walls.cross(*at(x0, y0, x1, y1))[0] == (begins_in_wall or ends_in_wall)
-
-
-def test_nothing_is_in_no_obstacle():
-    empty = Obstacles.of([])
-    assert not empty.contain(*at(1, 2))[0]
-    assert not empty.cross(*at(1, 2, 3, 4))[0]
-    assert empty.distance(*at(1, 2))[0] == math.inf
-
-
 def test_a_path_check_sees_what_happens_between_samples_and_between_calls():
     check = PathCheck(Obstacles.of([BOX]), ARENA, 3)
     # robot 0 stays clear, 1 jumps over the box between two calls, 2 between two samples of a call
@@ -117,15 +102,6 @@ def test_many_samples_at_once_are_checked_as_one_by_one(walls):
     assert any(entered) and not all(entered)
 
 
-def test_a_path_check_keeps_the_deepest_visit():
-    """50 mm inside the box, from below, and then far outside."""
-    check = PathCheck(Obstacles.of([BOX]), ARENA, 1)
-    for x in (1300.0, 1900.0):
-        check.add(np.array([[x]]), np.array([[1150.0]]))
-    assert check.entered.tolist() == [True]
-    assert check.clearance.tolist() == [-50]
-
-
 def test_a_recorded_path_is_checked_between_the_samples_that_are_known():
     path = np.full((4, 2, 3), np.nan)
     path[[0, 3], 0, :2] = [[1100, 1200], [1500, 1200]]  # through the box; two samples are lost
@@ -149,12 +125,3 @@ def test_a_path_check_keeps_how_far_out_and_how_near_one_another_robots_came():
     assert check.edge.tolist() == [100, 0, -3]
     assert check.apart == pytest.approx([10, 10, math.hypot(5, 95)])
     assert check.verdict(Poses.of(np.zeros((3, 3)))).edge == (100, 0, -3)
-
-
-def test_a_robot_that_is_not_seen_is_at_no_distance_to_another():
-    x = np.array([[0.0, 90.0], [50.0, 90.0], [20.0, 90.0]])
-    y = np.zeros((3, 2))
-    is_known = np.array([[True, True], [True, False], [True, True]])
-    check = PathCheck(Obstacles.of([]), ARENA, 2)
-    check.add(x, y, is_known)
-    assert check.apart == pytest.approx([70.0, 70.0])

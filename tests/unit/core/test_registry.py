@@ -52,12 +52,6 @@ def test_of_two_packages_with_one_name_the_first_in_the_alphabet_counts(site):
     assert numbers().kind("tau").package == "alpha"
 
 
-def test_an_unknown_name_is_a_key_error():
-    for look in (numbers().load, numbers().kind):
-        with pytest.raises(KeyError):
-            look("phi")
-
-
 @pytest.mark.parametrize(
     ("target", "code", "why"),
     [
@@ -81,8 +75,3 @@ def test_a_broken_package_is_named_with_its_entry_point(site, monkeypatch, targe
     assert f"'bad = {target} of {GROUP}'" in str(raised.value.hint)
     assert raised.value.exit == 2
     assert list(registry.usable()) == ["euler", "pi"]
-
-
-def test_a_class_of_the_right_base_is_loaded(site, monkeypatch):
-    install(site, "good", "1.0", points("own = good_one:Own"), good_one="class Own(dict): pass")
-    assert issubclass(numbers("builtins:dict").load("own"), dict)

@@ -1,8 +1,6 @@
 """Text of others on a terminal and in a spreadsheet."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tetractl.core.errors import UsageError, entry, printable
 
@@ -23,13 +21,6 @@ def test_nothing_is_left_that_a_terminal_obeys(text, printed):
     assert printable(text) == printed
     assert printable(text).isprintable()
     printable(text).encode()
-
-
-@given(st.text(), st.integers(3, 30))
-def test_text_once_printable_stays_as_it_is(text, length):
-    printed = printable(text, length)
-    assert len(printed) <= length
-    assert printable(printed, length) == printed
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,6 @@ from collections import defaultdict
 import pytest
 from support.paths import ROOT, SOURCE_FOLDERS
 
-from tetractl.experiment.load import load_spec
-
-EXPERIMENTS = ROOT / "experiments"
 PACKAGES = (ROOT / "tetractl", *(ROOT / "packages").glob("*/tetractl_*"))
 NAMED_AFTER = ("cli", "control/kernels", "view/figures", "plant/disturbances")
 """Folders whose modules have the name of something else: a command's module that of what it runs, a
@@ -56,30 +53,6 @@ def test_a_module_has_a_name_of_its_own():
             if folder not in NAMED_AFTER and path.stem not in {"__init__", *PARTS}:
                 places[path.stem].append(from_root(path))
     assert repeated(places) == {}
-
-
-def test_a_film_is_a_recording_that_track_follows_and_a_video_shows_a_trial():
-    how_to = ROOT / "docs/how-to"
-    paths = [*modules(ROOT / "tetractl"), how_to / "replay-and-plot.md", how_to / "share.md"]
-    naming_films = {
-        from_root(path)
-        for path in paths
-        if "film" in path.name or "film" in path.read_text("utf-8").lower()
-    }
-    of_tracked_films = {"tetractl/log/format/channels.py", "tetractl/log/read/raw_log.py"}
-    assert naming_films <= of_tracked_films
-
-
-def shipped(name):
-    return load_spec(EXPERIMENTS / f"{name}.yaml").experiment
-
-
-def test_both_controllers_run_on_one_bench():
-    ours = shipped("three_m3pi_bench")
-    published = shipped("three_m3pi_paper_bench")
-    assert ours.plant == published.plant
-    assert ours.robots == published.robots
-    assert published.controller == shipped("three_m3pi_paper").controller
 
 
 def folders_by_layer():

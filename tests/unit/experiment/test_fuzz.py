@@ -81,16 +81,6 @@ def test_any_change_to_a_good_spec(data):
     spec_text(dump(data))
 
 
-WITH_PATHS = st.builds("{}={}".format, KEYS, TREES)
-SETTINGS = st.text(max_size=30) | WITH_PATHS
-
-
-@pytest.mark.long
-@given(SETTINGS, st.sampled_from(["", "0."]))
-def test_any_setting(setting, step):
-    spec_text(WRITTEN, setting, f"robots.{step}{setting}")
-
-
 NUMBERS = st.floats(-1e6, 1e6)
 POSITIVE = st.floats(1e-6, 1e6)
 PERIODS = st.floats(1e-3, 500)  # longer ones have too many samples to simulate

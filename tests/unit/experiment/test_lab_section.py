@@ -1,4 +1,3 @@
-import os
 import re
 
 import pytest
@@ -54,19 +53,6 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     assert blue.index == 1
     assert [lab.camera.heading_offset(name) for name in ("green", "blue")] == [0.0, 0.25]
     assert run.attached == (("m.yaml", MEASURED),)
-
-
-def test_a_spec_without_a_folder_names_its_calibration_by_the_whole_path(tmp_path, monkeypatch):
-    """Regression: `rerun LOG --plant lab` drove robots by a file with that name in the present
-    folder, of other robots perhaps: a log does not know the folder of its spec."""
-    monkeypatch.chdir(tmp_path)
-    file = tmp_path / "m.yaml"
-    file.write_text(MEASURED)
-    relative = parse_spec(SPEC.read_text(), "spec.yaml", ["lab.calibration=m.yaml"])
-    with pytest.raises(SpecError, match=r"^lab.calibration: m.yaml: is in the folder of a spec"):
-        on_plant(relative, "lab")
-    whole = parse_spec(SPEC.read_text(), "spec.yaml", [f"lab.calibration={file}"])
-    assert on_plant(whole, "lab").attached == (("m.yaml", MEASURED),)
 
 
 @pytest.mark.parametrize(
@@ -131,38 +117,3 @@ def test_labs_that_cannot_be_are_refused(settings, line):
     text = caught.value.message
     for part in line.split(": "):
         assert part in text
-
-
-@pytest.mark.parametrize(
-    ("written", "read"), [("4.1", "4.1"), ("'4.1'", "4.1"), ("2.11", "2.11"), ("'2.10'", "2.10")]
-)
-def test_a_protocol_version_needs_no_quotes_where_it_is_a_number(written, read):
-    settings = ["lab.camera.transport=unicast", f"lab.camera.version={written}"]
-    camera = lab_of(load_spec(SPEC, settings).experiment, "spec").camera
-    assert camera.version == read
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "root:x:0:0::/:/bin/sh\n",
-        "[secret]\nkey = hunter2\n",
-        "- hunter2\n",
-        "hunter2: {",
-        "",
-        "a: b\n",
-    ],
-)
-def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
-    """Regression: a spec could name any readable file, and its lines were printed."""
-    with pytest.raises(SpecError) as error:
-        calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
-    assert error.value.message == "/etc/secret: is not a calibration file"
-
-
-def test_a_calibration_that_never_ends_is_not_read(tmp_path):
-    os.mkfifo(tmp_path / "m.yaml")
-    (tmp_path / "spec.yaml").write_text(SPEC.read_text())
-    loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
-    with pytest.raises(SpecError, match=r"m.yaml: is not a regular file"):
-        on_plant(loaded, "lab")

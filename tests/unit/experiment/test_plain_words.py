@@ -25,12 +25,6 @@ robots: [{name: r, start: [10, 50], target: [30, 50], a: 6, speed: 20}]
 """
 
 
-@pytest.mark.parametrize("sign", ["\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m", "uM", "UM"])
-def test_micrometres_in_another_spelling_are_told_how_to_be_written(sign):
-    with pytest.raises(InvalidSpecError, match="must be one of um, mm, cm, m; did you mean 'um'"):
-        parse_spec(SPEC, "x.yaml", [f"units.length={sign}"])
-
-
 def test_an_unknown_colour_is_told_what_is_known():
     with pytest.raises(InvalidSpecError) as error:
         parse_spec(SPEC, "x.yaml", ["robots.r.color=gren"])

@@ -6,8 +6,6 @@ from support.paths import SPECS as FILES
 
 from tetractl.cli.specs import template
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.run.news import stated_model
 
 EXPERIMENTS = ROOT / "experiments"
 
@@ -78,17 +76,6 @@ def test_a_spec_says_only_what_is_its_labs(name):
     assert stated <= OF_THE_LAB | of_earlier_numbers(name)
 
 
-@pytest.mark.parametrize("name", ["micro_channels.yaml", "tetrahymena.yaml"])
-def test_a_prior_states_the_noise_of_the_simulated_camera(name):
-    """Regression: the filter of tetrahymena.yaml had to learn the noise, and errors were greater
-    (docs/decisions/filter.md)."""
-    prior = SPECS[name].controller.prior
-    camera = SPECS[name].plant.measurement_noise
-    assert prior.position_noise == camera.position > 0
-    assert prior.heading_noise == camera.heading > 0
-    assert not stated_model(SPECS[name]).lacks_noise  # so no trial warns of it
-
-
 def test_the_published_controller_is_left_alone():
     assert "three_m3pi.yaml" in OURS
     published = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment.controller
@@ -111,19 +98,3 @@ def test_defaults_follow_the_robots_and_their_bodies():
     assert controller.arrival_tolerance == 0
     assert controller.collision.separation == 94
     assert controller.collision.stop_before_collision is True
-
-
-@pytest.mark.parametrize(
-    ("period_s", "signal_periods", "accept_error_mm"), [(0.05, 4, 8.6), (0.2, 1, 34)]
-)
-def test_defaults_follow_the_period(period_s, signal_periods, accept_error_mm):
-    """The fastest robot drives at 380 mm/s."""
-    controller = lab_controller(f"controller.period={period_s}")
-    assert controller.signal_periods == signal_periods
-    assert controller.accept_error == accept_error_mm
-
-
-def test_a_wrong_period_is_one_error():
-    with pytest.raises(InvalidSpecError) as caught:
-        lab_controller("controller.period=x")
-    assert str(caught.value).count("\n") == 0

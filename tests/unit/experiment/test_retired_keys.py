@@ -2,7 +2,7 @@
 
 import pytest
 
-from tetractl.experiment.load import parse_spec, parse_written
+from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
 SPEC = """
@@ -20,19 +20,6 @@ def test_steps_of_an_earlier_spec_are_to_be_written_as_a_time(kind):
     (line,) = caught.value.lines()
     assert line.startswith("earlier.yaml:5:")
     assert line.endswith("write time_limit: [s], which is (steps_max + 1) control periods")
-
-
-@pytest.mark.parametrize("period_s", [0.05, 0.2])
-def test_steps_in_the_spec_of_an_earlier_log_are_a_time(period_s):
-    resolved = SPEC % f"mpc, period: {period_s}"
-    controller = parse_written(resolved, "spec.yaml").experiment.controller
-    assert controller.time_limit == pytest.approx(301 * period_s)
-
-
-def test_the_published_controller_counts_steps():
-    controller = parse_spec(SPEC % "pso-mpc", "spec.yaml").experiment.controller
-    assert controller.steps_max == 300
-    assert controller.time_limit == pytest.approx(301 * 0.2)
 
 
 def test_an_intensity_of_an_earlier_spec_is_told_in_one_line():
@@ -59,8 +46,3 @@ def test_a_silence_of_an_earlier_spec_is_to_be_left_out():
     (line,) = caught.value.lines()
     assert line.startswith("earlier.yaml:5:")
     assert line.endswith("what a silence of the radio does; leave it out")
-
-
-def test_a_silence_in_the_spec_of_an_earlier_log_is_left_out():
-    controller = parse_written(SILENT, "spec.yaml").experiment.controller
-    assert controller.collision.radius == 0.5

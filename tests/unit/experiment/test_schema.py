@@ -1,5 +1,4 @@
 import json
-import re
 from functools import cache
 
 import jsonschema
@@ -42,14 +41,6 @@ def test_the_committed_schema_is_that_of_the_models():
 def test_the_committed_reference_is_that_of_the_models():
     page = make_reference.PAGE.read_text(encoding="utf-8")
     assert page == make_reference.page(page), "run: python docs/make_reference.py"
-
-
-def test_the_walk_through_quotes_the_experiment_it_walks_through():
-    written = (ROOT / "docs" / "reference" / "spec.md").read_text(encoding="utf-8")
-    quotes = re.findall(r"```yaml\n(.*?)```", written, flags=re.DOTALL)
-    experiment = (EXPERIMENTS / "three_m3pi.yaml").read_text(encoding="utf-8")
-    assert len(quotes) > 8
-    assert [quote for quote in quotes if quote not in experiment] == []
 
 
 def test_every_field_and_kind_has_a_description():

@@ -4,7 +4,6 @@ import pytest
 
 from tetractl.experiment.identified import Identified, merge
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.loaded_spec import resolved_yaml
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.replay.identification.identify import QUANTITIES
@@ -35,19 +34,6 @@ def test_the_strength_of_an_electric_field_is_in_volts_per_centimetre():
     setup = setup_of("robots.r.a={per_V_cm: 0.5}")
     assert setup.a[0] == 0.5 * 2
     assert setup.strength_unit == "V/cm"
-
-
-def test_what_is_resolved_loads_as_the_same_spec():
-    loaded = parse_spec(SPEC, "x.yaml")
-    assert "a: {per_mT: 0.74}" in loaded.resolved
-    again = parse_spec(loaded.resolved, "again")
-    assert again.experiment == loaded.experiment
-    assert again.hash == loaded.hash
-
-
-def test_a_spec_without_a_strength_is_dumped_as_ever():
-    plain = parse_spec(SPEC, "x.yaml", ["robots.r.a=2", "strength=null"]).experiment
-    assert "strength" not in resolved_yaml(plain)
 
 
 @pytest.mark.parametrize(
@@ -89,10 +75,3 @@ def test_an_identified_rate_replaces_alpha_by_that_at_the_strength_of_its_logs()
     merge(document, identified(8.0), "found.yaml", estimates=True)
     rates = [robot["a"] for robot in document.data["robots"]]
     assert rates == [{"per_mT": 4.0 / 8.0}, 4.0]
-
-
-def test_an_identified_rate_of_unknown_strength_cannot_replace_alpha():
-    document = parse_document(SPEC, "x.yaml")
-    merge(document, identified(None), "found.yaml", estimates=True)
-    (problem,) = document.problems
-    assert "its logs state no strength" in str(problem)

@@ -64,21 +64,6 @@ def test_a_changed_checkout_names_its_changes(committed):
     assert changed["git_diff_sha256"] == hashlib.sha256(diff.encode()).hexdigest()
 
 
-def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout):
-    _git(checkout, "init", "-q")
-    (checkout / "theirs.txt").write_text("theirs")
-    _git(checkout, "add", "theirs.txt")
-    _git(checkout, "commit", "-q", "-m", "theirs")
-    assert "git_commit" not in provenance.versions()
-
-
-def test_without_git_there_is_no_commit(checkout, monkeypatch):
-    monkeypatch.setenv("PATH", str(checkout))
-    facts = provenance.versions()
-    assert "git_commit" not in facts
-    assert facts["numpy"] == np.__version__
-
-
 def test_the_code_of_a_trial_covers_what_makes_its_digest():
     """Rows by the same code must have digests that can be compared."""
     modules = subprocess.run(

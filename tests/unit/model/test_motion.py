@@ -107,15 +107,6 @@ def test_the_exact_step_holds_at_every_angle_and_time(phi, turn):
     assert phi - heading == pytest.approx(phi_after, abs=1e-9)
 
 
-@pytest.mark.parametrize("a", [1e-9, 1e-6, 1e-3])
-def test_a_robot_that_hardly_turns_goes_straight(a):
-    x, y, heading = stepped(exact, 0, 0, 0.3, 1.5, a, 100, 2)
-    turn = 2 * a * math.sin(1.2)
-    assert heading == pytest.approx(0.3 + turn, abs=2 * a * a)
-    middle = 0.3 + turn / 2
-    assert (x, y) == pytest.approx((200 * math.cos(middle), 200 * math.sin(middle)), abs=200 * a**2)
-
-
 @given(heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
 def test_every_motion_keeps_to_its_speed_and_turns_towards_u(heading, u, a, v, t):
     for name, motion in MOTIONS.items():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numba import njit
 from pydantic import ValidationError
 from support.geometry import gap, meets
-from support.shapes import GRID, L_SHAPE, SHAPES, circles, combs, rectangles
+from support.shapes import GRID, L_SHAPE, SHAPES
 
 from tetractl.control.kernels import obstacles as kernel
 from tetractl.core.registries import SHAPES as REGISTRY
@@ -21,7 +21,6 @@ pytestmark = pytest.mark.slow
 PLACES = st.floats(-12, 12)
 ENDS = GRID | PLACES
 MARGINS = st.sampled_from([0.0, 0.25, 1.0])
-PLAIN = rectangles() | circles() | combs() | st.just(L_SHAPE)
 SAMPLES = 2000
 L = L_SHAPE.shape()
 
@@ -92,12 +91,6 @@ def test_a_segment_crosses_as_geometry_says_but_for_rounding(section, x0, y0, x1
         assert not crosses(shape, *segment)
 
 
-@given(PLAIN, GRID, GRID)
-def test_a_segment_without_length_is_a_point(section, x, y):
-    shape = section.shape()
-    assert crosses(shape, x, y, x, y) == contains(shape, x, y)
-
-
 @given(SHAPES, PLACES, PLACES, PLACES, PLACES, MARGINS)
 def test_shapes_grow_by_the_margin_and_no_more(section, x0, y0, x1, y1, margin):
     shape = section.shape()
@@ -163,42 +156,6 @@ def test_the_outline_draws_the_shape(section):
     spots = np.random.default_rng(1).uniform(-12, 12, (2, 300))
     clear = np.abs(shape.distance(*spots)) > 0.02  # an outline of a disc cuts its edge by as much
     assert np.array_equal(drawn.contain(*spots)[clear], shape.contain(*spots)[clear])
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "inside"),
-    [(0, 0, True), (4, 1, True), (1, 1, True), (1, 2, True), (1.01, 2, False), (2, 1.01, False),
-     (0.5, 2.9, True), (2.5, 2, False), (0, 3, True), (-0.01, 1, False)],
-)  # fmt: skip
-def test_edges_and_the_inner_corner_belong_to_a_concave_polygon(x, y, inside):
-    assert contains(L, x, y) == inside
-    assert crosses(L, x, y, x, y) == inside
-
-
-@pytest.mark.parametrize(
-    ("segment", "touches"),
-    [
-        ((1.5, 3, 1.5, 1.5), False),  # into the notch of the L, short of it
-        ((1.5, 3, 4, 1.5), False),  # past both arms
-        ((1.5, 3, 4, 0.5), True),
-        ((1, 5, 1, 3), True),  # ends on a corner
-        ((1.5, 1, 3, 1), True),  # along an edge
-        ((0.2, 0.2, 0.3, 0.4), True),  # inside throughout
-        ((-1, -1, 5, -1), False),
-        ((-1, 1, 5, 4), True),  # right across
-    ],
-)
-def test_segments_against_a_concave_polygon(segment, touches):
-    backwards = (*segment[2:], *segment[:2])
-    assert crosses(L, *segment) == touches
-    assert crosses(L, *backwards) == touches
-
-
-def test_the_way_round_a_polygon_does_not_matter():
-    back = polygon(*L_SHAPE.vertices[::-1]).shape()
-    assert np.array_equal(back.outline(), L.outline())
-    assert distance(L, 0.5, 0.5) == -0.5
-    assert distance(back, 0.5, 0.5) == -0.5
 
 
 @pytest.mark.parametrize(

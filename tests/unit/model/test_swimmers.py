@@ -35,11 +35,6 @@ def test_a_field_turns_the_axis_by_3_in_proportion_to_it(strength):
     assert math.pi / 2 - swimmers.heading[0] == pytest.approx(angle_left, abs=1e-3)
 
 
-def test_a_dipole_beside_the_axis_ends_beside_the_field():
-    swimmers = swum(cells(a=4.0, bias=0.2), 5.0, field=(0.0, 1.0))
-    assert swimmers.heading[0] == pytest.approx(math.pi / 2 - 0.2, abs=1e-3)
-
-
 def test_the_body_goes_round_the_axis_and_points_along_its_way():
     swimmers = cells(speed=300.0, helix_um=8.0, helix_hz=2.5)
     dt = 0.001
@@ -84,16 +79,6 @@ def test_a_culture_repeats_by_its_seed_and_strangers_have_no_magnet():
     first, again = (Swimmers.drawn(np.random.default_rng(5), 6, unmagnetised=2) for _ in "ab")
     assert (first.speed == again.speed).all()
     assert (first.a[:4] > 0).all() and (first.a[4:] == 0).all()
-
-
-def test_a_cell_rests_and_goes_on():
-    swimmers = cells(2, speed=300.0)
-    swimmers.rest(0)
-    swum(swimmers, 1.0)
-    assert swimmers.x == pytest.approx([0.0, 300.0])
-    swimmers.rest(0, False)
-    swum(swimmers, 1.0)
-    assert swimmers.x == pytest.approx([300.0, 600.0])
 
 
 def test_a_cell_divides_into_two_that_share_its_magnet():

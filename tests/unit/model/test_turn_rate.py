@@ -45,12 +45,6 @@ def integrated(heading, u, a, side, saturation, t=T):
     return solution.y[:, -1] - [0, 0, heading]
 
 
-@given(heading=ANGLES, u=ANGLES, a=st.floats(1, 7), side=SIDES)
-def test_a_robot_turns_faster_to_one_side(heading, u, a, side):
-    rate, *_ = step(heading, u, a, side, 1.0)
-    assert rate == pytest.approx(integrated(heading, u, a, side, 1.0), abs=1e-4)
-
-
 @given(heading=ANGLES, u=ANGLES, a=st.floats(1, 7), side=SIDES, saturation=st.floats(0.2, 1))
 def test_motors_saturate(heading, u, a, side, saturation):
     """By the turn in the middle of a step: to 5 % of what a robot turns at most, and to 20 % where

@@ -70,29 +70,6 @@ def test_counts_never_leave_the_limits(wished, drive_train, owed):
     assert np.abs(sent.owed).max() <= 0.5
 
 
-@given(st.tuples(FINITE, FINITE), TRAINS, OWED)
-def test_no_wheel_turns_against_what_was_wished(wished, drive_train, owed):
-    sent = send(wished, drive_train, owed)
-    for speed, wish in zip(sent.speeds, wished, strict=True):
-        assert speed == 0 or (speed > 0) == (wish > 0)
-
-
-@given(TRAINS, OWED, st.sampled_from([0.0, -0.0]))
-def test_stop_is_exactly_zero_whatever_is_owed(drive_train, owed, zero):
-    sent = send((zero, 0.0), drive_train, owed)
-    assert not sent.counts.any()
-    assert not sent.owed.any()
-    assert not sent.speeds.any()
-
-
-@given(SPEEDS, TRAINS, OWED)
-def test_a_wheel_wished_to_stand_stands(left_speed, drive_train, owed):
-    sent = send((left_speed, 0.0), drive_train, owed)
-    assert sent.speeds[1] == 0.0
-    assert counts_by_wheel(sent, drive_train)[1] == 0
-    assert left_speed == 0 or sent.owed[1] == owed[1]
-
-
 @given(BOTH_SPEEDS, TRAINS, OWED)
 def test_nothing_is_sent_inside_the_dead_zone(wished, drive_train, owed):
     counts = counts_by_wheel(send(wished, drive_train, owed), drive_train)
@@ -113,11 +90,6 @@ def test_nothing_is_sent_inside_the_dead_zone(wished, drive_train, owed):
 )
 def test_counts_are_those_of_how_the_wheels_are_built_in(drive_train, counts):
     assert tuple(send((100.0, 200.0), drive_train).counts) == counts
-
-
-def test_the_speeds_of_counts_leave_the_dead_zone_out():
-    counts = np.array([[8 + 10], [20]])
-    assert train(dead_zone=(8, 0)).speeds(counts).tolist() == [[100.0], [200.0]]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

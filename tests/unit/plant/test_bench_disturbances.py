@@ -66,15 +66,6 @@ def test_frames_reach_the_host_as_late_as_the_spec_says():
     assert received[-1] <= 20 * SECOND < received[-1] + SECOND / 50
 
 
-def test_some_frames_are_late():
-    section = {"type": "camera-latency", "mean": 0.001, "late_share": 0.1, "late_by": 0.004}
-    latency_s = latencies(driven(plant(section), 60)) / SECOND
-    late = latency_s > 0.001
-    assert rate_agrees(late, 0.1)
-    late_by_s = latency_s[late] - 0.001
-    assert stats.kstest(late_by_s, "uniform", (0, 0.004)).pvalue > 1e-4
-
-
 @pytest.mark.parametrize(("burst", "share"), [(1.0, 0.4), (4.0, 0.1)])
 def test_frames_are_lost_as_often_and_as_many_in_a_row_as_the_spec_says(burst, share):
     samples = driven(plant({"type": "frame-loss", "share": share, "burst": burst}), 200)
@@ -117,22 +108,6 @@ def test_the_radio_delays_for_each_robot_alone():
     assert stood_s[0] != pytest.approx(stood_s[1], abs=0.01)
 
 
-def test_the_radio_delays_all_by_as_much():
-    stood_s = seconds_stood(plant({"type": "radio", "delay": 0.05}))
-    assert stood_s == pytest.approx([0.05, 0.05], abs=0.02)
-
-
-def test_a_stop_is_repeated_until_it_is_heard():
-    for seed in range(20):
-        simulated = plant({"type": "radio", "loss": 0.5}, seed=seed)
-        driven(simulated, 1)
-        simulated.stop()
-        final = simulated.settle().final.x
-        simulated.clock.sleep_until(simulated.clock.now() + SECOND)
-        assert simulated.observe().poses.x == pytest.approx(final)
-        assert final[0] <= START_X + SPEEDS[0] * 1.2
-
-
 def test_robots_are_put_down_near_their_starts():
     section = {"type": "start-error", "position": 10, "heading": 0.1}
     off = []
@@ -163,23 +138,6 @@ def test_a_flow_does_not_carry_those_who_stand():
     simulated.open()
     simulated.clock.sleep_until(SECOND)
     assert simulated.observe().poses.y == pytest.approx(start_y)
-
-
-def test_a_flow_carries_all_who_swim_alike():
-    simulated = plant(UPWARDS)
-    start_y = simulated.poses.y
-    samples = driven(simulated, 2)
-    assert samples[-1].truth.y - start_y == pytest.approx([20, 20], abs=0.2)
-
-
-@pytest.mark.long
-def test_the_direction_of_a_flow_is_drawn_in_every_trial():
-    angles = []
-    for seed in range(200):
-        truth = driven(plant({"type": "flow", "speed": 100}, seed=seed), 0.1)[-1].truth
-        swum_x = SPEEDS[1] * 0.1
-        angles.append(math.atan2(truth.y[1] - 900, truth.x[1] - START_X - swum_x))
-    assert stats.kstest(angles, "uniform", (-math.pi, 2 * math.pi)).pvalue > 1e-4
 
 
 def test_cells_weave_and_their_bodies_point_along_their_paths():
@@ -214,14 +172,6 @@ def test_no_robot_hears_anything_while_the_radio_is_silent():
     assert silent.sum() == pytest.approx(100, abs=2)
     assert begins.min() >= 100
     assert begins.max() <= 400
-
-
-def test_a_stop_in_a_silence_is_repeated_until_it_is_heard():
-    simulated = plant({"type": "silent-radio", "duration": 3, "between": [0.5, 0.5]})
-    driven(simulated, 1)
-    assert all(simulated.stop().delivered)
-    way = simulated.settle().final.x - START_X
-    assert way == pytest.approx(3.5 * SPEEDS, abs=3)  # until the silence is over
 
 
 @pytest.mark.parametrize("drive", [None, {}, {"rate": 40}, {"lag": 0.04}])
@@ -286,13 +236,6 @@ def test_the_camera_shows_old_poses_as_new_for_a_spell(section, behind):
     assert lag_s[during] == pytest.approx(np.column_stack([expected] * 2), abs=1.1 / 120)
 
 
-def test_frames_may_stop_coming_for_a_spell():
-    section = {"type": "frozen-camera", "repeats": False, "duration": 0.4, "between": [1, 1]}
-    times = np.array([sample.observation.sampled_ns for sample in driven(plant(section), 3)])
-    assert np.diff(times).max() / SECOND == pytest.approx(0.4, abs=2 / 120)
-    assert len(times) == pytest.approx(3 * 120 - 0.4 * 120, abs=2)
-
-
 def test_markers_are_off_to_either_side_in_the_picture_alone():
     off = []
     for seed in range(50):
@@ -328,12 +271,6 @@ def test_a_and_speed_wander_as_far_and_as_fast_as_the_spec_says(field):
     correlations = [np.corrcoef(robot[:-10], robot[10:])[0, 1] for robot in error.T]
     assert correlations == pytest.approx([np.exp(-1)] * 2, abs=0.1)
     assert np.abs(np.corrcoef(error.T)[0, 1]) < 0.1
-
-
-def test_robots_whose_speeds_wander_do_not_come_as_far_as_by_their_speeds():
-    simulated = plant({"type": "wander", "speed": 0.1}, seed=5)
-    way = driven(simulated, 10)[-1].truth.x - START_X
-    assert way != pytest.approx(10 * SPEEDS, rel=1e-3)
 
 
 @pytest.mark.long

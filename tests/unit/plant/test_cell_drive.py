@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tetractl.core.commands import FieldOff, Steer, Stop
-from tetractl.core.errors import SpecError
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.experiment.disturbance import DelayedCommand
@@ -54,14 +53,6 @@ def swum(cells, seconds, since=0.0):
 def sent(action, reached=(True, True)):
     """A command as it acts on the cells that it reaches."""
     return DelayedCommand(0, 0, action, np.array(reached))
-
-
-def test_bodies_begin_at_their_starts_and_wait_for_the_first_command():
-    cells = drive()
-    assert np.allclose(cells.poses.xy, setup().starts.xy)
-    x, y, _ = swum(cells, [0.5, 1.0])
-    assert np.allclose(np.stack([x, y], -1), setup().starts.xy)
-    assert cells.moving.tolist() == [0, 0]
 
 
 def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
@@ -132,9 +123,3 @@ def test_no_cell_leaves_its_dish(tmp_path):
     assert log_path(tmp_path, 0).exists()
     assert not result.left_arena
     assert 0 <= min(result.verdict.edge) < 0.02
-
-
-def test_cells_have_no_wheels():
-    wheels = "wheels: {radius: 0.1}\nplant: {type: sim, cells: {}, drive: {}}\n"
-    with pytest.raises(SpecError, match="have no wheels"):
-        parse_spec(SPEC + wheels, "both.yaml")

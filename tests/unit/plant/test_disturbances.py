@@ -34,16 +34,6 @@ def plant(*disturbances, seed=1, **fields):
     return sim(experiment(robots=PAIR, obstacles=[], plant=section), seed)
 
 
-def test_parameters_are_those_the_robots_move_by():
-    class Slower(Disturbance):
-        def parameters(self, a, speed):
-            return a, speed * [0.5, 1.0]
-
-    simulated = plant(Slower())
-    driven(simulated, STRAIGHT)
-    assert way(simulated) == pytest.approx([50, 50])
-
-
 def test_a_command_that_is_lost_is_so_in_the_motion_and_in_the_record():
     class OneLosesAll(Disturbance):
         def sent(self, command):
@@ -53,22 +43,6 @@ def test_a_command_that_is_lost_is_so_in_the_motion_and_in_the_record():
     sent, _ = driven(simulated, STRAIGHT)
     assert way(simulated) == pytest.approx([0, 50])
     assert all(command.delivered == (False, True) for command in sent)
-
-
-def test_no_command_overtakes_one_that_is_late():
-    """The first acts three periods late, and those after it not before."""
-
-    class FirstIsLate(Disturbance):
-        late_ns = 3 * PERIOD
-
-        def sent(self, command):
-            late_ns = self.late_ns
-            self.late_ns = 0
-            return replace(command, due_ns=command.due_ns + late_ns)
-
-    simulated = plant(FirstIsLate())
-    driven(simulated, STRAIGHT)
-    assert way(simulated) == pytest.approx(SPEEDS * 2 * PERIOD_S)
 
 
 def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
@@ -187,17 +161,6 @@ def test_disturbances_act_in_order_each_with_draws_of_its_own():
     plant(again)
     plant(second, seed=2)
     assert again.drawn == first.drawn != second.drawn
-
-
-def test_further_disturbances_leave_the_draws_of_the_others():
-    noisy = {"measurement_noise": {"position": 2}, "lost_commands": 0.3}
-    sent, alone = driven(plant(**noisy), STRAIGHT)
-    sent_both, with_both = driven(plant(Disturbance(), **noisy), STRAIGHT)
-    assert [c.delivered for c in sent] == [c.delivered for c in sent_both]
-    for frame_alone, frame_of_both in zip(alone, with_both, strict=True):
-        assert frame_alone.observation.poses.array() == pytest.approx(
-            frame_of_both.observation.poses.array()
-        )
 
 
 PLANTS = {

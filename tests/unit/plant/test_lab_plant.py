@@ -2,22 +2,19 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, Steer, Stop, Turn
+from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.errors import AbortError
 from tetractl.core.guard_findings import Lose
 from tetractl.core.losses import LossRule
-from tetractl.core.plan import PAUSE_S
 from tetractl.core.protocols import Health
 from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import STOPS, LabLimits
 from tetractl.lab.guard_checks import robot_checks
-from tetractl.lab.rest_check import REST_NS
 
 pytestmark = pytest.mark.slow
 
@@ -61,25 +58,8 @@ def stopped(**actuator):
     return lab
 
 
-def hide_blue_for(lab, seconds):
-    """Stop the robots while the camera does not see blue, which it sees again after a while."""
-    lab.camera.hidden = {"blue"}
-    wait(lab, 0.1)
-    lab.plant.stop()
-    back_ns = lab.clock.now() + round(seconds * SECOND)
-    lab.clock.steps.append(lambda: lab.camera.hidden.clear() if lab.clock.now() > back_ns else None)
-
-
 def wait(lab, seconds):
     lab.clock.sleep_until(lab.clock.now() + round(seconds * SECOND))
-
-
-def test_a_held_direction_is_sent_at_the_actuators_rate():
-    lab = opened()
-    drive(lab, 2.0)
-    gaps = np.diff([sent.sent_ns for sent in lab.actuator.sent])
-    assert gaps.max() <= 2 * lab.actuator.period_ns
-    assert len(lab.actuator.sent) == pytest.approx(2.0 * 40, abs=12)
 
 
 def test_robots_that_can_only_stop_together_are_steered_on_while_one_is_not_tracked():
@@ -129,16 +109,6 @@ def test_a_silent_camera_stops_cells_by_a_stop_and_the_run_goes_on_with_its_fram
         lab.plant.observe()
 
 
-def test_a_lost_robot_counts_no_more_where_it_was_last_seen():
-    """Green passes the place where blue was last seen: no check of this lab says where."""
-    setup = replace(SETUP, loss=LossRule(0.3, False))
-    lab = opened(setup, halts=False, checks_of=lambda rules: replace(together(rules), checks=()))
-    lab.camera.hidden = {"blue"}
-    drive(lab, 2.0, np.pi / 2)
-    assert abs(lab.world.poses[0, 1] - 1200) < 100
-    assert min(lab.plant.settle().apart) > 300
-
-
 class Watch:
     """Stands for a camera's watch to which blue is lost, and replaced by `instead`."""
 
@@ -184,13 +154,6 @@ def test_a_robot_that_counts_as_lost_for_its_camera_is_left_out_or_replaced(
     assert texts == says
 
 
-def test_a_robot_that_counts_as_lost_for_its_camera_ends_a_run_that_allows_no_loss():
-    lab = opened()
-    lab.camera.watch = lambda setup, limits: Watch("")
-    with pytest.raises(AbortError, match="blue is another robot"):
-        drive(lab, 1.0)
-
-
 def test_a_long_first_plan_is_no_late_step():
     lab = fake_lab(SETUP, LabLimits(late_steps=2))
     lab.plant.open()
@@ -214,39 +177,6 @@ def test_a_stop_has_the_time_at_which_it_was_first_sent_and_is_reported_once(cal
     assert (stop.action, stop.sent_ns) == (Stop(), stops[0])
     others = [event.sent_ns for event in lab.plant.news() if isinstance(event, Command)]
     assert [sent_ns for sent_ns in others if sent_ns >= stops[0]] == stops[1:]
-
-
-@pytest.mark.long
-def test_a_trial_at_20_hz_goes_on_after_a_turn_on_the_spot_and_a_long_search():
-    lab = opened(replace(SETUP, period_s=0.05))
-    for search_s in (0.0, 3.0):
-        lab.plant.send(Turn(0.5))
-        wait(lab, PAUSE_S + 0.05)
-        lab.plant.observe()
-        wait(lab, search_s)
-        assert lab.plant.send(Steer(0.5)).delivered == (True,) * 3
-
-
-def test_a_stop_that_cannot_be_sent_has_the_time_of_the_attempt():
-    lab = driving()
-    lab.actuator.failure = "the port is gone"
-    now = lab.clock.now()
-    stop = lab.plant.stop()
-    assert (stop.sent_ns, stop.delivered, stop.left) == (now, (False,) * 3, None)
-
-
-def test_a_stop_that_an_actuator_never_sends_counts_as_not_delivered():
-    """Regression: an actuator whose own code raises has no failure, and the log said that a stop
-    had reached every robot although none was sent."""
-    lab = driving()
-
-    def fail(emergency=False):
-        raise ValueError("a defect of the actuator")
-
-    lab.actuator.stop = fail
-    now = lab.clock.now()
-    stop = lab.plant.stop()
-    assert (stop.sent_ns, stop.delivered) == (now, (False,) * 3)
 
 
 def test_cells_are_not_waited_for_after_a_stop():
@@ -279,58 +209,6 @@ def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
     assert lab.plant.settle().not_at_rest.startswith("after the stop green moves")
     assert lab.world.moving == (False, False, False)
     assert all(sent.direction is None for sent in lab.actuator.sent[before:])
-
-
-def test_robots_that_stand_already_are_watched_for_a_while_all_the_same():
-    lab = stopped()
-    wait(lab, 1.0)
-    before = lab.clock.now()
-    assert lab.plant.settle().not_at_rest == ""
-    assert lab.clock.now() - before >= REST_NS
-
-
-def test_the_last_frame_is_that_of_the_final_poses_however_late_it_is_asked_for():
-    """Regression: a slow computer logged over a second of frames after that of the result."""
-    lab = stopped()
-    final = lab.plant.settle().final.array()
-    lab.world.poses[:, 0] += 40  # carried away
-    wait(lab, 2.0)
-    assert (lab.plant.samples()[-1].observation.poses.array() == final).all()
-
-
-def test_a_pose_that_turns_in_a_pause_aborts():
-    """Regression: the rest in a pause was not checked."""
-    lab = driving()
-    lab.plant.send(Stop())
-    held = lab.world.advance
-
-    def spinning():
-        held()
-        lab.world.poses[1, 2] = lab.clock.now() / SECOND * 0.2
-
-    lab.world.advance = spinning
-    wait(lab, 0.7)
-    with pytest.raises(AbortError, match=r"in a pause blue still moves \(0 mm/s, \+0\.20 rad/s\)"):
-        lab.plant.send(Steer(0.5))
-
-
-def test_a_robot_that_is_seen_again_gives_its_true_final_pose():
-    lab = driving()
-    hide_blue_for(lab, 1.0)
-    verdict = lab.plant.settle()
-    assert verdict.not_at_rest == ""
-    assert verdict.final.array() == pytest.approx(lab.world.poses)
-
-
-def test_cells_that_are_not_seen_after_the_stop_are_waited_for():
-    lab = driving(**CELLS)
-    hide_blue_for(lab, 0.5)
-    assert lab.plant.settle().not_at_rest == ""
-    assert lab.plant.samples()[-1].observation.valid.all()
-    lab.clock.steps.pop()
-    lab.camera.hidden = {"blue"}
-    wait(lab, 0.1)
-    assert lab.plant.settle().not_at_rest == "2 s after the stop: blue is not tracked"
 
 
 def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():
@@ -384,21 +262,6 @@ def test_who_lets_robots_start_is_asked_what_only_a_person_knows():
     assert "does it run 802.15.4 firmware?" in notes
 
 
-def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
-    lab = fake_lab(SETUP)
-    lab.camera.hidden = {"blue"}
-    lab.camera.check = lambda: Health(("the cameras know no rigid body 'blu'",))
-
-    def name_it(count):
-        lab.camera.hidden = set()
-        lab.camera.check = Health
-
-    lab.supervision.prompt = person = Person(name_it)
-    lab.plant.open()
-    assert person.shown[0][0] == ("the cameras know no rigid body 'blu'", "blue is not tracked")
-    assert person.shown[-1][0] == ()
-
-
 @pytest.mark.parametrize("metres", [0.001, 1.0])
 def test_robots_are_waited_for_while_somebody_places_them(metres):
     lab = fake_lab(replace(SETUP, metres=metres), LabLimits(placing=10.0))
@@ -415,11 +278,3 @@ def test_robots_are_waited_for_while_somebody_places_them(metres):
     assert person.shown[-1][0] == ()
     assert info.facts["camera"] == "fake"
     assert info.facts["latency_ms"] == "5.00"
-
-
-def test_a_person_may_give_up_waiting():
-    lab = fake_lab(SETUP, LabLimits(placing=10.0))
-    lab.world.poses[1, 0] += 120
-    lab.supervision.cancelled = lambda: True
-    with pytest.raises(KeyboardInterrupt):
-        lab.plant.open()

@@ -9,7 +9,6 @@ from support.plants import DIRECTIONS, PERIOD, driven, sim, truths
 from support.trials import experiment
 
 from tetractl.control.cost import predict
-from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.model.motion.exact import step as exact
@@ -151,23 +150,6 @@ def test_heading_noise_is_a_random_walk_of_the_stated_size():
     assert headings[-1].std() == pytest.approx(0.3 * math.sqrt(10), rel=0.35)
 
 
-@pytest.mark.parametrize("dead_time", [0.0, 0.1, 0.05])
-def test_heading_noise_comes_with_every_frame(dead_time):
-    """Regression: a command taking effect just at a frame made the frame lose its noise."""
-    samples = steered(plant(STRAIGHT, heading_noise=0.3, dead_time=dead_time), [0.0] * 10)
-    began = round(dead_time * 120) + 1
-    steps = np.diff(truths(samples)[began:, 0, 2])
-    assert np.all(np.abs(steps) > 1e-6)
-
-
-def test_a_standing_robot_does_not_wander():
-    simulated = plant(heading_noise=0.3)
-    simulated.open()
-    simulated.clock.sleep_until(SECOND)
-    path = truths(simulated.samples())
-    assert np.all(path == path[0])
-
-
 @pytest.mark.parametrize(("field", "nominal"), [("a_error", "a"), ("speed_error", "speed")])
 def test_errors_of_a_and_speed_are_uniform_within_their_bound(field, nominal):
     ratios = []
@@ -191,39 +173,6 @@ def test_the_truth_decides_what_the_camera_misses():
     verdict = simulated.settle()
     assert verdict.entered == (True,)
     assert verdict.clearance[0] <= 0
-
-
-def test_what_a_robot_does_before_it_stands_counts():
-    """With a dead time it is still moving when the stop is sent, and may enter an obstacle."""
-    wall = {"type": "rectangle", "left": 925, "bottom": 700, "width": 100, "height": 200}
-    simulated = plant(STRAIGHT, [wall], dead_time=0.2)
-    steered(simulated, [0.0, 0.0])  # at 920 now
-    simulated.stop()
-    verdict = simulated.settle()
-    assert verdict.final.x[0] == pytest.approx(940, abs=1e-6)
-    assert verdict.entered == (True,)
-    assert verdict.clearance[0] == pytest.approx(-15, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("camera_rate", "sent_s", "dead_time"),
-    [*((rate, 0.05, 0.14) for rate in (120, 60, 50, 30, 25)), (5, 0.19, 0.05)],
-)
-def test_the_dead_time_counts_from_the_exposure_of_the_frame_answered(
-    camera_rate, sent_s, dead_time
-):
-    """Regression: it counted from `steer`, so the controller, which counts from the frame, was off
-    by the frame's age wherever the camera's rate is no multiple of the control rate. A frame older
-    than the dead time delays nothing further."""
-    simulated = plant(STRAIGHT, dead_time=dead_time, camera_rate=camera_rate, truth_rate=1000)
-    simulated.open()
-    simulated.clock.sleep_until(round(sent_s * SECOND))
-    exposed = simulated.observe().sampled_ns / SECOND
-    simulated.send(Steer(0.0))
-    simulated.clock.sleep_until(SECOND)
-    simulated.observe()
-    acted = max(exposed + dead_time, sent_s)
-    assert simulated.poses.x[0] - 900 == pytest.approx(100 * (1 - acted), abs=1e-6)
 
 
 def test_arcs_are_those_of_the_wheel_speeds_in_the_log():

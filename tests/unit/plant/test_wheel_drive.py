@@ -1,18 +1,15 @@
 """Robots on wheels in a simulation, against formulas."""
 
-import itertools
 import json
 import math
 
 import numpy as np
 import pytest
-from support.plants import DIRECTIONS, driven, sim, truths
+from support.plants import driven, sim, truths
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
-from tetractl.core.errors import TetractlError
-from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plant import Wheels
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import body_velocity
@@ -37,13 +34,6 @@ def test_ideal_wheels_at_a_high_rate_follow_1_to_3():
     assert truths(samples)[-1] == pytest.approx(truths(exact)[-1], abs=2.0)
 
 
-def test_wheels_sent_once_a_control_step_hold_an_arc():
-    _, samples = driven(plant())
-    arc = experiment(plant={"motion": "arc"}, obstacles=[])
-    _, expected = driven(sim(arc, 1))
-    assert truths(samples) == pytest.approx(truths(expected), abs=1e-6)
-
-
 @pytest.mark.parametrize("lag", [0.0, 0.1])
 def test_what_is_sent_is_computed_from_the_newest_frame_received(lag):
     fields = {
@@ -59,21 +49,6 @@ def test_what_is_sent_is_computed_from_the_newest_frame_received(lag):
         _, turning = body_velocity(command.left, command.right, 40)
         measured = newest.observation.poses.heading
         assert turning == pytest.approx(a * np.sin(command.direction - measured), abs=1e-9)
-
-
-def test_speeds_may_be_repeated_rather_than_computed_anew():
-    commands, _ = driven(plant(drive={"rate": 40, "recompute": False}))
-    for before, after in itertools.pairwise(commands):
-        if before.direction == after.direction:
-            assert before.left.tolist() == after.left.tolist()
-
-
-def test_transmissions_come_at_once_with_a_direction_and_then_at_the_rate():
-    commands, _ = driven(plant(drive={"rate": 40}), DIRECTIONS[:3])
-    times = np.array([command.sent_ns for command in commands]) / SECOND
-    assert {0.0, 0.2, 0.4} <= set(times.tolist())
-    assert len(times) == pytest.approx(24, abs=1)
-    assert np.diff(times).max() <= 2 / 40 + 1e-9
 
 
 def test_counts_are_whole_and_their_mean_is_what_was_wished():
@@ -126,17 +101,6 @@ def test_dead_zones_that_the_host_does_not_know_turn_robots():
     bent = truths(driven(wrong, [0.0] * 5)[1])[-1]
     assert straight[:, 2] == pytest.approx(0, abs=1e-9)
     assert np.abs(bent[:, 2]).max() > 0.05
-
-
-def test_wheels_are_needed():
-    text = """
-    name: no-wheels
-    arena: {left: 0, bottom: 0, width: 2000, height: 2000}
-    robots: [{name: one, start: [500, 500], target: [900, 500], a: 4, speed: 100}]
-    plant: {type: sim, drive: {rate: 40}}
-    """
-    with pytest.raises(TetractlError, match="wheels"):
-        parse_spec(text, "spec.yaml")
 
 
 def test_a_host_that_knows_the_lag_turns_robots_as_if_there_were_none():

@@ -85,14 +85,6 @@ def test_poses_that_no_log_can_hold_end_the_trial(disturbance, x):
         drive_for_a_second(plant)
 
 
-def test_poses_of_one_robot_alone_end_the_trial():
-    one_robot = Poses.of(starts_at(0.0).array()[:1])
-    plant = disturbed(Moves(one_robot))
-    with pytest.raises(WrongValueError, match="pose that no log can hold"):
-        plant.open()
-        drive_for_a_second(plant)
-
-
 @pytest.mark.parametrize("arrival_ns", [np.nan, -1])
 def test_a_frame_that_arrives_before_it_was_exposed_ends_the_trial(arrival_ns):
     plant = disturbed(Arrives(arrival_ns))

@@ -1,9 +1,6 @@
 """Tracks from CSV files: of `tetractl export`, and as other programs write them."""
 
-import bz2
-import gzip
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,15 +45,6 @@ def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
     of_export = log.replace("ms,one.mcap", "ms,log", 1), POSES.replace("\n", ",one.mcap\n")
     (track,) = tracks_of(tmp_path, of_export[1].replace("one.mcap", "log", 1), of_export[0])
     assert not track.rates_unstated  # by tetractl's host
-
-
-def test_positions_whose_y_runs_downwards_are_not_those_of_the_headings(tmp_path):
-    """Regression: speeds 8 and 31 % low, with intervals without the true ones."""
-    paths = write_drive(tmp_path)
-    downwards = drive().poses * (1, 1, -1, 1)
-    write_table(paths[0], PLAIN, PLAIN_POSES, downwards, robot="green")
-    with pytest.raises(UsageError, match="only with y reversed"):
-        csv_tracks(paths)
 
 
 def of_two_logs(text):
@@ -284,43 +272,6 @@ def test_headings_beyond_a_turn_that_turn_more_than_the_motion_are_degrees(tmp_p
         csv_tracks(paths)
 
 
-def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path):
-    paths = write_headings(tmp_path, lambda _, heading: heading + 2 * math.pi)
-    (track,) = csv_tracks(paths)
-    assert track.valid.all()
-
-
-@pytest.mark.parametrize("far_mm", [9e8, -9e8])
-@pytest.mark.parametrize("column", ["x_mm", "y_mm"])
-def test_a_last_place_far_off_says_nothing_of_the_headings(tmp_path, column, far_mm):
-    """Regression: whole turns were called degrees because of a single wrong place."""
-    poses, commands = write_headings(tmp_path, lambda _, heading: heading + 2 * math.pi)
-    *rows, last = poses.read_text().splitlines()
-    pose = last.split(",")
-    pose[PLAIN_POSES.split(",").index(column)] = str(far_mm)
-    poses.write_text("\n".join([*rows, ",".join(pose), ""]))
-    (track,) = csv_tracks([poses, commands])
-    assert track.valid[:-1].all()
-    assert not track.valid[-1]  # it is no measurement
-
-
-@pytest.mark.parametrize(
-    ("packed", "form"),
-    [
-        (gzip.compress(b"time_s,direction_rad\n0,0\n", mtime=0), "gzip"),
-        (bz2.compress(b"time_s,direction_rad\n0,0\n"), "bzip2"),
-        (b"PK\x03\x04 the start of an .xlsx", "zip, or a spreadsheet"),
-    ],
-    ids=["gzip", "bzip2", "zip"],
-)
-def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
-    """Regression: it was said to be no UTF-8."""
-    poses, commands = write_drive(tmp_path)
-    commands.write_bytes(packed)
-    with pytest.raises(UsageError, match=rf"commands\.csv: is compressed \({form}\)"):
-        csv_tracks([poses, commands])
-
-
 @pytest.mark.parametrize("aside_mm", [0.0, 5.0])
 def test_a_robot_at_two_places_at_once_is_refused(tmp_path, aside_mm):
     """Regression: tracks with one name for all robots gave an a of 0.009 [0.001, 0.066] for 4."""
@@ -334,49 +285,6 @@ def test_a_robot_at_two_places_at_once_is_refused(tmp_path, aside_mm):
     else:
         with pytest.raises(UsageError, match=r"poses\.csv: green is at two places at .* s"):
             csv_tracks([poses, commands])
-
-
-def test_a_file_that_is_named_twice_is_refused(tmp_path):
-    poses, _ = write_drive(tmp_path)
-    with pytest.raises(UsageError, match=r"poses\.csv: is named twice"):
-        csv_tracks([poses, tmp_path / "." / poses.name])
-
-
-MILLISECONDS = "".join(f"{k * 10},{k % 3}\n" for k in range(1200))
-MANY_S = {
-    "a command every 0.1 s for an hour": np.arange(0, 3600, 0.1),
-    "a command every 0.5 s, long before": np.arange(-2000, DRIVE_S, 0.5),
-    "rare commands, ten times as long": np.arange(0, 10 * DRIVE_S, 1.0),
-    "rare commands, thirty times as long": np.arange(-9 * DRIVE_S, 21 * DRIVE_S, 2.0),
-    "as many as frames": np.arange(0, DRIVE_S, 1 / FRAME_RATE_HZ),
-}
-
-
-@pytest.mark.parametrize("name", MANY_S)
-def test_commands_that_last_long_are_not_taken_for_another_unit(tmp_path, name):
-    poses, commands = write_drive(tmp_path)
-    rows = "".join(f"{time + 2000},90,{k % 3}\n" for k, time in enumerate(MANY_S[name]))
-    poses.write_text(retimed(poses.read_text(), lambda time_s: time_s + 2000))
-    commands.write_text(f"time_s,v_mm_s,w_rad_s\n{rows}")
-    (track,) = csv_tracks([poses, commands])
-    assert not [text for text in track.remarks if "are they in s" in text]
-
-
-@pytest.mark.parametrize(
-    ("rows", "says"),
-    [
-        ("0,0\n1,1\n", "covers 2 s of the"),
-        ("0,0\n1500,1\n3000,2\n", "only 1 of the 3 times .* are they in s"),
-        (MILLISECONDS, "only 2 of the 1200 times .* are they in s"),
-    ],
-)
-def test_spans_that_hardly_meet_are_said(tmp_path, rows, says):
-    poses, commands = write_drive(tmp_path)
-    commands.write_text(f"{PLAIN_COMMANDS}\n{rows}")
-    (track,) = csv_tracks([poses, commands])
-    (remark,) = track.remarks
-    assert track.time[-1] == pytest.approx(DRIVE_S, abs=0.1)
-    assert re.search(says, remark)
 
 
 def test_robots_that_stand_after_their_last_command_need_none(tmp_path):
@@ -405,20 +313,6 @@ def test_times_of_poses_that_fall_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "table",
-    ["time_s,direction_rad\n0,0.5\n2,1.5\n", "time_s,v_mm_s,w_rad_s\n0,180,1\n2,180,2\n"],
-    ids=["directions", "speeds"],
-)
-def test_times_of_commands_that_fall_are_refused(tmp_path, table):
-    """Regression: rows were sorted, and a countdown gave the prior's a without a word."""
-    poses, commands = write_drive(tmp_path)
-    commands.write_text(table)
-    exchange_two_rows(commands)
-    with pytest.raises(UsageError, match=r"commands.csv, line 3: the time is earlier"):
-        csv_tracks([poses, commands])
-
-
-@pytest.mark.parametrize(
     ("units_per_s", "says"),
     [
         (FRAME_RATE_HZ, "robots turn at its times if these are numbers of pictures"),
@@ -435,62 +329,6 @@ def test_times_of_another_unit_are_refused_by_how_robots_turn(tmp_path, units_pe
         csv_tracks([poses, commands])
 
 
-def write_mirrored_drive(folder):
-    """Write poses whose y and headings are reversed, and the directions that robots turned by."""
-    poses, commands = write_drive(folder)
-    mirrored = drive().poses * (1, 1, -1, -1)
-    write_table(poses, PLAIN, PLAIN_POSES, mirrored, robot="green")
-    return poses, commands
-
-
-def test_a_mirrored_picture_is_refused_by_how_robots_turn(tmp_path):
-    """Regression: poses agree with their headings, and a was wrong without a word."""
-    with pytest.raises(UsageError, match=r"robots turn right where .*commands\.csv turns left"):
-        csv_tracks(write_mirrored_drive(tmp_path))
-
-
-def at_random(share):
-    """Which of the drive's poses are a share of them, at random."""
-    return np.random.default_rng(1).uniform(size=len(drive().poses)) < share
-
-
-AMID = (drive().poses[:, 0] % 5) > 4
-HALF_TURN = (0.0, 0.0, 0.0, math.pi)
-NOT_MEASURED = {
-    "one heading in twenty flipped": (at_random(0.05), 1.0, HALF_TURN),
-    "zeros while lost": (AMID, (1.0, 0.0, 0.0, 0.0), 0.0),
-}
-
-
-def write_not_measured(folder, name):
-    """Write a drive some of whose poses are no measurement."""
-    is_wrong, factor, added = NOT_MEASURED[name]
-    poses = drive().poses
-    poses[is_wrong] = poses[is_wrong] * factor + added
-    paths = write_drive(folder)
-    write_table(paths[0], PLAIN, PLAIN_POSES, poses, robot="green")
-    return paths
-
-
-@pytest.mark.parametrize("name", NOT_MEASURED)
-def test_poses_that_are_no_measurement_show_no_turns(tmp_path, name):
-    """Regression: with one heading in twenty half a turn off, "the commands explain 1% of the
-    turns": another robot's, as was asked, they were not."""
-    (track,) = csv_tracks(write_not_measured(tmp_path, name))
-    is_wrong, _, _ = NOT_MEASURED[name]
-    assert not track.valid[is_wrong].any()
-    assert track.valid[~is_wrong].mean() > 0.9
-
-
-def test_directions_of_another_robot_are_refused_whatever_poses_are_lost(tmp_path):
-    paths = write_not_measured(tmp_path, "one heading in twenty flipped")
-    others = drive().commands
-    others[:, 1] = np.random.default_rng(5).uniform(-3, 3, len(others))
-    write_table(paths[1], PLAIN, PLAIN_COMMANDS, others)
-    with pytest.raises(UsageError, match=r"commands explain|robots turn"):
-        csv_tracks(paths)
-
-
 @pytest.mark.parametrize("turns", [0, 3])
 def test_headings_against_the_motion_are_named_as_such(tmp_path, turns):
     """Regression: they were said to be in degrees if they count turns, or y to be reversed."""
@@ -498,29 +336,6 @@ def test_headings_against_the_motion_are_named_as_such(tmp_path, turns):
     poses, commands = write_headings(tmp_path, lambda _, heading: heading + backward)
     with pytest.raises(UsageError, match=r"poses\.csv: green moves against its heading"):
         csv_tracks([poses, commands])
-
-
-def test_robots_on_two_wheels_may_move_against_their_headings(tmp_path):
-    poses, commands = write_headings(tmp_path, lambda _, heading: heading + math.pi)
-    commands.write_text("time_s,v_mm_s,w_rad_s\n0,-180,1\n2,-180,2\n")
-    (track,) = csv_tracks([poses, commands])
-    assert track.valid.all()
-
-
-def test_a_direction_that_never_changes_shows_no_side(tmp_path):
-    poses, commands = write_mirrored_drive(tmp_path)
-    commands.write_text(f"{PLAIN_COMMANDS}\n0,0.5\n5,0.5\n11,0.5\n")
-    with pytest.raises(UsageError, match=r"poses\.csv: the commands explain \d+% of the turns"):
-        csv_tracks([poses, commands])
-
-
-def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path):
-    """Regression: `identify` refused the steps.csv of `export`, whose last row has none."""
-    poses, commands = write_drive(tmp_path)
-    with commands.open("a") as file:
-        file.write("11.5,\n")
-    (track,) = csv_tracks([poses, commands])
-    assert track.sent.tolist() == drive().commands[:, 0].tolist()
 
 
 @pytest.mark.parametrize("entries", ["nan,nan", ",", "90,", "NULL,0.5"])
@@ -609,14 +424,6 @@ LOST = "time_s,robot,x_mm,y_mm,heading_rad\n" + "".join(
 )
 
 
-@pytest.mark.parametrize("commands", [NO_NAME, sent_to("a", "b"), COMMANDS])
-def test_a_robot_that_is_never_tracked_is_left_out(tmp_path, commands):
-    """Regression: a traceback."""
-    (track,) = tracks_of(tmp_path, LOST, commands)
-    assert track.names == ("a",)
-    assert f"{tmp_path / 'p.csv'}: no pose is of b" in track.remarks
-
-
 def test_a_robot_may_be_seen_in_one_of_two_trials(tmp_path):
     """The second robot is, in the second trial alone."""
     place_of_b = {1: ",,", 2: "{x},9,0.1"}
@@ -702,23 +509,6 @@ def test_two_recordings_in_one_table_are_told(tmp_path, poses, later_s):
         tracks_of(tmp_path, poses, twice(NO_NAME, later_s))
 
 
-def test_two_recordings_that_are_numbered_are_read(tmp_path):
-    def numbered(table):
-        header, *rows = table.splitlines()
-        lines = [f"{trial},{row}" for trial in (1, 2) for row in rows]
-        return "\n".join(["trial," + header, *lines, ""])
-
-    tracks = tracks_of(tmp_path, numbered(ONE_POSES), numbered(NO_NAME))
-    assert [len(track.time) for track in tracks] == [8, 8]
-
-
-def test_rows_sorted_by_robot_are_one_recording(tmp_path):
-    header, *rows = TWO_POSES.splitlines()
-    by_robot = sorted(rows, key=lambda row: row.split(",")[1])
-    (track,) = tracks_of(tmp_path, "\n".join([header, *by_robot, ""]), NO_NAME)
-    assert track.poses.shape == (8, 2, 3)
-
-
 @pytest.mark.parametrize(("units_per_s", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_of_a_smaller_unit_are_told(tmp_path, units_per_s, unit):
     poses, commands = (
@@ -755,12 +545,6 @@ def test_times_that_count_pictures_are_told(tmp_path, times, hints):
         tracks_of(tmp_path, poses_at(times), NO_NAME)
     for hint in (PICTURES, "time_ms"):
         assert (hint in str(error.value)) == (hint in hints)
-
-
-def test_whole_seconds_of_commands_and_whole_milliseconds_are_read(tmp_path):
-    poses = poses_at(range(0, 3300, 33)).replace("time_s", "time_ms")
-    assert tracks_of(tmp_path, poses, NO_NAME)
-    assert tracks_of(tmp_path, poses_at(np.arange(40) * 0.5), NO_NAME)
 
 
 FOR_EACH = "time_s,robot,direction_rad\n" + "".join(
@@ -852,13 +636,6 @@ def test_headings_near_the_directions_are_not_taken_for_them(tmp_path, name):
     assert "are the directions" not in said
 
 
-def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
-    header, *rows = ONE_POSES.splitlines()
-    with_speed = "\n".join([header + ",v_mm_s", *(row + ",90" for row in rows), ""])
-    (track,) = tracks_of(tmp_path, with_speed, NO_NAME)
-    assert track.names == ("robot",)
-
-
 BY_ROBOT = "time_s,robot,direction_rad\n" + "".join(
     f"{t / 10},{robot},{t / 9}\n" for robot in "ab" for t in range(8)
 )
@@ -897,19 +674,6 @@ def test_times_may_be_dates(tmp_path, name, header):
     apart_s = 0.09 if name == "a time of day" else 0.1
     assert track.time.tolist() == pytest.approx([0.0, apart_s], abs=1e-6)
     assert track.sent.tolist() == pytest.approx([0.0, apart_s], abs=1e-6)
-
-
-@pytest.mark.parametrize("date", ["04/05/2026 12:00:00", "May 4 12:00:00", "25:00:00"])
-def test_other_dates_are_refused(tmp_path, date):
-    with pytest.raises(UsageError, match=r"p\.csv, line 2: timestamp: .* is no date") as caught:
-        tracks_of(tmp_path, *of_times((date, date)))
-    assert caught.value.hint is not None
-
-
-def test_a_word_among_numbers_is_told_from_an_entry_that_is_empty(tmp_path):
-    with pytest.raises(UsageError, match=r"line 3: x_mm: 'lost' is not a number") as caught:
-        tracks_of(tmp_path, POSES.replace("3,2,0.2", "lost,2,0.2"), COMMANDS)
-    assert caught.value.hint == "where nothing was measured, leave the entry empty"
 
 
 @pytest.mark.parametrize(

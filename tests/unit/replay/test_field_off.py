@@ -2,22 +2,16 @@
 step has to have a direction."""
 
 import json
-from pathlib import Path
 
-import numpy as np
 import pytest
 from support.trials import THREE_M3PI
 
-from tetractl.api import to_arrays
 from tetractl.core.commands import FieldOff
-from tetractl.core.errors import UsageError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.identification.tracks import track_of
 from tetractl.replay.player import Recording
 from tetractl.replay.verify import verify
 from tetractl.report.trial_data import trial_data
-from tetractl.results.trial_tables import of_log
 from tetractl.run.spec_trial import log_path, run_logged
 from tetractl.view.figures.draw import draw
 from tetractl.view.terminal.replay_screen import step_line
@@ -66,14 +60,6 @@ def test_it_is_verified_whole(path):
     assert verification.checked == STEPS
 
 
-def test_tables_and_arrays_hold_no_direction_then(log):
-    off = [step.command.action == FieldOff() for step in log.steps]
-    tables, _ = of_log(Path(log.log), ("steps",))
-    directions = tables["steps"].as_dict()["direction_rad"]
-    assert [direction is None for direction in directions] == off
-    assert np.isnan(to_arrays(log).direction).tolist() == off
-
-
 @pytest.mark.long
 def test_it_is_shown(log):
     k = next(step.k for step in log.steps if step.command.action == FieldOff())
@@ -81,8 +67,3 @@ def test_it_is_shown(log):
     assert trial_data(log, "t")["steps"]["u"]
     for kind in ("trajectory", "errors", "over-time"):
         draw(kind, [log])
-
-
-def test_what_needs_a_direction_at_every_step_refuses_it(log):
-    with pytest.raises(UsageError, match="drove with the field off at times"):
-        track_of(log)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from support.paths import ROOT
-from support.trials import three_robots
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -18,15 +17,13 @@ from tetractl.replay.identification.fit import WANDERS, FittedRobot, SampleInter
 from tetractl.replay.identification.identify import (
     IdentifiedRobots,
     clock_doubt,
-    identified,
     identify,
     stated,
     tables,
     turn_uniformly,
 )
-from tetractl.replay.identification.passes import TrackFrames, position_noise, speed_wander
-from tetractl.replay.identification.standing import Stood
-from tetractl.replay.identification.tracks import SETTLED_S, Track, track_of
+from tetractl.replay.identification.passes import TrackFrames, speed_wander
+from tetractl.replay.identification.tracks import Track
 
 pytestmark = pytest.mark.slow
 
@@ -119,15 +116,6 @@ def test_without_noise_everything_is_found_exactly():
     assert rates_of(identification) == pytest.approx(driven.plant.a, rel=2e-3)
     assert speeds == pytest.approx(driven.plant.speed, rel=1e-3)
     assert biases == pytest.approx([0, 0, 0], abs=2e-3)
-
-
-@pytest.mark.long
-def test_a_dead_time_beyond_the_first_search_is_found():
-    """Regression: 0.36 s for 0.5 s, and an interval of a without the true one."""
-    driven = drive(1, "plant.dead_time=0.5", "plant.a_error=0.25")
-    identification = identify([driven.track], A_RAD_S, None)
-    assert identification.dead_time.value == pytest.approx(0.5, abs=1e-3)
-    assert rates_of(identification) == pytest.approx(driven.plant.a, rel=5e-3)
 
 
 @pytest.mark.long
@@ -228,14 +216,6 @@ def test_intervals_that_hold_too_seldom_are_not_printed():
     assert text.count("'0.012'") == 2
 
 
-def test_intervals_that_hold_too_seldom_are_not_written():
-    identification = stated(identification_of(identified_robot()))
-    written = identified(identification, "now").robots["one"]
-    assert written.a.low == 0.01
-    assert written.heading_noise.low is None
-    assert written.heading_walk.high is None
-
-
 FITTING = identified_robot("one", misfits=("across the path",))
 WITH_ODD_HEADING = identified_robot("two", misfits=("heading",))
 
@@ -251,12 +231,6 @@ def test_a_lag_that_nothing_states_leaves_no_interval_of_what_it_may_spoil():
         assert robot.speed == INTERVAL
     (table,) = tables(identification)
     assert "the dead time then holds the lag" in table.note
-
-
-def test_robots_that_do_not_lag_have_all_intervals():
-    printed = stated(identification_of(FITTING, WITH_ODD_HEADING))
-    assert printed.robots[0].a == INTERVAL
-    assert printed.dead_time == INTERVAL
 
 
 @pytest.mark.long
@@ -307,39 +281,6 @@ def test_directions_that_turn_uniformly_leave_no_interval_of_what_they_cannot_te
 
 
 @pytest.mark.parametrize(
-    "tracks",
-    [
-        turning(np.random.default_rng(1).uniform(-2, 2, 300)),
-        turning(np.where(TIMES_S < 15, ROTATION, 1.5 + ROTATION)),
-        turning(np.sin(ROTATION)),
-        turning(np.full(300, 0.4)),
-        turning(ROTATION[::5], apart_s=0.5),  # by steps of .4 rad
-        turning(ROTATION, 1.5 * ROTATION),
-    ],
-    ids=["random", "one jump", "sine", "constant", "steps", "two rates"],
-)
-def test_directions_that_tell_a_from_dead_time_leave_all_intervals(tracks):
-    assert not turn_uniformly(tracks)
-
-
-def test_a_lag_leaves_no_interval_if_robots_may_steer_themselves():
-    """Regression: for an a of 4 of robots that steer themselves, 2.91 (2.76 to 3.07) of smooth
-    directions and 4.22 (4.12 to 4.32) of those that jump."""
-    result = identification_of(identified_robot(), rates_unstated=True)
-    (robot,) = stated(result).robots
-    assert np.isnan(robot.a.low)
-    assert np.isnan(stated(result).dead_time.low)
-    assert "steer themselves" in tables(result)[0].note
-    assert robot.speed == INTERVAL
-
-
-def test_when_a_robot_stood_is_said_below_the_table():
-    stood = Stood("one", "p.csv", 40.0, 60.5)
-    (table,) = tables(stated(identification_of(identified_robot(), stood=(stood,))))
-    assert "one stood from 40.0 to 60.5 s after the first pose of p.csv" in table.note
-
-
-@pytest.mark.parametrize(
     ("dead_time", "says"),
     [
         (SampleInterval(1.6, 1.59, 1.61), "of one clock?"),
@@ -355,24 +296,6 @@ def test_a_dead_time_as_of_two_clocks_is_said(dead_time, says):
     stamped late 0.000 (0.000 to 0.000)."""
     assert says in clock_doubt(dead_time)
     assert bool(says) == bool(clock_doubt(dead_time))
-
-
-def test_a_spec_gets_no_dead_time_below_0():
-    below = replace(
-        identification_of(identified_robot()), dead_time=SampleInterval(-0.1, -0.2, -0.05)
-    )
-    assert identified(below, "now").dead_time.value == 0
-
-
-@pytest.mark.long
-@pytest.mark.release  # 24 s of processor time
-def test_directions_that_turn_smoothly_take_more_rounds():
-    """Regression: a = 4.16 and a dead time of .112 s after six rounds, for 4 and .1."""
-    directions = np.sin(ROTATION)
-    driven = drive(6, *NOISY, "plant.dead_time=0.1", period_s=0.1, directions=directions)
-    identification = identify([replace(driven.track, rates_unstated=True)], None, None)
-    assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.03)
-    assert np.isnan(stated(identification).robots[0].a.low)  # as of a table that states a lag
 
 
 @pytest.mark.long
@@ -411,34 +334,6 @@ def test_a_lost_command_that_stops_a_robot_by_its_watchdog_is_no_noise():
 
 
 @pytest.mark.long
-def test_commands_that_follow_before_a_frame_tells_are_no_noise():
-    """Directions as of a controller at 20 Hz: each sent four times, and most turn little."""
-    rng = np.random.default_rng(6)
-    turns_sharply = rng.uniform(size=50) < 0.15
-    sharp_turns = rng.uniform(-2, 2, 50)
-    turns = np.where(turns_sharply, sharp_turns, 0.1 * rng.normal(size=50))
-    directions = np.repeat(np.cumsum(turns), 4)
-    sets = (*NOISE, "plant.dead_time=0.08", "plant.lost_commands=0.05")
-    driven = drive(6, *sets, period_s=0.05, directions=directions)
-    assert_noise_is_right(identify([driven.track], A_RAD_S).robots)
-
-
-@pytest.mark.long
-def test_robots_that_are_seen_at_times_of_their_own_have_one_dead_time():
-    """Robots that measure their own poses: two of them earlier than the frame, by up to 0.1 s."""
-    track = drive(1, "plant.dead_time=0.083").track
-    poses = track.poses.copy()
-    own_times = track.exposed.copy()
-    for robot, frames in ((1, 6), (2, 12)):  # by which its poses are older
-        poses[frames:, robot] = track.poses[:-frames, robot]
-        own_times[frames:, robot] = track.time[:-frames]
-    identification = identify([replace(track, poses=poses, own_times=own_times)], A_RAD_S)
-    assert identification.dead_time.value == pytest.approx(0.083, abs=1e-3)
-    assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.01)
-    assert not any(robot.misfits for robot in identification.robots)
-
-
-@pytest.mark.long
 def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
     """Regression: logs of the bench gave a dead time 0.03 s too long, and a 6 % too low."""
     radio = "plant.disturbances=[{type: radio, delay: 0.01, jitter: 0.0, loss: 0.0}]"
@@ -448,33 +343,12 @@ def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.04)
 
 
-def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():
-    """Regression: how fast they turned amid their start was guessed, which cost the fit of one log
-    in ten its dead time."""
-    track = drive(2, *LAGGING_WHEELS, directions=random_directions(2, 5)).track
-    without_lag = TrackFrames.of(track)
-    assert not without_lag.placed[0].any()
-    lagging = TrackFrames.of(replace(track, lag=LAG_S))
-    assert lagging.placed[0].all()
-    assert lagging.used[1:].all()
-    hold_s, hold_s2, _ = lagging.hold
-    assert 0.025 <= hold_s <= 0.05  # at 40 Hz and at each new direction
-    assert hold_s2 >= hold_s**2
-
-
 @pytest.mark.long
 def test_lost_commands_are_counted():
     driven = drive(8, *NOISY, "plant.dead_time=0.06", "plant.lost_commands=0.1")
     identification = identify([driven.track], A_RAD_S)
     lost = sum(robot.lost for robot in identification.robots)
     assert 6 <= lost <= 25  # of 150, 15 expected
-
-
-@pytest.mark.long
-def test_a_is_found_where_nothing_is_expected():
-    driven = drive(4, *NOISY, "plant.dead_time=0.1")
-    identification = identify([driven.track], None)
-    assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.03)
 
 
 @pytest.mark.long
@@ -488,17 +362,6 @@ def test_pooled_tracks_tell_more_than_one(monkeypatch):
         assert both.intervals == pytest.approx(2 * one.intervals, rel=0.02)
         assert width(both.a) < 0.8 * width(one.a)
         assert one.lost == 0
-
-
-@pytest.mark.long
-def test_frames_that_did_not_see_a_robot_are_left_out():
-    track = drive(6, *NOISY, "plant.dead_time=0.1").track
-    track.valid[300:500, 1] = False
-    track.poses[300:500, 1] = 1e6  # garbage that must not be read
-    identification = identify([track], A_RAD_S)
-    green, blue, _ = identification.robots
-    assert blue.a.value == pytest.approx(A_RAD_S[1], rel=0.03)
-    assert blue.intervals < green.intervals
 
 
 def blue_stands(track):
@@ -530,13 +393,6 @@ def test_a_track_that_shows_no_motion_is_refused(case):
         identify([change(drive(6).track)], A_RAD_S)
 
 
-def test_a_short_track_is_refused():
-    track = drive(6, directions=random_directions(6, 3)).track
-    seconds = f"{np.ptp(track.time):.3g} s"
-    with pytest.raises(UsageError, match=f"intervals between frames in {seconds}"):
-        identify([track], A_RAD_S)
-
-
 def test_tracks_of_other_robots_are_refused():
     track = drive(6, directions=random_directions(6, 3)).track
     renamed = replace(track, names=("a", "b", "c"))
@@ -557,15 +413,6 @@ def test_a_model_that_does_not_fit_is_said_not_to():
     assert "the model does not fit" in tables(identification)[0].note
 
 
-@pytest.mark.parametrize("noise_mm", [0.2, 2.0, 5.0])
-def test_about_how_noisy_positions_are_is_seen_by_their_neighbours(noise_mm):
-    noise = f"plant.measurement_noise={{position: {noise_mm}, heading: 0.01}}"
-    track = drive(5, noise, "plant.camera_rate=30").track
-    noises = position_noise([TrackFrames.of(track)])
-    assert (noises > 0.8 * noise_mm).all()
-    assert (noises < 1.5 * noise_mm + 0.6).all()  # robots turn between two frames
-
-
 @pytest.mark.long
 def test_a_noisy_camera_is_no_misfit():
     """Regression: the walk of a robot's headings was found to be .002 for .03, and the model did
@@ -581,17 +428,6 @@ def test_a_noisy_camera_is_no_misfit():
         assert not robot.misfits
         assert robot.heading_walk.value == pytest.approx(HEADING_WALK, rel=0.4)
         assert robot.position_noise.value == pytest.approx(3.0, rel=0.1)
-
-
-@pytest.mark.long
-def test_headings_are_not_judged_where_commands_between_two_are_unknown():
-    """Regression: "the model does not fit" of one right export of eight."""
-    track = drive(5, *NOISY, "plant.dead_time=0.1").track
-    track.poses[:, 1, 2] += 0.15 * np.sign(np.sin(track.time))
-    (_, judged, _) = identify([track], A_RAD_S).robots
-    (_, exported, _) = identify([replace(track, all_commands=False)], A_RAD_S).robots
-    assert "heading" in judged.misfits
-    assert "heading" not in exported.misfits
 
 
 def slips(track, robot):
@@ -611,39 +447,3 @@ def test_only_the_speed_of_a_robot_that_slips_wanders(sets):
     wander = speed_wander([TrackFrames.of(slips(track, 1))])
     assert wander[1] > 3 * WANDERS
     assert (wander[[0, 2]] < WANDERS / 2).all()
-
-
-STEADY = {
-    "a noisy camera": ("plant.measurement_noise={position: 2, heading: 0.01}",),
-    "frames at 15 Hz": (
-        "plant.measurement_noise={position: 2, heading: 0.01}",
-        "plant.camera_rate=15",
-    ),
-    "commands lost": ("plant.lost_commands=0.1", NO_WATCHDOG),
-    "robots that stop for lost commands": (*NOISE, "plant.lost_commands=0.05"),
-    "robots of other speeds": (*NOISY, "plant.speed_error=0.3"),
-}
-
-
-@pytest.mark.parametrize("name", STEADY)
-def test_the_speed_of_a_robot_that_does_not_slip_does_not_wander(name):
-    """Regression: by noise of 2 mm at .12 m/s, intervals in which a robot seemed to stand were
-    left out, and the model did not fit two right robots of three."""
-    track = drive(5, *STEADY[name], directions=random_directions(5, 150)).track
-    noise_mm = 2.0 if "position: 2" in str(STEADY[name]) else POSITION_NOISE_MM
-    wander = speed_wander([TrackFrames.of(track)])
-    most = np.maximum(WANDERS, 2 * np.sqrt(2) * noise_mm / 150.0)
-    assert (wander < most).all()
-    assert speed_wander([TrackFrames.of(slips(track, 1))])[1] > most
-
-
-@pytest.mark.long
-def test_poses_of_a_pause_are_not_used():
-    """A stop after step 9; robots drive again from step 10 on, and are then left to settle."""
-    log = three_robots()
-    stop = replace(log.stop, sent_ns=log.steps[9].command.sent_ns + SECOND // 10)
-    used_again_ns = log.steps[10].command.sent_ns + SETTLED_S * SECOND
-    paused = (log.mocap_ns >= stop.sent_ns) & (log.mocap_ns < used_again_ns)
-    assert 0 < paused.sum() < len(paused)
-    track = track_of(replace(log, commands=(*log.commands, stop)))
-    assert np.array_equal(track.valid, log.valid & ~paused[:, None])

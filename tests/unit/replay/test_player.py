@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.hand_clock import HandClock
-from support.trials import cut_short, three_robots
+from support.trials import three_robots
 
-from tetractl.core.errors import UsageError
-from tetractl.core.poses import Poses
 from tetractl.core.trial import Note
 from tetractl.replay.player import Playback, Player, Recording, span
 
@@ -48,14 +46,6 @@ def shown_after(player, wall, seconds):
     wall.advance(seconds)
     player.update()
     return player.now / SECOND
-
-
-def test_a_change_of_rate_never_leaps(recording, wall):
-    player = player_of(recording, wall, start=1, rate=2)
-    assert shown_after(player, wall, 1) == 3
-    player.press("-")  # rate 1
-    assert player.now == 3 * SECOND
-    assert shown_after(player, wall, 1) == 4
 
 
 def test_dot_goes_through_the_control_steps_one_by_one_and_pauses(recording, wall):
@@ -108,32 +98,6 @@ def test_capital_e_goes_to_the_event_before(recording, wall):
         assert player.now == 0
 
 
-def test_an_event_is_shown_from_its_time_on(recording):
-    recording = recording_with_events(recording)
-    before = recording.at(3 * SECOND - 1).events
-    assert [event.text for event in before] == [recording.log.notes[0].text]
-
-
-def sent_a_second_later(step):
-    later_ns = step.command.sent_ns + SECOND
-    return replace(step, command=replace(step.command, sent_ns=later_ns))
-
-
-def test_what_came_before_the_first_direction_has_negative_times(recording, wall):
-    log = recording.log
-    steps = tuple(sent_a_second_later(step) for step in log.steps)
-    recording = Recording(replace(log, commands=(), steps=steps))
-    player = player_of(recording, wall, until=3)
-    assert player.now == SECOND
-    assert player.until_ns == 4 * SECOND
-    assert recording.at(player.now).time_s == 0
-    early = player_of(recording, wall, start=-1)
-    assert early.now == 0
-    assert recording.at(early.now).time_s == -1
-    with pytest.raises(UsageError, match="--start -2 lies before the log, which begins at -1"):
-        span(recording, -2, None)
-
-
 @pytest.mark.parametrize("rate", [0.001, 1.0, 1000.0])
 def test_the_rate_has_limits_but_keeps_what_was_asked_for(recording, wall, rate):
     player = player_of(recording, wall, rate=rate)
@@ -160,14 +124,6 @@ def test_q_quits(recording, wall):
     player = player_of(recording, wall)
     player.press("q")
     assert player.state is Playback.QUIT
-
-
-def test_a_loop_begins_again_at_its_start(recording, wall):
-    player = player_of(recording, wall, start=1, until=3, loop=True)
-    assert shown_after(player, wall, 1.5) == 2.5
-    assert shown_after(player, wall, 0.5) == 1
-    assert player.state is Playback.PLAYING
-    assert shown_after(player, wall, 1) == 2
 
 
 press = st.tuples(st.sampled_from(KEYS), st.floats(0, 3))  # and the seconds until the next
@@ -203,46 +159,3 @@ def test_the_end_shows_the_poses_and_errors_of_the_result(recording):
     assert np.array_equal(end.poses, log.result.verdict.final.array())
     assert end.distances.sum() == pytest.approx(log.result.total_error)
     assert not np.allclose(before.distances, end.distances)
-
-
-def lab_log_of_cells_that_swim_on():
-    """A log whose result has the poses of the last frame but 20, which follow every 10 ms."""
-    log = three_robots()
-    verdict = replace(log.result.verdict, final=Poses.of(log.mocap[-1]))
-    frames_after = np.arange(1, 21)
-    poses_after = log.mocap[-1] + 9.0 * frames_after[:, None, None]
-    mocap = np.concatenate([log.mocap, poses_after])
-    return replace(
-        log,
-        start=replace(log.start, plant=replace(log.start.plant, simulated=False)),
-        mocap_ns=np.append(log.mocap_ns, log.mocap_ns[-1] + frames_after * 10_000_000),
-        mocap=mocap,
-        valid=np.ones(mocap.shape[:2], dtype=bool),
-        result=replace(log.result, verdict=verdict),
-    )
-
-
-def test_a_trial_of_cells_that_swim_on_ends_where_its_result_was_taken():
-    recording = Recording(lab_log_of_cells_that_swim_on())
-    assert recording.end_ns == three_robots().mocap_ns[-1]
-    assert recording.at(recording.end_ns).known == "measured"
-
-
-def test_an_untracked_robot_keeps_its_last_pose():
-    log = three_robots()
-    valid = log.valid.copy()
-    valid[50:55, 1] = False
-    recording = Recording(replace(log, valid=valid))
-    frame = recording.at(int(log.mocap_ns[52]))
-    assert np.isnan(frame.trail[-1, 1]).all()
-    assert (frame.poses[1] == log.mocap[49, 1]).all()
-    assert (frame.poses[0] == log.mocap[52, 0]).all()
-
-
-def test_a_log_without_anything_still_shows_the_start():
-    recording = Recording(cut_short(three_robots(), 0))
-    frame = recording.at(0)
-    assert recording.end_ns == 0
-    assert frame.step is None
-    starts = [list(robot.start) for robot in recording.log.experiment.robots]
-    assert frame.poses[:, :2].tolist() == starts

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.replay.identification.fit import SampleInterval
-from tetractl.replay.identification.identify import LATE_S
-from tetractl.replay.identification.response import RobotResponse, respond, response_table
+from tetractl.replay.identification.response import respond, response_table
 from tetractl.replay.identification.tracks import Track
 
 TRUE = {
@@ -123,55 +121,6 @@ def test_tracks_are_pooled_and_a_body_taken_for_another_is_left_out():
     (_, column) = response_table([response], "", "mm").columns
     assert column.values[-1] == f"2 of {response.intervals + 2}"
     assert width(response.dead_time) < 1.1 * width(pooled.dead_time)
-
-
-@pytest.mark.long
-def test_a_heading_that_jumps_by_less_than_robots_turn_is_left_out():
-    """Regression: steps were left out only beyond the range of all turns that were sent."""
-    track = track_of_one_robot(4, commands_per_twist=60)
-    for amid_twist in (375, 675, 1125):
-        track.poses[amid_twist : amid_twist + 5, 0, 2] += 0.2
-    (response,) = respond([track])
-    assert response.left_out == 6  # there and back
-
-
-@pytest.mark.long
-def test_a_robot_that_turns_in_two_of_eight_blocks_has_wider_intervals_than_its_turns_tell():
-    """A quarter of the turns gives intervals twice as wide; few blocks tell of them, thrice that:
-    the quantile of Student's t of one degree of freedom is 12.7, of seven 2.4."""
-    (throughout,) = respond([track_of_one_robot(5)])
-    (at_first,) = respond([track_of_one_robot(5, turns_s=TRACK_S / 4)])
-    assert width(at_first.turning_gain) > 4 * width(throughout.turning_gain)
-    assert width(at_first.speed_gain) < 1.5 * width(throughout.speed_gain)
-
-
-@pytest.mark.long
-def test_the_lag_of_a_speed_that_never_changes_has_no_upper_end():
-    """Regression: an interval up to 89329781684117241856 s."""
-    (response,) = respond([track_of_one_robot(6, speed=100.0)])
-    (_, column) = response_table([response], "", "mm").columns
-    assert column.values[2].endswith("to ?)"), column.values[2]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("other_lag_s", "note"),
-    [(0.09, "the lag of turning for a spec: lab.lag=0.08"), (0.2, "no single lag fits all")],
-)
-def test_a_lag_for_a_spec_is_said_if_it_fits_all_robots(other_lag_s, note):
-    (response,) = respond([track_of_one_robot(6)])
-    lag = SampleInterval(other_lag_s, other_lag_s - 0.01, other_lag_s + 0.01)
-    of_other_robot = replace(response, turning_lag=lag)
-    assert note in response_table([response, of_other_robot], "", "mm").note
-
-
-@pytest.mark.long
-def test_a_robot_that_stood_is_named_below_the_table():
-    track = track_of_one_robot(6)
-    stuck = (track.time > 10) & (track.time < 16)
-    track.poses[stuck] = track.poses[stuck][0]
-    (response,) = respond([track])
-    assert "one stood from " in response_table([response], "", "mm").note
 
 
 # ---- Do the commands explain the motion? ----
@@ -303,50 +252,6 @@ def test_a_radius_that_is_the_distance_between_the_wheels_is_asked_for():
     assert "the distance between the wheels?" in response_table([response], "", "mm").note
     (response,) = respond([track])
     assert "between the wheels" not in response_table([response], "", "mm").note
-
-
-def response_of(turning_gain, speed_gain):
-    """The response of a robot with some gains."""
-    values = TRUE | {"heading_noise": HEADING_NOISE_RAD, "position_noise": POSITION_NOISE_MM}
-    values |= {"turning_gain": turning_gain, "speed_gain": speed_gain}
-    intervals = {name: SampleInterval(x, 0.9 * x, 1.1 * x) for name, x in values.items()}
-    return RobotResponse("one", **intervals, intervals=300, left_out=0)
-
-
-@pytest.mark.parametrize(
-    ("turning_gain", "speed_gain", "are_asked"),
-    [
-        (1.58, 1.53, True),
-        (0.5, 0.55, True),
-        (0.93, 0.92, False),
-        (0.8, 0.6, False),  # slips as it drives
-        (0.6, 0.9, False),  # slips as it turns
-        (1.9, 1.0, False),  # w of a radius that is the base
-        (1.4, 1.45, False),
-    ],
-)
-def test_gains_of_commands_that_are_no_speeds_are_asked_for(turning_gain, speed_gain, are_asked):
-    """Regression: gains of 1.58 and 1.53 of shares of power, named left_mm_s, without a word."""
-    note = response_table([response_of(turning_gain, speed_gain)], "", "mm").note
-    assert ("are commands speeds in their unit" in note) is are_asked
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("late_s", [0.2, 0.5, -2.0, 7.0])
-def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
-    """Regression: of commands 0.5 s late, a dead time of -0.268 (-0.277 to -0.260) s for -0.405, a
-    gain of 0.908 for 0.95; 0.2 s late, 0.869 for 0.917."""
-    track = track_of_one_robot(7)
-    (response,) = respond([track])
-    (moved,) = respond([replace(track, sent=track.sent + late_s)])
-    by_one_clock = response.dead_time.value
-    assert moved.dead_time.value == pytest.approx(by_one_clock - late_s, abs=2e-3)
-    for name in ("turning_gain", "speed_gain", "turning_lag"):
-        value = response.quantities[name].value
-        assert moved.quantities[name].value == pytest.approx(value, rel=0.01)
-    note = response_table([moved], "", "mm").note
-    assert ("of two clocks" in note) == (late_s > by_one_clock)
-    assert ("of one clock?" in note) == (by_one_clock - late_s > LATE_S)
 
 
 @pytest.mark.long

@@ -16,7 +16,7 @@ from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome, State
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.report.page import errors_over_time, lean, logs_to_carry
-from tetractl.report.trial_data import packed, significant, trial_data
+from tetractl.report.trial_data import packed, trial_data
 from tetractl.results.describe import describe
 from tetractl.results.open_batch import Batch
 from tetractl.view.figures.draw import draw
@@ -45,10 +45,6 @@ def test_a_batch_is_drawn_as_plot_draws_it_though_little_of_it_is_kept(logs):
     html = errors_over_time("one & two", [lean(log) for log in logs])
     assert pictures(html) == [svg(draw("errors", logs))]
     assert html.count(": one &amp; two<") == 1
-
-
-def test_one_trial_has_no_figure_of_a_batch(logs):
-    assert errors_over_time("", logs[:1]) == ""
 
 
 def unpacked(text):
@@ -80,24 +76,6 @@ def test_the_page_has_each_plan_and_search(log):
     for step, path, history in zip(log.steps, data["plan"], data["history"], strict=True):
         assert np.array(path) == pytest.approx(step.plan.path[..., :2], abs=1e-3 * arena_size(log))
         assert history == pytest.approx(step.plan.search.history, rel=1e-3)
-
-
-def test_the_page_may_leave_out_plans(log):
-    assert trial_data(log, "t", plans=False)["plan"] is None
-
-
-def test_the_player_ends_with_the_result():
-    log = three_robots()
-    data = trial_data(log, "t")
-    assert data["final"]["errors"] == pytest.approx(log.result.robot_errors, abs=1e-3)
-    assert data["final"]["known"] == "true"
-    assert data["frames"]["t"][-1] <= data["end"]
-
-
-def test_the_result_of_a_lab_is_said_to_be_measured():
-    log = three_robots()
-    lab = replace(log.start, plant=replace(log.start.plant, simulated=False))
-    assert trial_data(replace(log, start=lab), "t")["final"]["known"] == "measured"
 
 
 def with_robots_at_rest(step):
@@ -141,11 +119,3 @@ def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(batch_of_
     assert carried_errors[0] == min(errors.values())
     assert carried_errors[-1] == max(errors.values())
     assert max(np.diff(carried_errors)) <= 6
-
-
-def test_a_page_of_very_many_batches_carries_three_trials_of_each(batch_of_101):
-    assert len(logs_to_carry(batch_of_101, 1000)) == 3
-
-
-def test_what_is_not_finite_is_missing():
-    assert significant([1234.56, -1e-7, np.nan, np.inf]) == [1235.0, -1e-7, None, None]

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
-from support.marked_robots import MarkedRobots
 
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
@@ -64,15 +63,6 @@ def test_only_trials_that_ran_to_their_end_enter_the_means():
     assert described.total.mean == pytest.approx(TOTALS[:3].mean())
 
 
-@pytest.mark.parametrize(
-    "outcome", [Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.STEPS_MAX]
-)
-def test_outcomes_decided_by_the_controller_count(outcome):
-    described = group(batch(ERRORS, outcome=outcome))
-    assert described.counted == TRIALS
-    assert batch_items(described)["outcomes"][outcome.value] == TRIALS
-
-
 @pytest.mark.parametrize(("tolerance", "arrived"), [(20, 0), (0, None)])
 def test_arrivals_are_known_where_a_controller_says_what_arriving_is(tolerance, arrived):
     """None came within 20 mm of its target; 0 says nothing."""
@@ -123,14 +113,6 @@ def test_errors_scale_by_the_ratio_of_speeds():
     assert scaled["ci95"] is None  # three equal trials have no spread
 
 
-def test_robots_that_stand_still_have_no_scaled_error():
-    still = experiment(1).robots[0].model_copy(update={"speed": 0.0})
-    spec = experiment(1, scale=SCALE, plant=DISTURBED).model_copy(update={"robots": (still,)})
-    scaled = batch_items(group(batch([[1.0], [2.0]], spec)))["scaled"]
-    assert math.isnan(scaled["mean"])
-    assert scaled["ci95"] is None
-
-
 def test_two_experiments_in_one_batch_are_refused_with_what_differs():
     trials = batch(ERRORS[:2])
     exact_and_late = experiment(controller={"motion": "exact"}, plant={"dead_time": 0.15})
@@ -144,37 +126,10 @@ def test_two_experiments_in_one_batch_are_refused_with_what_differs():
     assert "--against" in caught.value.hint
 
 
-def test_a_trial_aborted_before_it_chose_its_robots_is_of_the_same_experiment():
-    marks = (900, 900), (900, 1300), (1200, 700)
-    chose = experiment(chosen=MarkedRobots(marks=marks, found=True))
-    before_it_chose = {"chosen": MarkedRobots(marks=marks), "robots": chose.robots[::-1]}
-    wanted = chose.model_copy(update=before_it_chose)
-    trials = batch(ERRORS[:2], chose)
-    aborted = trial("aborted.mcap", wanted, result([1, 1, 1], outcome=Outcome.ABORTED), 2)
-    assert group([*trials, aborted]).counted == 2
-
-
-def test_other_seeds_and_counts_are_the_same_experiment():
-    trials = batch(ERRORS[:2], experiment(trials={"count": 2, "seed": 1}))
-    more = batch(ERRORS[2:4], experiment(trials={"count": 5, "seed": 2}))
-    assert group(trials + [replace(trial, seed=2) for trial in more]).counted == 4
-
-
 def test_a_trial_given_twice_is_refused():
     trials = batch(ERRORS[:2])
     with pytest.raises(UsageError, match="are the same trial"):
         group([*trials, replace(trials[0], log="copy.mcap")])
-
-
-def test_a_trial_in_the_lab_can_be_done_again_but_not_given_twice():
-    first, second = of_origin(Origin.LAB, batch(ERRORS[:2]))
-    again = replace(first, log="again.mcap", digest="other")
-    torn = replace(first, log="torn.mcap", digest=None, recovered=True)
-    torn_too = replace(torn, log="too.mcap")
-    assert group([first, second, again, torn, torn_too]).counted == 3  # those of whole logs
-    copy = replace(second, log="copy.mcap")
-    with pytest.raises(UsageError, match="are the same trial"):
-        group([first, second, copy])
 
 
 @pytest.mark.parametrize(
@@ -216,21 +171,6 @@ def test_an_attempt_does_not_count_whatever_its_log_is_called(name):
     assert [attempt.log for attempt in described.batch.attempts] == [name]
 
 
-def test_an_attempt_is_flagged_with_the_reason_of_its_end():
-    trials = batch(ERRORS[:3])
-    attempt = an_aborted_attempt("trial-000.attempt-1.mcap", trials[0].experiment)
-    last = flagged(group([*trials, attempt]).batch)[-1]
-    assert last.log == "trial-000.attempt-1.mcap"
-    assert last.outcome == "aborted"
-    assert last.notes == ("an earlier attempt, excluded", "the cable came off")
-
-
-def test_a_torn_log_of_no_attempt_leaves_the_batch_incomplete():
-    described = group(batch(ERRORS[:3]), [Damaged("trial-003.mcap", "torn")])
-    assert len(described.batch.lost) == 1
-    assert not described.batch.whole
-
-
 def an_aborted_attempt(name, spec):
     """The log of an earlier attempt of trial 0, with errors that would show in any mean."""
     stopped = result([9e5] * 3, outcome=Outcome.ABORTED, reason="the cable came off")
@@ -244,11 +184,6 @@ def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():
     assert described.batch.lost == ()
     assert described.batch.whole
     assert flagged(described.batch)[0].notes[-1] == "not an MCAP file"
-
-
-def test_no_trial_is_no_batch():
-    with pytest.raises(UsageError, match="no trial"):
-        group([])
 
 
 def test_nothing_but_attempts_is_no_batch():
@@ -271,12 +206,3 @@ def test_flagged_trials_are_those_that_ended_oddly():
         "trial-001.mcap": ("green, red entered an obstacle",),
         "trial-002.mcap": ("did not end in 31 steps",),
     }
-
-
-def test_warnings_are_flagged_in_the_lab_alone():
-    """A simulation warns of the disturbances that its spec asks for."""
-    trials = batch(ERRORS[:2])
-    trials[1] = replace(trials[1], warnings=2)
-    assert notes_by_log(trials) == {}
-    lab = of_origin(Origin.LAB, trials)
-    assert notes_by_log(lab)["trial-001.mcap"] == ("2 warnings",)

@@ -1,7 +1,5 @@
 """The disc in which a robot is for 95 % of a hold, as a statistic with its interval."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.paths import ROOT
@@ -45,10 +43,3 @@ def test_the_mean_has_an_interval_and_a_trial_its_own(holds):
     low, high = mean["ci95"]
     assert low < np.mean(diameters) < high
     assert figure.label == "diameter of the disc of 95 % of the hold (disc_bacterium), mean [um]"
-
-
-def test_without_a_hold_or_a_whole_log_there_is_none(holds):
-    (trial, *_) = read_batch(holds).trials
-    assert DISC.of_trial(replace(trial, brief=True)) == {"disc_bacterium": None}
-    without_hold = trial.experiment.model_copy(update={"hold": None})
-    assert not DISC.of_trial(replace(trial, experiment=without_hold))

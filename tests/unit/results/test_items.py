@@ -1,19 +1,15 @@
 """The keys of JSON and the columns of CSV, which scripts rely on."""
 
-import csv
-import io
 import json
-import math
 
 import numpy as np
 import pytest
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
 
 from tetractl.core.plan import Outcome
-from tetractl.results.as_json import comparison_items, data_table
+from tetractl.results.as_json import comparison_items
 from tetractl.results.contrast import contrast
-from tetractl.results.open_batch import Damaged
-from tetractl.tools.table.table_files import csv_text, json_text
+from tetractl.tools.table.table_files import json_text
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 
@@ -24,12 +20,6 @@ def as_json(described):
     """The items of one batch as a script reads them."""
     items = comparison_items(contrast([described]))
     return json.loads(json_text(items))
-
-
-def as_csv(described):
-    """The rows of one batch as a script reads them."""
-    text = csv_text(data_table(contrast([described])))
-    return list(csv.DictReader(io.StringIO(text)))
 
 
 def test_json_holds_every_key_scripts_rely_on():
@@ -72,28 +62,11 @@ def test_json_without_a_reference_or_enough_trials_says_null():
     assert items["total_error"]["ci95_reason"] == "one value has no spread"
 
 
-def test_json_stays_json_where_nothing_is_known():
-    trials = batch([[math.nan] * 3] * 2, SPEC, outcome=Outcome.ABORTED, solve_ns=())
-    items = as_json(group(trials, [Damaged("torn.mcap", "no header")]))
-    assert items["total_error"]["mean"] is None
-    assert items["reference"]["difference"] is None
-    assert items["solve_ms"] == {"p50": None, "p99": None, "max": None}
-    assert items["trials"][0]["robot_errors"] == [None] * 3
-    assert items["damaged"] == [{"log": "torn.mcap", "problem": "no header"}]
-
-
 def batch_with_attempt():
     """Two trials, and an aborted attempt at one."""
     aborted = result([1, 2, 3], outcome=Outcome.ABORTED)
     attempt = trial("x.attempt-1.mcap", experiment(), aborted)
     return group([*batch(ERRORS[:2]), attempt])
-
-
-def test_attempts_are_rows_of_csv_that_say_so():
-    rows = as_csv(batch_with_attempt())
-    assert [row["attempt"] for row in rows] == ["false", "false", "true"]
-    assert [row["counted"] for row in rows] == ["true", "true", "false"]
-    assert {row["origin"] for row in rows} == {"undisturbed simulation"}
 
 
 def test_attempts_are_items_of_json_that_are_not_counted_as_trials():

@@ -4,7 +4,7 @@ import pytest
 from support.studies import FAILING, SMALL, run
 
 from tetractl.core.errors import UsageError
-from tetractl.results.open_batch import Source, open_batch, sources
+from tetractl.results.open_batch import open_batch, sources
 from tetractl.run import store
 from tetractl.study.missing_trials import Logs
 
@@ -76,18 +76,6 @@ def test_the_folder_of_a_study_is_a_batch_per_arm(tmp_path):
     assert [len(arm.trials) for arm in arms] == [3, 3]
 
 
-def test_an_arm_is_not_listed_again_next_to_its_study(tmp_path):
-    arm = arm_of_three_trials(tmp_path, FIRST)
-    with pytest.raises(UsageError, match="holds 2 batches"):
-        sources([str(arm.parent), str(arm)])
-
-
-def test_a_folder_with_a_log_of_its_own_is_one_batch(tmp_path):
-    study = arm_of_three_trials(tmp_path, FIRST).parent
-    (study / "trial-000.mcap").write_bytes(b"of no arm")
-    assert len(sources([str(study)])) == 1
-
-
 def folder_with_a_log(path):
     path.mkdir(parents=True)
     (path / "trial-000.mcap").write_bytes(b"")
@@ -98,18 +86,6 @@ def test_batches_are_called_by_their_folders(tmp_path):
     x = folder_with_a_log(tmp_path / "b/x")
     y = folder_with_a_log(tmp_path / "b/y")
     assert list(sizes_of([x, y])) == ["x", "y"]
-
-
-def test_batches_are_called_by_their_paths_where_folders_are_called_alike(tmp_path):
-    x = folder_with_a_log(tmp_path / "a/x")
-    also_x = folder_with_a_log(tmp_path / "b/x")
-    assert list(sizes_of([x, also_x])) == [x, also_x]
-
-
-def test_a_batch_of_several_paths_is_called_by_the_first(tmp_path):
-    x = folder_with_a_log(tmp_path / "x")
-    y = folder_with_a_log(tmp_path / "y")
-    assert Source.of([f"{x}/*.mcap", y]).name == f"{x}/*.mcap and 1 more"
 
 
 def test_a_folder_of_folders_with_logs_is_a_batch_for_each(tmp_path):

@@ -6,7 +6,7 @@ from support.batches import batch
 from tetractl.core.plan import Outcome
 from tetractl.results import outcomes
 from tetractl.results.estimate import distributions, proportion_interval
-from tetractl.results.statistic import count, mean_figure, number, share, share_figure
+from tetractl.results.statistic import count, mean_figure, share, share_figure
 
 VALUES = np.array([1.0, 1.0, 1.0, 100.0])  # one of four is above 10 times the median
 (FOUR,) = distributions(VALUES[None])
@@ -31,15 +31,6 @@ def test_a_mean_states_its_interval_and_its_trials_where_they_are_asked_for():
     with_n = mean_figure("far", "far", FOUR, states_n=True)
     assert with_n.text == f"25.8 (n 4, 95 % interval {interval})"
     assert with_n.items == {"far": FOUR.as_dict()}
-
-
-def test_a_mean_of_a_number_is_followed_by_its_tail_which_json_has_with_the_mean():
-    far = number("far", "far", lambda result: result.total_error)
-    mean, tail = far.of_batch(batch(ERRORS))
-    assert mean.items == {"far": FOUR.as_dict()}
-    assert tail.label == "  errors above 10 times the median"
-    assert tail.text.startswith("1 of 4 above 10.0 (")
-    assert not tail.items
 
 
 def test_a_count_and_a_share_are_of_the_trials_for_which_a_condition_holds():

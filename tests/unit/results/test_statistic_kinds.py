@@ -14,7 +14,7 @@ from tetractl.results.contrast import contrast
 from tetractl.results.statistic import number
 from tetractl.results.tables import tables
 from tetractl.tools.table.table_files import csv_text
-from tetractl.tools.table.terminal_table import TEXTS, print_tables
+from tetractl.tools.table.terminal_table import TEXTS
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()  # of three robots [mm]
 MEAN_OF_WORST = np.max(ERRORS, axis=1).mean()
@@ -34,11 +34,6 @@ def comparison():
 
 
 ROW = rf"error of the worst robot, mean\W(.*\W)?{MEAN_OF_WORST:.1f} \(95"
-
-
-def test_it_is_printed(comparison, capsys):
-    print_tables(tables(comparison))
-    assert re.search(ROW, capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("text_format", TEXTS)

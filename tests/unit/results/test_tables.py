@@ -5,7 +5,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from rich.console import Console
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
 
@@ -94,41 +93,6 @@ def test_the_summary_says_what_is_not_usual_and_where():
     assert lines[0].endswith("18 of 20 trials valid")
 
 
-def test_the_summary_of_two_batches_names_the_unusual_one():
-    usual = described(ERRORS[:9] * 2, name="b")
-    lines = printed(odd_batch(), usual, layout=summary).splitlines()
-    assert lines[6].startswith("a - b: no significant difference, ")
-    assert lines[6].endswith(" (paired t, 16 pairs)")  # of 18, without these two
-    rows = labelled(lines[7:-1])
-    assert rows["outcomes"].startswith("a: 19 sequence completed, 1 aborted; b: 18 ")
-    assert rows["left the arena"] == "a: 19 of 20 (centres)"
-    assert rows["read from damaged logs"] == "a: 1"
-    assert rows["flagged"] == "a: trial-000 (blue left the arena) and 19 more"
-    assert "difference from published" not in rows
-    assert "disturbances" not in rows
-
-
-RUN_LINES = 2  # that `run` prints of one batch itself, below the summary
-
-
-@pytest.mark.parametrize("width", [80, 100])
-def test_the_summary_takes_twelve_lines_of_a_terminal(width):
-    with_bodies = experiment(
-        reference=REFERENCE,
-        plant=DISTURBED,
-        controller={"type": "mpc", "collision": {"radius": 47}},
-    )
-
-    def filled_lines(*groups):
-        text = printed(*groups, layout=summary, width=width, force_terminal=True)
-        return [line for line in text.splitlines() if line]
-
-    assert len(filled_lines(described(spec=with_bodies))) <= 12 - RUN_LINES
-    ours = described(spec=with_bodies, name="ours")
-    paper = described(name="paper", verdict=BLUE_LEFT_ARENA)
-    assert len(filled_lines(ours, paper)) <= 12
-
-
 def test_published_results_that_differ_have_a_row_each_with_their_batches():
     """Regression: only the first had one, and a batch of that name hid it."""
     other_mean = experiment(reference=REFERENCE | {"mean": 500.0}, scale=SCALE, plant=DISTURBED)
@@ -155,22 +119,6 @@ def test_the_verdicts_on_many_batches_are_a_table():
     assert [row[0] for row in compared.rows] == ["g0 - g1", "g0 - g2", "g1 - g2"]
 
 
-def test_without_a_terminal_lines_are_plain_and_whole():
-    trials = batch(ERRORS, SPEC)
-    long_path = "/".join(["folder"] * 40) + "/trial.mcap"
-    trials[0] = replace(trials[0], log=long_path, recovered=True)
-    text = printed(group(trials))
-    assert "\x1b" not in text
-    assert long_path in text
-
-
-def test_a_terminal_of_80_columns_shows_the_whole_table():
-    text = printed(described(), width=80, force_terminal=True)
-    assert "…" not in text
-    # title, header, rule, five rows and a blank line: none is wrapped
-    assert text.split("Trials")[0].count("\n") == 9
-
-
 def test_control_codes_in_a_log_never_reach_the_screen():
     trials = batch(ERRORS[:2])
     sly = result([1, 2, 3], outcome=Outcome.ABORTED, reason="\x1b]0;gone\x07[red]x[/red]")
@@ -189,10 +137,6 @@ def test_trials_left_out_are_listed_with_their_reason():
     assert "trial-001.mcap   aborted" in text
     assert "excluded, pulled" in text
     assert "sequence completed   excluded, read from a damaged log" in text
-
-
-def test_a_batch_without_odd_trials_lists_none():
-    assert "Flagged trials" not in printed(described(ERRORS[:4], spec=None))
 
 
 def test_markdown_has_as_many_cells_in_every_row():
@@ -242,12 +186,6 @@ def test_latex_has_units_minus_signs_and_a_width():
     assert text.count(r"\begin{tabularx}{\linewidth}") == 3
 
 
-def test_a_name_in_brackets_is_no_length_in_latex():
-    bracketed = described(name="[a]")
-    text = in_latex(bracketed, described(name="b"), layout=summary)
-    assert "{[}a] & " in text  # LaTeX would take "\\ [a]" for a length
-
-
 def test_the_table_of_an_undisturbed_simulation_compares_with_nothing_published():
     undisturbed = described(spec=experiment(reference=REFERENCE, scale=SCALE))
     text = printed(undisturbed)
@@ -256,33 +194,12 @@ def test_the_table_of_an_undisturbed_simulation_compares_with_nothing_published(
     assert value_of("difference from published", undisturbed) == "- (not real robots)"
 
 
-@pytest.mark.parametrize("layout", [summary, tables])
-def test_a_batch_without_a_valid_trial_is_compared_with_nothing(layout):
-    """Regression: after Ctrl-C in the first trial, the difference was "- mm (Welch's t)"."""
-    text = printed(described(outcome=Outcome.INTERRUPTED), layout=layout)
-    assert "0 of 20 trials valid" in text
-    assert "difference" not in text
-    assert "scaled" not in text
-
-
 def test_the_table_of_a_disturbed_simulation_says_that_disturbances_are_assumed():
     assert "assumed in the spec, not measured" in printed(described())
     assert value_of("difference from published", described()).endswith("(Welch's t)")
 
 
-def test_the_table_of_two_plants_says_both():
-    undisturbed = described(spec=experiment(reference=REFERENCE, scale=SCALE))
-    plants = value_of("plant", described(), undisturbed)
-    assert plants.split() == ["disturbed", "simulation", "undisturbed", "simulation"]
-    assert "differ in more than the" in printed(described(), undisturbed)
-
-
 ONE_FAR = [[10.0]] * 19 + [[450.0]]
-
-
-def test_the_tail_of_the_errors_is_what_lies_above_ten_medians():
-    text = value_of("errors above 10 times the median", described(ONE_FAR, spec=None))
-    assert text == "1 of 20 above 100.0 mm (95 % interval 1 to 24 %)"
 
 
 def test_the_tail_of_the_errors_is_what_lies_above_the_bound_of_the_spec():
@@ -290,12 +207,6 @@ def test_the_tail_of_the_errors_is_what_lies_above_the_bound_of_the_spec():
     text = value_of("errors above error_bound", bounded)
     assert text == "0 of 20 above 500.0 mm (95 % interval 0 to 16 %)"
     assert contrast([bounded, bounded]).contrasts[0].differs == ()
-
-
-def test_a_long_list_of_flagged_trials_is_cut():
-    text = printed(described(ERRORS * 2, spec=None, outcome=Outcome.STEPS_MAX))
-    assert "20 more" in text
-    assert text.count("did not end in") == 20
 
 
 def test_more_groups_than_fit_abreast_have_tables_of_their_own():

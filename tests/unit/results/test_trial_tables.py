@@ -10,7 +10,7 @@ from tetractl.log.format.channels import STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.results.trial_tables import TABLES, of_log, steps
+from tetractl.results.trial_tables import TABLES, of_log
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +30,6 @@ def columns(path):
     tables, damage = of_log(path, TABLES)
     assert damage is None
     return {name: table.as_dict() for name, table in tables.items()}
-
-
-def test_without_steps_their_table_has_the_same_columns(path, log, columns):
-    contents = scan(path)
-    del contents.by_topic[STEP]
-    table = steps(log, contents)
-    assert len(table) == 0
-    assert list(table.with_first(log="", trial=0).as_dict()) == list(columns["steps"])
 
 
 def test_the_table_of_steps_has_the_time_and_the_command_of_each(log, columns):
@@ -78,15 +70,6 @@ def test_the_table_of_estimates_has_a_row_for_each_robot_and_step(log, columns):
     assert table["a_rad_s"].tolist() == rates
     assert np.array_equal(table["heading_bias_rad"], biases, equal_nan=True)
     assert np.array_equal(table["misfit"], misfits, equal_nan=True)
-
-
-def test_every_length_of_a_trial_has_its_unit_in_its_name(log, columns):
-    """Regression: costs and least distances had none."""
-    verdict = log.result.verdict
-    for name, distances in (("clearance", verdict.clearance), ("edge", verdict.edge)):
-        least = min(distances, default=np.inf)
-        assert columns["trials"][f"{name}_mm"][0] == (None if least == np.inf else least)
-    assert columns["trials"].keys().isdisjoint({"clearance", "edge", "apart", "total_error"})
 
 
 def _deliver_to_one_robot_less(step):

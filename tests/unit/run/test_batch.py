@@ -4,16 +4,14 @@ from unittest import mock
 import pytest
 from support import random_trials as made
 from support import studies
-from support.paths import ROOT
 from support.running import QUICK
 
 from tetractl.control.rng import mix
-from tetractl.core.errors import AbortError, TetractlError
+from tetractl.core.errors import AbortError
 from tetractl.core.plan import Outcome
-from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.experiment.plants import on_plant
+from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.run import executors, spec_trial
+from tetractl.run import executors
 from tetractl.run.batch import run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
@@ -65,13 +63,6 @@ def ran_of(report):
     return [trial for _, trial in report.results]
 
 
-@pytest.mark.parametrize("jobs", [1, 3])
-def test_a_batch_of_nothing_is_done(tmp_path, jobs):
-    """Regression: `--jobs 2 --resume` of a complete batch crashed."""
-    report = run(tmp_path, [], jobs)
-    assert (report.results, report.errors, report.left, report.interrupted) == ({}, {}, 0, False)
-
-
 def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch, tmp_path):
     ran = scripted(monkeypatch, {})
     watcher = Watcher()
@@ -94,23 +85,6 @@ def test_an_aborted_trial_ends_the_run_only_if_that_is_asked_for(monkeypatch, tm
     assert ([*report.aborted], report.left) == ([("", 1)], 2 if fail_fast else 0)
     assert not report.interrupted
     assert [event[3] for event in watcher.events if event[0] == "ended"][1] == "aborted: why"
-
-
-@pytest.mark.parametrize("fail_fast", [True, False])
-@pytest.mark.parametrize(
-    ("error", "line"),
-    [
-        (TetractlError("the disk\nis full"), "the disk is full"),
-        (ValueError("an  odd\nthing"), "ValueError: an odd thing"),
-    ],
-)
-def test_a_trial_without_an_outcome_is_an_error(monkeypatch, tmp_path, error, line, fail_fast):
-    scripted(monkeypatch, {0: error})
-    watcher = Watcher()
-    report = run(tmp_path, watcher=watcher, fail_fast=fail_fast)
-    assert report.errors == {("", 0): error}
-    assert (ran_of(report), report.left) == (([], 3) if fail_fast else ([1, 2, 3], 0))
-    assert watcher.events[1] == ("ended", 0, None, line, None)
 
 
 @pytest.mark.parametrize(
@@ -158,14 +132,6 @@ def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_pa
     assert (tmp_path / "trial-001.mcap.part").exists()
 
 
-def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, tmp_path):
-    lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
-    monkeypatch.setattr(spec_trial.time, "time_ns", lambda: -1)
-    with pytest.raises(TetractlError, match="this computer's clock is before 1970"):
-        run_logged(lab, tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
 class OneByOne:
     """An executor whose trials take 1 s in one arm and 4 s in another."""
 
@@ -191,10 +157,3 @@ def test_the_time_left_is_drawn_from_every_arm():
     times_left = left_at_ends([(i, arm) for i in range(10) for arm in ("quick", "slow")])
     assert times_left[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
     assert times_left[-1] == (0.0, True)
-
-
-def test_a_slow_arm_is_waited_for_before_the_time_left_is_called_every_arms():
-    """Three quick trials of the first two arms had ended before the first slow one: 15 s that
-    became 65."""
-    times_left = left_at_ends([(0, "quick"), (1, "quick"), (0, "slow"), (1, "slow")])
-    assert times_left == [(3 / 2, False), (2 / 2, False), (4 / 2, True), (0, True)]

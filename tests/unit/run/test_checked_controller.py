@@ -9,7 +9,6 @@ import pytest
 from support.random_trials import trial, write
 from support.trials import experiment
 
-from tetractl.control.optimizers.pso import Pso
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.errors import WrongValueError
@@ -222,21 +221,6 @@ def test_what_cannot_be_sent_and_logged_is_refused(name):
     assert isinstance(raised.value.giver, Given)
 
 
-class Silent(Pso):
-    """Stands for an optimiser of another package that does not say why it ended."""
-
-    def search(self, *arguments):
-        return replace(super().search(*arguments), stopped=None)
-
-
-def test_what_an_optimiser_of_another_package_gives_is_refused():
-    """Regression: the log could not hold it, and stayed a .part."""
-    optimizer = Silent(particles=2, iterations=1)
-    section = experiment().controller.model_copy(update={"optimizer": optimizer})
-    with pytest.raises(WrongValueError, match="a search was stopped by NoneType, not a text"):
-        CheckedController(section, SETUP, 1).plan(SEEN)
-
-
 FINE = {
     "plan": plan(),
     "large": plan(path=path_with(1e38), signals=np.full(2, -1e300)),
@@ -264,25 +248,6 @@ def test_what_is_sent_is_read(name, tmp_path):
     assert read.signals.tolist() == list(taken.signals)
     assert (read.cost, read.chosen, read.generator) == (taken.cost, 0, taken.generator)
     assert read.searches[0].stopped == taken.searches[0].stopped
-
-
-def test_arrays_that_are_changed_later_change_nothing():
-    returned = plan()
-    taken = checked(returned).plan(SEEN)
-    returned.signals[:] = np.nan
-    returned.path[:] = np.nan
-    returned.search.history[:] = np.nan
-    assert taken.signals.tolist() == [0.5, 0.5]
-    assert taken.search.signals.tolist() == [0.5, 0.5]
-    assert taken.search.history.tolist() == [3.0]
-    assert np.array_equal(taken.path, PATH)
-
-
-def test_a_controller_of_another_package_has_a_setup_of_its_own():
-    targets = SETUP.targets.copy()
-    controller = checked(plan())
-    controller.controller.setup.targets[:] = 0
-    assert np.array_equal(SETUP.targets, targets)
 
 
 @pytest.mark.parametrize("array", ["x", "y", "heading", "valid"])

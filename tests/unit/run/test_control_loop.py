@@ -2,16 +2,14 @@
 
 import threading
 import time
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from functools import partial
-from itertools import pairwise
 
 import pytest
 from support.fakes import bench
 from support.hand_clock import HandClock
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Turn
 from tetractl.core.errors import AbortError, ControlError
 from tetractl.core.plan import Outcome
 
@@ -73,14 +71,6 @@ def test_the_controller_decides_when_a_trial_is_over(outcome, steps):
     assert not result.entered_obstacle
 
 
-def test_a_trial_lasts_from_its_first_direction():
-    """Not from the moment the lab was opened: the first plan may take a while."""
-    fakes = bench(2)
-    fakes.do_at("plan", 1, lambda: fakes.plant.clock.sleep_until(20 * SECOND))
-    assert fakes.run().duration_s == pytest.approx(0.4)
-    assert fakes.plant.steered[0][0] == 20 * SECOND
-
-
 def test_the_loop_observes_plans_steers_and_records_at_the_control_period():
     fakes = bench(2)
     fakes.run()
@@ -102,23 +92,6 @@ def test_the_loop_observes_plans_steers_and_records_at_the_control_period():
     assert log.start.trial == 4
 
 
-def test_every_camera_frame_is_told_once_those_of_coming_to_rest_too():
-    fakes = bench(4)
-    fakes.run()
-    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
-    assert frames == list(range(8 + 10 + 1))  # 0.8 s of steps, 1 s to settle
-
-
-def test_each_turn_on_the_spot_after_driving_is_reported():
-    """Regression: after turn, drive, turn only the first turn was in the log."""
-    fakes = bench(6)
-    fakes.controller.instead = {1: Turn(0.5), 2: Turn(0.4), 4: Turn(0.3)}
-    fakes.run()
-    turns = [note for note in fakes.observers[0].notes if "turn on the spot" in note.text]
-    sent = {step.k: step.command.sent_ns for step in fakes.observers[0].steps}
-    assert [note.t_ns for note in turns] == [sent[1], sent[4]]
-
-
 # ---- Faults ----
 
 IN_A_STEP = [
@@ -131,7 +104,6 @@ IN_A_STEP = [
     ("log.samples", 2),
 ]
 """Calls during a trial, and which of them."""
-AT_THE_END = [("log.samples", 3), ("log.stop", 1)]
 """Calls of an observer after a trial of two steps."""
 
 
@@ -158,20 +130,6 @@ def test_an_error_stops_the_robots_and_is_the_reason(where, nth, kind):
 
 
 @pytest.mark.parametrize("kind", ERRORS)
-@pytest.mark.parametrize(("where", "nth"), AT_THE_END)
-def test_a_log_that_fails_at_the_end_keeps_nothing_from_the_view(where, nth, kind):
-    """Log and view are notified of the end once, the view after the last frame."""
-    fakes = bench(2, observers=("log", "view"))
-    fakes.fail_at(where, nth, ERRORS[kind])
-    result = run_to_its_end(fakes, kind)
-    if result is not None:
-        assert (result.outcome, result.reason) == (Outcome.ABORTED, REASONS[kind])
-    log, view = fakes.observers
-    assert len(log.stops) == len(view.stops) == 1
-    assert view.samples[-1].observation.frame == 14
-
-
-@pytest.mark.parametrize("kind", ERRORS)
 def test_of_two_errors_the_first_is_the_reason(kind):
     fakes = bench()
     fakes.fail_at("plan", 2, ERRORS[kind])
@@ -186,15 +144,6 @@ def test_a_plant_that_does_not_open_is_stopped_closed_and_nobody_is_told(error):
     fakes = bench()
     fakes.fail_at("open", 1, error)
     with pytest.raises(type(error)):
-        fakes.run()
-    assert fakes.happenings.names == ["open", "stop", "close"]
-
-
-def test_a_plant_that_does_not_open_says_why_even_if_it_cannot_stop():
-    fakes = bench()
-    fakes.fail_at("open", 1, BugError("the reason"))
-    fakes.fail_at("stop", 1, AssertionError("never opened"))
-    with pytest.raises(BugError, match="the reason"):
         fakes.run()
     assert fakes.happenings.names == ["open", "stop", "close"]
 
@@ -246,21 +195,6 @@ def test_a_plant_that_fails_at_the_end_has_its_last_frames_in_the_log():
     assert frames == list(range(4 + 10 + 1))  # ten a second: 0.4 s of steps, 1 s to settle
 
 
-def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
-    """Regression: those taken in the step in which it could not say what it had sent were lost."""
-    fakes = bench(3)
-
-    def fail_in_the_second_step():
-        if fakes.happenings.names.count("send") == 2:
-            raise AbortError("the radio is gone")
-        return []
-
-    fakes.plant.news = fail_in_the_second_step
-    assert fakes.run().reason == "the radio is gone"
-    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
-    assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle
-
-
 # ---- Interruptions ----
 
 
@@ -273,21 +207,6 @@ def test_a_first_interruption_finishes_the_step(where):
     assert result.steps == 2  # the step in which it came was recorded, and no other was begun
     assert result.reason == "interrupted; the step was finished"
     assert fakes.happenings.names.count("plan") == 2
-
-
-def test_a_first_interruption_between_two_steps_begins_no_other(monkeypatch):
-    """Regression: one in the wait for the next step let it be planned and sent."""
-    fakes = bench(5)
-    sleep_until = fakes.plant.clock.sleep_until
-
-    def interrupted_while_asleep(when_ns):
-        sleep_until(when_ns)
-        fakes.interrupt.request()
-
-    monkeypatch.setattr(fakes.plant.clock, "sleep_until", interrupted_while_asleep)
-    result = fakes.run()
-    assert result.reason == "interrupted; the step was finished"
-    assert result.steps == fakes.happenings.names.count("plan") == 1
 
 
 @pytest.mark.parametrize("where", ["plan", "send", "log.step"])
@@ -304,46 +223,12 @@ def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
     fakes.interrupt.request()  # raises nothing: no code is breakable any more
 
 
-@pytest.mark.parametrize("error", [AttributeError("no 'misc'"), ControlError("no finite cost")])
-def test_what_a_library_makes_of_an_interruption_is_an_interruption_too(error):
-    """Regression: torn in an import or a compilation, numba raises errors of other kinds."""
-    fakes = bench(5)
-
-    def torn():
-        fakes.interrupt.request()
-        with suppress(KeyboardInterrupt):
-            fakes.interrupt.request()
-        raise error
-
-    fakes.do_at("plan", 2, torn)
-    result = fakes.run()
-    assert_ended_well(fakes, Outcome.INTERRUPTED)
-    assert result.reason == "stopped at once by a second interruption"
-
-
 def test_interruptions_while_the_robots_stop_tear_nothing():
     fakes = bench(2)
     for where in ("stop", "settle", "log.stop"):
         fakes.do_at(where, 1, fakes.interrupt.request)
     assert fakes.run().outcome is Outcome.SEQUENCE_COMPLETED
     assert_ended_well(fakes, Outcome.SEQUENCE_COMPLETED)
-
-
-@pytest.mark.parametrize(("where", "nth"), [("log.step", 2), ("stop", 1)])
-def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raised(where, nth):
-    """Regression: one in the loop was taken for what a library makes of an interruption."""
-    fakes = bench(5)
-
-    def catch():
-        with suppress(KeyboardInterrupt):
-            twice(fakes)
-
-    fakes.do_at("plan", 2, catch)
-    fakes.fail_at(where, nth, BugError("off by one"))
-    with pytest.raises(BugError):
-        fakes.run()
-    ended = fakes.observers[0].stops[0][1]
-    assert (ended.outcome, ended.reason) == (Outcome.ABORTED, "BugError: off by one")
 
 
 # ---- Time ----
@@ -360,21 +245,6 @@ def test_a_plan_that_takes_longer_than_the_period_misses_its_deadline(monkeypatc
     assert result.deadline_misses == 1  # the first plan has no deadline
     missed = [step.deadline_missed for step in fakes.observers[0].steps]
     assert missed == [False, False, True, False]
-
-
-@pytest.mark.parametrize("slow", [PERIOD, 5 * PERIOD // 2])
-def test_after_an_overrun_the_steps_keep_their_distance(slow):
-    """A step that takes one period, or 2.5: it is late, and those after it come a period apart.
-
-    Regression: after a period to the nanosecond two steps were sent at once.
-    """
-    fakes = bench(5)
-    clock = fakes.plant.clock
-    fakes.do_at("plan", 2, lambda: clock.sleep_until(clock.now() + slow))
-    fakes.run()
-    sent = [when for when, _ in fakes.plant.steered]
-    gaps = [later - earlier for earlier, later in pairwise(sent)]
-    assert gaps == [PERIOD + slow, *[PERIOD] * 3]
 
 
 # ---- The first plan in real time ----

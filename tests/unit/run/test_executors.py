@@ -3,11 +3,8 @@
 import os
 import subprocess
 import sys
-from multiprocessing import get_context
 
 import pytest
-
-from tetractl.run.executors import _SharedInterrupt
 
 SOURCE = """
 import os, signal
@@ -28,11 +25,3 @@ def test_a_worker_whose_pool_broke_ends_without_the_log_of_its_trial():
     trials that "the user ended", which then were in the way of their repetition."""
     done = subprocess.run([sys.executable, "-c", SOURCE], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
-
-
-def test_sigterm_after_a_request_is_the_second_request():
-    ending = get_context("spawn").Event()
-    shared = _SharedInterrupt(ending)
-    ending.set()
-    shared.end_at_once()
-    assert shared.requested and shared.count == 2

@@ -65,17 +65,6 @@ def test_its_log_is_that_of_the_same_directions_by_open_trial(number, tmp_path):
     assert not tetractl.verify(log).problems
 
 
-def test_a_step_is_asked_for_by_its_time(tmp_path):
-    asked = []
-
-    def ask(time_s):
-        asked.append(time_s)
-        return 0.5 if len(asked) < 4 else None
-
-    steer(SPEC, tmp_path, ask)
-    assert asked == pytest.approx([0.0, 0.05, 0.10, 0.15])
-
-
 def test_a_plan_is_shown_of_a_direction_that_is_not_sent(tmp_path):
     directed = directed_spec(SPEC)
     tried = []
@@ -103,21 +92,6 @@ def test_an_interruption_ends_it_and_its_log_is_whole(tmp_path):
     saved = tetractl.read_log(log)
     assert [step.plan.direction for step in saved.steps] == hand.directions == [1.0] * 6
     assert isinstance(saved.commands[-1].action, Stop)
-
-
-def test_a_crash_leaves_the_log_so_far(tmp_path):
-    """Regression: a log by hand was written at its end, and a killed process had none."""
-    directions = iter([0.5, 1.0, 1.5])
-    with pytest.raises(StopIteration):
-        steer(SPEC, tmp_path, lambda time_s: next(directions))
-    left = tetractl.read_log(tmp_path / "trial-001.mcap")
-    assert [step.plan.direction for step in left.steps] == [0.5, 1.0, 1.5]
-    assert len(left.mocap) > 3
-
-
-def test_no_direction_leaves_no_log(tmp_path):
-    steer(SPEC, tmp_path / "hand", chosen([]))
-    assert not (tmp_path / "hand").exists()
 
 
 def test_while_it_runs_a_plan_shows_where_robots_go_if_the_direction_is_held(tmp_path):

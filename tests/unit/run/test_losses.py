@@ -5,12 +5,10 @@ import pytest
 from support.marked_robots import install
 from support.mutate import with_entry
 from support.paths import ROOT
-from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.losses import Losses, LossRule
-from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.format.channels import RESULT
@@ -116,22 +114,6 @@ def test_one_that_stands_while_another_drives_is_dead_and_lost(way_s, dead):
     assert losses.times.tolist() == [int(is_dead) for is_dead in dead]
 
 
-@pytest.mark.parametrize(("way_s", "dead"), STANDING)
-@pytest.mark.parametrize("rule", [LossRule(0.3, replaced=False, dead=True, ends=True), None])
-def test_one_that_is_dead_is_not_lost_where_that_ends_the_trial_or_no_rule_holds(rule, way_s, dead):
-    losses = driven(way_s, rule=rule)
-    assert losses.dead.tolist() == dead
-    assert not losses.lost.any()
-
-
-@pytest.mark.parametrize(
-    ("wheels", "rule"), [(True, LossRule(0.3, False, True, True)), (False, None)]
-)
-def test_unless_a_spec_says_otherwise_one_on_wheels_that_is_dead_ends_the_trial(wheels, rule):
-    stated = {"wheels": {"radius": 40}} if wheels else {}
-    assert experiment(**stated).setup.loss == rule
-
-
 BLUE_STANDS = "blue does not move while others drive"
 
 
@@ -140,14 +122,6 @@ def with_sticking_blue(on_lost):
     sticking = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]"
     settings = [sticking, "trials.seed=2", f"on_lost={on_lost}"]
     return load_spec(ROOT / "experiments/three_m3pi.yaml", settings)
-
-
-@pytest.mark.long
-def test_a_trial_is_ended_by_a_robot_that_does_not_move(tmp_path):
-    result = run_logged(with_sticking_blue("stop"), tmp_path)
-    assert (result.outcome, result.lost) == (Outcome.ABORTED, ())
-    assert result.reason == BLUE_STANDS
-    assert verify(log_path(tmp_path, 0)).problems == ()
 
 
 @pytest.mark.long

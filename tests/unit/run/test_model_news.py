@@ -62,21 +62,6 @@ def test_without_the_cameras_noise_a_heading_that_does_not_fit_asks_for_it_alone
     assert news_of_each == [[("warning", NOISE_UNSTATED)], [], [], []]
 
 
-NOISE = {"position_noise": 5, "heading_noise": 0.05}
-
-
-@pytest.mark.parametrize(
-    ("settings", "lacks_noise"),
-    [
-        ({"wheels": None, "controller": {"type": "mpc"}}, True),
-        ({"wheels": None, "controller": {"type": "mpc", "prior": NOISE}}, False),
-        ({"wheels": {"radius": 50}, "controller": {"type": "mpc"}}, False),
-    ],
-)
-def test_the_noise_is_lacking_where_a_camera_sees_cells_and_none_is_stated(settings, lacks_noise):
-    assert stated_model(experiment(**settings)).lacks_noise == lacks_noise
-
-
 def test_what_was_learnt_is_said_with_numbers():
     first = np.arange(ROBOTS) == 0
     cases = {
@@ -116,30 +101,6 @@ def test_the_delay_by_which_a_host_predicts_headings_is_named(name, named):
     assert (HOST_DELAY in stated.delays) == named
 
 
-def test_a_stated_dead_time_is_questioned_once_a_trial_however_often_the_model_fits_again():
-    news = ModelNews(StatedModel(0.03))
-    times_s = {0: UNFIT, FITS_S: FITS, FITS_S + 1: UNFIT}
-    texts = [
-        text
-        for time_s, estimate in times_s.items()
-        for _, text in news.of(estimate, SETUP, round(1e9 * time_s))
-    ]
-    assert [text.split(":")[0] for text in texts] == [
-        "the model does not fit",
-        "commands act 0.110 s after they are sent, not 0.030 s",
-        "the model fits again",
-        "the model does not fit",
-    ]
-
-
-def test_a_dead_time_is_not_questioned_while_the_model_fits():
-    news = ModelNews(StatedModel(0.03))
-    assert [*news.of(FITS, SETUP, 0)] == []
-    (_, (level, text)) = news.of(UNFIT, SETUP, 1)
-    assert level == "warning"
-    assert text.endswith("0.110 s after they are sent, not 0.030 s: is controller.dead_time wrong?")
-
-
 def test_a_robot_that_stands_is_named_once():
     probabilities = np.zeros(ROBOTS)
     probabilities[0] = 0.95
@@ -147,12 +108,6 @@ def test_a_robot_that_stands_is_named_once():
     assert stands.standing(SETUP.names) == [NAME]
     texts = said((1, FITS), (2, stands), (3, FITS), (4, stands))
     assert texts == [f"{NAME} stands although it is sent a direction"]
-
-
-def test_robots_that_stand_are_named_in_the_order_of_the_spec():
-    """Regression: the order was that of a set, which differs between processes."""
-    texts = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
-    assert texts == [f"{name} stands although it is sent a direction" for name in SETUP.names]
 
 
 def with_dead_times(*dead_times_s, std_s=0.002):
@@ -176,22 +131,3 @@ def test_a_robot_on_which_commands_act_later_is_said_once_after_two_seconds():
         f"commands act on {SETUP.names[1]} some 0.15 s later than on {NAME}, or more: its radio or "
         "its wheels are slow"
     ]
-
-
-@pytest.mark.parametrize(
-    "estimate",
-    [
-        FITS,  # dead times are not estimated
-        ALIKE,
-        with_dead_times(0.11, 0.155, 0.11),  # by less than is usual
-        with_dead_times(0.11, 0.26, 0.11, std_s=0.04),  # not known for sure
-    ],
-)
-def test_robots_on_which_commands_hardly_act_later_are_not_said(estimate):
-    assert said((0, estimate), (1, estimate), (9, estimate)) == []
-
-
-def test_a_robot_that_is_later_for_a_moment_is_not_said():
-    """While a bank is opened again, dead times differ."""
-    short_s = LATER_FOR_S - 0.1
-    assert said((0, LATE), (short_s, LATE), (short_s, ALIKE), (short_s + 0.1, LATE)) == []

@@ -4,12 +4,10 @@ import re
 
 import numpy as np
 import pytest
-import yaml
 from support.bounded import best_plan, spec
 from support.paths import ROOT
 
-from tetractl.experiment.consistency import same_names
-from tetractl.experiment.load import load_spec, parse_contents, parse_spec
+from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 
@@ -143,14 +141,6 @@ def test_a_warning_stands_at_its_line_or_at_its_setting():
     assert str(set_).startswith("--set robots.red.heading=90: robots.2.heading: 90: ")
 
 
-def test_a_warning_of_contents_names_no_line():
-    """Regression: it named a line and a column of a file that there is not."""
-    contents = yaml.safe_load(THREE.read_text("utf-8"))
-    contents["robots"][2]["heading"] = 90
-    (warning,) = find_warnings(parse_contents(contents, "spec"))
-    assert str(warning).startswith("spec: robots.2.heading: 90: is more than")
-
-
 def test_a_warning_of_an_identified_value_names_the_file_that_states_it(tmp_path):
     """Regression: it quoted the spec's value, which the file replaces."""
     values = ("speed", "heading_bias", "position_noise", "heading_noise", "heading_walk")
@@ -163,24 +153,6 @@ def test_a_warning_of_an_identified_value_names_the_file_that_states_it(tmp_path
     spec.write_text(f"{THREE.read_text('utf-8')}\nidentified: m.yaml\n")
     (warning,) = [w for w in find_warnings(load_spec(spec)) if w.field == "robots.0.a"]
     assert str(warning).startswith(f"{tmp_path / 'm.yaml'}: robots.0.a: is 90 rad/s")
-
-
-def test_warnings_come_in_the_order_of_their_lines():
-    warnings = found(THREE, "controller.time_limit=2.2", "robots.red.heading=90").values()
-    lines = [warning.line for warning in warnings if warning.line]
-    assert len(lines) > 3
-    assert lines == sorted(lines)
-    assert next(reversed(warnings)).line is None
-
-
-def test_very_many_robots_alike_are_one_line():
-    names = "".join(
-        f"  - {{name: r{i}, start: [{i}, 0], target: [{i * i % 97}, 90], a: 4, speed: 100}}\n"
-        for i in range(90)
-    )
-    text = f"name: many\narena: {{left: 0, bottom: 0, width: 100, height: 100}}\nrobots:\n{names}"
-    fields = [w.field for w in find_warnings(parse_spec(text, "many"))]
-    assert fields == ["robots", "robots.1.a", "robots.49.target"]
 
 
 SAME = """
@@ -232,12 +204,6 @@ def test_bodies_overlap_at_no_targets():
     ]
 
 
-def test_bodies_overlap_at_no_way_points_that_robots_pass_together():
-    vias = ["robots.one.via=[[30, 30]]", "robots.two.via=[[30, 32]]", "robots.three.via=[[60, 60]]"]
-    (line,) = refused(APART, "controller.collision.radius=1.5", *vias)
-    assert "robots.1.via.0: [[30, 32]]: is 2 mm from the way-point of one: bodies of" in line
-
-
 @pytest.mark.parametrize(
     "sets",
     [
@@ -280,12 +246,6 @@ def test_targets_where_bodies_might_touch_are_told(y, told):
     assert all(" led to places 109 mm apart" in w.message for w in warnings)
 
 
-@pytest.mark.parametrize("fixed", ["adaptive=false", "separation=0"])
-def test_robots_that_are_led_there_all_the_same_are_not_told(fixed):
-    sets = (*BODIES, "robots.blue.target=[1700, 600]", f"controller.collision.{fixed}")
-    assert not any("might touch" in w.message for w in found(THREE, *sets).values())
-
-
 @pytest.mark.parametrize(("x", "fits"), [(1419, False), (1420, True)])
 def test_a_target_at_which_a_body_would_be_in_an_obstacle_is_refused(x, fits):
     # the obstacle's right side is at 1400 mm, and bodies have a radius of 20 mm
@@ -304,15 +264,6 @@ def test_a_target_over_the_edge_is_refused_where_plans_keep_to_the_walls():
     with pytest.raises(InvalidSpecError, match="edge: a body of radius 20 does not fit there"):
         load_spec(THREE, sets)
     load_spec(THREE, (*sets, "controller.collision.walls=false"))
-
-
-@pytest.mark.parametrize("target", ["[4000, 1200]", "[1300, 1200]"])
-def test_a_target_outside_the_arena_or_in_an_obstacle_has_one_message(target):
-    """Regression: a second one said that it was -2300 mm from the nearest obstacle or edge."""
-    sets = ("controller.collision.radius=20", f"robots.blue.target={target}")
-    with pytest.raises(InvalidSpecError) as refused:
-        load_spec(THREE, sets)
-    assert len(refused.value.message.splitlines()) == 1
 
 
 @pytest.mark.filterwarnings("error")
@@ -339,18 +290,6 @@ controller: {{type: mpc, period: 100, collision: {{margin: {big}}}}}
         assert "\n" not in str(warning)
 
 
-def test_rules_of_consistency_find_errors_and_rules_of_plausibility_find_warnings():
-    experiment = load_spec(
-        THREE, ["controller.period=0.2", "controller.signal_periods=1", "controller.horizon_max=20"]
-    ).experiment
-    (warning,) = beyond_the_plan(CheckContext.of(experiment))  # red needs more than 30 signals
-    assert warning.hint
-    robot = experiment.robots[0]
-    twice = experiment.model_copy(update={"robots": (robot, robot)})
-    (error,) = same_names(twice)
-    assert error.where == ("robots", 1, "name")
-
-
 def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     solved = set()
     warned = set()
@@ -365,33 +304,3 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     assert len(solved) > 5
     assert len(warned) > 3
     assert not solved & warned
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        "robots.green.a=25.1",  # a microjet at 2 mT, the fastest published
-        "robots.green.a=60",
-        "wheels.radius=13.3",  # toio
-        "wheels.radius=130",  # iRobot Create
-        "wheels.radius=270",  # the largest robots of laboratories
-    ],
-)
-def test_fast_robots_and_wheels_of_real_robots_are_believed(change):
-    assert not {"robots.0.a", "wheels.radius"} & set(found(THREE, change))
-
-
-def test_the_same_robots_in_metres_are_believed():
-    spec = parse_spec(IN_METRES, "metres")
-    assert "wheels.radius" not in {warning.field for warning in find_warnings(spec)}
-
-
-IN_METRES = """
-name: metres
-units: {length: m}
-arena: {left: 0, bottom: 0, width: 2, height: 2}
-robots:
-  - {name: green, start: [0.3, 0.4], target: [1.3, 0.5], a: 6, speed: 0.18}
-wheels: {radius: 0.04}
-plant: {type: sim}
-"""

@@ -7,7 +7,6 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
 from tetractl.run import store
-from tetractl.run.folder_lock import make_folder
 from tetractl.run.spec_trial import log_path
 from tetractl.run.store import RecordStore, Store, set_aside
 
@@ -30,14 +29,6 @@ def spec(count=4, seed=None, **fields):
         update={"count": count} | ({"seed": seed} if seed else {})
     )
     return experiment_of_trial.model_copy(update={"trials": trials})
-
-
-def test_a_new_folder_lacks_every_trial(tmp_path):
-    for resume in (False, True):
-        assert trials_to_run(spec(), tmp_path / "new", resume) == [0, 1, 2, 3]
-        assert trials_to_run(spec(), tmp_path, resume) == [0, 1, 2, 3]
-    (tmp_path / "notes.txt").write_text("not a log")
-    assert trials_to_run(spec(), tmp_path, False) == [0, 1, 2, 3]
 
 
 def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path, monkeypatch):
@@ -85,15 +76,6 @@ def test_a_recovered_log_is_set_aside_with_its_source(tmp_path):
     assert find_logs([tmp_path], attempts=True) == [tmp_path / "trial-003.attempt-1.mcap.part"]
 
 
-def test_a_folder_is_made_with_its_parents(tmp_path):
-    make_folder(tmp_path / "a" / "b")
-    make_folder(tmp_path / "a" / "b")
-    assert (tmp_path / "a" / "b").is_dir()
-    (tmp_path / "file").write_text("")
-    with pytest.raises(LogError, match="cannot create the folder: Not a directory"):
-        make_folder(tmp_path / "file" / "b")
-
-
 def records(folder, identity="spec 1"):
     records = RecordStore(folder, identity, ("day", "ended"))
     with records.opened():
@@ -104,11 +86,6 @@ def keep(folder, number):
     records = RecordStore(folder, "spec 1", ("day", "ended"))
     with records.opened():
         records.add(number, {"day": number, "ended": "arrived"})
-
-
-def test_records_are_kept_from_one_command_to_the_next(tmp_path):
-    keep(tmp_path / "days", 3)
-    assert records(tmp_path / "days") == {3: {"day": 3, "ended": "arrived"}}
 
 
 def test_records_of_another_spec_are_refused(tmp_path):
@@ -133,15 +110,6 @@ def test_a_record_that_is_torn_does_not_count(torn, tmp_path):
     keep(tmp_path, 4)
     (tmp_path / "record-000003.json").write_text(torn)
     assert [*records(tmp_path)] == [4]
-
-
-def test_a_file_in_place_of_the_folder_of_records_is_one_line(tmp_path):
-    """Regression: "a plug-in" was blamed."""
-    file = tmp_path / "file"
-    file.touch()
-    for folder in (file, file / "days"):
-        with pytest.raises(UsageError, match="not a folder"):
-            records(folder)
 
 
 def test_a_full_disk_is_one_line_that_names_the_record(tmp_path):

@@ -79,26 +79,12 @@ def test_every_message_of_the_log_is_sent(tmp_path, simulated):
     assert of_serve == ["/commands", "/log"]
 
 
-@pytest.mark.parametrize("simulated", [True, False])
-def test_every_frame_is_sent_by_itself(simulated):
-    trial = random_trials.trial(3, steps=STEPS, simulated=simulated)
-    sent = sent_entries(trial)
-    for topic in FRAME_TOPICS:
-        assert count(sent, topic) == len(trial.samples)
-
-
 def test_a_simulation_is_slowed_to_the_wall():
     trial = random_trials.trial(3, steps=2)
     wall = RecordingClock()
     serve(trial, RecordingServer(), wall)
     received = [sample.observation.received_ns for sample in trial.samples]
     assert wall.slept_until == [1000 + received_ns for received_ns in received]
-
-
-def test_a_lab_is_not_slowed():
-    wall = RecordingClock()
-    serve(random_trials.trial(3, steps=2, simulated=False), RecordingServer(), wall)
-    assert wall.slept_until == []
 
 
 def test_while_nobody_looks_only_the_newest_poses_are_encoded():

@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.studies import FAILING, STUDY, run
+from support.studies import STUDY, run
 
-from tetractl.results.estimate import ArmErrors, distributions
+from tetractl.results.estimate import distributions
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
 from tetractl.study.figure import figure_by_arm, figure_by_field, write_figures
 from tetractl.study.load_study import arm_name
-from tetractl.view.figures.sweep import errors_by
 
 TRIALS = 5  # of each of the eight arms of STUDY
 
@@ -59,15 +58,6 @@ def test_over_several_arms_trials_of_one_seed_count_once(ran):
     arms_at_0 = [arm for arm in few if arm.values["plant.dead_time"] == 0]
     means_of_trials = np.mean([errors(ran, arm) for arm in arms_at_0], axis=0)
     assert at_0.error == distribution_of(means_of_trials)
-
-
-def test_a_trial_that_aborted_does_not_count(tmp_path):
-    ran = run(tmp_path, FAILING)
-    slow, impossible = field_values(ran.store, "robots.r.speed", ran.loaded.arms)
-    assert slow.value == 200
-    assert slow.error.n == 4
-    assert impossible.value == 1e308
-    assert impossible.error.n == 0
 
 
 def test_the_table_has_one_tidy_row_a_trial(ran):
@@ -149,50 +139,6 @@ def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
     assert sorted(dots) == sorted(errors(ran, ours) + errors(ran, theirs))
 
 
-def test_arms_without_a_controller_are_called_given_directions(tmp_path):
-    study = (
-        "name: q\nbase: spec.yaml\ntrials: {count: 1}\n"
-        "controllers:\n  ours: {}\n"
-        "  found: {controller: {type: sequence, directions: [0.1, 0.1]}}\n"
-    )
-    ran = run(tmp_path, study)
-    assert "given directions: found" in arms_table(ran.loaded, ran.store).note
-    headline = headline_of(figure_by_arm(ran.loaded, ran.store))
-    assert headline.endswith("; given directions: found")
-
-
-def first_label(loaded, store):
-    (axes,) = figure_by_arm(loaded, store).axes
-    return axes.get_xticklabels()[0]
-
-
-def test_arms_have_level_names_if_there_is_room(ran):
-    three_arms = replace(ran.loaded, arms=ran.loaded.arms[:3])
-    label = first_label(three_arms, ran.store)
-    assert label.get_text() == "many\ndead_time=0\na=3"
-    assert label.get_rotation() == 0
-
-
-def test_many_arms_have_upright_names(ran):
-    many_arms = replace(ran.loaded, arms=ran.loaded.arms[:3] * 9)
-    label = first_label(many_arms, ran.store)
-    assert label.get_text() == "many-dead_time=0-a=3"
-    assert label.get_rotation() == 90
-
-
-def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):
-    study = (
-        "name: q\nbase: spec.yaml\ntrials: {count: 3}\n"
-        "sweep:\n  type: list\n"
-        "  points: [{plant.motion: euler}, {plant.motion: arc}, {plant.dead_time: 0.1}]\n"
-    )
-    ran = run(tmp_path, study)
-    axes = figure_by_field(ran.loaded, ran.store, "plant.motion").axes[0]
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["euler", "arc"]
-    assert ran.loaded.paths == ("plant.motion", "plant.dead_time")
-    assert "plant.motion" not in ran.loaded.arms[2].values
-
-
 @pytest.mark.parametrize(
     ("controller", "values", "name"),
     [
@@ -209,18 +155,3 @@ def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):
 )
 def test_arms_have_names_that_fit_a_file_system(controller, values, name):
     assert arm_name(controller, values) == name
-
-
-def drawn_arms(*arms):
-    """The axes of arms with these errors."""
-    described = [
-        ArmErrors.of(f"arm-{k}", f"arm-{k}", 1, np.array(errors)) for k, errors in enumerate(arms)
-    ]
-    (axes,) = errors_by({"": described}, "", "mm").axes
-    return axes
-
-
-def test_errors_of_which_one_is_thirty_times_another_have_a_logarithmic_axis():
-    assert drawn_arms([10.0, 11.0], [290.0, 250.0]).get_yscale() == "linear"
-    assert drawn_arms([10.0, 11.0], [300.0, 250.0]).get_yscale() == "log"
-    assert drawn_arms([0.0, 11.0], [300.0, 250.0]).get_yscale() == "linear"

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tetractl.core.registries import SWEEPS
-from tetractl.study.sweep import Grid, Points, Random, Range, Sobol
+from tetractl.study.sweep import Grid, Random, Range, Sobol
 
 
 def drawn(sweep, seed=1):
@@ -23,13 +22,7 @@ def values(sweep, seed=1):
     return [plain(point) for point in drawn(sweep, seed)]
 
 
-def test_every_kind_is_found_by_its_name():
-    for name in SWEEPS.names():
-        assert SWEEPS.load(name).model_fields["type"].annotation.__args__ == (name,)
-
-
 GRID = Grid(type="grid", fields={"x": (1, 2), "y": ("a", "b", "c")})
-LIST = Points(type="list", points=({"x": 1}, {"x": 2, "y": (1, 2)}))
 
 
 def test_a_grid_is_every_combination():
@@ -47,14 +40,6 @@ def test_a_grid_knows_where_each_value_is_written():
     last = drawn(GRID)[-1]
     assert last["x"].loc == ("fields", "x", 1)
     assert last["y"].loc == ("fields", "y", 2)
-
-
-def test_a_list_keeps_its_points():
-    assert values(LIST) == [{"x": 1}, {"x": 2, "y": (1, 2)}]
-
-
-def test_a_list_knows_where_each_value_is_written():
-    assert drawn(LIST)[1]["y"].loc == ("points", 1, "y")
 
 
 FIELDS = {"x": Range(low=0, high=1), "y": Range(low=1, high=100, scale="log")}
@@ -113,12 +98,6 @@ def test_whole_numbers_stay_in_their_range(low, width, share, scale):
     assert isinstance(value, int)
     assert whole_numbers.low <= value <= whole_numbers.high
     assert whole_numbers.at(0.0) == whole_numbers.low
-
-
-def test_whole_numbers_are_drawn_alike_often():
-    two_to_five = Range(low=2, high=5, whole=True)
-    numbers = [two_to_five.at(share) for share in np.arange(0, 1, 0.01)]
-    assert [numbers.count(number) for number in (2, 3, 4, 5)] == [25, 25, 25, 25]
 
 
 @pytest.mark.parametrize(

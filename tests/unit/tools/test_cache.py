@@ -2,7 +2,6 @@
 
 import os
 import stat
-from pathlib import Path
 
 import pytest
 
@@ -53,30 +52,9 @@ def test_a_folder_of_another_user_is_not_used(tmp_path, monkeypatch, capsys):
     assert f"{folder} belongs to another user" in capsys.readouterr().err
 
 
-def test_without_a_home_there_is_a_folder(monkeypatch, capsys):
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-
-    def homeless():
-        raise RuntimeError("Could not determine home directory.")
-
-    monkeypatch.setattr(Path, "home", homeless)
-    assert mode(cache_folder()) == 0o700
-    assert "the user has no home" in capsys.readouterr().err
-
-
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):
     (tmp_path / "file").write_text("")
     assert "Not a directory" in str(claim(tmp_path / "file" / "tetractl"))
-
-
-@pytest.mark.skipif(os.getuid() != 0, reason="gives a file to another user")
-def test_a_file_of_another_user_is_not_read(tmp_path):
-    """Regression: in the user's own folder, whose mode was mended, it was executed."""
-    file = tmp_path / "code.kernel"
-    file.write_bytes(b"code")
-    os.chown(file, 65534, -1)
-    with pytest.raises(PermissionError, match="belongs to another user"):
-        read_own(file)
 
 
 def test_a_file_to_which_others_can_write_is_not_read(tmp_path):

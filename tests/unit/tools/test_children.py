@@ -8,16 +8,13 @@ import sys
 import pytest
 
 from tetractl.tools.children import (
-    SAFE_PATH,
     SAID_BYTES,
     SHOWN_LINE_MAX,
     Child,
     WorkerPool,
     copying_context,
-    isolated,
     python,
     run_tool,
-    shown_lines,
 )
 
 MODULE = "raise SystemExit('the module of the present folder was run')\n"
@@ -53,10 +50,6 @@ def test_what_a_child_says_is_bounded():
     assert sum(map(len, said)) <= SAID_BYTES
 
 
-def test_bytes_that_are_no_text_are_shown_as_such():
-    assert shown_lines(b"\xff\x00\n \n") == ["\ufffd\\x00"]
-
-
 def test_a_tool_gives_its_code_its_print_and_its_words():
     code = "import sys; print('out'); sys.stderr.write('why'); exit(4)"
     done = run_tool([sys.executable, "-c", code])
@@ -71,16 +64,6 @@ def test_a_tool_that_does_not_end_or_does_not_exist_is_an_error_of_the_system():
     assert missing.value.errno == errno.ENOENT
 
 
-@pytest.mark.parametrize("before", [None, "", "1"])
-def test_the_variable_of_isolated_is_as_before_at_its_end(before, monkeypatch):
-    monkeypatch.delenv(SAFE_PATH, raising=False)
-    if before is not None:
-        monkeypatch.setenv(SAFE_PATH, before)
-    with isolated():
-        assert os.environ[SAFE_PATH] == "1"
-    assert os.environ.get(SAFE_PATH) == before
-
-
 def print_hostile(number):
     print(f"\x1b[2J {number}")
     os.write(2, b"to the descriptor\n")
@@ -93,19 +76,6 @@ def test_what_workers_print_is_told_by_lines_with_who_printed():
     with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
         assert pool.submit(print_hostile, 7).result() == 7
     assert lines == [r"a worker: \x1b[2J 7", "a worker: to the descriptor"]
-
-
-def print_much():
-    for number in range(1000):
-        print(number)
-
-
-def test_what_workers_print_is_bounded():
-    lines = []
-    with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
-        pool.submit(print_much).result()
-    assert lines[-2:] == ["a worker: 49", "a worker: says more, which is not shown"]
-    assert len(lines) == 51
 
 
 def test_a_killed_child_tells_the_signal():

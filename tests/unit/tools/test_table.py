@@ -10,16 +10,14 @@ import numpy as np
 import pandas
 import pytest
 from rich.console import Console
-from rich.progress import Progress
 from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.tools.table.csv_rows import read_csv
 from tetractl.tools.table.table import Column, Table, fixed
-from tetractl.tools.table.table_files import csv_text, flat, json_text, table_files
-from tetractl.tools.table.terminal_table import TEXTS, WIDTH, html, open_console, print_tables
+from tetractl.tools.table.table_files import csv_text, json_text, table_files
+from tetractl.tools.table.terminal_table import TEXTS, html, print_tables
 
-LONG = "words " * 60
 TABLE = Table(
     "Speeds",
     (
@@ -84,16 +82,6 @@ def test_numbers_have_all_their_digits_and_unknown_ones_no_cell():
     ]
 
 
-def test_a_table_without_rows_is_its_columns():
-    columns = (Column("n", []), Column("w", []))
-    assert csv_text(Table("", columns)) == "n,w\n"
-
-
-def test_a_row_whose_only_entry_is_unknown_is_still_a_row():
-    table = Table("", (Column("n", [1, None, 3]),))
-    assert csv_rows(table) == [["n"], ["1"], [""], ["3"]]
-
-
 def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
     path = tmp_path / "speeds.csv"
     with table_files({"speeds": path}) as add:
@@ -114,19 +102,6 @@ def test_other_columns_are_refused_and_leave_no_file(tmp_path, folder):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_a_terminal_words_are_wrapped():
-    wide = Table.of_texts("Logs", ("log", "note"), [("a", LONG), ("b", LONG)])
-    lines = printed(wide).splitlines()
-    assert WIDTH - 20 < max(map(len, lines)) <= WIDTH
-
-
-def test_without_a_terminal_names_are_not_broken():
-    path = "folder/" * 40
-    assert len(path) > WIDTH
-    text = printed(Table.of_texts("", ("log",), [(path,)]))
-    assert path in text
-
-
 def test_a_narrow_terminal_drops_columns_and_never_breaks_a_number_or_a_unit():
     names = ("mean", "std", "median", "longest")
     columns = (
@@ -139,16 +114,6 @@ def test_a_narrow_terminal_drops_columns_and_never_breaks_a_number_or_a_unit():
     assert "1234.5678" in lines[3]
     assert "too narrow for: std [mm], median [mm]" in lines
     assert max(map(len, lines)) <= 40
-
-
-def test_columns_that_are_empty_in_all_rows_are_left_out():
-    table = Table.of_texts("", ("name", "empty", "why"), [("a", "-", ""), ("b", "", "x")])
-    assert table.header == ["name", "why"]
-
-
-def test_records_that_lack_a_key_have_no_value_there():
-    table = Table.of_records("", [{"a": 1}, {"a": 2, "b": 3}])
-    assert table.as_dict() == {"a": [1, 2], "b": [None, 3]}
 
 
 def test_html_escapes_and_links_cells_of_the_first_column():
@@ -166,12 +131,6 @@ def test_json_is_plain_and_strict():
     assert json.loads(text) == {"a": [1.0, None], "b": [2, None]}
 
 
-def test_nested_items_become_one_row():
-    nested = {"a": {"value": 1, "ci95": [0, 2]}, "b": {"ci95": None}, "c": ["x", "y"]}
-    expected = {"a_value": 1, "a_low": 0, "a_high": 2, "b_low": None, "b_high": None, "c": "x; y"}
-    assert flat(nested) == expected
-
-
 def test_no_other_module_writes_tables():
     """CSV is read, CSV, tables of rich and of HTML are written in one package."""
     writers = r"\bcsv\.(reader|writer|Dict)|import csv\n|rich\.table|<table"
@@ -182,16 +141,3 @@ def test_no_other_module_writes_tables():
     }
     names = ("csv_rows", "table_files", "terminal_table")
     assert texts == {f"tetractl/tools/table/{name}.py" for name in names}
-
-
-@pytest.mark.parametrize("forced", ["FORCE_COLOR", "TTY_COMPATIBLE"])
-def test_a_file_gets_no_code_of_a_terminal_though_colour_is_forced(forced, monkeypatch, capsys):
-    monkeypatch.setenv(forced, "1")
-    console = open_console()
-    with console.screen():
-        console.print("in a file", style="bold")
-    with Progress(console=console) as bar:
-        bar.add_task("trials", total=2)
-    assert not console.is_terminal
-    print_tables([Table("Title", (Column("robot", ["green"]),))])
-    assert "\x1b" not in capsys.readouterr().out

@@ -57,16 +57,6 @@ def test_a_failure_is_raised_once_and_ends_the_calls_but_not_the_last():
     assert isinstance(worker.failure, ZeroDivisionError)
 
 
-def test_a_thread_that_does_not_end_is_a_failure():
-    gate = threading.Event()
-    worker = make(patience_s=0.01)
-    worker.put(gate.wait, 10)
-    with pytest.raises(LogError, match="too slow"):
-        worker.drain()
-    worker.close()
-    gate.set()
-
-
 def test_idle_is_called_after_each_call_and_when_its_time_has_come():
     called = threading.Semaphore(0)
     times = iter([0.001, 0.001, None])

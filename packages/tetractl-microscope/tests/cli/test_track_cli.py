@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.cli import tetractl
 from support.dish_films import film
-from support.film_containers import UM_PX, folder, stack
+from support.film_containers import UM_PX, stack
 from support.needs_opencv import cv2, video
 
 pytestmark = pytest.mark.slow
@@ -127,13 +127,3 @@ def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
         "still.tif: no cell swims in this film: 20 pictures read, 0.667 s, contrast 0 grey levels, "
         "2.3 um/px\n"
     )
-
-
-@pytest.mark.long
-def test_times_of_a_folder_are_those_of_the_table(tmp_path):
-    synthetic = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
-    pictures = np.array(list(synthetic.pictures()))
-    path = folder(tmp_path / "film", pictures)
-    (path / "times.csv").write_text("time_s\n" + "".join(f"{7 + t:.6f}\n" for t in synthetic.times))
-    done = tetractl(tmp_path, "track", "film", "--scale", UM_PX, "--json")
-    assert min(cell["since_s"] for cell in json.loads(done.stdout)["cells"]) >= 7

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from tetractl_microscope.figures.cells import (
     FilmTracks,
-    cells_figure,
     turning_figure,
     turns,
 )
 from tetractl_microscope.registries import CELL_FIGURES
-
-from tetractl.core.errors import UsageError
 
 RATE_HZ = 30.0
 A = 3.0
@@ -62,14 +59,6 @@ def test_each_figure_is_drawn_and_states_the_film(kind):
     words = [text.get_text() for text in figure.texts]
     assert any("dish.avi: 6 tracks, 6 s, 4 µm/px" in text for text in words)
     assert len(figure.axes) == (4 if kind == "cells" else 1)
-
-
-def test_a_film_without_a_field_or_without_cells_has_the_other_figures():
-    titles = [axes.get_title(loc="left") for axes in cells_figure(film(field=False)).axes]
-    assert len(titles) == 3 and not any("turning" in title for title in titles)
-    assert len(cells_figure(film(0)).axes) == 1
-    with pytest.raises(UsageError, match="has no data for the figure 'turning'"):
-        turning_figure(film(field=False))
 
 
 def test_the_turning_stated_is_that_of_the_cells_that_respond():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.results.cell_tables import cell_mean, cell_tables, known_values
+from tetractl_microscope.results.cell_tables import cell_mean, known_values
 
 
 def cell(number, since, seconds, speed, a=None, magnet=None):
@@ -26,11 +26,3 @@ def test_a_cell_in_pieces_counts_once_and_by_its_time():
     assert mean.mean == pytest.approx(np.average([400, 300, 500, 450], weights=[8, 2, 6, 8]))
     assert mean.ci95.low < mean.mean < mean.ci95.high
     assert cell_mean(CELLS[:1], [400.0]).n == 1 and not cell_mean(CELLS[:1], [400.0]).ci95.known
-
-
-def test_the_mean_of_a_is_of_the_cells_that_respond():
-    table, means = cell_tables({"cells": CELLS, "notes": []})
-    rows = dict(zip(means.columns[0].values, means.columns[2].values, strict=True))
-    assert rows["a [rad/s] of those that respond"] == "4.27"
-    (number,) = (column for column in table.columns if column.name == "number")
-    assert list(number.values) == ["sure", "may be another", "sure", "sure"]

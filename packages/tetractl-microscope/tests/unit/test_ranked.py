@@ -1,7 +1,5 @@
 """Choices of cells, ranked by what is predicted for steering them together."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.paths import EXAMPLES
@@ -36,27 +34,10 @@ def found_cell(number, a):
     return RobotCandidate(number, Pose(1000 + 300 * number, 900, 0.0), a, 0.1, 400, 4)
 
 
-def test_what_does_not_swim_does_not_respond_to_the_field():
-    """Regression: a speck of which an axis was seen, at 8 um/s, was chosen, and steered for 6 s."""
-    speck = replace(found_cell(1, 6.04), a_sd=1.71, speed=7.9, speed_sd=5.2)
-    assert not speck.magnetised
-    assert replace(speck, speed=79.0).magnetised
-
-
 def test_the_cells_of_a_trial_are_those_that_differ_most():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
     assert [cell.number for cell in chosen_from(spec.experiment, cells)] == [2, 0]
-
-
-@pytest.mark.long
-def test_no_choice_has_cells_that_cannot_be_distinguished():
-    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
-    cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
-    noise = Noise.of(spec.experiment.plant)
-    chosen = {frozenset(choice.numbers) for choice in ranked(spec.experiment, cells, noise, 12)}
-    assert chosen == {frozenset((0, 2)), frozenset((1, 2))}
-    assert ranked(spec.experiment, cells[:2], noise, 12) == []
 
 
 def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_are():

@@ -59,37 +59,10 @@ def test_particles_that_diffuse_do_not_swim(step_um):
     assert error.value.exit == 1
 
 
-@pytest.mark.parametrize(
-    "swimmer",
-    [
-        turning(1, 0.0),
-        turning(1, 4.0),
-        turning(1, 9.0),
-        turning(1, 0.5, speed=10.0, noise_um=1.0),
-        turning(1, 1.0, helix_um=8.0),
-        turning(1, 1.0, noise_um=5.0),
-        turning(1, 1.0, hz=8.0),
-    ],
-    ids=["straight", "turns", "in a rotating field", "slow", "on a helix", "noisy", "8 Hz"],
-)
-def test_what_swims_is_no_bead(swimmer):
-    cells = swimming_tracks(SOURCE, [swimmer], True)
-    assert len(cells.paths) == 1 and not cells.remarks
-
-
 def test_beads_among_swimmers_are_left_out_and_named():
     cells = swimming_tracks(SOURCE, [turning(1, 1.0), turning(2, 1.0), bead(3), bead(4)], True)
     assert [path.identity for path in cells.paths] == [1, 2]
     assert "so left out: cell 3, cell 4" in cells.remarks[0]
-
-
-def test_cells_that_move_with_their_stage_are_said():
-    lying = [bead(number, 0.5, drift_um_s=20.0) for number in range(10)]
-    said = stage_remarks(swimming_tracks(SOURCE, lying, False).paths)
-    assert "all cells move together, by 20 um/s" in said[0]
-    swimming = [turning(number, 0.1) for number in range(10)]
-    assert not stage_remarks(swimming_tracks(SOURCE, swimming, False).paths)
-    assert not stage_remarks(swimming_tracks(SOURCE, lying[:4], False).paths)
 
 
 def steered(number, field, a=4.0, speed=300.0):
@@ -156,23 +129,6 @@ def test_a_of_a_perfect_swimmer_is_within_its_interval(helix_um, hz):
     assert summary.speed.low < speed < summary.speed.high
 
 
-def wandering(number, speed=100.0, hz=25.0):
-    """A cell that swims on, while its heading walks by 0.3 rad/sqrt(s); places are noisy."""
-    rng = np.random.default_rng(number)
-    when = times(15.0, hz)
-    heading = np.cumsum(rng.normal(0.0, 0.3 / math.sqrt(hz), len(when)))
-    way = np.cumsum(speed / hz * np.exp(1j * heading))
-    return track(number, when, way.real, way.imag, noise_um=0.4)
-
-
-def test_noise_of_places_makes_no_flow_past_a_swimmer():
-    """Regression: speeds of 78 (72 to 83) and 87 (83 to 91) for 100, by flows of up to 23 um/s."""
-    cells = swimming_tracks(SOURCE, [wandering(number) for number in (3, 5)], False)
-    for summary in fit_tracks(cells.paths, named("euglena"), None, cells.timing):
-        assert summary.speed.value == pytest.approx(100.0, rel=0.03)
-        assert summary.speed.low < 101.0 and summary.speed.high > 99.0
-
-
 TURNING_ABOUT = FieldRecord(np.arange(0.0, 10.0, 2.0), np.array([0.0, 1.5, -1.2, 2.5, 0.4]))
 
 
@@ -191,20 +147,3 @@ def test_cells_that_turn_by_themselves_in_a_field_have_no_speed_along_a_helix(tu
         assert (speed is None) == (f"cell {cell['cell']}" in note)
         assert speed is None or speed["value"] == pytest.approx(100.0, rel=0.05)
         assert (cell["a_rad_s"] is None) == (cell["sway_rad"] is None) == (speed is None)
-
-
-@pytest.mark.parametrize(
-    ("cell", "field"),
-    [
-        (steered(1, TURNING_ABOUT, speed=100.0), TURNING_ABOUT),
-        (turning(1, 0.0, speed=100.0, noise_um=0.25), TURNING_ABOUT),
-        (turning(1, 1.6, speed=100.0, noise_um=0.25), None),
-        (turning(1, 0.1, speed=100.0, helix_um=5.0), TURNING_ABOUT),
-        (wandering(1), None),
-    ],
-    ids=["follows the field", "goes straight on", "turns without a field", "helix", "wanders"],
-)
-def test_other_cells_keep_their_speed(cell, field):
-    result = record([cell], field)
-    assert len(result["notes"]) == 1
-    assert result["cells"][0]["speed_um_s"]["value"] == pytest.approx(100.0, rel=0.05)

@@ -68,35 +68,6 @@ def test_each_axis_of_a_graph_has_its_own_scale_whether_or_not_it_has_a_type(
     assert np.allclose(poses(graph(tmp_path / "tracks.geff", axes, values)), POSES)
 
 
-@pytest.mark.parametrize("within", ["geff", None], ids=["under geff", "bare"])
-def test_a_graph_older_than_the_first_release_is_refused_with_a_remedy(within, tmp_path):
-    """Regression: "No geff key found", or seven errors of validation, cut off."""
-    zarr = pytest.importorskip("zarr", reason="geff is not installed")
-    axes = {"t": TIME, "y": SPACE, "x": SPACE}
-    path = graph(tmp_path / "old.geff", axes, {"t": K, "y": Y, "x": X})
-    group = zarr.open_group(path)
-    about = {"geff_version": "0.1.1", "directed": True, "position_prop": "position"}
-    del group.attrs["geff"]
-    group.attrs.update(about if within is None else {within: about})
-    with pytest.raises(UsageError, match=r"old\.geff: cannot be read as a GEFF graph") as error:
-        poses(path, UM, HZ)
-    assert "as CSV" in str(error.value.hint)
-
-
-def test_a_table_that_is_not_there_is_named(tmp_path):
-    """Regression: "plug-in camera ... raised FileNotFoundError"."""
-    with pytest.raises(UsageError, match=r"a\.csv: no such file"):
-        poses(tmp_path / "a.csv", UM, HZ)
-
-
-def test_a_graph_without_edges_has_no_tracks(tmp_path, monkeypatch):
-    """Regression: each spot was a robot, and none "is seen for 2 s"."""
-    monkeypatch.setitem(globals(), "NUMBER", K)  # no two spots follow one another
-    path = graph(tmp_path / "a.geff", {"t": TIME, "y": SPACE, "x": SPACE}, {"t": K, "y": Y, "x": X})
-    with pytest.raises(UsageError, match="has no edges"):
-        poses(path)
-
-
 def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_path):
     axes = {"a": {}, "b": {}, "c": {}}
     path = graph(tmp_path / "tracks.geff", axes, {"a": K, "b": Y, "c": X})
@@ -127,33 +98,10 @@ def test_times_with_a_unit_are_taken_and_no_numbers_of_pictures(header, times, f
     assert said == [f"warning: {path}: --rate 25 replaces its times, up to 0.2 s off"]
 
 
-def test_a_count_from_1_begins_at_time_0_if_a_rate_replaces_the_times(tmp_path):
-    path = tmp_path / "tracks.csv"
-    table = np.column_stack([NUMBER, K + 1, Y, X, K / HZ])
-    np.savetxt(path, table, delimiter=",", header="particle,frame,y,x,time_s", comments="")
-    assert np.allclose(poses(path, UM, HZ), POSES)
-
-
-def test_numbers_of_pictures_that_are_fractions_are_times(tmp_path):
-    """Regression: they were divided by the rate, and no robot was "seen for 2 s"."""
-    table = np.column_stack([NUMBER, K / HZ, Y, X])
-    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="track_id,t,y,x", comments="")
-    with pytest.raises(UsageError, match=r"column t: 0\.04 is no number of a picture") as error:
-        poses(tmp_path / "a.csv", UM, HZ)
-    assert "name the column t_s" in str(error.value.hint)
-
-
 def numbered_from(first, path):
     """Write spots whose pictures are numbered from `first` on."""
     table = np.column_stack([NUMBER, K + first, Y, X])
     np.savetxt(path, table, delimiter=",", header="particle,frame,y,x", comments="")
-
-
-def test_numbers_of_pictures_below_0_are_refused(tmp_path):
-    """Regression: tracks were seconds before the field, and a was wrong."""
-    numbered_from(-3, tmp_path / "a.csv")
-    with pytest.raises(UsageError, match="column frame: -3 is no number of a picture"):
-        poses(tmp_path / "a.csv", UM, HZ)
 
 
 @pytest.mark.parametrize(("first", "late"), [(0, 0), (1, 0), (7, 7)])
@@ -164,24 +112,6 @@ def test_a_count_from_1_begins_at_time_0_and_is_said(first, late, tmp_path):
     expected = [(seconds + late / HZ, x, y) for seconds, x, y in POSES]
     assert np.allclose(poses(tmp_path / "a.csv", UM, HZ, said), expected)
     assert [FROM_ONE in line for line in said] == [True] * (first == 1)
-
-
-def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
-    """Regression: --scale multiplied micrometres, and --rate divided seconds."""
-    rows = "".join(
-        f"ID,{cell:g},{UM * x!r},{UM * y!r},{k / HZ!r},{k:g}\n" for cell, k, y, x in SPOT_ROWS
-    )
-    path = tmp_path / "spots.csv"
-    path.write_text(SPOTS.format(um="micron", s="sec") + rows)
-    with pytest.raises(UsageError, match="places are in a unit of length, so that --scale"):
-        poses(path, UM)
-    said = []
-    faster = poses(path, None, 2 * HZ, said)
-    assert np.allclose([t for t, _, _ in faster], [t / 2 for t, _, _ in POSES])
-    assert "--rate 50 replaces its times" in said[0]
-    seconds = {"t": {"type": "time", "unit": "second"}, "y": SPACE, "x": SPACE}
-    with pytest.raises(UsageError, match="it states times, so that --rate"):
-        poses(graph(tmp_path / "g.geff", seconds, {"t": K / HZ, "y": Y, "x": X}), None, HZ)
 
 
 SPOTS = """\
@@ -243,22 +173,6 @@ def test_tables_of_other_programs_are_read_by_their_own_columns(header, columns,
     assert np.allclose(read, POSES)
 
 
-@pytest.mark.parametrize(
-    ("header", "missing"),
-    [
-        ("number,frame,y,x", "particle, track_id or id missing"),
-        ("particle,picture,y,x", "frame, t or time_s missing"),
-        ("particle,frame,y,z", "x missing"),
-        ("particle,frame,row,col", "x; y missing"),
-    ],
-)
-def test_a_missing_column_is_named(header, missing, tmp_path):
-    """Regression: the hint named the columns of `identify`."""
-    path = placed(tmp_path / "a.csv", header, NUMBER, K, Y, X)
-    with pytest.raises(UsageError, match=f"no column of tracks: {missing}; its columns are"):
-        poses(path, UM, HZ)
-
-
 def test_a_track_at_two_places_at_once_is_refused_and_a_row_twice_is_not(tmp_path):
     twice = np.column_stack([NUMBER, K, Y, X])
     path = placed(tmp_path / "a.csv", "particle,frame,y,x", np.vstack([twice, twice[:3]]))
@@ -288,17 +202,3 @@ def test_a_broken_graph_is_one_line_without_an_address_of_a_library(tmp_path):
         poses(path)
     assert "http" not in error.value.message and "directed" in error.value.message
     assert "\n" not in error.value.message
-
-
-def test_a_table_without_rows_is_named(tmp_path):
-    (tmp_path / "a.csv").write_text("particle,frame,y,x\n")
-    with pytest.raises(UsageError, match=r"a\.csv: has no rows"):
-        poses(tmp_path / "a.csv", UM, HZ)
-
-
-def test_lines_above_the_header_as_of_imaris_are_said(tmp_path):
-    header = "Position X,Position Y,Position Z,Time,TrackID,ID"
-    (tmp_path / "a.csv").write_text(f"Position\n========\n{header}\n1,2,0,1,1,0\n")
-    with pytest.raises(UsageError, match="its columns are Position") as error:
-        poses(tmp_path / "a.csv", UM, HZ)
-    assert "in the first line" in str(error.value.hint)

@@ -1,5 +1,3 @@
-import math
-
 import pytest
 import yaml
 from hypothesis import given
@@ -27,11 +25,6 @@ def test_scalars_are_those_of_the_core_schema(text):
     assert type(parsed) is type(SCALARS[text])
 
 
-def test_infinity_and_nan_are_numbers_here():
-    assert parse_value("[.inf, -.INF, 1e999]", "here") == [math.inf, -math.inf, math.inf]
-    assert math.isnan(parse_value(".nan", "here"))
-
-
 @pytest.mark.parametrize(
     ("text", "line", "column", "words"),
     [
@@ -57,11 +50,6 @@ def test_what_is_no_yaml_is_refused_at_its_place(text, line, column, words):
         compose(text, "here")
     (problem,) = caught.value.problems
     assert (problem.line, problem.column) == (line, column)
-
-
-@pytest.mark.parametrize("text", ["", "\n\n", "# nothing\n", "---\n", "--- # nothing\n...\n"])
-def test_a_text_without_content_composes_to_nothing(text):
-    assert compose(text, "here") is None
 
 
 PLAIN_SCALARS = st.one_of(

@@ -3,9 +3,7 @@ import pytest
 from tetractl.experiment.yaml.document import (
     MAX_BYTES,
     parse_document,
-    parse_value,
     read_text,
-    with_settings,
 )
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
@@ -79,16 +77,6 @@ def test_tags_that_are_not_core_or_do_not_fit_are_refused(value):
     assert line.startswith("s.yaml:1:4: a: the tag !")
 
 
-def test_a_number_may_not_have_thousands_of_digits():
-    (line,) = lines(f"a: {'9' * 5000}\n")
-    assert line == "s.yaml:1:4: a: a number has at most 300 digits"
-
-
-def test_aliases_are_expanded():
-    text = "a: &x {start: [1, 2]}\nb: [*x, *x]\n"
-    assert parse_document(text, "s").data["b"] == [{"start": [1, 2]}] * 2
-
-
 def bomb(levels):
     rungs = [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, levels)]
     return "\n".join(["a0: &a0 [x, x]", *rungs])
@@ -115,12 +103,6 @@ def test_texts_that_are_no_spec_at_all(text, words):
     assert len(caught.value.message.splitlines()) == 1
 
 
-def test_a_bad_value_on_the_command_line_has_no_line_number():
-    with pytest.raises(InvalidSpecError) as caught:
-        parse_value("{a: 1, a: !x 2}", "--set b={a: 1, a: !x 2}")
-    assert "--set b={a: 1, a: !x 2}: a: is given twice" in caught.value.message
-
-
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
@@ -137,12 +119,3 @@ def test_files_that_are_no_text(tmp_path, raw, words):
     with pytest.raises(InvalidSpecError) as caught:
         read_text(path)
     assert words in str(caught.value)
-
-
-def test_settings_leave_the_parsed_document_as_it_was():
-    document = parse_document("robots: [{name: red, a: 3}]", "s.yaml")
-    changed = with_settings(document, ["robots.red.a=4", "robots.red.a=5", "nonsense"])
-    assert changed.data == {"robots": [{"name": "red", "a": 5}]}
-    assert document.data == {"robots": [{"name": "red", "a": 3}]}
-    assert document.place(("robots", 0, "a")).origin == "s.yaml"
-    assert document.problems == []

@@ -1,7 +1,6 @@
 """The columns of camera frames, packed; and the rounding of what is only drawn."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -11,10 +10,7 @@ from support.random_trials import trial, write
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.codec import (
     DRAWN_PRECISION,
-    Frames,
-    decode_frames,
     drawn,
-    encode_frames,
 )
 from tetractl.log.format.packed_columns import pack_columns, unpack_columns
 from tetractl.log.read.salvage import scan
@@ -42,23 +38,6 @@ def test_columns_keep_every_bit_and_the_page_says_how(data, kind, shape):
     unpacked_by_the_page = the_pages_function()
     by_the_page = unpacked_by_the_page(pack_columns(bits.view(kind)), shape[1], kind)
     assert by_the_page.view(bits.dtype).tolist() == bits.tolist()
-
-
-@pytest.mark.parametrize("exact", [True, False])
-def test_true_poses_that_were_measured_are_not_written_again(exact):
-    poses = np.random.default_rng(1).normal(1000, 300, (240, 2, 3))
-    truth = poses.copy() if exact else poses + 0.2
-    times = np.arange(240) * 8_333_333
-    exposed_ns = np.column_stack([times, np.where(times > 0, times - 30_000_000, 0)])
-    frames = Frames(times, times, times, poses, np.ones((240, 2), bool), truth, exposed_ns)
-    message = encode_frames(frames)
-    assert message.exact == exact
-    assert bool(message.truth) != exact
-    decoded = decode_frames(message, 2)
-    assert np.array_equal(decoded.poses, poses)
-    assert np.array_equal(decoded.exposed_ns, exposed_ns)
-    assert decoded.truth is not None
-    assert np.array_equal(decoded.truth, truth if exact else truth.astype(np.float32))
 
 
 def is_no_subnormal(value):

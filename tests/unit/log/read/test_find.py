@@ -2,7 +2,6 @@
 
 import pytest
 
-from tetractl.core.errors import UsageError
 from tetractl.log.read.find import find_logs
 
 
@@ -47,14 +46,6 @@ def folder(tmp_path):
 def test_paths_folders_and_patterns_name_logs(folder, paths, names):
     logs = find_logs(folder / path for path in paths)
     assert [str(log.relative_to(folder)) for log in logs] == names
-
-
-def test_a_pattern_may_be_relative_and_what_is_none_is_named(folder, monkeypatch):
-    monkeypatch.chdir(folder / "b")
-    assert list(map(str, find_logs(["d*/**/*.mcap"]))) == ["deep/er/trial-0.mcap"]
-    assert list(map(str, find_logs(["../o*/*.mcap"]))) == ["../odd/odd[1].mcap"]
-    with pytest.raises(UsageError, match=r"^a\*\*:"):
-        find_logs(["a**"])
 
 
 def test_what_was_set_aside_is_found_where_it_is_asked_for(folder):

@@ -3,15 +3,11 @@
 import json
 import sys
 
-import numpy as np
 import pytest
-from support.mutate import rewrite
 from support.paths import ROOT
 
-from tetractl.log.format.channels import CHANNELS, FORMAT_VERSION, FRAMES
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.read.reader import content_digest, read_result, read_trial
-from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 
 FOLDER = ROOT / "tests" / "golden"
@@ -41,20 +37,6 @@ def test_every_number_is_as_it_was(name):
         assert content_digest(FOLDER / name) == log.digest
     summary = read_result(FOLDER / name)
     assert summary.recovered == (log.damage is not None)
-
-
-def test_what_earlier_versions_found_in_pictures_is_passed_over(tmp_path):
-    """Format 4 had crops of pictures on channel 12, which is still listed in its golden logs."""
-    old = scan(FOLDER / "format-4-sim.mcap")
-    (crops,) = (channel for channel, _ in old.channels.values() if channel.id == 12)
-    assert crops.topic.startswith("/camera/") and crops.topic not in CHANNELS
-    first = old.by_topic[FRAMES][0]
-    records = [first._replace(topic=crops.topic), *old.records]
-    with_crops = RawLog(old.path, records=records, channels=old.channels)
-    log = rewrite(with_crops, tmp_path / "crops.mcap", {})
-    assert [entry.data for entry in scan(log).by_topic[crops.topic]] == [first.data]
-    assert np.array_equal(read_trial(log).frames, read_trial(old.path).frames)
-    assert verify(log).problems == ()
 
 
 def test_its_decisions_still_follow_from_it():

@@ -73,17 +73,6 @@ def without_second_chunk(path, writer, stream, add):
     return {topic: len(entries) for topic, entries in scan(path).by_topic.items() if entries}
 
 
-def test_messages_of_a_channel_whose_record_is_lost_are_read_by_their_number(tmp_path):
-    stream = BytesIO()
-    writer = FileWriter(stream)
-
-    def add(topic):
-        writer.add(Entry(topic, 0, 0, b""))
-
-    counts = without_second_chunk(tmp_path / "log.mcap", writer, stream, add)
-    assert counts == {RUN: 1, LOG: 1}
-
-
 def test_the_numbers_of_another_writer_are_not_taken_for_those_of_the_format(tmp_path):
     """Its second channel, whose record is lost, is not /host/machine, the second of ours."""
     stream = BytesIO()

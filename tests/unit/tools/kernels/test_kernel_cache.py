@@ -182,32 +182,6 @@ def test_a_cache_that_others_can_write_to_is_never_read(tmp_path):
     assert "NUMBA_CACHE_DIR is not used: others can write to" in notes
 
 
-@pytest.mark.long
-def test_without_any_folder_kernels_are_compiled_each_time(tmp_path):
-    (tmp_path / "file").write_text("")
-    nowhere = str(tmp_path / "file" / "below")
-    process_result = small(tmp_path, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere)
-    assert process_result[0][:2] == ["42", "0"]
-    assert "Not a directory" in process_result[1]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("lost", ["_rebuild", pytest.param("_reduce", marks=pytest.mark.release)])
-def test_without_a_private_class_of_numba_kernels_are_compiled_each_time(tmp_path, lost):
-    before = f"import numba\ndel numba.core.compiler.CompileResult.{lost}\n"
-    for _ in range(2):
-        said, notes = small(tmp_path, before)
-        assert said[:2] == ["42", "0"]
-        assert notes.count("\n") == 1
-        assert "compiled code is not kept: numba" in notes
-
-
-@pytest.mark.long
-def test_a_numba_that_was_never_tried_compiles_and_keeps_kernels(tmp_path):
-    before = "import numba; numba.__version__ = '99.0.0'\n"
-    assert [small(tmp_path, before)[0][:2] for _ in range(2)] == [["42", "0"], ["42", "1"]]
-
-
 SHIPPED = """
 from pathlib import Path
 from types import SimpleNamespace
@@ -243,10 +217,3 @@ def loaded(folder, monkeypatch):
     kernel = cache.compiled()(doubled)
     assert kernel(21) == 42
     return sum(kernel.stats.cache_hits.values())
-
-
-def test_another_python_compiles_afresh(tmp_path, monkeypatch):
-    """Regression: Python 3.13 ran what 3.11 had compiled for its own structures."""
-    for tag, hits in (("cpython-311", 0), ("cpython-311", 1), ("cpython-313", 0)):
-        monkeypatch.setattr(sys.implementation, "cache_tag", tag)
-        assert loaded(tmp_path, monkeypatch) == hits

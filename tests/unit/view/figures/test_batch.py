@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from support.batches import DISTURBED, REFERENCE, batch, experiment, group
+from support.batches import REFERENCE, batch, experiment, group
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
@@ -35,10 +35,6 @@ def heights(axes):
     return [sorted(dots.get_offsets()[:, 1]) for dots in batches]
 
 
-def heading(figure):
-    return figure.texts[0].get_text()
-
-
 def test_every_counted_trial_is_a_dot_at_its_error_and_a_step_of_its_batchs_curve():
     spec = experiment(reference=REFERENCE)
     ours = group(batch(ERRORS.tolist(), spec), name="ours")
@@ -63,14 +59,6 @@ def test_trials_of_the_same_error_are_dots_next_to_one_another():
     assert np.diff(asides).min() > 0.005  # categories
 
 
-def test_a_batch_without_a_controller_is_called_given_directions():
-    without_controller = experiment(controller={"type": "sequence", "directions": [0.1]})
-    statistics = group(batch(ERRORS[:7].tolist(), without_controller), name="a")
-    of_dots = batch_figure([statistics]).axes[0]
-    labels = [tick.get_text() for tick in of_dots.get_xticklabels()]
-    assert labels == ["this batch\nn = 7\ngiven directions"]
-
-
 @pytest.mark.long
 def test_a_dot_links_to_its_trial(tmp_path):
     statistics = group(batch(ERRORS[:3].tolist()))
@@ -84,17 +72,6 @@ def test_nothing_to_plot_is_an_error():
     aborted = group(batch(ERRORS.tolist(), outcome=Outcome.ABORTED))
     with pytest.raises(LogError, match="no complete trial"):
         batch_figure([aborted])
-
-
-def test_a_headline_names_the_plants():
-    errors = ERRORS.tolist()
-    disturbed = group(batch(errors, experiment(plant=DISTURBED)), name="a")
-    undisturbed = group(batch(errors), name="b")
-    assert heading(batch_figure([disturbed])) == "disturbed simulation"
-    assert (
-        heading(batch_figure([disturbed, undisturbed]))
-        == "a: disturbed simulation; b: undisturbed simulation"
-    )
 
 
 def test_a_batch_of_which_one_error_is_thirty_times_another_has_logarithmic_axes():

@@ -6,20 +6,16 @@ from itertools import combinations
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from support.marked_robots import MarkedRobots
 from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.colors import BLUE, GREEN, PALETTE, RED
+from tetractl.core.colors import BLUE, GREEN, RED
 from tetractl.core.commands import Steer
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
-from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
 from tetractl.core.trial import PlantInfo
-from tetractl.replay.player import Recording, first_seen
-from tetractl.report.trial_data import trial_data
 from tetractl.view import style
 from tetractl.view.figures.curves import errors_at
 from tetractl.view.figures.draw import draw
@@ -72,48 +68,6 @@ def test_a_robot_that_was_never_seen_has_no_times(log):
     (axes_without,) = trajectory_figure([unseen]).axes
     assert len(axes.texts) > 0
     assert len(axes_without.texts) == 2 / 3 * len(axes.texts)  # of two robots of three
-
-
-def many_robots(count):
-    """The reference experiment with `count` robots, whose names differ in length."""
-    robots = [
-        {
-            **THREE_M3PI["robots"][i % 3],
-            "name": f"{i} {'long' * (i % 4)} name",
-            "start": [900, 400 + 1700 * i / count],
-        }
-        for i in range(count)
-    ]
-    return experiment(robots=robots)
-
-
-def many(log, count):
-    """The trial with its robots copied until there are `count`; they end 5 mm apart."""
-    spec = many_robots(count)
-    copied = np.arange(count) % 3
-    assert log.result
-    final = log.result.verdict.final.array()[copied] + 5.0 * np.arange(count)[:, None]
-    verdict = replace(
-        log.result.verdict,
-        final=Poses.of(final),
-        entered=(False,) * count,
-        clearance=(1.0,) * count,
-    )
-    errors = spec.setup.distances(verdict.final.xy)
-    result = replace(
-        log.result, verdict=verdict, robot_errors=tuple(errors), total_error=float(errors.sum())
-    )
-    plant = replace(log.start.plant, facts={})
-    copies = replace(
-        log,
-        experiment=spec,
-        start=replace(log.start, setup=spec.setup, plant=plant),
-        mocap=log.mocap[:, copied],
-        valid=log.valid[:, copied],
-        truth=None,
-        result=result,
-    )
-    return estimated(copies)
 
 
 def ids_of_unseen_ticks(axes):
@@ -223,34 +177,6 @@ def test_the_convergence_figure_marks_the_stop(log):
     assert f"at iteration {len(best.history) - 1} (criterion)" in words(figure)
 
 
-def test_the_convergence_figures_legends_cover_no_data(log):
-    """Regression: that of the searches of each step stood over the last steps."""
-    figure = draw("convergence", [log])
-    figure.canvas.draw()
-    for axes in figure.axes[:2]:
-        assert axes.get_legend().get_window_extent().y0 >= axes.get_window_extent().y1 - 2
-
-
-@pytest.mark.parametrize(("error_mm", "is_drawn"), [(20.0, False), (200.0, True)])
-def test_an_error_is_dotted_where_the_signs_of_end_and_target_do_not_cover_it(
-    log, error_mm, is_drawn
-):
-    """Regression: the legend named a dotted line that was covered."""
-    final = Poses(TARGETS[:, 0] + error_mm, TARGETS[:, 1], np.zeros(3))
-    result = replace(log.result, verdict=replace(log.result.verdict, final=final))
-    figure = trajectory_figure([replace(log, result=result)])
-    dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
-    assert len(dotted) == 3 * is_drawn
-    assert ("error: end to target" in words(figure)) == is_drawn
-
-
-def test_a_limit_that_searches_exceed_is_not_drawn(log):
-    most = log.start.setup.iterations_max
-    assert f"most: {most}" in words(draw("convergence", [log]))
-    start = replace(log.start, setup=replace(log.start.setup, iterations_max=1))  # of each start
-    assert "most: 1" not in words(draw("convergence", [replace(log, start=start)]))
-
-
 def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
     late = replace(log.steps[7], deadline_missed=True)
     figure = draw("errors", [replace(log, steps=(*log.steps[:7], late, *log.steps[8:]))])
@@ -315,22 +241,6 @@ def test_over_time_shows_what_was_estimated(log):
 
 
 @pytest.mark.long
-def test_over_time_shows_the_dead_time_if_it_was_estimated(log):
-    more = {
-        "heading_bias": np.array([0.1, 0, -0.1]),
-        "heading_bias_std": np.full(3, 0.01),
-        "dead_time": 0.15,
-        "dead_time_std": 0.01,
-    }
-    figure = draw("over-time", [estimated(log, **more)])
-    titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert [title[:4] for title in titles] == [f"({letter}) " for letter in "abcdef"]
-    assert titles[5] == "(f) dead time, from the sending of a direction"
-    assert np.asarray(figure.axes[5].lines[0].get_ydata()) == pytest.approx(150)
-    assert "dead time [ms]" in words(figure)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("kind", FIGURES.names())
 def test_no_text_hides_another_dashes_are_in_the_legend_and_the_plant_is_named(log, kind):
     info = PlantInfo("lab", False, 120.0, {"emulated": "camera"})
@@ -343,30 +253,6 @@ def test_no_text_hides_another_dashes_are_in_the_legend_and_the_plant_is_named(l
     legends = [*figure.legends, *(a.get_legend() for a in figure.axes if a.get_legend())]
     keys = {line.get_linestyle() for legend in legends for line in legend.get_lines()}
     assert {line.get_linestyle() for line in dashed} <= keys
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", [kind for kind in ALONE if kind != "swarm"])
-def test_no_text_hides_another_of_many_robots(log, kind):
-    assert overlapping(draw(kind, [many(log, 14)])) == []
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", SEVERAL)
-def test_no_text_hides_another_in_a_batch_of_many_robots(log, kind):
-    logs = [many(three_robots(seed), 14) for seed in (1, 2, 3)]
-    assert overlapping(draw(kind, logs)) == []
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["trajectory", "over-time"])
-def test_an_aborted_trial_says_so(log, kind):
-    assert log.result
-    aborted = replace(log.result, outcome=Outcome.ABORTED, reason="red is not tracked (0.30 s)")
-    text = words(draw(kind, [replace(log, result=aborted)]))
-    assert "aborted: red is not tracked (0.30 s)" in text
-    text = words(draw(kind, [cut_short(log, 3)]))
-    assert "the log breaks off before the end of the trial" in text
 
 
 def test_names_stand_beside_their_panel_in_the_order_of_the_last_values(log):
@@ -453,15 +339,6 @@ def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
     assert figure.canvas.manager is None
 
 
-def robots_figure(logs):
-    return Figure(label=f"{len(logs[0].start.setup.names)} robots")
-
-
-def test_a_figure_of_another_name_is_one_function_and_one_line(log, monkeypatch):
-    monkeypatch.setitem(FIGURES.builtin, "robots", f"{__name__}:robots_figure")
-    assert draw("robots", [log]).get_label() == "3 robots"
-
-
 def test_the_swarm_is_that_of_the_logged_search(log):
     figure = draw("swarm", [log])
     search = log.steps[0].plan.search
@@ -491,88 +368,3 @@ def test_the_errors_of_a_batch_end_as_the_results_say(log):
     assert len(of_robots.collections) == 3  # a band a robot
     starts = [float(np.asarray(line.get_ydata())[0]) for line in trials]
     assert starts == pytest.approx([sum(np.hypot([800] * 3, [300, 300, 400]))] * 3, rel=0.01)
-
-
-@pytest.mark.long
-def test_aborted_trials_are_not_in_the_band_nor_in_the_means(log):
-    logs = [three_robots(seed) for seed in (1, 2, 3)]
-    assert logs[2].result
-    logs[2] = replace(logs[2], result=replace(logs[2].result, outcome=Outcome.ABORTED))
-    figure = draw("errors", logs)
-    assert "1 of 3 did not run to their end" in words(figure)
-    (median,) = [line for line in figure.axes[0].lines if line.get_gid() == "median"]
-    totals = [trial.result.total_error for trial in logs[:2] if trial.result]
-    assert end_of(median) == pytest.approx(np.mean(totals))  # the median of two is their mean
-    text = words(draw("trajectory", logs))
-    assert f"3 trials, error at the end [mm], total {np.mean(totals):.0f}" in text
-    assert "1 of 3 trials did not run to their end, not in the means" in text
-
-
-def ended_at(log, name, error, aside):
-    """The trial in another file, with robots that end to the right of their targets, and `aside`
-    above them; green's error is all of the total.
-    """
-    away = log.start.setup.targets + np.array([error, aside])
-    final = Poses.of(np.column_stack([away, np.zeros(3)]))
-    result = replace(
-        log.result,
-        robot_errors=(error, 0.0, 0.0),
-        total_error=error,
-        verdict=replace(log.result.verdict, final=final),
-    )
-    return replace(log, log=name, result=result)
-
-
-def two_arms(log):
-    """A batch that ended near the targets and one that did not, in two folders."""
-    ours = [ended_at(log, f"ours/trial-{i}.mcap", 5.0 + i, i % 2) for i in range(3)]
-    paper = [ended_at(log, f"paper/trial-{i}.mcap", 140.0 + i, i % 2) for i in range(3)]
-    return [*ours, *paper]
-
-
-@pytest.mark.long
-def test_each_folder_has_panels_of_its_own_errors(log):
-    logs = two_arms(log)
-    figure = draw("errors", logs)
-    text = words(figure)
-    for part in (
-        "(a) ours: total error of 3 trials",
-        "(c) paper: total error of 3 trials",
-        "median 6 mm",
-        "median 141 mm",
-    ):
-        assert part in text
-    assert figure.axes[0].get_ylim() == figure.axes[2].get_ylim()
-    assert overlapping(figure) == []
-    text = words(draw("trajectory", logs))
-    assert "6 trials of 2 folders" in text
-    assert "total" not in text  # no mean over both
-
-
-def test_many_batches_differ_in_shade_or_line_and_none_has_the_hue_of_a_robot():
-    looks = [style.batch_look(number) for number in range(9)]
-    assert len({tuple(look.values()) for look in looks}) == 9
-    assert not {look["color"] for look in looks} & set(PALETTE)
-
-
-def test_a_start_is_drawn_where_the_path_begins(log):
-    """A cell swims on while the first plan is computed: it starts elsewhere than the spec says."""
-    moved = replace(log, mocap=log.mocap + np.array([300.0, 0, 0]))
-    first = moved.mocap[0, :, :2]
-    (axes,) = trajectory_figure([moved]).axes
-    circles = [line for line in axes.lines if line.get_markerfacecolor() == "white"]
-    drawn = np.array([line.get_xydata()[0] for line in circles if line.get_marker() == "o"])
-    assert drawn == pytest.approx(first)
-    assert starts_of_page(moved) == pytest.approx(first)
-    trail = Recording(moved).at(moved.began_ns).trail  # what a terminal draws
-    assert first_seen(trail, log.start.setup.starts.xy) == pytest.approx(first)
-
-
-def starts_of_page(log):
-    """Where a page's replay draws the starts."""
-    return np.array([robot["start"] for robot in trial_data(log, "x")["robots"]])
-
-
-def test_a_robot_that_is_never_seen_starts_where_the_spec_says(log):
-    never_seen = replace(log, valid=np.zeros_like(log.valid))
-    assert np.array_equal(starts_of_page(never_seen), log.start.setup.starts.xy)

@@ -12,7 +12,7 @@ from support.trials import experiment, three_robots
 from tetractl.core.setup import Bounds
 from tetractl.replay.player import Moment, Recording
 from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
-from tetractl.view.terminal.glyphs import arrow, bar, sparkline
+from tetractl.view.terminal.glyphs import arrow, sparkline
 
 pytestmark = pytest.mark.slow
 
@@ -55,12 +55,6 @@ def test_right_is_right_and_up_is_up(arena, width, height, ax, ay, bx, by):
     (ca, cb), (ra, rb) = view.dots([arena.left, arena.bottom] + share * [arena.width, arena.height])
     assert ca <= cb if ax <= bx else ca >= cb
     assert ra >= rb if ay <= by else ra <= rb
-
-
-def test_a_square_stays_square_in_dots():
-    view = Projection.fit(Bounds(0, 0, 1000, 1000), 80, 20)
-    columns, rows = view.dots(np.array([[0.0, 0.0], [1000.0, 1000.0]]))
-    assert columns[1] - columns[0] == rows[0] - rows[1] == DOWN * 20 - 1
 
 
 @given(
@@ -129,18 +123,3 @@ def test_a_sparkline_scales_from_zero_and_leaves_the_rest_open():
     assert line.plain == "█▅▁···"
     assert sparkline([100, 10, 1], 3, log=True).plain == "█▅▁"
     assert sparkline([], 4).plain == "····"
-
-
-@given(
-    st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=200),
-    st.integers(0, 60),
-    st.integers(0, 300),
-    st.booleans(),
-)
-def test_a_sparkline_of_anything_fits(values, width, total, log):
-    assert len(sparkline(values, width, total=total, log=log).plain) <= width
-
-
-@given(st.integers(0, 80), st.floats(allow_nan=True, allow_infinity=True))
-def test_a_bar_of_anything_is_as_wide_as_asked(width, fraction):
-    assert len(bar(width, fraction, "red").plain) == width

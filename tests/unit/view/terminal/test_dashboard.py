@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.terminal import console as terminal
-from support.trials import cut_short, three_robots
+from support.trials import three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
@@ -51,28 +51,6 @@ def test_it_fills_exactly_the_terminal_it_is_given(recording, width, height, sec
     lines = screen(recording, width, height, seconds)
     assert len(lines) == max(height, 2)
     assert {len(text) for text in lines} == {width}
-
-
-def test_an_80_by_24_terminal_shows_everything(recording):
-    step = recording.log.steps[15]
-    text = "\n".join(screen(recording, 80, 24, 3.05))
-    for words in (
-        "three-m3pi, trial 0",
-        "3.0 / 8.2 s",
-        f"step k      {step.k}",
-        f"horizon     {len(step.plan.signals)} signals",
-        "to target [mm], measured",
-        "green",
-        "total error",
-        "plan cost J",
-        "of 60, by its criterion",
-        "solve time",
-        "evaluations",
-        "space play",
-        "q quit",
-        "1600 × 1800 mm",
-    ):
-        assert words in text
 
 
 @pytest.mark.parametrize("width", range(44, 80, 3))
@@ -124,18 +102,6 @@ def test_a_terminal_shows_pictures_if_it_has_utf8_with_or_without_colour():
     assert shows_pictures(terminal())
     assert shows_pictures(terminal(no_color=True))
     assert not shows_pictures(terminal(encoding="ascii"))
-
-
-def test_the_end_says_how_it_ended(recording):
-    lines = screen(recording, 80, 24, recording.end_ns / 1e9)
-    assert "ended: sequence completed" in "\n".join(lines)
-
-
-def test_damage_is_told():
-    cut = Recording(cut_short(three_robots(), 20))
-    text = "\n".join(screen(cut, 80, 24, 1))
-    assert "damaged log" in text
-    assert "all after 4.0 s" in text
 
 
 def with_events(recording):

@@ -7,7 +7,7 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import parse_contents
-from tetractl.view.terminal.hand_keys import MOUSE_OFF, MOUSE_ON, HandKeys, Wish, read_script, task
+from tetractl.view.terminal.hand_keys import HandKeys, Wish, read_script, task
 
 NORTH = math.pi / 2
 
@@ -37,13 +37,6 @@ def wanted(*keys):
 )
 def test_arrows_and_drags_are_directions(keys, degrees):
     assert math.degrees(wanted(*keys).answer) == pytest.approx(degrees)
-
-
-@pytest.mark.parametrize(
-    "keys", [[], ["x"], ["<0;20;10M"], ["<0;20;10M", "<32;20;10M"], ["<32;9;9M"], ["<2;9;9M"]]
-)
-def test_other_keys_and_the_mouse_without_a_drag_ask_for_nothing(keys):
-    assert wanted(*keys).direction is None
 
 
 @pytest.mark.parametrize("key", ["space", "q"])
@@ -87,36 +80,6 @@ def test_in_a_pause_each_direction_that_is_tried_is_shown_until_it_ends():
     assert steering.ask(0.2) == 0.0
 
 
-def test_the_robots_of_a_lab_do_not_wait():
-    steering = HandKeys(lambda: False)
-    steering.press("up")
-    steering.press("p")
-    assert not steering.pauses
-
-
-def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():
-    assert HandKeys(lambda: True).ask(0.0) is None
-
-
-@pytest.mark.parametrize(
-    ("key", "answer"), [("enter", "enter"), ("R", "r"), ("r", "r"), ("q", "q")]
-)
-def test_a_key_that_answers_the_words_before_they_are_waited_for_counts(key, answer):
-    """Regression: it was forgotten, as when the machine is slow."""
-    steering = HandKeys(lambda: False)
-    steering.press("q")
-    steering.forget()
-    steering.press(key)
-    assert steering.await_answer() == answer
-
-
-def test_a_hand_that_still_steers_answers_nothing():
-    steering = HandKeys(lambda: True)
-    for key in ("up", "space", "x", "[<32;24;8M"):
-        steering.press(key)
-    assert steering.await_answer() == "q"  # of a trial that has ended for another reason
-
-
 def test_the_task_names_who_turns_fastest_and_slowest():
     robots = [
         {"name": name, "start": [0.2, 0.2], "target": [0.5, 0.5], "a": a, "speed": 0.1}
@@ -141,15 +104,6 @@ def test_the_task_names_who_turns_fastest_and_slowest():
     )
     one = parse_contents(contents | {"robots": robots[:1]}, "x").experiment.setup
     assert "fastest" not in task(one, disturbed=False)
-
-
-def test_the_terminal_tells_of_its_mouse_inside_the_block_alone(capsys):
-    steering = HandKeys(lambda: False)
-    with pytest.raises(RuntimeError), steering:
-        assert capsys.readouterr().err == MOUSE_ON
-        raise RuntimeError
-    assert capsys.readouterr().err == MOUSE_OFF
-    assert steering.ask(0.0) is None  # a thread that still asks ends
 
 
 def script(folder, text):

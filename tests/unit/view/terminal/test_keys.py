@@ -77,20 +77,6 @@ def pressed(terminal, *pieces):
     return len(stops)
 
 
-@pytest.mark.parametrize("key", [b"\x1b[A", b"\x1bOB", b"\x1b[1;5C", b"\x1b[5~", b"\x1b\x1b[D"])
-def test_an_arrow_is_no_emergency_stop(key, terminal):
-    """Regression: its first byte is that of Esc, and robots were stopped until switched off."""
-    assert pressed(terminal, key) == 0
-
-
 @pytest.mark.parametrize("keys", [b" ", b"\x1b\x1b", b"\x1bx", b"\x1b[A ", b"\x1b[A\x1b\x1b"])
 def test_space_and_escape_stop_the_robots(keys, terminal):
     assert pressed(terminal, keys) >= 1  # once a read: a terminal may hand the keys on in pieces
-
-
-def test_escape_alone_stops_the_robots(terminal):
-    """No other byte follows it: the stop must not wait for one."""
-    stopped = threading.Event()
-    with StopKey(stopped.set, lambda: None):
-        os.write(terminal, b"\x1b")
-        assert stopped.wait(PATIENCE_S)

@@ -19,7 +19,7 @@ from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.keys import STOP_HINT
 from tetractl.view.terminal.live_screen import LabWatch, LiveView
-from tetractl.view.terminal.progress import BatchProgress, ScriptProgress, StudyProgress, duration
+from tetractl.view.terminal.progress import BatchProgress, StudyProgress, duration
 
 pytestmark = pytest.mark.slow
 
@@ -205,19 +205,6 @@ def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
     assert [line for line in lines if "of 20" in line] == tenths
     quiet = Console(file=io.StringIO(), force_terminal=False, width=40)
     assert study_progress(quiet, quiet=True) == FAILURES
-
-
-def test_a_script_prints_a_line_every_ten_seconds(capsys):
-    result = three_robots().result
-    wall = Wall()
-    progress = ScriptProgress(20, wall)
-    for i in range(6):
-        wall.time_s += 4.0
-        progress.trial_ended(ended(i, 20, result, 4.0 * (19 - i)))
-    assert capsys.readouterr().err.splitlines() == [
-        "3 of 20 trials; 1 min 8 s left",
-        "6 of 20 trials; 56 s left",
-    ]
 
 
 @pytest.mark.parametrize(

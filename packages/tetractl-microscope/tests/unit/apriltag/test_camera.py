@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.acting import act
-from support.needs_opencv import finds_small_tags
 from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
@@ -20,7 +19,6 @@ from tetractl_emulator.pictures.network_camera import (
 )
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
-from tetractl_microscope.pictures.feed import Picture
 from tetractl_microscope.pictures.source import FileFeed
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
@@ -85,25 +83,6 @@ def test_every_picture_of_a_film_is_a_frame(tmp_path):
         x = [pose.x for pose in frame.poses if pose is not None]
         assert x == pytest.approx(truth.x, abs=2.5)
     assert camera.damaged == 0
-
-
-def test_an_error_of_the_search_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):
-    """Regression: it ended the thread that searches, and nothing said why no frames came."""
-    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 2)))
-    see = camera._see
-
-    def fail_at_second(grey, exposed):
-        if woken.count == 1:
-            raise ValueError("no such tag")
-        return see(grey, exposed)
-
-    monkeypatch.setattr(camera, "_see", fail_at_second)
-    with camera:
-        woken.wait(lambda: woken.count == 2)
-        with pytest.raises(ValueError, match="no such tag"):
-            camera.frames()
-        (problem, *_) = camera.check().problems
-    assert problem == "the search of pictures has ended: ValueError: no such tag"
 
 
 def test_an_error_of_the_source_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):
@@ -221,39 +200,6 @@ def test_tags_that_were_printed_smaller_are_warned_of(tmp_path, facing, lens):
     assert all("printed at 100 %" in line for line in lines)
 
 
-@pytest.mark.parametrize("lens", [True, False])
-@pytest.mark.parametrize("facing", [{}, DOWN])
-def test_tags_of_the_size_that_the_spec_says_are_not_warned_of(tmp_path, facing, lens):
-    assert size_warnings(tmp_path, 1.0, 1.0, facing, lens) == []
-
-
-def test_robots_tags_that_were_printed_smaller_than_the_floors_are_warned_of(tmp_path):
-    lines = size_warnings(tmp_path, 1.0, 0.98, {}, True)
-    assert [line.split(":")[0] for line in lines] == list(NAMES)
-
-
-@finds_small_tags
-def test_a_slow_and_a_blurred_camera_are_warned_of(tmp_path):
-    _, warnings = checked(tmp_path, rendered((1280, 720), blur_px=1.6), rate=10.0)
-    assert any(line.startswith("only 10 pictures per second come") for line in warnings)
-    assert any(line.startswith("tags are too small or blurred") for line in warnings)
-
-
-def test_pictures_of_another_size_are_damaged(tmp_path, monkeypatch):
-    from tetractl_microscope.pictures import picture_camera as module
-
-    shots = pictures(rendered(), 3)
-    shots[1] = np.ascontiguousarray(shots[1][:100])
-    feed = iter(shots)
-    monkeypatch.setattr(module, "decoded", lambda picture, size: next(feed))
-    source = film(tmp_path / "film.avi", pictures(rendered(), 3))
-    camera, woken = built(source)
-    with camera:
-        woken.wait(lambda: woken.count == 2)
-        assert [frame.number for frame in camera.frames()] == [1, 3]
-        assert camera.damaged == 1
-
-
 # Over loopback, on the host's clock.
 
 
@@ -309,18 +255,6 @@ def test_a_camera_that_stops_sending_is_told():
         act(it.acting, "no_frames")
         problems = it.camera.check().problems
         assert problems == (f"no picture comes from {it.server.url} any more",)
-
-
-def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
-    """Regression: on a busy computer "no picture comes, URL closed the stream"."""
-    it = Served(connect=0.1)
-    act(it.acting, "no_frames")
-    monkeypatch.setattr(it.camera, "_see", lambda picture, exposed_ns: None)
-    it.camera._search(1, Picture(np.zeros((9, 9), np.uint8), 0))
-    with pytest.raises(AbortError, match=r"pictures come .* 0.1 s no search") as told:
-        it.__enter__()
-    it.server.__exit__()
-    assert told.value.hint == "is this computer busy? lab.camera.connect waits longer"
 
 
 def test_a_camera_without_pictures_is_no_camera():

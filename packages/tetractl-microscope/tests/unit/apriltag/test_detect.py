@@ -66,10 +66,3 @@ def test_blur_is_measured(blur):
     sightings = Detector().find(renderer.picture(lambda t: STANDING, 0))
     blurs_px = [sighting.blur_px for sighting in sightings]
     assert np.median(blurs_px) == pytest.approx(blur, abs=0.25)
-
-
-def test_noise_and_plain_pictures_show_no_tags():
-    noise = np.random.default_rng(1).integers(0, 256, (480, 640), dtype=np.uint8)
-    detector = Detector()
-    assert detector.find(noise) == []
-    assert detector.find(np.full((480, 640), 128, np.uint8)) == []

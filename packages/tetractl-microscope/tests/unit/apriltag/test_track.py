@@ -8,24 +8,18 @@ from support.needs_opencv import finds_small_tags
 from support.tag_scene import (
     FLOOR,
     LARGE,
-    NAMES,
-    ROBOTS,
     SMALL,
     STANDING,
     errors,
     look,
     rendered,
-    section,
     tracker,
 )
-from tetractl_microscope.apriltag.camera import Tracker
 from tetractl_microscope.apriltag.section import FloorTag
 
 from tetractl.core.poses import Poses
 
 pytestmark = pytest.mark.slow
-
-OVERHEAD = {"tilt": 0.0}
 
 
 def off(looked, i=0, truth=STANDING):
@@ -70,44 +64,12 @@ def test_poses_are_right_from_jpeg_in_bad_light_and_of_moving_robots():
     assert max(distances) < 3.0
 
 
-def test_the_height_of_the_tags_is_accounted_for():
-    flat = tuple(robot.model_copy(update={"height_mm": 0.0}) for robot in ROBOTS)
-    right, _, _ = errors(tracker(), rendered(SMALL), pictures=5)
-    wrong, _, _ = errors(tracker(robots=flat), rendered(SMALL), pictures=5)
-    assert right.max() < 3.0
-    assert np.median(wrong) > 15.0
-
-
-def test_straight_down_a_known_focal_length_is_needed():
-    renderer = rendered(LARGE, facing=OVERHEAD)
-    lens = {"focal_px": renderer.optics.focal_px}
-    blind = tracker()
-    own_tracker = tracker(lens=lens)
-    guessed, _, _ = errors(blind, renderer, pictures=5)
-    right, _, _ = errors(own_tracker, renderer, pictures=5)
-    assert np.median(right) < 0.3
-    assert np.median(guessed) > 1.0
-    assert blind.floor.plane.doubt_mm > guessed.max()
-    assert own_tracker.floor.plane.doubt_mm == 0.0
-
-
 def test_tilted_the_focal_length_is_found():
     renderer = rendered(LARGE)
     mine = tracker()
     look(mine, renderer, times=8)
     assert mine.floor.plane.focal_px == pytest.approx(renderer.optics.focal_px, rel=0.005)
     assert mine.floor.plane.doubt_mm < 1.5
-
-
-@pytest.mark.long
-def test_a_calibrated_lens_is_straightened():
-    bent = (-0.3, 0.15, 0.004, -0.003, 0.0)
-    renderer = rendered(LARGE, distortion=bent)
-    lens = {"focal_px": renderer.optics.focal_px, "distortion": bent}
-    right, _, _ = errors(tracker(lens=lens), renderer, pictures=10)
-    wrong, _, _ = errors(tracker(), renderer, pictures=10)
-    assert np.median(right) < 0.5
-    assert np.median(wrong) > 3 * np.median(right)
 
 
 @pytest.mark.long
@@ -167,29 +129,3 @@ def test_a_number_seen_twice_is_no_robot_and_no_stranger():
     assert looked.poses[1] is not None
     assert looked.strangers == ()
     assert looked.tags.count(0) == 2
-
-
-def test_unknown_tags_are_strangers():
-    mine = tracker()
-    renderer = rendered()
-    renderer.strays = [FloorTag(tag=55, at=(1900, 900), size_mm=100, heading=1.0)]
-    (stranger,) = look(mine, renderer).strangers
-    assert (stranger.x, stranger.y) == pytest.approx((1900, 900), abs=2.0)
-    assert stranger.heading == pytest.approx(1.0, abs=0.02)
-
-
-def test_a_tag_of_another_size_is_not_believed():
-    big = (ROBOTS[0].model_copy(update={"size_mm": 110.0}), *ROBOTS[1:])
-    looked = look(tracker(robots=big), rendered())
-    assert looked.poses[0] is None
-    assert looked.sizes[0] == pytest.approx(80 / 110, abs=0.03)
-    assert looked.sizes[1] == pytest.approx(1.0, abs=0.03)
-
-
-def test_lengths_are_in_the_unit_of_the_spec():
-    floor = tuple(
-        tag.model_copy(update={"at": (tag.at[0] / 1000, tag.at[1] / 1000)}) for tag in FLOOR
-    )
-    mine = Tracker(section(floor=floor), NAMES, metres=1.0)
-    pose = look(mine, rendered()).poses[0]
-    assert (pose.x, pose.y) == pytest.approx((0.9, 0.8), abs=0.002)

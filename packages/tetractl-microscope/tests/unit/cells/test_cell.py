@@ -24,8 +24,3 @@ def test_a_place_beyond_its_blob_is_moved_to_the_blobs_edge(place, blob, expecte
     cell = replace(seen_cell(1, *place, track=1), blob_um=np.array(blob))
     on_blob = cell.on_blob()
     assert (on_blob.x, on_blob.y) == pytest.approx(expected, abs=1e-4)
-
-
-def test_a_place_without_a_blob_stays():
-    cell = seen_cell(1, -60.0, 50.0, track=1, has_blob=False)
-    assert cell.on_blob() is cell

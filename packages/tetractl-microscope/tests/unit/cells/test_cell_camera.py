@@ -132,25 +132,6 @@ def test_a_picture_that_comes_again_is_no_frame(tmp_path):
     assert cells.damaged == 0
 
 
-@pytest.mark.long
-def test_a_picture_of_another_size_is_not_learned(tmp_path):
-    """It is refused, and learning takes 0.5 s as if it had not come: until picture 16, since 15
-    intervals are 5 ns less."""
-    synthetic, path = dish(tmp_path)
-    _, cells = camera(path, synthetic.body[25, :, :2])
-    for k, grey in enumerate(itertools.islice(synthetic.pictures(), 20)):
-        cells._search(k, Picture(grey[:256] if k == 7 else grey, (k + 2) * 33_333_333))
-    assert cells.damaged == 1
-    assert [frame.number for frame in cells.frames()] == [17, 18, 19]
-
-
-def test_places_and_headings_are_in_the_specs_axes(tmp_path):
-    _, cells = camera(tmp_path / "none.avi", np.zeros((2, 2)), ", corner: [100, 50], rotation: 0.5")
-    assert cells.section.placed(10.0, 0.0, 1e-6) == pytest.approx(
-        (100 + 10 * math.cos(0.5), 50 + 10 * math.sin(0.5))
-    )
-
-
 def test_the_camera_knows_the_directions_that_were_sent(tmp_path):
     _, cells = camera(tmp_path / "none.avi", np.zeros((2, 2)), ", rotation: 0.5")
     cells.steered(0.5, 1_000_000_000)

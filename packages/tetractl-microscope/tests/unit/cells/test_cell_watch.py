@@ -13,7 +13,6 @@ from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
-from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import Pose
 from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import LabLimits
@@ -43,12 +42,6 @@ class Dish:
 def cell(number, a, free=True):
     speed = float(SETUP.speed[BLUE])
     return RobotCandidate(number, Pose(900.0, 900.0, 0.0), a, 0.01 * a, speed, 0.01 * speed, free)
-
-
-def test_a_cell_that_has_divided_is_lost():
-    watch = CellWatch(Dish(divided={BLUE}), deque(), SETUP, 3.0)
-    text = "blue has divided, or has parted from an unknown cell"
-    assert list(watch.lost()) == [Lose(BLUE, text)]
 
 
 def test_probabilities_count_only_for_frames_that_the_guard_has_accepted():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from tetractl_microscope.cells.cells_health import BLURRED, SeenDish, dish_lines, sharpness
+from tetractl_microscope.cells.cells_health import SeenDish, dish_lines, sharpness
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.pictures.searches import PictureSearch
 
@@ -38,18 +38,6 @@ def test_sharpness_does_not_depend_on_where_cells_swim():
     """Regression: only slopes along rows were measured, of which a body along rows has few."""
     values = [sharpness_of(angle, 1.0) for angle in np.linspace(0.0, math.pi, 9)]
     assert max(values) < 1.1 * min(values)
-
-
-@pytest.mark.parametrize(("blur_px", "is_blurred"), [(0.6, False), (2.0, False), (4.0, True)])
-def test_rims_are_blurred_in_any_direction(blur_px, is_blurred):
-    for angle in (0.0, 0.7, math.pi / 2):
-        assert (sharpness_of(angle, blur_px) < BLURRED) == is_blurred
-
-
-def test_no_sharpness_without_contrast_or_without_cells():
-    picture, cells = picture_of_a_cell(0.0, 1.0)
-    assert sharpness(picture, cells, UM_PX, None) is None
-    assert sharpness(picture, [], UM_PX, CONTRAST) is None
 
 
 LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)

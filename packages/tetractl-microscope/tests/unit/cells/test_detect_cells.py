@@ -5,7 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from tetractl_microscope.cells.detect_cells import BlobFinder, SearchArrays
+from tetractl_microscope.cells.detect_cells import BlobFinder
 
 pytestmark = pytest.mark.slow
 
@@ -114,16 +114,6 @@ def test_cells_of_phase_contrast_are_found_before_and_after_a_knock(contrast):
     assert [shift for k, shift in enumerate(shifts) if k != 15] == [(0.0, 0.0)] * 29
 
 
-def test_a_small_knock_is_seen_by_little_debris():
-    dish = Dish(noise=3.0, bubble=0.0)
-    dish.specks = dish.specks[:5]
-    blob_finder = finder(dish)
-    for k in range(15, 18):
-        blob_finder.find(dish.picture(cells_at(k)))
-    blob_finder.find(dish.picture(cells_at(18), (3.0, -2.0)))
-    assert blob_finder.light.shift_px == pytest.approx((3.0, -2.0), abs=0.5)
-
-
 @pytest.mark.parametrize(("contrast", "rim"), [(0.2, -0.3), (-0.2, 0.3), (0.05, -0.35)])
 def test_a_body_and_its_rim_are_one_blob(contrast, rim):
     dish = Dish(contrast, noise=4.0, rim=rim)
@@ -172,19 +162,6 @@ def test_a_cell_that_rested_while_the_background_was_learned_leaves_no_ghost():
 
 
 @pytest.mark.long
-def test_a_cell_that_rests_stays_as_long_as_it_is_kept():
-    dish = Dish(-0.4, noise=3.0)
-    blob_finder = finder(dish)
-    rests = (200.0, 100.0, 0.4)
-    for _ in range(150):
-        blob_finder.find(dish.picture([rests]))
-        blob_finder.follow([(180, 80, 220, 120)])
-    assert matched(blob_finder.find(dish.picture([rests])), [rests]) != [None]
-    blob_finder.find(dish.picture([]))
-    assert len(blob_finder.find(dish.picture([]))) == 0
-
-
-@pytest.mark.long
 def test_a_dish_that_was_exchanged_is_learned_again():
     dish = Dish(-0.4, noise=3.0)
     other_dish = Dish(-0.4, noise=3.0)
@@ -214,36 +191,3 @@ def test_pictures_of_any_size_are_searched(size):
     picture = cv2.GaussianBlur(random.integers(0, 255, size).astype(np.uint8), (0, 0), 2)
     assert all(math.isfinite(blob.x + blob.axis) for blob in blob_finder.find(picture))
     blob_finder.follow([(0, 0, 5, 5)])
-
-
-def test_nothing_exceeds_the_limits_before_a_picture_was_searched():
-    brightest = 255.0
-    search_arrays = SearchArrays(np.zeros((SIDE, SIDE), np.uint8))
-    assert search_arrays.limits.low > brightest
-    assert search_arrays.limits.high > brightest
-
-
-@pytest.mark.long
-def test_ground_that_a_body_covered_for_long_is_no_body_afterwards():
-    """A body stands over a grain for 2 s, away from all that is followed, and leaves."""
-    dish = Dish(-0.25, noise=3.0)
-    x, y, _ = dish.specks[0]
-    blob_finder = finder(dish)
-    stands = (x + 8, y, 0.4)
-    picture = dish.picture([stands])
-    for _ in range(60):
-        blobs = blob_finder.find(picture)
-        blob_finder.follow([])
-    assert matched(blobs, [stands]) != [None]
-    assert blob_finder.find(dish.picture([])) == []
-
-
-@pytest.mark.long
-def test_what_left_the_background_beside_a_swimmer_leaves_no_ghost():
-    dish = Dish(-0.4, noise=3.0)
-    blob_finder = BlobFinder(90, 2800)
-    gone = (160.0, 160.0, 0.0)
-    swims = (160.0, 178.0, 0.0)
-    blob_finder.learn([dish.picture([gone])] * 9)
-    blobs = blob_finder.find(dish.picture([swims]))
-    assert [math.dist((b.x, b.y), swims[:2]) < 2 for b in blobs] == [True]

@@ -1,7 +1,6 @@
 """The filter of swimming cells: it learns headings, turning rates and speeds, with their doubt."""
 
 import math
-import threading
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from tetractl_microscope.cells.kernels.helix_steps import (
     DELAY,
     HEADING,
     LEAD,
-    RATE,
     SLOWEST,
     SPEED,
     STATES,
@@ -27,9 +25,8 @@ from tetractl_microscope.cells.kernels.helix_steps import (
     C,
     S,
     X,
-    Y,
 )
-from tetractl_microscope.organisms import TETRAHYMENA, named
+from tetractl_microscope.organisms import TETRAHYMENA
 
 from tetractl.core.poses import wrap
 from tetractl.core.setup import Bounds
@@ -104,33 +101,6 @@ def test_a_heading_that_was_the_wrong_way_round_is_turned():
     assert bank.mean[row, SPEED] > 200
 
 
-def test_rows_are_used_again_and_an_outlier_moves_little():
-    bank = HelixFilter()
-    first = bank.add(0.0, 0.0, 0.0, 300.0)
-    bank.drop(first)
-    row = bank.add(0.0, 0.0, 0.0, 300.0)
-    assert row == first
-    bank.covariance[row] *= 0.01
-    likelihood, far = bank.update(
-        np.array([row, row])[:1], np.array([[400.0, 0.0, 0.0]]), np.array([[1.0, 1.0, 0.05]])
-    )
-    assert far[0] > 1000 and bank.mean[row, 0] < 40
-    assert np.isfinite(likelihood).all()
-
-
-def test_a_long_gap_is_moved_over_in_steps():
-    long = HelixFilter()
-    short = HelixFilter()
-    for bank in (long, short):
-        bank.mean[bank.add(0.0, 0.0, 0.0, 400.0), [A, TURN]] = 5.0, 0.0
-        bank.covariance[0, :, :] *= 1e-6
-    long.predict([(0.5, 0.0, 1.0)])  # a picture is missing for half a second
-    for _ in range(100):
-        short.predict([(0.005, 0.0, 1.0)])
-    assert math.dist(long.mean[0, :2], short.mean[0, :2]) < 0.5
-    assert long.mean[0, HEADING] == pytest.approx(short.mean[0, HEADING], abs=0.01)
-
-
 def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
     """A cell is kept at a wall for a second by a field that it would follow in open water."""
 
@@ -158,59 +128,6 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
     assert np.abs(learned(open_water)).max() > 5
     off = learned(lambda x, y: x > -WALL_UM)
     assert np.sqrt(np.mean(np.square(off))) < 2.0
-
-
-@pytest.mark.long
-def test_a_heading_that_walks_does_not_lower_a():
-    """The heading's walk takes a cell with it within a step: its way does not say where the cell
-    headed before.
-    """
-    random = np.random.default_rng(4)
-    count = 24
-    sd = np.array((0.1, 0.1, 0.012))
-    cells = Swimmers.drawn(random, count)
-    gathered = []
-    cells.walk[:] = 0.15
-    mean, start, model = new_cell(TETRAHYMENA, field_known=True)
-    model[[X, Y, C, S]] = 0.2
-    model[HEADING] = 0.15
-    model[SPEED] = 5.0
-    first = cells.copy()
-    angles = np.repeat(random.uniform(-math.pi, math.pi, 12), 20)
-    seconds = np.full(len(angles), 1 / 30)
-    pieces = np.column_stack([seconds, np.cos(angles), np.sin(angles)])
-    for _, *field in pieces.tolist():
-        for _ in range(4):
-            cells.swim(field, 1 / 120, random)
-        body = bodies(cells)
-        pose = np.column_stack([body.x, body.y, body.axis])
-        gathered.append(pose + random.normal(0, sd, (count, 3)))
-    ratios = []
-    pictures = np.arange(len(angles) + 1)
-    for i in range(count):
-        m = mean.copy()
-        states = np.empty((len(gathered), STATES))
-        m[[HEADING, SPEED]] = first.heading[i], first.speed[i]
-        values = np.array(gathered)[:, i]
-        deviations = np.tile(sd, (len(gathered), 1))
-        places = np.empty((len(gathered), 3))
-        smooth(m, start, model, values, deviations, pieces, pictures, states, places)
-        ratios.append(m[A] / cells.a[i])
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.015)  # 0.98 with noise after steps only
-
-
-def test_a_new_cell_is_like_those_of_its_organism():
-    for name in ("tetrahymena", "paramecium", "euglena", "helical-microrobot"):
-        organism = named(name)
-        bank = HelixFilter(organism=organism)
-        row = bank.add(0.0, 0.0, 0.0, organism.speed_um_s[0])
-        mean = bank.mean[row]
-        covariance = bank.covariance[row]
-        assert mean[RATE] == pytest.approx(2 * math.pi * organism.helix_hz[0])
-        radius = math.sqrt(covariance[C, C] + covariance[S, S])  # of c and s together
-        assert radius == pytest.approx(math.hypot(*organism.helix_um))
-        bank.predict([(1.0, 0.0, 0.0)])  # at its lowest speed it swims, and does not rest
-        assert bank.covariance[row, HEADING, HEADING] < 0.5
 
 
 @pytest.mark.parametrize(("speed", "walled"), [(300.0, False), (300.0, True), (20.0, False)])
@@ -285,13 +202,3 @@ def test_a_row_may_be_any_of_several():
     assert bank.covariance[rows[0], 0, 0] == pytest.approx(width + 30.0**2 * 2 / 9)
     # both head to the right: angles a full turn apart are the same
     assert bank.mean[rows[0], HEADING] == pytest.approx(0.1 + (6.3 - 2 * np.pi - 0.1) / 3)
-
-
-@pytest.mark.parametrize("odd", [math.nan, math.inf, 1e18])
-def test_a_piece_of_any_length_ends(odd):
-    bank = HelixFilter()
-    bank.add(0.0, 0.0, 0.0, 300.0)
-    thread = threading.Thread(target=bank.predict, args=([(odd, 1.0, 0.0)],), daemon=True)
-    thread.start()
-    thread.join(60)  # before the loop counts as endless; nothing waits for it to pass
-    assert not thread.is_alive()

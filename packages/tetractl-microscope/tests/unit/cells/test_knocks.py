@@ -7,11 +7,6 @@ from tetractl_microscope.cells.knocks import shift_of
 pytestmark = pytest.mark.slow
 
 
-def test_a_picture_far_wider_than_high_has_no_shift() -> None:
-    wide = np.full((32, 65_666), 90, np.uint8)
-    assert shift_of(wide, wide) == (0.0, 0.0)
-
-
 SPECK_PX = 13  # beyond this distance from its middle, a speck darkens nothing
 
 

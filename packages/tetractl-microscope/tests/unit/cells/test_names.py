@@ -5,9 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from support.film_rows import whole_blob
 from tetractl_microscope.cells.cell import BodySize
-from tetractl_microscope.cells.cell_tracks import CellTrack, Known, TrackBlob, WhichIsWhich, orders
+from tetractl_microscope.cells.cell_tracks import CellTrack, Known, WhichIsWhich
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
 from tetractl_microscope.cells.lost_cells import BACK_WITHIN_S
@@ -111,62 +110,6 @@ def test_a_name_is_uncertain_where_something_unknown_may_have_taken_its_place(me
     assert (track.identity == 1) is not met
 
 
-@pytest.mark.parametrize("merged", [False, True])
-def test_a_name_stays_uncertain_if_the_other_cell_is_given_up(merged):
-    dish = Dish(splits=True)
-    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 503.0)]
-    dish.names.meet(tracks, 1.0, False)
-    blob = TrackBlob(0, whole_blob(), np.zeros(5), is_shared=merged)
-    tracks[0].newest = blob
-    uncertain = dish.names.probabilities(tracks)[0]
-    name = tracks[0].identity
-    assert uncertain < ASSERTED
-    dish.names.give_up(tracks[1], 1.5, may_return=False)
-    assert tracks[0].identity != name and dish.bank.used.sum() == 1
-
-
-def test_a_cell_is_uncertain_where_something_unknown_is_likelier():
-    dish = Dish()
-    track = dish.track(500.0, 500.0)
-    dish.names.meet([track], 1.0, with_unknown=True)
-    assert dish.names.probabilities([track])[0] > ASSERTED
-    dish.bank.mean[track.row, Y] += 150.0  # its row has followed another cell
-    assert dish.names.probabilities([track])[0] < 0.5
-
-
-@pytest.mark.parametrize("number", [1, 6])
-def test_shares_are_finite_however_far_a_track_is_from_its_cell(number):
-    dish = Dish()
-    tracks = [dish.track(500.0, 500.0 + 60.0 * i) for i in range(number)]
-    dish.names.meet(tracks, 1.0, with_unknown=True)
-    dish.bank.mean[tracks[0].row, Y] = 1e150
-    with np.errstate(all="raise", under="ignore"):
-        probability = dish.names.probabilities(tracks)[0]
-    assert 0.0 < probability < 0.5
-
-
-@pytest.mark.parametrize("far", ["near", "new"])
-def test_of_two_out_of_one_blob_the_nearer_to_the_cell_has_its_name_however_far_the_other(far):
-    dish = Dish()
-    near = dish.track(500.0, 500.0)
-    dish.names.meet([near], 1.0, with_unknown=True)
-    new = dish.track(500.0, 510.0)
-    dish.bank.mean[{"near": near, "new": new}[far].row, Y] = 1e150
-    dish.names.appear(new, near, np.array([500.0, 510.0, 0.0]), 1.5, RARE, False)
-    assert 0.0 < near.certainty <= 1.0
-    assert (near.certainty > 0.5) is (far == "new")
-
-
-def test_the_end_of_a_film_says_nothing_new_of_who_is_who():
-    dish = Dish()
-    tracks = [dish.track(500.0, 500.0), dish.track(500.0, 530.0)]
-    tracks[0].certainty = 0.95
-    dish.names.meet(tracks, 1.0, False)
-    before = dish.names.probabilities(tracks)
-    dish.names.finish(2.0)
-    assert [track.certainty for track in tracks] == pytest.approx(before)
-
-
 def test_each_meeting_lowers_the_certainty_of_who_is_who():
     dish = Dish()
     tracks = [dish.track(500.0, 500.0), dish.track(502.0, 500.0)]
@@ -198,7 +141,3 @@ def test_cells_of_other_sizes_are_distinguished_by_them():
     assert question.best()[0] == (1, 0)
     assert 0.95 < question.probabilities().max() < 0.9999
     assert not question.ends(0.1)
-
-
-def test_every_assignment_of_cells_to_tracks_is_counted():
-    assert orders(2).tolist() == [[0, 1], [1, 0]]

@@ -122,26 +122,6 @@ def test_cells_that_a_trial_chose_stay_the_robots_of_a_picture_under_search(came
     assert camera.robots == (3, 1)
 
 
-def test_a_cell_that_a_trial_chose_has_not_divided_in_place_of_one_before(camera):
-    search(camera, 1)
-    assert camera.robots == (1, 2)
-    setup = camera._robots.setup
-    camera._tracker.mothers = (1,)
-    camera._tracker.when_born_asked = lambda: camera.settle(setup, [3, 2])
-    search(camera, 2)
-    assert camera.robots == (3, 2)
-    assert camera.divided == ()
-
-
-def test_a_division_is_noted_though_another_robot_is_replaced_meanwhile(camera):
-    search(camera, 1)
-    camera._tracker.mothers = (2,)
-    camera._tracker.when_born_asked = lambda: camera.replace(0, 3)
-    search(camera, 2)
-    assert camera.robots == (3, 2)
-    assert camera.divided == (1,)
-
-
 def test_no_frame_has_the_place_of_a_cell_that_was_replaced(camera):
     """Neither the one that waits nor that of the picture under search."""
     search(camera, 1)

@@ -36,11 +36,3 @@ def test_a_calibration_file_has_scale_and_rotation_and_places_the_two_as_measure
     end = camera.placed(second[0] * um_px, -second[1] * um_px, 1e-6)
     assert end[0] - start[0] == pytest.approx(um)
     assert end[1] - start[1] == pytest.approx(0.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("places", ["1,2,3", "0,0,nan,0,5", "0,0,9,0,100", "0,0,100,0,-1"])
-def test_places_that_mean_nothing_are_refused(places, tmp_path):
-    done = tetractl(tmp_path, "lab", "survey", DISH, "--micrometer", places)
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) <= 2
-    assert not (tmp_path / "calibration.yaml").exists()

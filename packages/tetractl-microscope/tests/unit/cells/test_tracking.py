@@ -6,14 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.dish_films import Reel, axis_errors, film, followed, scored
-from support.film_rows import whole_blob
-from tetractl_microscope.cells import match
 from tetractl_microscope.cells.cell import BodySize, PathBlob
-from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
+from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.cells.detect_cells import BLOBS, BlobFinder
-from tetractl_microscope.cells.filter_update import check_state
-from tetractl_microscope.cells.helix import HEADING, HelixFilter
-from tetractl_microscope.cells.readings import BlobReading, note_own_blob, own_path
 from tetractl_microscope.cells.specks import Speck
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.field_file import no_field
@@ -40,12 +35,6 @@ def test_poses_of_swimming_cells(field_known):
 
 
 @pytest.mark.long
-def test_cells_are_followed_at_ten_pictures_a_second():
-    synthetic = film(seed=2, side=512, cells=5, rate=10.0, crossings=0.0)
-    assert scored(synthetic, followed(synthetic)).f1 > 0.98
-
-
-@pytest.mark.long
 def test_a_slow_organism_is_followed_at_a_low_rate():
     """A film at 30 Hz is played eight times more slowly, every second picture of it."""
     synthetic = film(seed=44, side=512, cells=8, crossings=False)
@@ -59,18 +48,6 @@ def test_a_slow_organism_is_followed_at_a_low_rate():
     reel = Reel(synthetic, every_second, PictureTimes(30.0 / 8 / 2))
     tracked = follow(reel, synthetic.look.um_px, None, slow)
     assert scored(synthetic, tracked, every=2).f1 > 0.96
-
-
-def test_specks_are_looked_for_as_far_as_the_organism_swims():
-    speck = Speck(1, [PathBlob(0.0, 0.0, 0.0, 0.0, 50.0, 25.0)])
-    slow = replace(TETRAHYMENA, speed_um_s=tuple(v / 4 for v in TETRAHYMENA.speed_um_s))
-    away_um = 60.0  # 1.15 lengths; in 0.1 s the fastest swim 1.45 lengths, the slow ones 0.36
-    blob = np.array([[away_um, 0.0, 0.0, 50.0, 25.0]])
-    costs = {
-        organism: match.speck_costs([speck], blob, 0.1, 0.1, organism).blobs.item()
-        for organism in (TETRAHYMENA, slow)
-    }
-    assert costs[TETRAHYMENA] < 100 < costs[slow]
 
 
 def test_a_knock_moves_all_places_of_a_track():
@@ -93,20 +70,6 @@ def test_numbers_are_kept_through_crossings():
     score = scored(synthetic, followed(synthetic))
     assert score.f1 > 0.98
     assert score.named > 0.97 * score.found
-
-
-@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
-def test_a_new_cells_path_begins_after_the_blob_of_another_cell(rate_hz):
-    times = np.arange(12) / rate_hz
-    path = np.zeros((12, 6))
-    path[:, 0] = times
-    path[:, 1] = 330 * times
-    path[:, 4:] = (50.0, 25.0)
-    assert len(own_path(path, SIZE, 52.3)) == 12
-    path[:5, 2] = 60.0  # on the way of another cell
-    assert len(own_path(path, SIZE, 52.3)) == 6
-    path[7, 4] = 90.0  # too large
-    assert len(own_path(path, SIZE, 52.3)) == 4
 
 
 @pytest.mark.long
@@ -189,28 +152,3 @@ def test_what_returns_from_the_edge_where_a_cell_left_may_be_another_cell():
     looked = [tracker.see(picture(k), k / 30, no_field) for k in range(40, 90)]
     after = {cell.identity for cells in looked[-10:] for cell in cells}
     assert len(before) == len(after) == 1 and before.isdisjoint(after)
-
-
-@pytest.mark.parametrize(
-    ("long", "wide", "large"),
-    [(66, 30, False), (90, 28, True), (70, 45, True)],
-    ids=["one", "two in a row", "two abreast"],
-)
-def test_a_blob_may_be_too_large_for_one_cell(long, wide, large):
-    cell = CellTrack(1, 0, BodySize(60.0, 32.0), last=np.zeros(2))
-    blob = TrackBlob(0, whole_blob(), np.array([0.0, 0.0, 0.0, long, wide]))
-    note_own_blob(cell, blob, 1.0)
-    assert blob.is_large is large
-
-
-@pytest.mark.parametrize(("came_from", "heading"), [(180.0, 0.0), (220.0, math.pi)])
-def test_a_cell_that_is_astray_heads_the_way_its_blob_has_moved(came_from, heading):
-    bank = HelixFilter(field_known=False)
-    row = bank.add(0.0, 0.0, 1.0, 300.0)
-    cell = CellTrack(1, row, SIZE, last=np.array([came_from, 100.0]))
-    blob = TrackBlob(0, whole_blob(), np.array([200.0, 100.0, 0.0, *SIZE]))
-    reading = BlobReading(cell, blob, (200.0, 100.0, 0.0), (2.0, 2.0, 0.1))
-    check_state(bank, reading, squared_distance=0.0, body_um=52.3)
-    x, y, heading_now = bank.mean[cell.row, [0, 1, HEADING]]
-    assert (x, y) == (200.0, 100.0)
-    assert math.cos(heading_now - heading) == pytest.approx(1.0)

@@ -1,7 +1,6 @@
 """The field's actuator: what it commands, and its life before an emulated driver."""
 
 import math
-import random
 from contextlib import suppress
 from types import SimpleNamespace
 
@@ -14,14 +13,12 @@ from support.field_bench import LIMITS, Bench, Wire, section
 from tetractl_emulator import firmware
 from tetractl_emulator.pictures.driver_core import DriverLimits
 from tetractl_microscope.coils.actuator import FieldActuator
-from tetractl_microscope.coils.driver import Driver, decode_command
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import PortHeldError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A = np.array([5.0, 3.5])
@@ -61,25 +58,6 @@ def test_the_field_turns_cells_by_the_papers_law(direction):
     assert currents == asked(actuator)
     assert math.hypot(*actuator.coils.field(currents)) == pytest.approx(sent.outputs["field_mt"])
     assert (sent.direction, sent.delivered, sent.left) == (direction, BOTH, None)
-
-
-def test_the_spec_may_state_the_strength_instead():
-    clock = VirtualClock()
-    setup = SimpleNamespace(**vars(SETUP) | {"strength": 1.5})
-    alone = section(strength_mt=None, slew_max_a_s=10_000)
-    actuator = FieldActuator(alone, setup, clock)
-    actuator.driver = Wire(clock)
-    sent = actuator.send(Steer(0.4), POSES, BOTH, 0)
-    assert sent.outputs["field_mt"] == pytest.approx(1.5, abs=0.005)
-    assert sent.turning == pytest.approx(A * np.sin(0.4 - np.array([0.2, -2.0])), abs=0.02)
-    assert list(alone.contradictions(setup)) == []
-    ((_, twice),) = section(strength_mt=2.0).contradictions(setup)
-    ((_, unknown),) = alone.contradictions(SETUP)
-    setup.strength_unit = "V/cm"
-    ((_, electric),) = alone.contradictions(setup)
-    assert "already" in twice
-    assert "strength is unknown" in unknown
-    assert "not in V/cm" in electric
 
 
 def test_no_cell_can_be_held_and_one_out_of_sight_has_no_known_turning():
@@ -123,14 +101,6 @@ def test_the_slew_limit_is_kept_and_what_was_really_asked_is_told():
     assert gap(reports[59], 3.0) == pytest.approx(0, abs=0.002)
 
 
-def test_commands_in_quick_succession_do_not_beat_the_slew_limit():
-    actuator, clock = virtual(slew_max_a_s=10)
-    for k in range(40):
-        clock.sleep_until(k * SECOND // 1000)  # 1 kHz
-        actuator.send(Steer(0.0), POSES, BOTH, 0)
-    assert max(map(abs, asked(actuator))) <= 10 * (0.025 + 0.039) + 0.001
-
-
 def test_after_a_long_pause_or_a_stop_the_field_rises_from_where_the_driver_is():
     actuator, clock = virtual(slew_max_a_s=10)
     for k in range(10):
@@ -163,19 +133,6 @@ def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
     assert (stop.turning == 0).all()
     assert (stop.outputs["current_x_a"], stop.outputs["current_y_a"]) == (0, 0)
     assert stop.outputs["field_mt"] == pytest.approx(0.05)  # the ambient field stays
-
-
-def test_once_one_stop_was_an_emergency_stop_every_command_is():
-    heard = []
-
-    def port(*_):
-        return SimpleNamespace(write=lambda data: heard.append(data) or 0)
-
-    driver = Driver("/dev/null", 115200, VirtualClock(), port)
-    for flag in (Flag.RUN, Flag.EMERGENCY_STOP, Flag(0), Flag.POLL):
-        driver.send(flag)
-    flags = [decode_command(frame[:-1]).flags for frame in heard]
-    assert [Flag.EMERGENCY_STOP in flag for flag in flags] == [False, True, True, True]
 
 
 # from here on: before an emulated driver
@@ -323,36 +280,3 @@ def test_lab_stop_says_that_no_driver_replies_that_it_is_stopped(stop_coils, bau
     with pytest.raises(AbortError, match="sent 10 stops, but no current driver replies") as raised:
         stop_coils(stage)
     assert raised.value.hint == "switch the driver's supply off"
-
-
-@needs_compiler
-def test_lab_stop_is_sent_next_to_a_run_that_has_the_port(stop_coils):
-    """Regression: the field stayed on until the run had ended, and next to a program that cannot be
-    ended it was not switched off at all."""
-    stage = Bench()
-    with stage.opened(SETUP) as run:
-        run.send(Steer(1.0), POSES, BOTH, 0)
-        with pytest.raises(PortHeldError):
-            stop_coils(stage)
-        assert stop_coils(stage, alone=False) == "sent 10 stops"
-    with stage.opened(SETUP) as actuator:
-        (problem,) = actuator.check().problems
-    assert "emergency-stopped" in problem
-
-
-@needs_compiler
-def test_another_speed_or_no_driver_is_told():
-    stage = Bench(baud=9600)
-    with stage.opened(SETUP) as actuator:
-        (problem,) = actuator.check().problems
-    assert "no current driver answers on" in problem
-    assert "at 115200 baud" in problem
-    assert stage.driver.garbled > 0
-
-
-@needs_compiler
-def test_garbage_on_the_line_is_dropped():
-    stage = Bench()
-    with stage.opened(SETUP) as actuator:
-        stage.port.write(random.Random(1).randbytes(2000) + b"\0" + b"\x05noise\0")
-        assert actuator.check().problems == ()

@@ -47,15 +47,6 @@ def test_the_least_reach_is_had_in_every_direction(coils_and_limit, direction):
     assert min(worst) == pytest.approx(least, rel=1e-6)
 
 
-def test_a_pair_of_coils_by_hand():
-    coils = made((2.0, -4.0), (0.1, -0.2), math.pi / 2)
-    x, y = coils.currents(math.pi / 2, 1.1, 10.0)  # along the x pair
-    assert (x, y) == (pytest.approx(0.5), pytest.approx(-0.05))
-    x, y = coils.currents(math.pi, 1.0, 10.0)  # along the y pair
-    assert (x, y) == (pytest.approx(-0.05), pytest.approx(-0.3))
-    assert coils.field((0.0, 0.0)) == (pytest.approx(0.2), pytest.approx(0.1))
-
-
 pairs = st.tuples(st.floats(-5, 5), st.floats(-5, 5))
 
 

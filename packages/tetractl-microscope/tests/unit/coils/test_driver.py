@@ -13,7 +13,6 @@ from tetractl_microscope.coils import driver
 from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 
 from tetractl.core.errors import WireError
-from tetractl.lab import cobs
 from tetractl.lab.cobs import Flag
 
 COILS = FieldCommand(7, Flag.RUN | Flag.POLL, 300, -250)
@@ -73,17 +72,6 @@ def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
 def test_what_does_not_fit_is_not_encoded(message):
     with pytest.raises(WireError):
         driver.encode_command(message)
-
-
-def test_an_unknown_flag_with_a_good_crc_is_refused():
-    with pytest.raises(WireError):
-        driver.decode_command(cobs.frame_with_crc(bytes.fromhex("53 01 08 00 00 00 00"))[:-1])
-
-
-def test_unknown_status_bits_of_a_driver_are_dropped():
-    raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
-    raw[2] |= 0xE0
-    assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER
 
 
 def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():

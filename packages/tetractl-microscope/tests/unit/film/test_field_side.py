@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from tetractl_microscope.film.field_file import read_field, side_remarks
-from tetractl_microscope.handedness import handedness
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.identification.sent_directions import (
@@ -48,15 +47,6 @@ def test_the_side_of_a_field_file_is_tested_by_the_cells(tmp_path, clockwise, of
     said = side_remarks(read_field(tmp_path / "field.csv", clockwise), paths)
     assert len(said) == (says is not None)
     assert all(says in line for line in said)
-
-
-def test_a_field_that_never_changes_shows_no_side(tmp_path):
-    """Regression: rounding decided between two sides that explain the same."""
-    (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,1\n")
-    field = read_field(tmp_path / "field.csv")
-    for rates in ((1.0, 2.0, 2.5), (3.0, 4.0, 5.0), (3.3, 0.7, 5.1, 4.4)):
-        turning = handedness(turned_by(field, rates), field.at)
-        assert turning is not None and not turning.mirrored
 
 
 STEPS = list(zip(0.8 * np.arange(12), np.random.default_rng(3).uniform(-3, 3, 12), strict=True))

@@ -1,34 +1,26 @@
 """Films: their pictures, what is found of each cell, and how sure that is."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.dish_films import Reel, film, followed, record, who
 from support.film_rows import recorded, seen_cell
-from support.needs_opencv import cv2, video
+from support.needs_opencv import cv2
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.kernels.helix_steps import HEADING
 from tetractl_microscope.film.field_file import FieldRecord, clock_remarks, read_field
-from tetractl_microscope.film.film_tables import LISTED, as_items, notes
+from tetractl_microscope.film.film_tables import as_items
 from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
-from tetractl_microscope.film.follow import _faded_line, follow
+from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.kinematics import velocities
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.film.who import CellPath, TrackRow, _sure
 from tetractl_microscope.organisms import TETRAHYMENA
 
-from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.errors import UsageError
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def three_cells():
-    """A film, and what is said of it."""
-    synthetic = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
-    return synthetic, followed(synthetic)
 
 
 @pytest.mark.long
@@ -51,54 +43,6 @@ def test_a_speeds_and_biases_are_within_their_intervals():
             assert cell.path_um == pytest.approx(truth[1] * cell.seconds, rel=0.05)
     assert found_count >= 4
     assert np.mean(inside) >= 0.85
-
-
-@pytest.mark.long
-def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path(three_cells):
-    synthetic, before = three_cells
-    path = max(before.paths, key=lambda path: len(path.sightings))
-    path = replace(
-        path, times=path.times[:60], frames=path.frames[:60], sightings=path.sightings[:60]
-    )
-    fitted, (cell,) = fit_cells(replace(before, paths=(path,)), record(synthetic))
-    i = who(synthetic, path)
-    (path,) = fitted.paths
-    assert cell.pictures == 60
-    assert cell.seconds == pytest.approx(2.0)
-    assert cell.speed.low < synthetic.cells.speed[i] < cell.speed.high
-    assert cell.spread < 0.05 * cell.speed.value  # this film's cells swim steadily
-    off_um = path.places - synthetic.body[path.frames, i, :2]
-    assert np.median(np.linalg.norm(off_um, axis=1)) < 1.0
-
-
-@pytest.mark.long
-def test_no_cell_responds_to_a_field_that_was_off():
-    synthetic = film(seed=32, side=512, cells=0, strangers=6, crossings=False, seconds=4.0)
-    cells = fit_cells(followed(synthetic), record(synthetic))[1]
-    fitted = [cell for cell in cells if cell.a is not None]
-    assert fitted and not any(cell.magnetised for cell in fitted)
-    assert all(cell.a.low < 0 < cell.a.high for cell in fitted)
-
-
-@pytest.mark.long
-def test_a_blob_that_is_not_along_the_way_does_not_give_the_axis(three_cells):
-    synthetic, before = three_cells
-
-    def turned(cell):  # as that of a round cell, or of one far out of focus
-        x, y, axis, *deviations = cell.measured
-        return replace(cell, measured=(x, y, axis + np.pi / 2, *deviations))
-
-    paths = []
-    for path in before.paths:
-        sightings = [turned(cell) if cell.measured else cell for cell in path.sightings]
-        paths.append(replace(path, sightings=tuple(sightings)))
-    fitted, _ = fit_cells(replace(before, paths=tuple(paths)), record(synthetic))
-    off = []
-    for path in fitted.paths:
-        truth = synthetic.body[path.frames, who(synthetic, path), 2]
-        axes = np.array([cell.axis for cell in path.sightings])
-        off += np.abs(np.sin(axes - truth)).tolist()
-    assert np.mean(off) < 0.2
 
 
 @pytest.mark.parametrize(("seed", "turned"), [(0, 1.5), (1, 2.1), (7, 2.1), (8, 1.5)])
@@ -145,33 +89,9 @@ def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed
     assert (np.abs(off) > 0.8).sum() < 17  # it backs in 15 pictures
 
 
-@pytest.mark.long
-def test_the_interval_of_the_speed_grows_with_the_doubt_about_the_name(three_cells):
-    synthetic, sure = three_cells
-    doubtful = []
-    for path in sure.paths:
-        sightings = tuple(replace(cell, probability=0.5) for cell in path.sightings)
-        doubtful.append(replace(path, sightings=sightings))
-    _, before = fit_cells(sure, record(synthetic))
-    _, after = fit_cells(replace(sure, paths=tuple(doubtful)), record(synthetic))
-    speeds = [cell.speed.value for cell in before if cell.speed]
-    for narrow, wide in zip(before, after, strict=True):
-        if narrow.speed is not None:
-            assert wide.speed.value == narrow.speed.value
-            assert wide.speed.high - wide.speed.value > 0.5 * 1.96 * np.std(speeds) * 0.9
-
-
 def along_x(times):
     """A field along x from the first time on."""
     return FieldRecord(np.array(times), np.zeros(len(times)))
-
-
-def test_cells_that_fade_are_said():
-    pictures = [{7: seen_cell(1, 0.0, 0.0, 7, has_blob=k % 10 > 0)} for k in range(100)]
-    line = _faded_line(recorded(pictures, range(100)))
-    assert "10 %" in str(line)
-    assert _faded_line(recorded(pictures[1:10], range(9))) is None
-    assert _faded_line(recorded([{}], [0.0])) is None
 
 
 @pytest.mark.long
@@ -191,31 +111,6 @@ def test_pictures_that_are_lost_or_doubled_are_said(numbers, said):
     assert len(lines) == len(said)
     for line, words in zip(lines, said, strict=True):
         assert words in line
-
-
-def test_of_many_uncertain_meetings_a_few_are_listed():
-    tracked = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
-    for count, more in ((LISTED, []), (LISTED + 3, ["warning: 3 more"])):
-        lines = notes(replace(tracked, doubtful=((1, 2),) * count), ())
-        assert sum("cells 1, 2 met" in line for line in lines) == LISTED
-        assert [line[:15] for line in lines if "more meetings" in line] == more
-
-
-def test_how_long_numbers_and_the_tracks_under_them_last_is_said():
-    tracked = followed(film(seed=34, side=256, cells=1, crossings=False, seconds=1.0))
-
-    def path(number, first_s, last_s, track):
-        times = np.arange(first_s, last_s + 0.5)
-        cells = tuple(seen_cell(number, 10.0 * t, 0.0, track) for t in times)
-        return CellPath(number, times, times.astype(int), cells)
-
-    # two numbers of 2 and 4 s in turn on one track of 7 s
-    twice = replace(tracked, paths=(path(1, 0, 2, 7), path(2, 3, 7, 7)))
-    assert (twice.number_lasts_s, twice.track_lasts_s) == (3.0, 7.0)
-    assert sum(line.startswith("a number lasts 3.0 s") for line in notes(twice, ())) == 1
-    none = replace(tracked, paths=())
-    assert none.number_lasts_s is None and none.track_lasts_s is None
-    assert not any("a number lasts" in line for line in notes(none, ()))
 
 
 @pytest.mark.long
@@ -249,28 +144,6 @@ def test_pictures_of_a_folder_come_by_number_and_bad_ones_are_counted(tmp_path):
     assert film_.damaged == 2
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["film.avi", "film.mp4", "film.mjpeg"])
-def test_films_are_read_by_their_own_rate(tmp_path, name):
-    path = tmp_path / name
-    if name.endswith("mjpeg"):
-        picture = cv2.imencode(".jpg", np.full((96, 128), 90, np.uint8))[1].tobytes()
-        path.write_bytes(picture * 8)
-    else:
-        codec = "MJPG" if name.endswith("avi") else "mp4v"
-        video(path, [np.full((96, 128), 90, np.uint8)] * 8, 15.0, codec)
-    if name.endswith("mjpeg"):
-        with pytest.raises(UsageError, match="states no rate"):
-            open_film(path)
-    else:
-        assert open_film(path).rate_hz == pytest.approx(15.0)
-    opened = open_film(path, 15.0)
-    pictures = list(opened)
-    assert len(pictures) >= 7
-    assert len(list(opened)) == len(pictures)
-    assert open_film(path, 60.0).rate_hz == 60.0
-
-
 @pytest.mark.parametrize(
     "content", [b"", b"RIFF" + bytes(100), bytes(range(256)) * 40, b"\xff\xd8\xff\xe0 cut"]
 )
@@ -279,13 +152,6 @@ def test_what_is_no_film_is_one_clear_error(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(UsageError, match="OpenCV cannot read this film"):
         open_film(path)
-
-
-def test_a_film_without_cells_has_no_scale(tmp_path):
-    for k in range(40):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((64, 64), 100, np.uint8))
-    with pytest.raises(TetractlError, match="the scale is unknown"):
-        follow(open_film(tmp_path, 30.0), None, None)
 
 
 def test_the_field_is_that_of_the_last_row_before(tmp_path):
@@ -327,19 +193,6 @@ def test_a_field_of_another_clock_is_refused(times, says):
     field = along_x(times)
     with pytest.raises(UsageError, match=says):
         clock_remarks(field, "field.csv", "film.mp4", 0.0, 12.0)
-
-
-@pytest.mark.parametrize(
-    ("times", "says"),
-    [
-        ((0.0, 1500.0, 3000.0), "only 1 of the 3 times of field.csv is among the 12 s"),
-        ((9.0, 10.0), "field.csv covers 3 s of the 12 s of film.mp4"),
-    ],
-)
-def test_a_field_that_hardly_meets_a_film_is_said(times, says):
-    field = along_x(times)
-    (remark,) = clock_remarks(field, "field.csv", "film.mp4", 0.0, 12.0)
-    assert says in remark
 
 
 @pytest.mark.parametrize(
@@ -400,15 +253,6 @@ def test_a_name_is_sure_unless_another_cell_may_have_taken_it(likely, large, tra
     assert _sure([TrackRow(k, cell, 3, cell.probability) for k, cell in enumerate(cells)]) == sure
 
 
-def test_a_cell_is_in_a_picture_once():
-    """A lost cell that is found again has its name in pictures before, where it may be in use."""
-    pictures = [{1: seen_cell(7, 9.0 * k, 0.0, 1)} for k in range(30)]
-    pictures[20][2] = seen_cell(7, -500.0, 0, 2)
-    pictures[21][2] = seen_cell(7, -500.0, 0, 2, 0.3)
-    (path,) = recorded(pictures, np.arange(30) / 30.0).paths(TETRAHYMENA)
-    assert [int(x) for x in path.places[:, 0]] == [9 * k for k in range(30)]
-
-
 def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     def cells_in(k):
         places = {
@@ -430,13 +274,6 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     assert [path.identity for path in paths] == ["moves"]
 
 
-def test_a_cell_needs_no_way_beyond_its_length():
-    """Regression: cells of 50 um that swam less than 60 um, as many that turn, were not shown."""
-    pictures = [{5: seen_cell(1, 80.0 * k / 30, 0.0, 5)} for k in range(15)]
-    paths = recorded(pictures, np.arange(15) / 30.0).paths(TETRAHYMENA)
-    assert [path.identity for path in paths] == [1]
-
-
 @pytest.mark.parametrize(
     ("head", "says"),
     [
@@ -450,13 +287,3 @@ def test_a_file_that_is_no_film_says_what_it_is(tmp_path, head, says):
     (tmp_path / "tracks").write_bytes(head)
     with pytest.raises(UsageError, match=says):
         open_film(tmp_path / "tracks", 30.0)
-
-
-def test_a_number_ends_where_pictures_do_not_show_it():
-    pictures = [
-        {1: seen_cell(1, 10.0 * k, 50.0, track=1)} if k not in (8, 9) else {} for k in range(20)
-    ]
-    where = recorded(pictures, np.arange(20) / 10)
-    where.end_at_gaps()
-    names = [row.name for row in where.tracks[1]]
-    assert names == [1] * 8 + [2] * 10

@@ -5,7 +5,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import time
 import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -18,19 +17,14 @@ from support.film_containers import (
     UM_PX,
     folder,
     imagej,
-    micro_manager,
-    ome,
-    ome_split,
     stack,
 )
 from support.hostile_films import BOMBS, outcome
 from support.needs_opencv import cv2, video
 from tetractl_microscope.film.film_source import (
-    FilmSource,
     grey_levels,
     grey_scale,
     nd2_film,
-    video_film,
 )
 from tetractl_microscope.film.pictures import open_film
 
@@ -76,13 +70,6 @@ def test_a_value_of_the_user_beats_the_tags_and_a_difference_is_said(tmp_path):
     assert open_film(imagej(tmp_path / "b.tif", made()), RATE_HZ, UM_PX).remarks == []
 
 
-@pytest.mark.parametrize("write", [folder, stack])
-def test_a_film_without_a_rate_needs_one(tmp_path, write):
-    with pytest.raises(UsageError, match="states no rate") as error:
-        open_film(write(tmp_path / "film", made()))
-    assert "--rate" in error.value.hint
-
-
 @pytest.mark.long
 def test_a_folder_may_have_a_file_of_times(tmp_path):
     path = folder(tmp_path / "film", made(3))
@@ -101,25 +88,6 @@ def test_a_folder_may_have_a_file_of_times(tmp_path):
             open_film(path)
 
 
-@pytest.mark.long
-def test_uneven_times_of_the_tags_are_those_of_the_pictures(tmp_path, monkeypatch):
-    uneven = [0.0, 40.0, 70.0, 150.0]
-    monkeypatch.setattr("support.film_containers.times_ms", lambda count: uneven[:count])
-    for write in (ome, ome_split):
-        film = open_film(write(tmp_path / write.__name__, made(4)), um_px=1.0)
-        assert [film.seconds(k) for k in range(4)] == pytest.approx([0, 0.04, 0.07, 0.15])
-    path = micro_manager(tmp_path / "mm", made(8)[:4]) / "dish_MMStack_1.tif"
-    film = open_film(path, 10.0)
-    assert film.um_px == UM_PX
-
-
-def test_a_film_that_was_stopped_early_ends_with_its_last_picture(tmp_path):
-    path = ome_split(tmp_path / "film", made(8))
-    (path / "dish_MMStack_Pos0_1.ome.tif").unlink()
-    film = open_film(path, RATE_HZ)
-    assert len(list(film)) == 4 and film.damaged == 0
-
-
 def test_of_channels_the_first_is_read_and_that_is_said(tmp_path):
     pictures = made(8)
     meta = {"axes": "TCYX", "finterval": 0.1}
@@ -131,12 +99,6 @@ def test_of_channels_the_first_is_read_and_that_is_said(tmp_path):
     )  # fmt: skip
     assert np.array_equal([p for _, p in film], pictures[::2])
     assert film.remarks == ["the first of 2 channels is read"]
-
-
-def test_what_has_no_height_and_width_is_no_picture():
-    shapes = [(8,), (0, 8), (8, 0), (2, 2, 2, 2), (8, 9), (8, 9, 3)]
-    source = FilmSource(lambda index: np.zeros(shapes[index], np.uint8), len(shapes))
-    assert [shot.pixels is None for shot in source.pictures()] == [True] * 4 + [False] * 2
 
 
 def test_films_of_any_depth_use_their_own_range():
@@ -262,41 +224,8 @@ def held_decoder(path, what):
 
 
 @pytest.mark.long
-def test_a_film_is_read_however_long_the_decoder_waits_for_the_processor(tmp_path):
-    """The test uses the processor for twice the limit, while the decoder cannot go on."""
-    path = video(tmp_path / "film.avi", made(2))
-    with held_decoder(path, "sys.stdin.readline()") as decoder:
-        assert decoder.stderr.readline() == b"reading\n"
-        used_s = time.process_time()
-        while time.process_time() - used_s < 2 * LITTLE_S:
-            pass
-        output, _ = decoder.communicate(b"\n" * 3)
-    assert decoder.returncode == 0
-    with io.BytesIO(output) as written:
-        _, error = pickle.load(written)
-        pictures = [pickle.load(written)[0] for _ in range(2)]
-    assert error is None
-    assert [picture.shape for picture in pictures] == [(64, 80)] * 2
-
-
-@pytest.mark.long
 def test_a_picture_that_takes_the_processor_without_end_ends_the_decoder(tmp_path):
     path = video(tmp_path / "film.avi", made(2))
     with held_decoder(path, "while True: pass") as decoder:
         decoder.communicate()
     assert decoder.returncode == -signal.SIGPROF
-
-
-def test_one_thread_decodes_a_film_on_a_computer_of_any_size(tmp_path, monkeypatch):
-    """Each thread has pictures of its own: 16 need more memory than a decoder has."""
-    opened = []
-    capture_class = cv2.VideoCapture
-
-    def noted(*words):
-        opened.append(capture_class(*words))
-        return opened[-1]
-
-    monkeypatch.setattr(cv2, "VideoCapture", noted)
-    source = video_film(video(tmp_path / "film.mp4", made(2), codec="mp4v"))
-    assert len([picture for picture in source.pictures() if picture is not None]) == 2
-    assert [capture.get(cv2.CAP_PROP_N_THREADS) for capture in opened] == [1]

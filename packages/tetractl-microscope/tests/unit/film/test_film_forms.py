@@ -47,18 +47,6 @@ def test_the_pictures_are_those_that_were_taken(name, write, remarks, tmp_path):
     assert opened.remarks == remarks
 
 
-def test_a_folder_of_pictures_with_a_palette_is_read_as_a_stack_is(tmp_path):
-    palette(tmp_path / "stack.tif")
-    with tifffile.TiffFile(tmp_path / "stack.tif") as file:
-        pages = [(page.asarray(), page.colormap) for page in file.pages]
-    (tmp_path / "folder").mkdir()
-    for k, (pixels, colors) in enumerate(pages):
-        file = tmp_path / "folder" / f"{k}.tif"
-        tifffile.imwrite(file, pixels, photometric="palette", colormap=colors)
-    opened = open_film(tmp_path / "folder", 30.0)
-    assert np.array_equal([picture for _, picture in opened], PICTURES)
-
-
 @pytest.mark.long
 def test_a_tiff_file_that_is_cut_short_is_said_to_be(tmp_path):
     """Regression: "is one picture, and no film"; "attempt to get argmax of an empty sequence"."""

@@ -89,17 +89,6 @@ def test_other_swimmers_than_those_chosen_are_counted_and_named():
 
 
 @pytest.mark.long
-def test_small_cells_that_seem_large_in_coarse_pictures_are_not_taken_for_others():
-    film = Ellipses(7.0, 2.0, 35.0)  # seem 164 um long and 96 um wide
-    with pytest.raises(TetractlError, match="0 of them like tetrahymena") as refused:
-        recognised(film, 16.0)
-    assert refused.value.hint.startswith("is --scale right? tetrahymena is 1.6 px wide")
-    said = recognised(film, 16.0, TETRAHYMENA).remarks
-    assert not any("paramecium" in line for line in said)
-    assert said[-1].startswith("warning: tetrahymena is 1.6 px wide")
-
-
-@pytest.mark.long
 def test_what_swims_but_is_like_no_organism_ends_the_run_unless_one_is_named():
     worms = Ellipses(40.0, 12.0, 60.0)  # 400 um long, 120 um wide
     with pytest.raises(TetractlError, match="no known organism: ") as refused:
@@ -145,21 +134,6 @@ class Circles(Ellipses):
             yield number, picture
 
 
-def test_cells_that_turn_while_they_are_looked_at_swim_all_the_same():
-    film = Circles(22.0, 11.0, 100.0)
-    assert recognised(film, 2.3, TETRAHYMENA).remarks == ()
-
-
-@pytest.mark.long
-def test_beads_that_go_to_and_fro_do_not_swim():
-    beads = Beads(12.0, 12.0, 1.5)
-    for um_px in (None, 0.5):
-        with pytest.raises(TetractlError, match="goes to and fro, as beads do: nothing swims"):
-            recognised(beads, um_px)
-    said = recognised(beads, 0.5, HELICAL_MICROROBOT).remarks
-    assert any("nothing swims" in line for line in said)
-
-
 @pytest.mark.long
 def test_swimmers_among_beads_are_followed_with_a_warning():
     """Regression: 36 swimming sperm were refused as beads, with a mean cosine of 0.463 for 0.5."""
@@ -177,15 +151,6 @@ def test_swimmers_among_beads_are_followed_with_a_warning():
     assert any("most of what moves goes to and fro" in line for line in said)
 
 
-def test_pictures_too_rare_to_tell_cells_apart_are_said():
-    film = swimming(TETRAHYMENA, 2.3)
-    film.rate_hz = 5.0
-    (said,) = recognised(film, 2.3, TETRAHYMENA).remarks
-    assert "5 pictures a second are too few" in said and said.endswith("film at 8 or more")
-    film.rate_hz = 10.0
-    assert recognised(film, 2.3, TETRAHYMENA).remarks == ()
-
-
 @pytest.mark.long
 def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said():
     film = swimming(EUGLENA, 1.5)
@@ -197,15 +162,6 @@ def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said(
     )
     unknown = recognised(film, None)
     assert unknown.organism is TETRAHYMENA and "tetrahymena" in unknown.remarks[0]
-
-
-@pytest.mark.long
-def test_if_nothing_swims_the_scale_cannot_be_guessed_and_the_organism_is_said():
-    still = Ellipses(20.0, 8.0, 0.0)
-    with pytest.raises(TetractlError, match="nothing swims"):
-        recognised(still, None)
-    recognition = recognised(still, 2.0)
-    assert recognition.organism is TETRAHYMENA and "nothing that swims" in recognition.remarks[0]
 
 
 def test_drifting_specks_do_not_outvote_the_cells_that_swim():

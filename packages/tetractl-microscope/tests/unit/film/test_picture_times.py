@@ -5,21 +5,14 @@ import struct
 import numpy as np
 import pytest
 import tifffile
-from support.dish_films import Reel, film, record
-from support.film_containers import folder, ome
 from support.matroska import matroska
 from support.needs_opencv import cv2
-from tetractl_microscope.film.fit_cell import fit_cells
-from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.kinematics import velocities
 from tetractl_microscope.film.picture_names import TIMES_FILE, places_of, require_one_film
 from tetractl_microscope.film.picture_times import PictureTimes, increasing
 from tetractl_microscope.film.pictures import open_film
-from tetractl_microscope.organisms import TETRAHYMENA
-from tetractl_microscope.results.geff_file import write_geff
 
 from tetractl.core.errors import UsageError
-from tetractl.tools.table.table import Column, Table
 
 pytestmark = pytest.mark.slow
 
@@ -70,15 +63,6 @@ def test_a_containers_clock_is_rounded_to_an_even_rate_but_not_an_uneven_one():
     assert "0.0333 to 0.0667 s apart" in (slower.uneven_line() or "")
 
 
-def test_a_clock_that_stands_still_or_pauses_is_said():
-    clock = PictureTimes(10.0, [])
-    for number, seconds in enumerate([0.0, 0.1, 0.2, 0.2, 5.4, 5.5]):
-        clock.note(number, seconds)
-    assert clock.stated == pytest.approx([0.0, 0.1, 0.2, 0.3, 5.4, 5.5])
-    line = clock.uneven_line() or ""
-    assert "a pause at 0.3 s" in line and "1 have no later time" in line
-
-
 @pytest.mark.parametrize("planned", [{}, {"TimeIncrement": 1.0, "TimeIncrementUnit": "s"}])
 @pytest.mark.parametrize(
     ("unit", "factor"), [("s", 1.0), ("ms", 1e3), ("µs", 1e6), ("min", 1 / 60)]
@@ -93,27 +77,6 @@ def test_measured_times_are_used_though_one_is_repeated(tmp_path, planned, unit,
     assert seconds_of(film) == pytest.approx(np.arange(20) / 10)
     assert any("1 picture states the time of the picture before" in r for r in film.remarks)
     assert any("planned at 1 Hz" in remark for remark in film.remarks) == bool(planned)
-
-
-def test_a_planned_interval_is_said_where_no_measured_times_can_be_used(tmp_path):
-    delta = {"DeltaT": [0.0] * 6, "DeltaTUnit": ["s"] * 6}
-    planned = {"TimeIncrement": 0.5, "TimeIncrementUnit": "s"}
-    path = tmp_path / "film.ome.tif"
-    tifffile.imwrite(path, drawn(6), ome=True, metadata={"axes": "TYX", **planned, "Plane": delta})
-    film = open_film(path)
-    assert film.rate_hz == 2.0
-    assert film.remarks == [
-        "its pictures all state the same time, which is not used",
-        "the planned rate, 2 Hz, is used",
-    ]
-
-
-def test_a_unit_of_time_that_is_unknown_is_said(tmp_path, monkeypatch):
-    monkeypatch.setattr("support.film_containers.times_ms", lambda count: list(range(count)))
-    path = ome(tmp_path / "film.ome.tif", drawn(4))
-    path.write_bytes(path.read_bytes().replace(b'DeltaTUnit="ms"', b'DeltaTUnit="yr"'))
-    with pytest.raises(UsageError, match="unit of time 'yr' is unknown"):
-        open_film(path)
 
 
 @pytest.mark.parametrize(
@@ -155,29 +118,6 @@ def test_pictures_of_two_kinds_are_not_one_film(names, tmp_path):
     assert open_film(tmp_path).times is None
 
 
-def test_numbers_that_have_started_again_are_refused(tmp_path):
-    """Regression: the first half of a film came after the second."""
-    before = [f"p{k}.png" for k in range(9990, 10000)]
-    after = [f"p{k:04d}.png" for k in range(10)]
-    with pytest.raises(UsageError, match=r"9980 pictures are missing, .* p0009\.png: have the num"):
-        places_of(tmp_path, [*after, *before], [])
-    assert places_of(tmp_path, after, []) is None
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ["a1764000000.1.png", "a1764000000.2.png", "a1764000001.4.png"],
-        ["1_2.png", "2_5.png", "3_9.png"],
-    ],
-)
-def test_times_in_names_are_not_guessed_in_silence(names, tmp_path):
-    require_one_film(tmp_path, names)
-    remarks = []
-    assert places_of(tmp_path, names, remarks) is None
-    assert remarks == ["the names have several numbers that change: times do not follow them"]
-
-
 @pytest.mark.parametrize(
     "times",
     [
@@ -206,62 +146,6 @@ def test_a_video_of_an_even_rate_has_exactly_even_times(tmp_path, rate):
     film = open_film(matroska(tmp_path / "film.mkv", drawn(40), times))
     assert seconds_of(film) == [number / film.rate_hz for number in range(40)]
     assert film.rate_hz == pytest.approx(rate, rel=1e-3) and film.time_line() is None
-
-
-@pytest.mark.long
-def test_the_turning_rate_does_not_depend_on_an_uneven_rate():
-    """At 30 pictures a second, and with every second picture left out from 4 s on."""
-    even = film(seed=41, side=512, cells=4, crossings=False, seconds=8.0)
-    pictures = list(even.pictures())
-    numbers = [k for k in range(len(pictures)) if k < 120 or k % 2 == 0]
-    timing = PictureTimes(len(numbers) / 8.0, [k / 30 for k in numbers])
-    reel = Reel(even, [pictures[k] for k in numbers], timing)
-    tracked = follow(reel, 2.3, record(even), TETRAHYMENA)
-    fitted, cells = fit_cells(tracked, record(even))
-    assert any("0.0333 to 0.0667 s apart" in remark for remark in fitted.remarks)
-    intervals = [cell.a for cell in cells if cell.a is not None and cell.seconds > 3]
-    truth = even.cells.a
-    assert len(intervals) >= 2
-    for interval in intervals:
-        assert any(interval.low <= a <= interval.high for a in truth)
-
-
-def test_hidden_files_neither_count_nor_spoil_the_others(tmp_path):
-    pictures = drawn(8)
-    path = folder(tmp_path / "film", pictures)
-    for name in ("._picture-0.png", ".DS_Store", "Thumbs.db", "README.txt"):
-        (path / name).write_bytes(b"\0\5\x16\7 no picture")
-    film = open_film(path, 20.0)
-    assert np.array_equal([picture for _, picture in film], pictures)
-    assert seconds_of(film) == pytest.approx(np.arange(8) / 20) and film.damaged == 0
-    assert film.remarks == []
-
-
-def test_a_first_picture_of_another_size_is_the_only_one_lost(tmp_path):
-    pictures = drawn(6)
-    path = folder(tmp_path / "film", pictures)
-    cv2.imwrite(str(path / "picture-0.png"), np.zeros((9, 9), np.uint8))
-    film = open_film(path, 20.0)
-    assert np.array_equal([picture for _, picture in film], pictures[1:])
-    assert film.damaged == 1 and seconds_of(film) == pytest.approx(np.arange(1, 6) / 20)
-
-
-def test_times_follow_the_numbers_of_names_some_of_which_are_missing(tmp_path):
-    path = folder(tmp_path / "film", drawn(10))
-    for number in (4, 5, 6):
-        (path / f"picture-{number}.png").unlink()
-    film = open_film(path, 10.0)
-    assert seconds_of(film) == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.7, 0.8, 0.9])
-    assert film.remarks == [
-        "by the numbers in the names, 3 pictures are missing, the first after picture-3.png: times "
-        "follow the numbers"
-    ]
-
-
-def test_one_picture_is_no_film(tmp_path):
-    path = folder(tmp_path / "film", drawn(1))
-    with pytest.raises(UsageError, match="is one picture, and no film"):
-        open_film(path, 30.0)
 
 
 def test_velocities_do_not_depend_on_the_rate_of_the_pictures():
@@ -299,29 +183,3 @@ def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many,
     ) as error:
         open_film(path, 10.0)
     assert "pip install imagecodecs" in error.value.hint
-
-
-@pytest.mark.long
-def test_a_graph_of_uneven_pictures_has_their_times(tmp_path):
-    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
-    um = {"time_s": [0.0, 0.1, 0.4], "heading": [0.0] * 3, "axis": [0.0] * 3, "sure": [True] * 3}
-    units = {"heading": "rad", "axis": "rad"}
-    pose_columns = [Column(name, values, units.get(name, "")) for name, values in um.items()]
-    poses = Table("Poses", tuple(pose_columns))
-    pixels = {"id": [1] * 3, "t": [0, 1, 4], "y": [5.0] * 3, "x": [6.0, 7.0, 10.0]}
-    track_columns = [Column(name, values) for name, values in pixels.items()]
-    tracks = Table("Tracks", tuple(track_columns))
-    write_geff(tmp_path / "uneven.geff", poses, tracks, None, 2.3)
-    graph = core_io.read_to_memory(tmp_path / "uneven.geff")
-    assert graph["node_props"]["t"]["values"].tolist() == [0.0, 0.1, 0.4]
-    assert [axis.unit for axis in graph["metadata"].axes] == ["second", "pixel", "pixel"]
-
-
-def test_a_rate_that_no_film_has_is_not_used_in_silence(tmp_path):
-    """Regression: "states no rate; ... taken at 0.01 Hz, by their times, which are used"."""
-    (tmp_path / "film").mkdir()
-    for k in range(4):
-        cv2.imwrite(str(tmp_path / "film" / f"{k}.png"), drawn(1)[0])
-    (tmp_path / "film" / TIMES_FILE).write_text("time_s\n0\n50\n100\n150\n")
-    with pytest.raises(UsageError, match=r"for --rate, 0\.02, is not used: not in 0\.1 to 2000"):
-        open_film(tmp_path / "film")

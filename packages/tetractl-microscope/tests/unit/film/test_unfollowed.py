@@ -1,14 +1,9 @@
 """How much of what moves is not followed, in films whose truth is known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from support.dish_films import film, followed
 from support.film_rows import seen_cell
 from tetractl_microscope.cells.detect_cells import Blob
-from tetractl_microscope.film import follow as following
-from tetractl_microscope.film.film_tables import notes
 from tetractl_microscope.film.unfollowed import BLOBS_MIN, EVERY, Unfollowed
 from tetractl_microscope.film.who import CellPath
 
@@ -58,11 +53,6 @@ def share_not_followed(paths):
     return counted.share(pictures, paths, UM_PX, BODY_UM)
 
 
-def rows_of(tracked):
-    """In how many pictures cells were followed, all cells together."""
-    return sum(len(path.sightings) for path in tracked.paths)
-
-
 @pytest.mark.parametrize(("lanes", "share"), [((0, 1), 0.0), ((0,), 0.5), ((0, 2), 0.5)])
 def test_the_share_of_what_moves_without_a_path_is_counted(lanes, share):
     paths = [path(lane) for lane in lanes]
@@ -77,30 +67,3 @@ def test_no_share_is_stated_of_few_blobs_or_without_a_path():
         counted.add(number, number / 30, LIMIT, [blob])
     assert counted.share([], [], UM_PX, BODY_UM) is None
     assert counted.share([(0, picture(0))], [path(0)], UM_PX, BODY_UM) is None
-
-
-@pytest.mark.long
-def test_a_film_says_that_half_of_its_cells_are_not_followed(monkeypatch):
-    synthetic = film(seed=44, side=512, cells=6, crossings=False, seconds=4.0)
-    tracked = followed(synthetic)
-    assert tracked.not_followed is not None and tracked.not_followed < 0.1
-    assert not any("is not followed" in line for line in notes(tracked, ()))
-    all_paths = following.Whereabouts.paths
-
-    def half(where, organism):
-        yield from list(all_paths(where, organism))[::2]
-
-    monkeypatch.setattr(following.Whereabouts, "paths", half)
-    few = followed(synthetic)
-    share = rows_of(few) / rows_of(tracked)
-    assert few.not_followed == pytest.approx(1 - share, abs=0.08)
-    assert any("of what moves, " in line for line in notes(few, ()))
-
-
-def test_a_number_without_a_blob_and_one_beside_a_body_follow_nothing():
-    ghost = path(0)
-    unseen = tuple(replace(cell, has_blob=False) for cell in ghost.sightings)
-    beside_um = 0.4 * LONG * UM_PX  # nearer than half of a body's length, and further than its edge
-    beside = tuple(replace(cell, y=cell.y + beside_um) for cell in path(1).sightings)
-    paths = [replace(ghost, sightings=unseen), replace(path(1), sightings=beside)]
-    assert share_not_followed(paths) == pytest.approx(1.0, abs=0.02)

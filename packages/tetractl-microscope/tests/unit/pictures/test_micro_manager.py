@@ -148,13 +148,6 @@ def test_only_libraries_of_the_installed_folder_are_run(line, feed, tmp_path, mo
     assert Path.cwd() == tmp_path
 
 
-def test_states_may_have_a_slash_in_their_name(feed):
-    feed(
-        f"{CONFIG}\r\n# x/y\r\nLabel,Objective,0,10x/0.25\r\nConfigGroup,Channel\r\n"
-        "ConfigGroup,Objective,Low,Objective,Label,10x/0.25\r\n#\rDevice,A,x/y,B\r\n"
-    )
-
-
 def test_no_spec_names_the_folder_of_the_libraries():
     camera = "{type: cells, um_px: 2, source: {type: micromanager, config: a, adapters: [/tmp]}}"
     with pytest.raises(InvalidSpecError, match="adapters: unknown key"):

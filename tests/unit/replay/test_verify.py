@@ -297,6 +297,34 @@ def test_a_wall_that_a_path_logged_in_the_lab_crosses_was_entered(tmp_path):
     assert any(field.startswith("result.entered") for field in fields)
 
 
+@pytest.mark.parametrize(
+    ("tracked", "edge_mm", "agrees"),
+    [
+        (60, 490.0, True),
+        (60, 500.0, True),
+        (60, 489.0, False),
+        (100, 490.0, True),
+        (100, 500.0, False),
+    ],
+)
+def test_a_pose_that_came_too_late_to_count_as_tracked_is_part_of_the_path(
+    tmp_path, tracked, edge_mm, agrees
+):
+    """From the edge the robot is 500 mm away, in frames from 60 on 490. Regression, a rehearsed
+    day: a cube was switched off while the program stood still, and its last reading, which no frame
+    called tracked, was the nearest to the edge."""
+    log = lab_log(tmp_path, lost(0, tracked), 0.0, "yes", 0.001)
+    mocap = log.mocap.copy()
+    mocap[:, 0, :2] = (log.start.setup.arena.left + 500, 1000)
+    mocap[60:, 0, 0] -= 10
+    verdict = log.result.verdict
+    if tracked == 100:
+        verdict = replace(verdict, final=Poses.of(mocap[-1]))
+    verdict = replace(verdict, edge=(edge_mm, *verdict.edge[1:]))
+    fields = fields_that_differ(replace(log, mocap=mocap), replace(log.result, verdict=verdict))
+    assert ("result.edge.0" not in fields) == agrees
+
+
 @pytest.mark.parametrize(("row", "agrees"), [(-1, True), (-20, False)])
 def test_cells_whose_pictures_ended_before_the_stop_have_the_last_poses(tmp_path, row, agrees):
     """The stop comes 0.8 s after the last frame: 0.5 s until the trial aborts, and repeats."""

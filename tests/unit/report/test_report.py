@@ -119,3 +119,7 @@ def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(batch_of_
     assert carried_errors[0] == min(errors.values())
     assert carried_errors[-1] == max(errors.values())
     assert max(np.diff(carried_errors)) <= 6
+
+
+def test_a_page_of_very_many_batches_carries_three_trials_of_each(batch_of_101):
+    assert len(logs_to_carry(batch_of_101, 1000)) == 3

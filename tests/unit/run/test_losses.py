@@ -5,6 +5,7 @@ import pytest
 from support.marked_robots import install
 from support.mutate import with_entry
 from support.paths import ROOT
+from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
@@ -112,6 +113,14 @@ def test_one_that_stands_while_another_drives_is_dead_and_lost(way_s, dead):
     assert losses.dead.tolist() == dead
     assert losses.lost.tolist() == dead
     assert losses.times.tolist() == [int(is_dead) for is_dead in dead]
+
+
+@pytest.mark.parametrize(
+    ("wheels", "rule"), [(True, LossRule(0.3, False, True, True)), (False, None)]
+)
+def test_unless_a_spec_says_otherwise_one_on_wheels_that_is_dead_ends_the_trial(wheels, rule):
+    stated = {"wheels": {"radius": 40}} if wheels else {}
+    assert experiment(**stated).setup.loss == rule
 
 
 BLUE_STANDS = "blue does not move while others drive"

@@ -100,6 +100,12 @@ def test_whole_numbers_stay_in_their_range(low, width, share, scale):
     assert whole_numbers.at(0.0) == whole_numbers.low
 
 
+def test_whole_numbers_are_drawn_alike_often():
+    two_to_five = Range(low=2, high=5, whole=True)
+    numbers = [two_to_five.at(share) for share in np.arange(0, 1, 0.01)]
+    assert [numbers.count(number) for number in (2, 3, 4, 5)] == [25, 25, 25, 25]
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -1,15 +1,19 @@
 """The simulated bench and the emulated lab: the same trials, alike in distribution."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.optimize import least_squares
 from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
+from tetractl.core.poses import wrap
+from tetractl.model.motion.exact import step as exact
 from tetractl.plant.simulation import SimPlant
 
 pytestmark = pytest.mark.system
@@ -43,6 +47,66 @@ def test_total_errors_agree_in_distribution(paths):
 
     logarithms = (np.log(lab_errors), np.log(sim_errors))
     assert stats.permutation_test(logarithms, difference_of_means, rng=1).pvalue > LOSSES
+
+
+PREDICTED_FRAMES = 24  # 0.2 s
+
+
+FRAMES_BETWEEN_STARTS = 12
+
+
+@dataclass(frozen=True)
+class Steered:
+    """A direction [rad], and when it acts [ns]."""
+
+    since_ns: float
+    direction: float
+
+
+def predicted_headings(pose, start_ns, end_ns, steered, a, bias, speed):
+    """The headings (N,) by (1)-(3) at `end_ns` of robots with poses (N, 3) at `start_ns`."""
+    x, y, heading = pose.T
+    acting = max((entry for entry in steered if entry.since_ns <= start_ns), key=_since)
+    changes = [entry for entry in steered if start_ns < entry.since_ns < end_ns]
+    now_ns = start_ns
+    for change in [*changes, Steered(end_ns, math.nan)]:
+        toward = np.array(acting.direction) + bias
+        seconds = (change.since_ns - now_ns) / SECOND
+        x, y, heading = exact(x, y, heading, toward, a, speed, seconds)
+        now_ns = change.since_ns
+        acting = change
+    return heading
+
+
+def _since(entry):
+    return entry.since_ns
+
+
+def dead_time_s(path, setup):
+    """The dead time with which, by a and biases fitted too, (1)-(3) predict headings best [s]."""
+    observed_ns = np.array([step.observation.sampled_ns for step in path.steps])
+    directions = [step.command.direction for step in path.steps]
+    inside = [observed_ns[0] + SECOND // 4, observed_ns[-1] - SECOND // 5]
+    first, last = np.searchsorted(path.mocap_ns, inside)
+    starts = range(first, last, FRAMES_BETWEEN_STARTS)
+
+    def misses(parameters):
+        """Errors of headings predicted with a dead time [s], factors of a, and biases times a."""
+        dead_time, a_factors, scaled_biases = np.split(parameters, [1, 4])
+        since_ns = observed_ns + dead_time[0] * SECOND
+        steered = [Steered(*entry) for entry in zip(since_ns, directions, strict=True)]
+        a = setup.a * a_factors
+        bias = scaled_biases / setup.a
+        errors = []
+        for start in starts:
+            end = start + PREDICTED_FRAMES
+            span_ns = (path.mocap_ns[start], path.mocap_ns[end])
+            heading = predicted_headings(path.mocap[start], *span_ns, steered, a, bias, setup.speed)
+            errors.append(wrap(heading - path.mocap[end, :, 2]))
+        return np.concatenate(errors)
+
+    guess = [0.05, *([1.0] * 3), *([0.0] * 3)]
+    return least_squares(misses, guess, diff_step=1e-3, loss="soft_l1", f_scale=0.05).x[0]
 
 
 @dataclass(frozen=True)
@@ -95,3 +159,11 @@ def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
     squares = [np.square(gaps(shift_s)).sum() for shift_s in shifts_s]
     best_s = shifts_s[np.argmin(squares)]
     assert abs(best_s) < 0.003
+
+
+@pytest.mark.release
+def test_the_labs_dead_time_is_what_its_parts_add_up_to(paths):
+    """Regression: 0.05 s left no time for frames to be waited for and plans to be computed."""
+    experiment = lab_spec().experiment
+    fitted_s = [dead_time_s(path, experiment.setup) for path in paths[:6]]
+    assert np.median(fitted_s) == pytest.approx(experiment.controller.dead_time, abs=0.008)

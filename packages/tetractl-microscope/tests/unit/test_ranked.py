@@ -40,6 +40,16 @@ def test_the_cells_of_a_trial_are_those_that_differ_most():
     assert [cell.number for cell in chosen_from(spec.experiment, cells)] == [2, 0]
 
 
+@pytest.mark.long
+def test_no_choice_has_cells_that_cannot_be_distinguished():
+    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
+    cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
+    noise = Noise.of(spec.experiment.plant)
+    chosen = {frozenset(choice.numbers) for choice in ranked(spec.experiment, cells, noise, 12)}
+    assert chosen == {frozenset((0, 2)), frozenset((1, 2))}
+    assert ranked(spec.experiment, cells[:2], noise, 12) == []
+
+
 def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_are():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]

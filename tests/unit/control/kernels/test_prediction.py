@@ -51,6 +51,24 @@ def test_it_leads_where_the_readable_prediction_does(
     assert fast.obstacle == slow.obstacle
 
 
+@pytest.mark.parametrize(
+    ("motion", "period"),
+    [("euler", 0.2), ("arc", 0.2), ("arc", 1.0), *(("exact", t) for t in (0.2, 1.0, 4.0, 40.0))],
+)
+def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion, period):
+    """Swarms clamp signals to pi, against which a robot stands that heads for 0. Where it heads on
+    a circle's far side by a rounding error, the error grows by e^(a T) in a step."""
+    world = problems.world(4, 3, 0, motion, period=period)
+    problem = problems.problem(world)
+    poses = replace(problem.poses, heading=np.array([0.0, 0.3, -math.pi]))
+    problem = replace(problem, poses=poses, a=np.array([6.0, 4.0, 3.0]))
+    signals = np.array([math.pi, 0.7, -math.pi, 2.0, 2.2, -1.0])
+    slow = foresee(problem, signals)
+    fast = compiled_foresee(problem, signals)
+    assert fast.path == pytest.approx(slow.path, rel=1e-6, abs=1e-4)
+    assert fast.target == pytest.approx(slow.target, rel=1e-6)
+
+
 @pytest.mark.long
 @given(seed=SEEDS, swept=st.booleans(), margin=st.sampled_from([0.0, 30.0]))
 def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):

@@ -22,6 +22,7 @@ from support.film_containers import (
 from support.hostile_films import BOMBS, outcome
 from support.needs_opencv import cv2, video
 from tetractl_microscope.film.film_source import (
+    FilmSource,
     grey_levels,
     grey_scale,
     nd2_film,
@@ -99,6 +100,12 @@ def test_of_channels_the_first_is_read_and_that_is_said(tmp_path):
     )  # fmt: skip
     assert np.array_equal([p for _, p in film], pictures[::2])
     assert film.remarks == ["the first of 2 channels is read"]
+
+
+def test_what_has_no_height_and_width_is_no_picture():
+    shapes = [(8,), (0, 8), (8, 0), (2, 2, 2, 2), (8, 9), (8, 9, 3)]
+    source = FilmSource(lambda index: np.zeros(shapes[index], np.uint8), len(shapes))
+    assert [shot.pixels is None for shot in source.pictures()] == [True] * 4 + [False] * 2
 
 
 def test_films_of_any_depth_use_their_own_range():

@@ -1,5 +1,8 @@
 """Logs that anybody may have made: every command ends, and says why in a line."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -7,6 +10,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.records import Attachment
 from support.commands import COMMANDS, check
 from support.mutate import rewrite, stating
+from support.paths import ROOT
 from support.random_trials import trial, write
 
 from tetractl.log.format.channels import (
@@ -92,3 +96,14 @@ def test_a_message_that_is_none_is_told_in_a_line(topic, contents, tmp_path):
     log = rewrite(contents, tmp_path / "hostile.mcap", spoilt)
     for command in ("info", "info --json", "verify"):
         check(command, log, tmp_path / "out")
+
+
+def test_too_few_addresses_are_one_line():
+    """Regression: OpenBLAS asked for memory without end, in an import that no signal ends."""
+    done = subprocess.run(
+        ["bash", "-c", f"ulimit -v 400000; exec '{sys.executable}' -m tetractl stats x"],
+        capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    first, hint = done.stderr.splitlines()
+    assert first == "error: 410 MB of address space are allowed, 1000 are needed"
+    assert (done.returncode, hint) == (1, "  hint: ulimit -v unlimited")

@@ -1,5 +1,8 @@
 """The command line: one module per command, which reads the options and prints results."""
 
+ADDRESSES_NEEDED = 1e9
+"""Least address space [bytes] for a process; with less, OpenBLAS tries to get memory for ever."""
+
 
 def main() -> None:
     """Run the command line and exit with one of the codes of `Exit`.
@@ -21,9 +24,28 @@ def main() -> None:
     atexit.register(ignore_signals)
     open_streams()
     leave_on_signals(Exit.INTERRUPTED, lambda: say_at_once(b"error: interrupted\n"))
+    allowed = _address_limit()
+    if allowed < ADDRESSES_NEEDED:
+        print(
+            f"error: {allowed / 1e6:.0f} MB of address space are allowed, 1000 are needed",
+            "  hint: ulimit -v unlimited",
+            sep="\n",
+            file=sys.stderr,
+        )
+        sys.exit(Exit.FAILED)
     from tetractl.cli.app import run_app
 
     code = run_app()
     leave_on_signals(code)
     close_stdout()
     sys.exit(code)
+
+
+def _address_limit() -> float:
+    """Return the largest address space that the process may use [bytes]."""
+    try:
+        import resource
+    except ImportError:  # Windows does not have this module
+        return float("inf")
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return float("inf") if limit == resource.RLIM_INFINITY else limit

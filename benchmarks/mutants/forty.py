@@ -35,7 +35,7 @@ tetractl/experiment/experiment.py | self.on_lost == "stop" and not on_wheels | s
 tetractl/experiment/yaml/core_yaml.py | column = len(before) - before.rfind("\n") - 1 | column = len(before) - before.rfind("\n") | tests/unit/experiment/yaml
 tetractl/gym.py | set(options or {}) - {"trial"} | set(options or {}) - {"trial", "seed"} | tests/unit/test_gym.py
 tetractl/lab/actuators/m3pi/broadcast.py | (self._sequence + 1) % 256 | (self._sequence + 1) % 255 | tests/unit/lab/actuators
-tetractl/lab/calibrate.py | max(TURNED_RAD, QUIET_TURNS * turned_rad) | min(TURNED_RAD, QUIET_TURNS * turned_rad) | tests/unit/lab/test_calibrate.py packages/tetractl-emulator/tests/plays/test_lab_commands.py
+tetractl/lab/calibrate.py | (forwards - backwards) / 2 | (forwards + backwards) / 2 | tests/unit/lab/test_calibrate.py packages/tetractl-emulator/tests/plays/test_lab_commands.py
 tetractl/log/read/overview.py | (len(entries) - 1) * SECOND / span_ns | len(entries) * SECOND / span_ns | tests/unit/log tests/cli/test_info_cli.py
 tetractl/log/read/recover.py | max((entry.log_ns for entry in contents.entries), default=0) | min((entry.log_ns for entry in contents.entries), default=0) | tests/unit/log/read
 tetractl/model/motion/exact.py | a * p - m * alternating(k, first_b, len(k), q) | a * p + m * alternating(k, first_b, len(k), q) | tests/unit/control/kernels/test_prediction.py

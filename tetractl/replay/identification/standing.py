@@ -57,7 +57,7 @@ def stands_of(tracks: Sequence[Track], robot: int, dead_time_s: float) -> tuple[
             continue
         begin_s = float(track.time[0])
         stood = _stood(times[seen] - begin_s, track.poses[seen, robot])
-        middles_s = begin_s - dead_time_s + BIN_S * (np.arange(len(stood) + 1) + 0.5)
+        middles_s = begin_s - dead_time_s + BIN_S * np.arange(0.5, len(stood) + 1)
         stood &= _is_asked(track, robot, middles_s)
         edges = np.diff(stood.astype(np.int64), prepend=0, append=0)
         for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):

@@ -105,7 +105,6 @@ design spec.yaml | 'design' is no longer there | run any trials
 identify logs poses.csv | logs and CSV files cannot be combined
 rerun LOG --plant lab --yes | lab
 rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'
-analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | Invalid value for '--plans'
 kinds --set x=1 | --set and --spec need --check

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tetractl.cli import ui
-from tetractl.cli.options import LikeFormatJson, Sets, argument, option, out_option, switch
+from tetractl.cli.options import LikeFormatJson, Sets, argument, option, switch
 from tetractl.core.errors import Exit, LogError, printable
 from tetractl.tools.table.table_files import csv_text, json_text
 from tetractl.tools.table.terminal_table import TEXTS, print_tables
@@ -131,10 +131,6 @@ def analyze(
         Literal["text", "json"], option("text|json", "Output format.", "--format")
     ] = "text",
     as_json: LikeFormatJson = False,
-    out: Annotated[
-        Path | None,
-        out_option("FILE", "File of the figure to draw: .png, .svg or .pdf."),
-    ] = None,
 ) -> int:
     """Predict how well the robots of a spec can be steered together; no trial is run.
 
@@ -145,16 +141,12 @@ def analyze(
     of fewer robots. If the turning rates a of two robots are too similar, searches for a better
     value of one of them.
 
-    Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
+    Example: tetractl analyze experiments/tetrahymena.yaml
     """
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items
     from tetractl.analysis.analyze import analyze as predict
 
-    if out:
-        from tetractl.view.style import file_format
-
-        file_format(out)  # checked before the search, which takes some seconds
     experiment = ui.load(spec, sets).experiment
     with ui.progress("Planning") as planned:
         analysis = predict(experiment, plans, planned)
@@ -163,10 +155,4 @@ def analyze(
     else:
         print_tables(tables(analysis))
         print(printable(advice(analysis)), flush=True)
-    if out:
-        from tetractl.view.figures.analysis import analysis_figure
-        from tetractl.view.style import save
-
-        save(analysis_figure(analysis), out)
-        ui.tell(f"wrote {out}")
     return Exit.DONE

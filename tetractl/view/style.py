@@ -132,7 +132,9 @@ def _lower_legends(drawing: Figure, share: float) -> float:
     """
     if not drawing.legends:
         return 0.0
-    lay_out(drawing)
+    engine = drawing.get_layout_engine()
+    if engine is not None:
+        engine.execute(drawing)
     above_in = 0.0
     for legend in drawing.legends:
         box = legend.get_window_extent()
@@ -140,13 +142,6 @@ def _lower_legends(drawing: Figure, share: float) -> float:
             above_in = max(above_in, box.height / drawing.dpi + LEGEND_GAP_IN)
             legend.set_bbox_to_anchor((0.0, 0.0, 1.0, share), transform=drawing.transFigure)
     return above_in
-
-
-def lay_out(drawing: Figure) -> None:
-    """Compute the positions of axes and legends without drawing."""
-    engine = drawing.get_layout_engine()
-    if engine is not None:
-        engine.execute(drawing)
 
 
 def grid_of_heights(axes: Axes) -> None:

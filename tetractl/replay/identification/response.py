@@ -653,7 +653,8 @@ class _Obeyed:
 
     @classmethod
     def of(cls, measured: Floats, fitted: Floats, gain: float, sent: Floats) -> "_Obeyed":
-        """Return it of turns or ways (M,), those that are fitted and those that were sent."""
+        """Return what commands explain of measured turns or ways (M,), by those that the fit makes
+        of the commands (M,) and those that were sent (M,)."""
         rest = float(np.square(measured - fitted).sum())
         commanded = float(np.square(sent).sum())
         total = float(np.square(measured).sum())

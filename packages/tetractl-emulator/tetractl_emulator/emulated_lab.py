@@ -1,10 +1,19 @@
-"""The emulated lab: camera, actuator, faults, a record of events, and a helper who moves robots."""
+"""An emulated lab: robots, what drives them, and a camera that shows them, for a program to use.
+
+The program opens the lab's ports and addresses as it does those of a real lab. An `EmulatedLab`
+builds the two emulated devices that the types of the spec name, lets the faults of a script act on
+them, and records what truly happens, as JSON lines. If asked to, it also plays the person who puts
+robots back on their starts after each run.
+
+    with EmulatedLab(lab, setup, script, Options()) as emulation:
+        emulation.run()                     until emulation.loop.end()
+"""
 
 import json
 from collections.abc import Callable
 from typing import Any, Self, TextIO
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabSection
@@ -17,6 +26,10 @@ from tetractl_emulator.sides import EmulatedActuator, EmulatedCamera, Facts, Opt
 from tetractl_emulator.wires import Wires
 
 Report = Callable[[str, Facts], None]
+TICK_NS = 2 * MILLISECOND
+"""Time between two looks at what robots do."""
+CARRIED_NS = SECOND // 2
+"""Time for which robots are carried to their starts."""
 _as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
@@ -66,8 +79,8 @@ class EmulatedLab:
         holder = PortHolder(self, self.wires.clock())
         self._process = holder if process_of is None else process_of(self)
         self._moving = [False] * len(self.actuator.bodies)
-        self._ran = False  # whether robots moved since they were last put on their starts
-        self._still_since: int | None = start_ns  # time [ns]; None while any robot moves
+        self._has_run = False  # whether robots were driven since they were put on their starts
+        self._at_rest_since_ns: int | None = start_ns  # None while any robot moves
         self._put_on_starts()
 
     def __enter__(self) -> Self:
@@ -166,44 +179,53 @@ class EmulatedLab:
         self._report("fault", facts)
 
     def _tick(self) -> None:
-        """Advance the actuator, and record which robots start or stop moving."""
-        now = self.timeline.now_ns
+        """Do what is due every TICK_NS."""
+        now_ns = self.timeline.now_ns
         self.actuator.tick()
-        if not self._ran and self.actuator.driven:
-            self._ran = True
-            if self._still_since is not None:  # a run begins: rest before it does not count
-                self._still_since = now
+        self._note_run(now_ns)
+        self._note_motion(now_ns)
+        self._carry_if_done(now_ns)
+        self.timeline.at(now_ns + TICK_NS, self._tick)
+
+    def _note_run(self, now_ns: int) -> None:
+        """Note the first command that drives robots, and the first after it that drives none."""
+        driven = self.actuator.driven
+        if driven and not self._has_run:
+            self._has_run = True
+            if self._at_rest_since_ns is not None:  # rest before a run does not count
+                self._at_rest_since_ns = now_ns
             self.note("run")
             self._report("run", {})
             self.injector.happened("run")
-        elif self._ran and not self.actuator.driven:
+        elif self._has_run and not driven:
             self.injector.happened("stop")
+
+    def _note_motion(self, now_ns: int) -> None:
+        """Note each robot that starts or stops moving, and when all have come to rest."""
         for i, body in enumerate(self.actuator.bodies):
             if self._moving[i] == body.standing:
                 self._moving[i] = not body.standing
                 self.note("robot", name=body.name, moving=self._moving[i])
-        if any(self._moving):
-            if self._still_since is not None:
-                self._report("moving", {})
-            self._still_since = None
-        elif self._still_since is None:
-            self._still_since = now
+        was_at_rest = self._at_rest_since_ns is not None
+        moving = any(self._moving)
+        if moving and was_at_rest:
+            self._at_rest_since_ns = None
+            self._report("moving", {})
+        elif not moving and not was_at_rest:
+            self._at_rest_since_ns = now_ns
             self._report("rest", {})
-        self._help(now)
-        self.timeline.at(now + 2_000_000, self._tick)
 
-    def _help(self, now: int) -> None:
-        """Carry the robots back to their starts once they have stood still for `replace_after`."""
-        wait = self._options.replace_after
-        if wait is None or not self._ran or self._still_since is None:
+    def _carry_if_done(self, now_ns: int) -> None:
+        """Begin to carry robots to their starts that have stood for `replace_after` since a run."""
+        wait_s = self._options.replace_after
+        if wait_s is None or not self._has_run or self._at_rest_since_ns is None:
             return
-        if now - self._still_since < round(wait * SECOND):
+        if now_ns - self._at_rest_since_ns < round(wait_s * SECOND):
             return
-        self._ran = False
+        self._has_run = False
         self.injector.acting.carried = True
         self.actuator.switch(False)
-        # a robot is carried for half a second
-        self.timeline.at(now + 500_000_000, self._put_down)
+        self.timeline.at(now_ns + CARRIED_NS, self._put_down)
 
     def _put_down(self) -> None:
         self._put_on_starts()

@@ -1,8 +1,9 @@
-"""How faults are drawn on rehearsed days, and what the guard may say of them.
+"""What a fault is on a rehearsed day: how its strength is drawn, and which words name it rightly.
 
-The table of faults is that of the lab's sides: each kind of fault has `rows`, its variants on a
-day, with their weights, the draws of their fields, and the reasons that name them rightly. So a
-device of another package takes part by its own kinds.
+Each emulated device lists the kinds of faults that it can have. A kind has `rows`, its variants on
+a day: a `FaultRow` has a weight, a draw for each field of the fault, and a pattern; a guard that
+ends a run with a reason which matches it has named the fault. So a device of another package takes
+part in rehearsals by its own kinds.
 """
 
 import math

@@ -1,4 +1,10 @@
-"""An emulated device's serial port: a pseudo-terminal with a chosen name."""
+"""Serial ports of emulated devices, and what such devices have in common.
+
+A `PseudoPort` is a pseudo-terminal that programs open by a chosen name, such as /tmp/radio. A
+`SerialDevice` hears what they write to it once the bytes have passed the line, ten bits a byte, and
+its answers take as long; of a wrong baud rate it hears nothing. `PluggedDevices` are plugged in and
+unplugged together.
+"""
 
 import errno
 import os

@@ -1,4 +1,8 @@
-"""A script for the emulated lab: differences from the spec, and faults with their times."""
+"""Scripts, which say what is wrong with an emulated lab: how it differs from the spec, and faults.
+
+A script is YAML. Which settings and faults it may name depends on the lab's camera and actuator: a
+`Sides` holds the two classes that emulate them.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

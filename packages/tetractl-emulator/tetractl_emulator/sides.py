@@ -1,4 +1,7 @@
-"""The interfaces of emulated devices: an actuator moves bodies, and a camera shows them.
+"""What an emulated camera and an emulated actuator must be able to do.
+
+The actuator moves bodies as a program asks, and the camera shows them to it. The class that
+emulates one of the two is called a *side* of the lab.
 
 To emulate another camera or actuator, implement the interface and name the class in the entry
 points `tetractl.emulated_cameras` or `tetractl.emulated_actuators`; those of this package are named

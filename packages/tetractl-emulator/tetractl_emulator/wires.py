@@ -1,4 +1,8 @@
-"""The wires between an emulated lab and the programs that use it."""
+"""How an emulated lab and the program that drives it reach each other.
+
+By default by sockets and pseudo-terminals of this computer, in real time; `virtual_lab` makes other
+`Wires`, in memory.
+"""
 
 import socket
 from collections.abc import Callable

@@ -1,7 +1,10 @@
-"""Emulated robots: the firmware's core, which reads the radio, a battery, and wheels that move by
-`model.wheels`.
+"""Robots on two wheels, emulated: what a program in each makes of what it hears, and how they move.
 
-Lengths are millimetres.
+An `EmulatedRobot` is one robot's electronics: by default it runs the real firmware's core, which
+reads the bytes of the radio and gives both motors a number of counts. `EmulatedRobots` moves all of
+them: each wheel follows the speed of its counts with a first-order lag, and a robot of wheel speeds
+l, r and wheel distance d from its centre drives at (l + r) / 2 and turns at (r - l) / (2 d), by
+`model.wheels`. Lengths are mm, speeds mm/s, times ms in a program and ns elsewhere.
 """
 
 from collections.abc import Callable, Sequence

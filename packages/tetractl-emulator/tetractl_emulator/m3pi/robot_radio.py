@@ -1,4 +1,8 @@
-"""The base of emulated radios to robots on wheels."""
+"""What all emulated radios do on the way from a program to robots: lose, delay and double messages.
+
+A subclass takes bytes from the program's port, and calls `pass_on` for each whole message; answers
+of robots are its own affair.
+"""
 
 import random
 from abc import abstractmethod

@@ -1,4 +1,9 @@
-"""What emulated cameras that send all robots' poses in one frame have in common: exposures."""
+"""Emulated cameras that send the poses of all robots in one frame: when they expose and send.
+
+Frame k is exposed k / rate after the begin; it shows where robots are then, as faults displace
+them. It is sent a latency later, which varies a little from frame to frame, and by faults later,
+twice, in place of another, or not at all. How a frame is packed, a subclass says.
+"""
 
 import random
 from abc import ABC, abstractmethod

@@ -25,7 +25,7 @@ class MemoryCamera:
     manager. It is also the `Feed` of the program that watches it, which `join` returns.
 
     `shown(exposed_ns)` is called when the picture of an exposure arrives undamaged. Nothing is
-    drawn while nobody watches: before `join` and after `interrupt`. Of more than `WAITING_MAX`
+    drawn while no program watches: before `join` and after `interrupt`. Of more than `WAITING_MAX`
     pictures on the wire the oldest are lost.
     """
 
@@ -44,7 +44,7 @@ class MemoryCamera:
         self._next = 0  # number of the next picture
         self._wire = deque[DuePart](maxlen=WAITING_MAX)
         self._parts = Multipart(BOUNDARY)
-        self._take: Callable[[bytes], None] | None = None  # None while nobody watches
+        self._take: Callable[[bytes], None] | None = None  # None while no program watches
 
     def __enter__(self) -> Self:
         self._start_ns = self._clock.true_ns

@@ -1,4 +1,10 @@
-"""Settings and faults that all emulated cameras share that serve pictures as an MJPEG stream."""
+"""Emulated cameras that send pictures, such as a webcam or a microscope: what they have in common.
+
+They are a `StreamedCamera`: it remembers the scene as it was at each moment, since a picture is
+drawn after its exposure; draws it when the camera asks; and sends it as a stream of JPEG files,
+over HTTP or in memory. A subclass says what the scene is, and draws it. All have the settings and
+the faults of such a stream.
+"""
 
 from abc import ABC, abstractmethod
 from bisect import bisect_left

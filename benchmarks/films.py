@@ -3,7 +3,7 @@
     python benchmarks/films.py score     F1, positions, names, intervals of `tetractl track`
     python benchmarks/films.py peers     the same of trackpy and laptrack on plain detections
     python benchmarks/films.py rules     what each rule of the tracker is worth, on three drawn
-                                         films and a given one
+                                         films in each --setting, and on a given one
     python benchmarks/films.py reversed  bodies under positions of a given film, links that the film
                                          run backwards contradicts, bodies followed; trackpy's, too
 
@@ -28,30 +28,32 @@ from pathlib import Path
 import cv2
 
 sys.path.insert(0, str(Path(__file__).parent))
-from filmworld.ours import SETTINGS, track
+from filmworld.in_memory import FilmInMemory
+from filmworld.ours import SETTINGS, Setting, track
 from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.taken_out import RULES, take_out, without
 from filmworld.truth import FilmTruth, write_film
+from tetractl_microscope.film.field_file import FieldRecord, read_field
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import named
 
 RENDERERS = ("first", "second")
 LEVELS = ("easy", "normal", "hard")
+CELLS = 20  # with a magnet, in a film
 RULE_FILMS = (("second", "normal"), ("first", "hard"), ("second", "hard"))
-RULES_EVERY = 3  # pictures of these films: 10 Hz
 
 
-def rendered(cache: Path, renderer: str, level: str, seed: int) -> Path:
-    """Return the folder of a film, which is rendered if it is not there."""
-    folder = cache / f"{renderer}-{level}-{seed}"
+def rendered(cache: Path, renderer: str, level: str, seed: int, cells: int = CELLS) -> Path:
+    """Return the folder of a film of so many cells, which is rendered if it is not there."""
+    folder = cache / f"{renderer}-{level}-{seed}{'' if cells == CELLS else f'-{cells}'}"
     if not folder.exists():
         if renderer == "first":
             from filmworld.first import first_film as film
         else:
             from filmworld.second import second_film as film
-        write_film(folder, *film(seed, level))
+        write_film(folder, *film(seed, level, cells))
     return folder
 
 
@@ -134,38 +136,47 @@ def peers(chosen: argparse.Namespace) -> None:
 
 
 def rules(chosen: argparse.Namespace) -> None:
-    """Print a row for each rule, or for those of --without: the measures of RULE_FILMS, at 10 Hz
-    and without a field, and of the given film without it. Places are not smoothed.
+    """Print a row for each rule, or for those of --without: the measures of a given film without
+    the field, if there is one, and of RULE_FILMS in each setting. Places are not smoothed.
     """
-    from filmworld.in_memory import FilmInMemory
     from filmworld.without_truth import body_masks, followed, no_body, unfitted
 
     cv2.setNumThreads(1)
-    drawn = []
-    for renderer, level in RULE_FILMS:
-        folder = rendered(chosen.cache, renderer, level, chosen.first_seed)
-        truth = FilmTruth.load(folder / "truth.npz").thinned(RULES_EVERY)
-        film = open_film(folder / "film.avi", None, truth.um_px)
-        drawn.append((FilmInMemory.read(film, step=RULES_EVERY), truth))
-    film = FilmInMemory.read(open_film(chosen.film, chosen.rate, chosen.scale))
-    film.pictures = film.pictures[: chosen.pictures]
-    bodies = body_masks(film.pictures, chosen.darker)
-    print("| taken out | no body | followed | F1 | IDF1 | wrong names, called sure | sure |")
+    drawn = [film for setting in chosen.setting for film in rule_films(chosen, SETTINGS[setting])]
+    film = None
+    bodies = []
+    if chosen.film is not None:
+        film = FilmInMemory.read(open_film(chosen.film, chosen.rate, chosen.scale))
+        film.pictures = film.pictures[: chosen.pictures]
+        bodies = body_masks(film.pictures, chosen.darker)
+    of_film = "" if film is None else "no body | followed | "
+    print(f"| taken out | {of_film}F1 | IDF1 | wrong names, called sure | sure |")
     for rule in ("", *(chosen.without or RULES)):
+        cells = [rule or "none"]
         with without(rule):
-            rows, _ = unfitted(film, chosen.scale, named(chosen.organism))
+            if film is not None:
+                rows, _ = unfitted(film, chosen.scale, named(chosen.organism))
+                cells += ["{} of {}".format(*m(rows, bodies)) for m in (no_body, followed)]
             scores = [
-                score_film(str(film.path), truth, Shown.of(follow(film, truth.um_px, None)))
-                for film, truth in drawn
+                score_film(str(film.path), truth, Shown.of(follow(film, truth.um_px, field)))
+                for film, truth, field in drawn
             ]
         wrong = [sure for score in scores for sure in score.wrong]
-        cells = [
-            rule or "none",
-            *("{} of {}".format(*m(rows, bodies)) for m in (no_body, followed)),
-        ]
         cells += [f"{f1(scores):.4f}", f"{idf1(scores):.3f}"]
         cells += [f"{len(wrong)}, {sum(wrong)}", f"{called_sure(scores):.3f}"]
         print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def rule_films(
+    chosen: argparse.Namespace, setting: Setting
+) -> Iterator[tuple[FilmInMemory, FilmTruth, FieldRecord | None]]:
+    """Yield RULE_FILMS in a setting: the pictures, the truth, and the field if it is read."""
+    for renderer, level in RULE_FILMS:
+        folder = rendered(chosen.cache, renderer, level, chosen.first_seed, chosen.cells)
+        truth = FilmTruth.load(folder / "truth.npz").thinned(setting.step)
+        film = open_film(folder / "film.avi", None, truth.um_px)
+        field = read_field(folder / "field.csv") if setting.has_field else None
+        yield FilmInMemory.read(film, step=setting.step), truth, field
 
 
 def of_film(chosen: argparse.Namespace) -> None:
@@ -184,7 +195,13 @@ def main() -> None:
     parser.add_argument("film", type=Path, nargs="?", help="the film of `reversed`, or `rules`")
     parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
-    parser.add_argument("--setting", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
+    parser.add_argument(
+        "--setting",
+        nargs="+",
+        choices=list(SETTINGS),
+        help="all, if not given; of `rules`: no-field-10hz",
+    )
+    parser.add_argument("--cells", type=int, default=CELLS, help="of `rules`: in each film")
     parser.add_argument("--count", type=int, default=15, help="films of each kind")
     parser.add_argument("--first-seed", type=int, default=9000)
     parser.add_argument("--cache", type=Path, help="folder of the films; else a temporary one")
@@ -206,8 +223,10 @@ def main() -> None:
     if chosen.part != "rules":
         take_out(chosen.without)
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
-    if chosen.part in ("rules", "reversed") and chosen.film is None:
-        parser.error(f"{chosen.part} needs a film")
+    if chosen.setting is None:
+        chosen.setting = ["no-field-10hz"] if chosen.part == "rules" else list(SETTINGS)
+    if chosen.part == "reversed" and chosen.film is None:
+        parser.error("reversed needs a film")
     with tempfile.TemporaryDirectory() as folder:
         chosen.cache = chosen.cache or Path(folder)
         PARTS[chosen.part](chosen)

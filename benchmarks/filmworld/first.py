@@ -109,18 +109,19 @@ class WideFilm(SyntheticFilm):
     late_s: float = 0.0
 
     @classmethod
-    def drawn(cls, seed: int, level: str) -> "WideFilm":
+    def drawn(cls, seed: int, level: str, cell_count: int = CELLS) -> "WideFilm":
         level_index = ("easy", "normal", "hard").index(level)
         random = np.random.default_rng([seed, 1, level_index])
         hard = level == "hard"
         easy = level == "easy"
         seconds = 10.0 if easy else round(random.uniform(10, 12) * 30) / 30
+        count = cell_count + STRANGERS
         cells = PulsingSwimmers(
-            **vars(Swimmers.drawn(random, CELLS + STRANGERS, STRANGERS)),
+            **vars(Swimmers.drawn(random, count, STRANGERS)),
             base=np.zeros(0),
-            pulse=random.uniform(*((0.04, 0.06), (0.05, 0.07), (0.06, 0.1))[level_index], 24),
-            pulse_hz=np.exp(random.uniform(*LN_PULSE_HZ, 24)),
-            age=random.uniform(0, 10, 24),
+            pulse=random.uniform(*((0.04, 0.06), (0.05, 0.07), (0.06, 0.1))[level_index], count),
+            pulse_hz=np.exp(random.uniform(*LN_PULSE_HZ, count)),
+            age=random.uniform(0, 10, count),
         )
         cells.base = cells.speed.copy()
         latest_s = 0.02 if hard else 0.01
@@ -133,7 +134,13 @@ class WideFilm(SyntheticFilm):
             contrast = look.contrast * brighter
             look = replace(look, light=BRIGHT_FIELD, contrast=contrast)
         return cls(
-            FilmScript(seconds=seconds, strangers=STRANGERS, events=not easy, crossings=6.0),
+            FilmScript(
+                seconds=seconds,
+                cells=cell_count,
+                strangers=STRANGERS,
+                events=not easy,
+                crossings=6.0,
+            ),
             look,
             seed,
             cells,
@@ -202,9 +209,11 @@ class WideFilm(SyntheticFilm):
         )
 
 
-def first_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
+def first_film(
+    seed: int, level: str, cell_count: int = CELLS
+) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
     """Return the truth of a film, its pictures and the quality at which they are to be coded."""
-    film = WideFilm.drawn(seed, level)
+    film = WideFilm.drawn(seed, level, cell_count)
     return film.truth(), film.pictures(), film.look.quality
 
 

@@ -21,17 +21,19 @@ FOCUS_UM = 4.0  # step of the focus in which debris at rest is drawn
 TRIES = 60  # attempts to let two neighbours cross in view
 
 
-def second_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
+def second_film(
+    seed: int, level: str, cell_count: int = CELLS
+) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
     """Return the truth of a film, its pictures and the quality at which they are to be coded."""
     random = np.random.default_rng([seed, 2, ("easy", "normal", "hard").index(level)])
     conditions = Conditions.drawn(random, level)
-    fauna = Fauna.drawn(random, CELLS, STRANGERS, conditions.pulse)
+    fauna = Fauna.drawn(random, cell_count, STRANGERS, conditions.pulse)
     times = [0.0]
     while times[-1] < conditions.seconds:
         times.append(times[-1] + random.uniform(0.3, 1.2))
     turns = np.column_stack([times, random.uniform(-np.pi, np.pi, len(times))])
     rest = (
-        (CELLS - 1, 0.4 * conditions.seconds, 0.6 * conditions.seconds)
+        (cell_count - 1, 0.4 * conditions.seconds, 0.6 * conditions.seconds)
         if conditions.events
         else None
     )
@@ -112,7 +114,8 @@ class _World:
         side = SIDE_PX * UM_PX
         middle = self.swum.place[half, self.slot, :2] + self.shift
         may_divide = (self.span[:, 0] < half) & (self.span[:, 1] > half + 2 * STEPS_S)
-        may_divide &= ((middle > 250) & (middle < side - 250)).all(axis=1) & (self.slot < CELLS - 1)
+        rests = len(self.fauna.speed) - STRANGERS - 1  # the last cell with a magnet
+        may_divide &= ((middle > 250) & (middle < side - 250)).all(axis=1) & (self.slot < rests)
         if not may_divide.any():
             return
         mother = int(random.choice(np.flatnonzero(may_divide)))

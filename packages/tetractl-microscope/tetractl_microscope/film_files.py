@@ -4,7 +4,6 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.registries import CELL_FIGURES
 from tetractl_microscope.results.cell_tables import cell_data
-from tetractl_microscope.results.geff_file import write_geff
 
 SIDE_PX = 768  # longest side of the film with the tracks; larger films are drawn at a fraction
 TRAIL = 45  # length of a trail [pictures]
@@ -37,7 +35,7 @@ Cells = list[SeenCell]
 
 
 def write_results(folder: Path, film: FilmPictures, followed: Followed, record: Any) -> None:
-    """Write all results of a film into a folder; GEFF only if its package is installed."""
+    """Write all results of a film into a folder."""
     poses, tracks = pose_tables(followed)
     tables = {"cells": cell_data(record), "poses": poses, "tracks": tracks}
     with table_files({name: folder / f"{name}.csv" for name in tables}) as add:
@@ -53,9 +51,6 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
             if len(path.times) > 1
         ]
         _draw_figures(folder, FilmTracks(record, long_paths, picture))
-        if find_spec("geff") is not None:
-            rate_hz = followed.rate_hz if followed.timing.even else None
-            write_geff(folder / "tracks.geff", poses, tracks, rate_hz, followed.um_px)
 
 
 def _draw_figures(folder: Path, tracks: FilmTracks) -> None:

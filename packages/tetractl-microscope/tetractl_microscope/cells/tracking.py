@@ -87,7 +87,6 @@ class CellTracker:
         most_um2 = AREAS_MOST * organism.outline_um2[1]
         self.um_px = um_px
         self.finder = BlobFinder(least_um2 / um_px**2, most_um2 / um_px**2)
-        self.blobs = list[Blob]()  # those of the newest picture
         self.answers: Sequence[CellAnswer] = ()  # to questions that the newest picture decided
         self.bank = HelixFilter(field_known, near_wall, organism)
         self._names = Names(self.bank, organism.body_um[0], splits)
@@ -112,8 +111,8 @@ class CellTracker:
         """
         now = self._now(picture, seconds)
         self._predict(now, field)
-        self._find_blobs(picture)
-        groups, free = self._assign_blobs(now)
+        blobs = self._find_blobs(picture)
+        groups, free = self._assign_blobs(blobs, now)
         self._update_cells(groups, now)
         self._update_names(groups, now)
         for cell in self._newcomers.follow(free, self._cells, now):
@@ -143,16 +142,17 @@ class CellTracker:
         pieces = () if self._seconds is None else field(self._seconds, now.seconds)
         self.bank.predict(pieces)
 
-    def _find_blobs(self, picture: Grey) -> None:
-        """Find the blobs of a picture, and move all objects if it was shifted by a knock."""
+    def _find_blobs(self, picture: Grey) -> list[Blob]:
+        """Return the blobs of a picture, after all objects were moved if a knock has shifted it."""
         blobs = self.finder.find(picture)
         light = self.finder.light
         (shortest_um, _), _ = self.bank.organism.outline_um
-        bodies = [blob for blob in blobs if blob.long * self.um_px > shortest_um]
-        self.blobs = [] if light.lost else bodies
         columns, rows = light.shift_px
         if columns or rows:
             self._shift(columns * self.um_px, -rows * self.um_px)
+        if light.lost:
+            return []
+        return [blob for blob in blobs if blob.long * self.um_px > shortest_um]
 
     def _shift(self, x: float, y: float) -> None:
         """Move all objects by x, y [um], with the picture's content."""
@@ -164,27 +164,36 @@ class CellTracker:
 
     # ---- step 2: blobs are assigned to tracks ----
 
-    def _assign_blobs(self, now: PictureNow) -> tuple[list[CellsInBlob], list[FreeBlob]]:
+    def _assign_blobs(
+        self, blobs: Sequence[Blob], now: PictureNow
+    ) -> tuple[list[CellsInBlob], list[FreeBlob]]:
         """Give each track its blob; return the blobs that cells have, and those that none has."""
         cells = self._cells
         specks = self._newcomers.specks
-        places = now.places_of(self.blobs)
+        places = now.places_of(blobs)
         organism = self.bank.organism
         expected, spread = self.bank.expected(np.array([cell.row for cell in cells], int))
-        costs = match.cell_costs(cells, expected, spread, self.blobs, places, now, organism)
+        costs = match.cell_costs(cells, expected, spread, blobs, places, now, organism)
         speck_costs = match.speck_costs(specks, places, now.seconds, now.passed_s, organism)
         assignment = match.assigned(costs, speck_costs)
         # a cell that has stopped or turned by itself is where the filter does not expect it
         for cell, blob, is_away in zip(cells, assignment.of_cells, costs.is_away, strict=True):
             if blob is not None and is_away[blob]:
                 self.bank.loosen([cell.row])
-        groups = self._give_cells(assignment.of_cells, places, expected, now)
-        return groups, self._give_specks(assignment, places, now)
+        seen = [TrackBlob(index, blob, places[index]) for index, blob in enumerate(blobs)]
+        groups = self._give_cells(assignment.of_cells, seen, expected, now)
+        return groups, self._give_specks(assignment, seen, now)
 
     def _give_cells(
-        self, blob_of: Sequence[int | None], places: Floats, expected: Floats, now: PictureNow
+        self,
+        blob_of: Sequence[int | None],
+        seen: Sequence[TrackBlob],
+        expected: Floats,
+        now: PictureNow,
     ) -> list[CellsInBlob]:
-        """Give the cells their blobs, by index; return the blobs that cells have with these."""
+        """Give the cells their blobs, by index in `seen`; return the blobs that cells have with
+        these.
+        """
         cells_of: dict[int, list[int]] = {}
         for i, blob in enumerate(blob_of):
             if blob is None:
@@ -194,8 +203,8 @@ class CellTracker:
                 cells_of.setdefault(blob, []).append(i)
         groups = list[CellsInBlob]()
         for blob, indices in cells_of.items():
-            is_shared = len(indices) > 1
-            newest = TrackBlob(blob, self.blobs[blob], places[blob], is_shared)
+            newest = seen[blob]
+            newest.is_shared = len(indices) > 1
             cells = [self._cells[i] for i in indices]
             for cell in cells:
                 cell.newest = newest
@@ -204,7 +213,7 @@ class CellTracker:
         return groups
 
     def _give_specks(
-        self, assignment: match.Assignment, places: Floats, now: PictureNow
+        self, assignment: match.Assignment, seen: Sequence[TrackBlob], now: PictureNow
     ) -> list[FreeBlob]:
         """Give the specks their blobs; return all blobs that no cell has."""
         speck_of = {}
@@ -216,9 +225,9 @@ class CellTracker:
                 speck_of[blob] = speck
         with_cells = set(assignment.of_cells)
         return [
-            FreeBlob(TrackBlob(index, blob, places[index]), speck_of.get(index))
-            for index, blob in enumerate(self.blobs)
-            if index not in with_cells
+            FreeBlob(blob, speck_of.get(blob.index))
+            for blob in seen
+            if blob.index not in with_cells
         ]
 
     # ---- step 3: blobs update the states ----

@@ -18,7 +18,6 @@ POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading"
 POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}
 """Columns of the table of poses, with their units."""
 LISTED = 5  # most meetings with an uncertain end that are listed one by one
-NOT_FOLLOWED_SAID = 0.1  # share of what moves from which on the table says that it is not followed
 TRACKS = ("id", "t", "y", "x", "frame", "particle", "sure", "found")
 
 
@@ -37,9 +36,6 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
             f"a number lasts {followed.number_lasts_s:.1f} s, and a track, which may have several "
             f"in turn, {followed.track_lasts_s:.1f} s (medians)"
         )
-    share = followed.not_followed
-    if share is not None and share >= NOT_FOLLOWED_SAID:
-        lines.append(f"warning: of what moves, at least {100 * share:.0f} % is not followed")
     if followed.damaged:
         lines.append(
             f"warning: {followed.damaged} pictures could not be read, or are not as large as most"
@@ -85,7 +81,6 @@ def as_items(
             for cell, path in zip(cells, followed.paths, strict=True)
         ],
         "indistinguishable": followed.doubtful,
-        "not_followed": followed.not_followed,
         "number_lasts_s": followed.number_lasts_s,
         "track_lasts_s": followed.track_lasts_s,
         "notes": notes(followed, cells),

@@ -18,7 +18,6 @@ from tetractl_microscope.film.field_file import FieldRecord, no_field
 from tetractl_microscope.film.organism_of import recognised
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures
-from tetractl_microscope.film.unfollowed import Unfollowed
 from tetractl_microscope.film.who import CellPath, Whereabouts
 from tetractl_microscope.organisms import Organism
 
@@ -37,8 +36,7 @@ class Followed:
     most.
 
     `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
-    that could not be distinguished after they met. `not_followed` is the share of moving blobs that
-    no path follows, None if few move.
+    that could not be distinguished after they met.
     """
 
     paths: tuple[CellPath, ...]
@@ -55,7 +53,6 @@ class Followed:
     noise: float
     background: Grey
     doubtful: tuple[tuple[int, ...], ...]
-    not_followed: float | None = None
 
     @property
     def seconds(self) -> float:
@@ -99,13 +96,11 @@ def follow(
     pieces = no_field if field is None else field.pieces
     where = Whereabouts()
     lights = []
-    unfollowed = Unfollowed()
     disturbances = Disturbances(seen_as.um_px, seen_as.organism.body_um[0])
     for number, picture in film:
         seconds = film.seconds(number)
         where.enter(number, seconds, tracker, tracker.see(picture, seconds, pieces))
         lights.append(tracker.finder.light)
-        unfollowed.add(number, seconds, tracker.finder.light.limit, tracker.blobs)
         disturbances.examine(picture, seconds, tracker.finder)
         on_picture(number)
     tracker.finish()
@@ -122,9 +117,8 @@ def follow(
     background = tracker.finder.background
     assert background is not None
     height, width = background.shape
-    paths = tuple(where.paths(seen_as.organism))
     return Followed(
-        paths=paths,
+        paths=tuple(where.paths(seen_as.organism)),
         pictures=len(where.frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
@@ -138,7 +132,6 @@ def follow(
         noise=noise,
         background=background,
         doubtful=tuple(where.doubtful),
-        not_followed=unfollowed.share(film, paths, seen_as.um_px, seen_as.organism.body_um[0]),
     )
 
 

@@ -35,8 +35,7 @@ def track(
         float | None,
         option(
             "UM",
-            "Micrometres per pixel; by default as the film states it, or else guessed from the "
-            "length that the organism has.",
+            "Micrometres per pixel; by default as the film states it.",
             min=0.05,
             max=100,
         ),
@@ -55,7 +54,7 @@ def track(
         option(
             "NAME",
             "What swims: one that `tetractl kinds` lists, whose sizes and speeds are searched "
-            "for; by default the one that fits what swims in the film.",
+            "for; by default tetrahymena.",
         ),
     ] = None,
     y_down: Annotated[
@@ -74,8 +73,7 @@ def track(
     prints the same of each cell; -o names the folder of cells.csv.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
-    bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film,
-    or if what swims is like no known organism.
+    bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
 
@@ -108,6 +106,8 @@ def track(
     directions = None if field is None else read_field(field, y_down)
     pictures = open_film(film, rate, scale)
     ui.tell(*(f"{film}: {remark}" for remark in pictures.remarks))
+    if pictures.um_px is None:
+        raise UsageError(f"{film}: states no scale", "give --scale UM_PER_PIXEL")
     with ui.progress("Following") as on_picture:
         followed = follow(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)

@@ -186,9 +186,7 @@ def track_record(
     if cells.timing.nominal_hz < RATE_MIN:
         note = f"at fewer than {math.ceil(RATE_MIN)} pictures/s, cells have no speed along a helix"
     notes = [note]
-    items = [
-        cell_items(cell, path, False) for cell, path in zip(summaries, cells.paths, strict=True)
-    ]
+    items = [cell_items(cell, path) for cell, path in zip(summaries, cells.paths, strict=True)]
     turning = [item for item in items if _is_slower_than_its_way(item)]
     for item in turning:
         item.update(dict.fromkeys(OF_THE_HELIX))

@@ -77,21 +77,21 @@ def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):
 
 
 @pytest.mark.long
-def test_speeds_have_intervals_in_json_unless_the_scale_is_guessed(dish):
+def test_speeds_have_intervals_in_json(dish):
     done = tetractl(dish, "track", "dish.avi", "--scale", UM_PX, "--json").ok()
     printed = json.loads(done.stdout)
     speeds = [cell["speed_um_s"] for cell in printed["cells"] if cell["speed_um_s"]]
     assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
-    done = tetractl(dish, "track", "dish.avi", "-o", "guessed", "--json").ok()
-    printed = json.loads(done.stdout)
-    assert printed["scale_guessed"] is True and printed["pictures"] == 120
-    speeds = [cell["speed_um_s"] for cell in printed["cells"] if cell["speed_um_s"]]
-    assert speeds and all(isinstance(speed, float) for speed in speeds)
 
 
 @pytest.mark.long
 def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
     stack(tmp_path / "still.tif", np.full((20, 64, 80), 700, np.uint16))
+    unscaled = tetractl(tmp_path, "track", "still.tif", "--rate", "30")
+    assert unscaled.returncode == 2
+    assert unscaled.stderr == (
+        "error: still.tif: states no scale\nhint: give --scale UM_PER_PIXEL\n"
+    )
     without = tetractl(tmp_path, "track", "still.tif", "--scale", "2.3")
     assert without.returncode == 2
     assert without.stderr == "error: still.tif: states no rate\nhint: give --rate HZ\n"

@@ -44,7 +44,7 @@ def film(cells=6, field=True):
     ]  # fmt: skip
     record = {
         "film": "dish.avi", "pictures": 180, "rate_hz": RATE_HZ, "um_per_px": 4.0, "width": 640,
-        "height": 480, "scale_guessed": False, "cells": listed, "field": FIELD if field else None,
+        "height": 480, "cells": listed, "field": FIELD if field else None,
     }  # fmt: skip
     return FilmTracks(
         record=record,

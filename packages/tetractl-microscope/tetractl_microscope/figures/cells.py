@@ -82,11 +82,10 @@ def _single(name: str, film: FilmTracks) -> Figure:
 def _headed(figure: Figure, film: FilmTracks) -> Figure:
     record = film.record
     seconds = record["pictures"] / record["rate_hz"]
-    guessed = " (guessed)" if record["scale_guessed"] else ""
     style.headline(
         figure,
         f"{record['film']}: {len(record['cells'])} tracks, {seconds:.3g} s, "
-        f"{record['um_per_px']:.3g} µm/px{guessed}",
+        f"{record['um_per_px']:.3g} µm/px",
     )
     return figure
 

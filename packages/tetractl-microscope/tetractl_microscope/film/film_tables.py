@@ -69,17 +69,13 @@ def as_items(
         "damaged": followed.damaged,
         "rate_hz": followed.rate_hz,
         "um_per_px": followed.um_px,
-        "scale_guessed": followed.guessed_scale,
         "organism": followed.organism.name,
         "width": followed.size[0],
         "height": followed.size[1],
         "bright": followed.bright,
         "contrast": followed.contrast,
         "noise": followed.noise,
-        "cells": [
-            cell_items(cell, path, followed.guessed_scale)
-            for cell, path in zip(cells, followed.paths, strict=True)
-        ],
+        "cells": [cell_items(cell, path) for cell, path in zip(cells, followed.paths, strict=True)],
         "indistinguishable": followed.doubtful,
         "number_lasts_s": followed.number_lasts_s,
         "track_lasts_s": followed.track_lasts_s,
@@ -89,11 +85,8 @@ def as_items(
     return plain(record)
 
 
-def cell_items(cell: CellSummary, path: CellPath, guessed_scale: bool) -> dict:
-    """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`.
-
-    With a guessed scale the speed has no interval: it would hold the guess's error only by chance.
-    """
+def cell_items(cell: CellSummary, path: CellPath) -> dict:
+    """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`."""
 
     def value(interval: SampleInterval | None) -> dict | None:
         return interval and {"value": interval.value, "ci95": [interval.low, interval.high]}
@@ -103,7 +96,7 @@ def cell_items(cell: CellSummary, path: CellPath, guessed_scale: bool) -> dict:
         "since_s": cell.since_s,
         "duration_s": cell.seconds,
         "pictures": cell.pictures,
-        "speed_um_s": cell.speed and cell.speed.value if guessed_scale else value(cell.speed),
+        "speed_um_s": value(cell.speed),
         "speed_sd_um_s": cell.spread,
         **velocities(path.times, path.places, cell.helix_hz),
         "path_um": cell.path_um,

@@ -15,11 +15,11 @@ from tetractl_microscope.cells.cells_health import faint_line
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.disturbances import Disturbances
 from tetractl_microscope.film.field_file import FieldRecord, no_field
-from tetractl_microscope.film.organism_of import recognised
+from tetractl_microscope.film.first_pictures import examine_first
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.film.who import CellPath, Whereabouts
-from tetractl_microscope.organisms import Organism
+from tetractl_microscope.organisms import TETRAHYMENA, Organism
 
 # median pace of the cells from one picture to the next, relative to their usual one, above which
 # pictures are missing between the two, and below which a picture is doubled
@@ -35,8 +35,8 @@ class Followed:
     """The cells of a film; `damaged` of its `pictures` could not be read, or are not as large as
     most.
 
-    `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
-    that could not be distinguished after they met.
+    `remarks` are lines for the user. `doubtful` lists cells that could not be distinguished after
+    they met.
     """
 
     paths: tuple[CellPath, ...]
@@ -45,7 +45,6 @@ class Followed:
     size: tuple[int, int]
     timing: PictureTimes
     um_px: float
-    guessed_scale: bool
     organism: Organism
     remarks: tuple[str, ...]
     bright: bool
@@ -81,22 +80,23 @@ class Followed:
 
 def follow(
     film: FilmPictures,
-    um_px: float | None,
+    um_px: float,
     field: FieldRecord | None,
     organism: Organism | None = None,
     on_picture: Callable[[int], None] = lambda number: None,
 ) -> Followed:
-    """Follow the cells of a film; TetractlError if no picture can be read.
+    """Follow the cells of a film of an organism, Tetrahymena if none is named, at a scale [um/px].
 
-    Without `organism` or `um_px`, they are those that `recognised` returns.
+    Raises as `examine_first`.
     """
-    seen_as = recognised(film, um_px, organism)
-    tracker = CellTracker(seen_as.um_px, field is not None, organism=seen_as.organism, splits=True)
-    tracker.take(seen_as.finder)
+    first = examine_first(film, um_px, organism)
+    followed = organism or TETRAHYMENA
+    tracker = CellTracker(um_px, field is not None, organism=followed, splits=True)
+    tracker.take(first.finder)
     pieces = no_field if field is None else field.pieces
     where = Whereabouts()
     lights = []
-    disturbances = Disturbances(seen_as.um_px, seen_as.organism.body_um[0])
+    disturbances = Disturbances(um_px, followed.body_um[0])
     for number, picture in film:
         seconds = film.seconds(number)
         where.enter(number, seconds, tracker, tracker.see(picture, seconds, pieces))
@@ -118,15 +118,14 @@ def follow(
     assert background is not None
     height, width = background.shape
     return Followed(
-        paths=tuple(where.paths(seen_as.organism)),
+        paths=tuple(where.paths(followed)),
         pictures=len(where.frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
         timing=film.timing,
-        um_px=seen_as.um_px,
-        guessed_scale=seen_as.guessed,
-        organism=seen_as.organism,
-        remarks=(*timed, *seen_as.remarks, *(f"warning: {line}" for line in lines if line)),
+        um_px=um_px,
+        organism=followed,
+        remarks=(*timed, *first.remarks, *(f"warning: {line}" for line in lines if line)),
         bright=tracker.finder.bright,
         contrast=contrast or 0.0,
         noise=noise,

@@ -75,7 +75,7 @@ def cell_tables(record: Record) -> list[Table]:
         if quantity.heading and not {NONE, "sure"}.issuperset(texts):
             columns.append(Column(quantity.heading, texts, quantity.unit))
     note = "\n".join(record["notes"])
-    means = _means(cells, record.get("scale_guessed", False))
+    means = _means(cells)
     return [Table("Cells, with 95 % intervals", tuple(columns), note), *means]
 
 
@@ -126,10 +126,8 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
     return known_distribution(n, mean, std, ends)
 
 
-def _means(cells: list[Record], guessed_scale: bool) -> list[Table]:
-    """Return the table of means, none for fewer than two cells; of lengths and speeds without
-    intervals if the scale is a guess.
-    """
+def _means(cells: list[Record]) -> list[Table]:
+    """Return the table of means, none for fewer than two cells."""
     rows = []
     for quantity in QUANTITIES if len(cells) > 1 else ():
         known_cells, values = known_values(cells, quantity.key)
@@ -142,10 +140,7 @@ def _means(cells: list[Record], guessed_scale: bool) -> list[Table]:
             if quantity.key in RESPONSES:
                 name += " of those that respond"
             spread = show(mean.std)
-            ends = mean.ci95
-            if guessed_scale and quantity.unit.startswith("um"):
-                ends = Interval.none("the scale is a guess")
-            interval = ends.text(show)
+            interval = mean.ci95.text(show)
             rows.append((name, str(mean.n), show(mean.mean), interval, spread))
     header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
     columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()

@@ -122,17 +122,6 @@ def test_without_a_field_there_is_no_a():
     assert as_items("reel", tracked, cells)["cells"][0]["a_rad_s"] is None
 
 
-@pytest.mark.long
-def test_the_scale_is_guessed_from_bodies(tmp_path):
-    synthetic = film(seed=35, side=512, cells=6, crossings=False, seconds=2.0)
-    for k, picture in enumerate(synthetic.pictures()):
-        cv2.imwrite(str(tmp_path / f"picture-{k}.png"), picture)
-    opened = follow(open_film(tmp_path, 30.0), None, None)
-    assert opened.guessed_scale
-    assert opened.um_px == pytest.approx(2.3, rel=0.25)
-    assert len(opened.paths) >= 3
-
-
 def test_pictures_of_a_folder_come_by_number_and_bad_ones_are_counted(tmp_path):
     for k in (2, 10, 1):
         cv2.imwrite(str(tmp_path / f"p{k}.png"), np.full((80, 90), k, np.uint8))

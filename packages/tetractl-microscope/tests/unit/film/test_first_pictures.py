@@ -1,4 +1,4 @@
-"""The organism of a film is recognised by what swims in it, and what is not followed is said."""
+"""What swims in a film's first pictures and cannot be followed is said."""
 
 import math
 from dataclasses import dataclass
@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.needs_opencv import cv2
-from tetractl_microscope.film.organism_of import recognised
+from tetractl_microscope.film.first_pictures import examine_first
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.organisms import (
-    EUGLENA,
     HELICAL_MICROROBOT,
     PARAMECIUM,
     TETRAHYMENA,
@@ -18,7 +17,7 @@ from tetractl_microscope.organisms import (
 )
 from tetractl_microscope.registries import ORGANISMS
 
-from tetractl.core.errors import Exit, TetractlError
+from tetractl.core.errors import TetractlError
 
 pytestmark = pytest.mark.slow
 
@@ -68,33 +67,34 @@ def swimming(kind, um_px):
 
 
 @pytest.mark.parametrize("name", ORGANISMS.names())
-def test_an_organism_is_recognised_by_its_size_and_speed(name):
+def test_an_organism_that_is_named_has_its_size_and_speed(name):
     kind = named(name)
     um_px = kind.body_um[1] / 9
-    film = swimming(kind, um_px)
-    recognition = recognised(film, um_px)
-    assert recognition.organism is kind and recognition.um_px == um_px and not recognition.guessed
-    assert recognition.remarks[0].startswith(f"cells are taken for {name}: ")
-    assert len(recognition.remarks) == 1
+    (said,) = examine_first(swimming(kind, um_px), um_px, kind).remarks
+    assert said == f"followed as {name}: 6 of 6 objects that swim at first have its size and speed"
 
 
 @pytest.mark.long
 def test_other_swimmers_than_those_chosen_are_counted_and_named():
     film = swimming(PARAMECIUM, 6.0)
-    said, coarse = recognised(film, 6.0, TETRAHYMENA).remarks
+    _, said, coarse = examine_first(film, 6.0).remarks
     assert "tetrahymena is 4.4 px wide at 6 um/px; 8 px or more are needed" in coarse
     assert "objects that move have not the size and speed of tetrahymena" in said
     assert said.endswith("--organism paramecium follows them, if they swim and do not drift")
-    assert recognised(film, 6.0, PARAMECIUM).remarks == ()
+    assert len(examine_first(film, 6.0, PARAMECIUM).remarks) == 1
 
 
 @pytest.mark.long
-def test_what_swims_but_is_like_no_organism_ends_the_run_unless_one_is_named():
+def test_of_what_swims_and_is_like_no_organism_the_scale_is_asked():
     worms = Ellipses(40.0, 12.0, 60.0)  # 400 um long, 120 um wide
-    with pytest.raises(TetractlError, match="no known organism: ") as refused:
-        recognised(worms, 10.0)
-    assert refused.value.exit == Exit.FAILED and "--organism NAME" in refused.value.hint
-    assert recognised(worms, 10.0, PARAMECIUM).organism is PARAMECIUM
+    said = examine_first(worms, 10.0).remarks[1]
+    assert said.endswith("no known organism is like that: is --scale right?")
+
+
+def test_nothing_that_swims_is_no_warning():
+    still = Ellipses(20.0, 8.0, 0.0)
+    (said,) = examine_first(still, 2.0).remarks
+    assert said.startswith("followed as tetrahymena: 0 of 0 objects")
 
 
 @dataclass
@@ -134,6 +134,20 @@ class Circles(Ellipses):
             yield number, picture
 
 
+def test_cells_that_turn_while_they_are_looked_at_swim_all_the_same():
+    film = Circles(22.0, 11.0, 100.0)
+    assert len(examine_first(film, 2.3).remarks) == 1
+
+
+@pytest.mark.long
+def test_beads_that_go_to_and_fro_do_not_swim():
+    beads = Beads(12.0, 12.0, 1.5)
+    with pytest.raises(TetractlError, match="goes to and fro, as beads do: nothing swims"):
+        examine_first(beads, 0.5)
+    said = examine_first(beads, 0.5, HELICAL_MICROROBOT).remarks
+    assert any("nothing swims" in line for line in said)
+
+
 @pytest.mark.long
 def test_swimmers_among_beads_are_followed_with_a_warning():
     """Regression: 36 swimming sperm were refused as beads, with a mean cosine of 0.463 for 0.5."""
@@ -147,33 +161,14 @@ def test_swimmers_among_beads_are_followed_with_a_warning():
             for (number, left), (_, right) in zip(swimmers, beads, strict=True):
                 yield number, np.hstack([left[:, :160], right[:, 160:]])
 
-    said = recognised(SwimmersAndBeads(0, 0, 0), 0.5).remarks
+    said = examine_first(SwimmersAndBeads(0, 0, 0), 0.5).remarks
     assert any("most of what moves goes to and fro" in line for line in said)
 
 
-@pytest.mark.long
-def test_without_a_scale_it_follows_from_the_length_of_the_organism_and_is_said():
-    film = swimming(EUGLENA, 1.5)
-    recognition = recognised(film, None, EUGLENA)
-    assert recognition.guessed and recognition.um_px == pytest.approx(1.5, rel=0.1)
-    assert (
-        "the scale is a guess" in recognition.remarks[0]
-        and "euglena of 48 um" in recognition.remarks[0]
-    )
-    unknown = recognised(film, None)
-    assert unknown.organism is TETRAHYMENA and "tetrahymena" in unknown.remarks[0]
-
-
-def test_drifting_specks_do_not_outvote_the_cells_that_swim():
-    cells = swimming(TETRAHYMENA, 2.3)
-    specks = swimming(HELICAL_MICROROBOT, 2.3)
-
-    class CellsAndSpecks(Ellipses):
-        """A film of the cells and, turned upside down so that they do not meet, the specks."""
-
-        def __iter__(self):
-            for (number, of_cells), (_, of_specks) in zip(cells, specks, strict=True):
-                yield number, np.minimum(of_cells, of_specks[::-1])
-
-    mixed = CellsAndSpecks(0, 0, 0)
-    assert recognised(mixed, 2.3).organism is TETRAHYMENA
+def test_pictures_too_rare_to_tell_cells_apart_are_said():
+    film = swimming(TETRAHYMENA, 2.3)
+    film.rate_hz = 5.0
+    _, said = examine_first(film, 2.3).remarks
+    assert "5 pictures a second are too few" in said and said.endswith("film at 8 or more")
+    film.rate_hz = 10.0
+    assert len(examine_first(film, 2.3).remarks) == 1

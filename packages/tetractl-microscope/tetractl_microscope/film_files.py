@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from tetractl import __version__
 from tetractl.core.colors import PALETTE
-from tetractl.core.errors import TetractlError, UsageError
+from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
 from tetractl.tools.files import save_whole
 from tetractl.tools.table.table_files import json_text, table_files
@@ -23,7 +23,6 @@ from tetractl_microscope.figures.cells import FilmTracks, cells_figure
 from tetractl_microscope.film.film_tables import pose_tables
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.pictures import FilmPictures
-from tetractl_microscope.registries import CELL_FIGURES
 from tetractl_microscope.results.cell_tables import cell_data
 
 SIDE_PX = 768  # longest side of the film with the tracks; larger films are drawn at a fraction
@@ -50,16 +49,8 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
             for path in followed.paths
             if len(path.times) > 1
         ]
-        _draw_figures(folder, FilmTracks(record, long_paths, picture))
-
-
-def _draw_figures(folder: Path, tracks: FilmTracks) -> None:
-    """Draw all panels for the screen, and each in a file of its own, for print."""
-    save(cells_figure(tracks), folder / "cells.png", SCREEN_DPI)
-    (folder / "figures").mkdir()
-    for kind in CELL_FIGURES.names():
-        with suppress(UsageError):  # this film has no field, or no cell
-            save(CELL_FIGURES.load(kind)(tracks), folder / "figures" / f"{kind}.png")
+        tracks_drawn = FilmTracks(record, long_paths, picture)
+        save(cells_figure(tracks_drawn), folder / "cells.png", SCREEN_DPI)
 
 
 def _write_overlay(path: Path, film: FilmPictures, followed: Followed) -> Grey:

@@ -1,4 +1,4 @@
-"""Registries of figures of cells, picture sources and organisms; and the folder of examples."""
+"""Registries of picture sources and organisms; and the folders of examples and templates."""
 
 from pathlib import Path
 
@@ -9,16 +9,6 @@ EXAMPLES = Path(__file__).parent / "examples"
 TEMPLATES = Path(__file__).parent / "templates"
 """The folder of the parts of `tetractl init --lab --camera apriltag`."""
 
-CELL_FIGURES = Registry(
-    "tetractl.cell_figures",
-    {
-        "cells": "tetractl_microscope.figures.cells:cells_figure",
-        "paths": "tetractl_microscope.figures.cells:paths_figure",
-        "speeds": "tetractl_microscope.figures.cells:speeds_figure",
-        "turning": "tetractl_microscope.figures.cells:turning_figure",
-        "velocities": "tetractl_microscope.figures.cells:velocities_figure",
-    },
-)
 PICTURE_SOURCES = Registry(
     "tetractl.picture_sources",
     {

@@ -2,12 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.figures.cells import (
-    FilmTracks,
-    turning_figure,
-    turns,
-)
-from tetractl_microscope.registries import CELL_FIGURES
+from tetractl_microscope.figures.cells import FilmTracks, cells_figure, turns
 
 RATE_HZ = 30.0
 A = 3.0
@@ -35,7 +30,7 @@ def film(cells=6, field=True):
     paths = [swum(0.5 * k) for k in range(cells)]
     listed = [
         {
-            "cell": k + 1, "vcl_um_s": 400.0 + k, "vap_um_s": 390.0, "vsl_um_s": 300.0, "lin": 0.75,
+            "cell": k + 1, "vsl_um_s": 300.0,
             "speed_um_s": {"value": 380.0 + 9 * k, "ci95": [370.0 + 9 * k, 390.0 + 9 * k]},
             "magnetised": True, "a_rad_s": {"value": A, "ci95": [2.9, 3.1]},
             "since_s": 0.0, "duration_s": 6.0,
@@ -53,19 +48,26 @@ def film(cells=6, field=True):
     )
 
 
-@pytest.mark.parametrize("kind", CELL_FIGURES.names())
-def test_each_figure_is_drawn_and_states_the_film(kind):
-    figure = CELL_FIGURES.load(kind)(film())
+def test_the_figure_states_the_film():
+    figure = cells_figure(film())
     words = [text.get_text() for text in figure.texts]
     assert any("dish.avi: 6 tracks, 6 s, 4 µm/px" in text for text in words)
-    assert len(figure.axes) == (4 if kind == "cells" else 1)
+
+
+def test_a_film_without_a_field_or_without_cells_has_the_other_panels():
+    def titles(tracks):
+        return [axes.get_title(loc="left") for axes in cells_figure(tracks).axes]
+
+    assert titles(film()) == ["(a) paths over the first picture", "(b) speed", "(c) turning"]
+    assert titles(film(field=False)) == ["(a) paths over the first picture", "(b) speed"]
+    assert titles(film(0)) == ["(a) paths over the first picture"]
 
 
 def test_the_turning_stated_is_that_of_the_cells_that_respond():
     swimmers = film(7)
     swimmers.record["cells"][6] |= {"magnetised": None, "a_rad_s": None}  # a piece of 0.4 s
     swimmers.record["cells"][5] |= {"magnetised": False, "a_rad_s": {"value": 0.1, "ci95": [-1, 1]}}
-    (axes,) = turning_figure(swimmers).axes
+    axes = cells_figure(swimmers).axes[2]
     assert "a = 3.00 [3.00, 3.00], n = 5 cells" in axes.get_xlabel()
     squares, curve = (line.get_data()[1] for line in axes.lines[-2:])
     highest = np.nanmax(np.abs(squares))

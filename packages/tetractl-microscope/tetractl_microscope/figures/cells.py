@@ -1,11 +1,12 @@
-"""The figures of a film's cells: paths, speeds, turning in the field, and velocities."""
+"""Draws the figure of a film's cells: their paths over the first picture, and beside them speeds
+and turning in the field, as far as the film has them.
+"""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import compress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from tetractl.core.colors import PALETTE
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats, Grey
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.view import style
@@ -25,7 +25,7 @@ NUMBERED = 60  # most cells that are numbered
 TURN_S = 0.2  # time over which the rate of turning is computed [s]
 BINS = 12  # bins of the angle to the field
 BIN_MIN = 3  # least number of values in a bin
-VELOCITIES = ("vcl", "vap", "vsl")
+LEAST_IN = 2.2  # least height of a panel beside the paths [in]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,47 +40,26 @@ class FilmTracks:
     picture: Grey
 
 
-class Panel(NamedTuple):
-    """A panel: its title, the function that draws it, and whether a film has what it shows."""
-
-    title: str
-    draw: Callable[[Axes, FilmTracks], None]
-    is_known: Callable[[FilmTracks], bool]
-
-
 @style.styled()
 def cells_figure(film: FilmTracks) -> Figure:
-    """Draw all panels for which the film has data."""
-    names: list[Any] = [name for name, panel in PANELS.items() if panel.is_known(film)]
-    shape = film.record["height"] / film.record["width"]
-    figure = style.figure(style.PAGE_IN, min(2 / 3 * style.PAGE_IN * shape, 5.2) + 2.2)
-    first, *others = names
-    rows = [[first] * 4 + [others[0]] * 2] if others else [[first]]
-    if below := others[1:]:
-        rows.append([name for name in below for _ in range(6 // len(below))])
-    mosaic = figure.subplot_mosaic(rows, height_ratios=(2, 1)[: len(rows)])
-    for letter, (name, axes) in zip("abcd", mosaic.items(), strict=False):
-        PANELS[name].draw(axes, film)
-        axes.set_title(f"({letter}) {PANELS[name].title}", loc="left")
-    return _headed(figure, film)
-
-
-@style.styled()
-def _single(name: str, film: FilmTracks) -> Figure:
-    """Draw one panel."""
-    if not PANELS[name].is_known(film):
-        raise UsageError(f"{film.record['film']}: has no data for the figure {name!r}")
-    shape = film.record["height"] / film.record["width"]
-    size = (style.PAGE_IN, style.PAGE_IN * shape) if name == "paths" else (4.2, 3.2)
-    figure = style.figure(*size)
-    axes = figure.subplots()
-    PANELS[name].draw(axes, film)
-    axes.set_title(PANELS[name].title, loc="left")
-    return _headed(figure, film)
-
-
-def _headed(figure: Figure, film: FilmTracks) -> Figure:
+    """Draw the paths and, if they are known, the cells' speeds and how they turn in the field."""
     record = film.record
+    panels: dict[str, tuple[str, Callable[[Axes, FilmTracks], None]]] = {
+        "paths": ("paths over the first picture", _paths)
+    }
+    if known_values(record["cells"], "speed_um_s")[1]:
+        panels["speeds"] = ("speed", _speeds)
+    if record["field"] and film.paths:
+        panels["turning"] = ("turning", _turning)
+    beside: list[Any] = [["paths", "paths", name] for name in panels if name != "paths"]
+    shape = record["height"] / record["width"]
+    height_in = max(min(2 / 3 * style.PAGE_IN * shape, 5.2) + 0.6, LEAST_IN * len(beside))
+    figure = style.figure(style.PAGE_IN, height_in)
+    mosaic = figure.subplot_mosaic(beside or [["paths"]])
+    for letter, (name, axes) in zip("abc", mosaic.items(), strict=False):
+        title, draw = panels[name]
+        draw(axes, film)
+        axes.set_title(f"({letter}) {title}", loc="left")
     seconds = record["pictures"] / record["rate_hz"]
     style.headline(
         figure,
@@ -232,37 +211,3 @@ def turns(times: Floats, heading: Floats, field: dict) -> tuple[Floats, Floats]:
     rate = (heading[last] - heading[first]) / (times[last] - times[first]) / strength[first]
     angle = np.arctan2(y, x)[row[first]] - (heading[first] + heading[last]) / 2
     return (angle + math.pi) % (2 * math.pi) - math.pi, rate
-
-
-def _velocities(axes: Axes, film: FilmTracks) -> None:
-    """Draw a column of the cells' values for each velocity, with their mean."""
-    labels = []
-    for place, name in enumerate(VELOCITIES):
-        cells, values = known_values(film.record["cells"], f"{name}_um_s")
-        aside = 0.5 * (np.arange(len(values)) * 0.6180339887 % 1) - 0.25  # separates neighbours
-        colors = [_color(cell["cell"]) for cell in cells]
-        axes.scatter(place + aside, values, s=9, color=colors, alpha=0.8, linewidths=0)
-        mean = _mean(cells, values)
-        ends = [mean.ci95.low, mean.ci95.high]
-        axes.plot([place, place], ends, color=style.INK, lw=3, zorder=4)
-        axes.plot(place, mean.mean, "o", ms=5, color="white", mec=style.INK, zorder=5)
-        mean_lines = _stated(mean).replace(" [", "\n[").replace(", n", "\nn")
-        labels.append(f"{name.upper()}\n{mean_lines}")
-    axes.set_xticks(range(len(labels)), labels)
-    axes.tick_params(axis="x", length=0)
-    axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, None), ylabel="velocity [µm/s]")
-
-
-def _has(key: str) -> Callable[[FilmTracks], bool]:
-    return lambda film: bool(known_values(film.record["cells"], key)[1])
-
-
-PANELS = {
-    "paths": Panel("paths over the first picture", _paths, lambda film: True),
-    "speeds": Panel("speed", _speeds, _has("speed_um_s")),
-    "turning": Panel("turning", _turning, lambda film: bool(film.record["field"] and film.paths)),
-    "velocities": Panel("velocities", _velocities, _has("vcl_um_s")),
-}
-paths_figure, speeds_figure, turning_figure, velocities_figure = (
-    partial(_single, name) for name in PANELS
-)

@@ -11,7 +11,7 @@ from tetractl_microscope.cells.picture_now import pixels_of
 from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.fit_cell import CellSummary
 from tetractl_microscope.film.follow import Followed
-from tetractl_microscope.film.kinematics import velocities
+from tetractl_microscope.film.kinematics import vsl_um_s
 from tetractl_microscope.film.who import CellPath
 
 POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
@@ -98,7 +98,7 @@ def cell_items(cell: CellSummary, path: CellPath) -> dict:
         "pictures": cell.pictures,
         "speed_um_s": value(cell.speed),
         "speed_sd_um_s": cell.spread,
-        **velocities(path.times, path.places, cell.helix_hz),
+        "vsl_um_s": vsl_um_s(path.times, path.places),
         "path_um": cell.path_um,
         "sway_rad": cell.sway_rad,
         "helix_hz": cell.helix_hz,

@@ -13,7 +13,7 @@ from tetractl_microscope.film.field_file import FieldRecord, clock_remarks, read
 from tetractl_microscope.film.film_tables import as_items
 from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
 from tetractl_microscope.film.follow import follow
-from tetractl_microscope.film.kinematics import velocities
+from tetractl_microscope.film.kinematics import vsl_um_s
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.film.who import CellPath, TrackRow, _sure
 from tetractl_microscope.organisms import TETRAHYMENA
@@ -204,22 +204,15 @@ def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):
         read_field(path)
 
 
-def test_velocities_are_those_of_casa():
+def test_the_velocity_along_the_straight_line_is_that_of_parts_of_a_second():
     times = np.arange(91) / 30.0
-    wave = 20 * np.sin(2 * np.pi * 2.5 * times)  # um; a turn takes 12 pictures
-    line = velocities(times, np.column_stack([300 * times, wave]), 2.5)
-    assert line["vsl_um_s"] == pytest.approx(300)
-    assert line["vap_um_s"] == pytest.approx(300, rel=0.03)
-    assert line["vcl_um_s"] == pytest.approx(374, rel=0.02)  # the mean of sqrt(300^2 + wave'^2)
-    assert line["lin"] == pytest.approx(line["vsl_um_s"] / line["vcl_um_s"])
-    angle = np.pi * times  # half a turn of 100 um in each part of one second
+    wave = 20 * np.sin(2 * np.pi * 2.0 * times)  # um; whole turns in each part
+    assert vsl_um_s(times, np.column_stack([300 * times, wave])) == pytest.approx(300)
+    angle = np.pi * times  # half a turn of 100 um in each part
     around = 100 * np.column_stack([np.cos(angle), np.sin(angle)])
-    circle = velocities(times, around, np.nan)
-    assert circle["vcl_um_s"] == pytest.approx(100 * np.pi, rel=0.01)
-    assert circle["vsl_um_s"] == pytest.approx(200)
-    assert velocities(times[:2], np.zeros((2, 2)), np.nan)["lin"] is None
-    of_one_place = velocities(times[:1], np.zeros((1, 2)), 2.5)
-    assert set(of_one_place.values()) == {None}
+    assert vsl_um_s(times, around) == pytest.approx(200)
+    assert vsl_um_s(times[:2], np.array([(0.0, 0.0), (3.0, 4.0)])) == pytest.approx(150)
+    assert vsl_um_s(times[:1], np.zeros((1, 2))) is None
 
 
 @pytest.mark.parametrize(

@@ -74,9 +74,8 @@ RULES = {
         (names, "REMEMBERED_S", 0.0),
     ),
     "what comes out of a blob makes its cell doubtful": (
-        (Names, "_come_out", lambda *arguments: None),
+        (Names, "come_out", lambda *arguments: None),
     ),
-    "a lost cell may come back": ((Names, "_come_back", lambda *arguments: None),),
     "sizes tell which cell is which": ((cell_tracks, "SIZED", 0),),
     "a number ends where pictures do not show it": (
         (Whereabouts, "end_at_gaps", lambda where: None),

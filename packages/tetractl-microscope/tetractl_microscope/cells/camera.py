@@ -133,8 +133,8 @@ class CellCamera(PictureCamera[SeenDish]):
     """Tracks N cells; a `Camera`.
 
     Once at least as many cells are in view as the spec has robots, the cells nearest to the starts
-    become the robots. A lost cell is tracked again if it reappears within 3 s; if it reappears
-    later, it is a stranger. `steered` tells the camera the common direction; without it, cells that
+    become the robots. A cell that is lost, after half a second without a blob, is a stranger if it
+    reappears. `steered` tells the camera the common direction; without it, cells that
     have met are distinguished only by their paths.
 
     A thread of the base class searches the pictures: `_see` and what it calls. The trial's thread

@@ -125,7 +125,6 @@ class Born:
 
     `path` (M, 6) is the path by which it was recognised as a cell: time [s], x, y [um], axis [rad],
     length and width [um], NaN for a blob cut off by the picture's edge.
-    `certainty` is the probability of `identity`, below 1 for a lost cell that was found again.
     `divided` is the number of the cell from whose blob it separated, if no other cell had entered
     that blob; otherwise None.
     """
@@ -133,5 +132,4 @@ class Born:
     identity: int
     track: int
     path: Floats
-    certainty: float
     divided: int | None

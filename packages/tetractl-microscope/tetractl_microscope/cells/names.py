@@ -1,4 +1,4 @@
-"""Infers which cell is which after cells have met, was lost, or came out of another one's blob.
+"""Infers which cell is which after cells have met, or one came out of another one's blob.
 
 A *track* is an object that is followed from picture to picture. Its *identity* is the number of the
 cell that it most probably shows, its *certainty* the probability of that number.
@@ -15,7 +15,7 @@ cell that it most probably shows, its *certainty* the probability of that number
   In a film's table, a track of a certainty below ASSERTED gets a new number.
 
 Each row of the filter has one owner, which frees it: a track without an open question, a cell of a
-meeting, a lost cell, or an open question; a track's `row` then is one of its question's.
+meeting, or an open question; a track's `row` then is one of its question's.
 
 K is the number of tracks, M that of cells. Places are (K, 3): x, y [um] and axis [rad].
 """
@@ -29,17 +29,14 @@ from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import CellAnswer, TrackName
 from tetractl_microscope.cells.cell_tracks import (
     CellTrack,
-    Known,
     Meeting,
     WhichIsWhich,
     log_of_each,
     orders,
 )
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
-from tetractl_microscope.cells.lost_cells import LostCell, LostCells
 from tetractl_microscope.cells.meetings import ORDERED_MOST, PLACE_SD, Meetings
 
-LIKELIER = 0.5  # least probability with which a cell that appears is taken for a lost one
 # probability above which no question is asked, a name goes on in a film, and is called sure
 ASSERTED = 0.99
 FIRST_SD = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
@@ -49,7 +46,7 @@ EITHER_OF_TWO = 0.5  # share of a track whose cell is one of two, of which nothi
 
 
 class Names:
-    """Knows which tracks are together, which questions are open, and which cells are lost.
+    """Knows which tracks are together, and which questions are open.
 
     `bank` is the filter, a cell is `body_um` long. If a film's table `splits` names, a track whose
     cell is too uncertain when a question ends gets a new name instead of an asserted one.
@@ -65,7 +62,6 @@ class Names:
         self._last_number = 0
         self._meetings = Meetings(bank, body_um)
         self._questions: list[WhichIsWhich] = []
-        self._lost = LostCells(bank, body_um)
         self._answers: list[CellAnswer] = []  # not taken yet
 
     def take_answers(self) -> list[CellAnswer]:
@@ -143,33 +139,13 @@ class Names:
 
     # ---- cells that appear and are lost ----
 
-    def appear(
-        self,
-        track: CellTrack,
-        near: CellTrack | None,
-        place: Floats,
-        since_s: float,
-        expected: float,
-        entered: bool,
-    ) -> int | None:
-        """Name a new cell, first seen at a time [s], that is at x, y [um] and axis [rad] (3,).
-
-        The cell may be a lost one: `expected` [1/um^2] is the density of cells that appear there
-        otherwise. If it comes out of the blob of the track `near`, it is uncertain which of the two
-        is the cell that was followed. Unless something unknown may have been in that blob, or the
-        cell may have `entered` the picture, the number of the cell that has divided is returned;
-        None if none has.
-        """
-        divided = None if near is None else self._come_out(track, near, since_s, entered)
-        if divided is None:
-            self._come_back(track, place, since_s, expected)
-        return divided
-
-    def _come_out(
+    def come_out(
         self, track: CellTrack, near: CellTrack, since_s: float, entered: bool
     ) -> int | None:
-        """Doubt the name of the track `near`, out of whose blob a new one came at a time [s];
-        return the number of its cell if that has divided, None if not.
+        """Doubt the name of the track `near`, out of whose blob a new one came at a time [s]: it is
+        uncertain which of the two is the cell that was followed. Unless something unknown may have
+        been in that blob, or the new cell may have `entered` the picture, return the number of the
+        cell that has divided; None if none has.
         """
         meeting = near.meeting
         if meeting is not None and len(meeting.tracks) > 1:
@@ -191,35 +167,15 @@ class Names:
         self._doubt(near, EITHER_OF_TWO)
         return divided
 
-    def _come_back(self, track: CellTrack, place: Floats, since_s: float, expected: float) -> None:
-        """Give a new track the name and the filter row of a lost cell, if it probably is one."""
-        lost, probability = self._lost.likeliest(track, place, since_s, expected)
-        least = ASSERTED if self._splits else LIKELIER
-        if lost is None or probability <= least:
-            return
-        x, y, axis = place.tolist()
-        cell = lost.cell
-        self._bank.drop(track.row)
-        track.row = self._bank.moved(lost.row, x, y, axis)
-        track.identity = cell.name
-        track.certainty = cell.certainty * probability
-        track.size = cell.size
-        self._lost.remove(lost)
-
-    def give_up(self, track: CellTrack, seconds: float, may_return: bool) -> None:
-        """Forget a track at a time [s]; its cell is lost if it `may_return`. If only one track is
-        left in the blob that both have shared, it is uncertain which of the cells that is.
+    def give_up(self, track: CellTrack) -> None:
+        """Forget a track. If only one track is left in the blob that both have shared, it is
+        uncertain which of the cells that is.
         """
         if track.question is not None:
             self._end(track.question)
         if track.meeting is not None:
             self._give_up_in(track.meeting, track)
-        if not may_return:
-            self._bank.drop(track.row)
-            return
-        cell = Known(track.identity, track.certainty, track.size)
-        since_s = seconds - track.missed_s
-        self._lost.add(LostCell(cell, track.row, track.last, since_s))
+        self._bank.drop(track.row)
 
     def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track that is given up out of a meeting."""
@@ -236,17 +192,10 @@ class Names:
                 self._meetings.end(meeting)
                 self._doubt(last, share)
 
-    def shift(self, x: float, y: float) -> None:
-        """Move what is known of lost cells by x, y [um], with the picture's content."""
-        self._lost.shift(x, y)
-
     # ---- answers ----
 
     def answer(self, seconds: float) -> None:
-        """Give tracks their names by the likeliest answers; end the questions that are decided, and
-        forget cells that were lost too long ago.
-        """
-        self._lost.remove_late(seconds)
+        """Give tracks their names by the likeliest answers; end the questions that are decided."""
         for question in list(self._questions):
             self._name_by(question)
             if question.ends(seconds):

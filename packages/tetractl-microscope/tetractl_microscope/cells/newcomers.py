@@ -1,8 +1,8 @@
 """Follows specks, the objects that are not known to be cells, until they swim, and begins cells.
 
 A blob that no cell has goes on with the speck to which it was assigned, or begins a new one. A
-speck that swims as the organism does becomes a cell: it gets a row of the filter, and `Names` says
-whether it is a new cell, one that was lost, or one that came out of another one's blob.
+speck that swims as the organism does becomes a cell: it gets a row of the filter. If it came out of
+another cell's blob, `Names` doubts which of the two is the cell that was followed.
 """
 
 import math
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack, TrackBlob
 from tetractl_microscope.cells.helix import HelixFilter
@@ -32,8 +31,6 @@ from tetractl_microscope.organisms import Organism
 
 HIDDEN_S = 3.0  # time without a blob for which a speck with a whole path is kept
 FROM_EDGE = 2.3  # a new cell nearer than this to the picture's edge has swum into it [lengths]
-APPEAR_AT_EDGE = 10.0  # cells that are expected to appear at the edge, in a picture's area
-APPEAR_ELSEWHERE = 0.3  # cells that are expected to appear anywhere else
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,28 +142,18 @@ class Newcomers:
             began_s=now.seconds,
             identity=self._names.take_number(),
         )
-        near = speck.near if speck.near in cells else None
-        divided = self._name(cell, near, np.array((x, y, heading)), path, now)
-        (certainty,) = self._names.probabilities([cell])
+        divided = None
+        if speck.near is not None and speck.near in cells:
+            since_s, first_x, first_y = path[0, :3].tolist()
+            has_entered = now.to_edge(first_x, first_y) < FROM_EDGE * self._body_um
+            divided = self._names.come_out(cell, speck.near, since_s, has_entered)
         self.specks.remove(speck)
         self.born.append(
             Born(
                 identity=cell.identity,
                 track=cell.number,
                 path=own_path(path, cell.size, self._body_um),
-                certainty=certainty,
                 divided=divided,
             )
         )
         return cell
-
-    def _name(
-        self, cell: CellTrack, near: CellTrack | None, place: Floats, path: Floats, now: PictureNow
-    ) -> int | None:
-        """Find out which cell has begun, that swims at x, y [um] and axis [rad] (3,) after a path;
-        return the number of the cell that has divided, or None.
-        """
-        since_s, first_x, first_y = path[0, :3].tolist()
-        has_entered = now.to_edge(first_x, first_y) < FROM_EDGE * self._body_um
-        expected = APPEAR_AT_EDGE if has_entered else APPEAR_ELSEWHERE
-        return self._names.appear(cell, near, place, since_s, expected / now.area_um2, has_entered)

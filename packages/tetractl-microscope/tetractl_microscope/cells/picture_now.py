@@ -32,11 +32,6 @@ class PictureNow:
         """The time without a blob that says nothing of an object: a picture may be missing."""
         return max(BRIEF_S, MISSING * self.passed_s)
 
-    @property
-    def area_um2(self) -> float:
-        """The area that the picture shows [um^2]."""
-        return self.width * self.height * self.um_px**2
-
     def to_edge(self, x: float, y: float) -> float:
         """Return the distance [um] of a position [um] from the picture's edge."""
         return min(x, y, self.width * self.um_px - x, self.height * self.um_px - y)

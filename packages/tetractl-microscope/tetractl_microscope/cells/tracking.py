@@ -157,7 +157,6 @@ class CellTracker:
     def _shift(self, x: float, y: float) -> None:
         """Move all objects by x, y [um], with the picture's content."""
         self.bank.mean[:, :2] += x, y
-        self._names.shift(x, y)
         self._newcomers.shift(x, y)
         for cell in self._cells:
             cell.shift(x, y)
@@ -309,8 +308,7 @@ class CellTracker:
                 lost_s = LOST_SOON_S / self.bank.organism.quickness
             is_lost = cell.missed_s > lost_s
             if is_lost or self._stays(cell, now) or not math.isfinite(x + y):
-                may_return = is_lost and not at_edge and not cell.is_new
-                self._names.give_up(cell, now.seconds, may_return)
+                self._names.give_up(cell)
                 continue
             remaining.append(cell)
             if self._has_swum(cell):

@@ -136,7 +136,7 @@ class Whereabouts:
         rows = [row for track_rows in self.tracks.values() for row in track_rows]
         rows.sort(key=lambda row: (row.name, row.picture, row.likely, -row.cell.track))
         for name, named in groupby(rows, key=lambda row: row.name):
-            # a lost cell that was found again may have its name twice: the likelier one counts
+            # an answer of later may give a name to two tracks: in each picture the likelier counts
             path = self._path(name, list({row.picture: row for row in named}.values()))
             if _swims(path, organism):
                 yield path
@@ -168,7 +168,7 @@ class Whereabouts:
                 heading=float(np.arctan2(way[1], way[0])),
                 mean=UNKNOWN,
                 sd=UNKNOWN,
-                probability=born.certainty,
+                probability=1.0,
                 has_blob=True,
                 merged=False,
                 long_um=np.nan,
@@ -177,7 +177,7 @@ class Whereabouts:
                 measured=None if math.isnan(long) else (x, y, axis, *OF_BLOB),
                 blob_um=np.array((x, y, axis, long, wide)),
             )
-            before.append(TrackRow(self.index(seconds), cell, born.identity, born.certainty))
+            before.append(TrackRow(self.index(seconds), cell, born.identity, 1.0))
         self.tracks.setdefault(born.track, [])[:0] = before
 
 

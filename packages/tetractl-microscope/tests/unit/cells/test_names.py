@@ -1,4 +1,4 @@
-"""Which cell is which after cells met, was lost or came out of another one's blob."""
+"""Which cell is which after cells met, or one came out of another one's blob."""
 
 import itertools
 import math
@@ -9,12 +9,9 @@ from tetractl_microscope.cells.cell import BodySize
 from tetractl_microscope.cells.cell_tracks import CellTrack, Known, WhichIsWhich
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
-from tetractl_microscope.cells.lost_cells import BACK_WITHIN_S
 from tetractl_microscope.cells.names import ASSERTED, Names
 
 pytestmark = pytest.mark.slow
-
-RARE = 0.3 / 2355**2  # density [1/um^2] with which other cells appear
 
 
 class Dish:
@@ -31,45 +28,6 @@ class Dish:
         track = CellTrack(number, row, BodySize(*size), last=np.array([x, y]))
         track.identity = self.names.take_number()
         return track
-
-    def lose(self, track, at_s, for_s):
-        self.names.give_up(track, at_s, may_return=True)
-        self.bank.predict([(for_s, 0.0, 0.0)])
-
-    def appear(self, x, y, seconds, size=(51.0, 25.0), expected=RARE):
-        new = self.track(x, y, size)
-        self.names.appear(new, None, np.array([x, y, 0.0]), seconds, expected, True)
-        return new
-
-
-@pytest.mark.parametrize("place", [(505.0, 490.0), (900.0, 500.0)])
-def test_a_lost_cell_is_found_where_it_rested_and_where_the_signal_led_it(place):
-    dish = Dish()
-    cell = dish.track(500.0, 500.0)
-    dish.lose(cell, 10.0, 1.0)
-    back = dish.appear(*place, 11.0)
-    assert back.identity == cell.identity
-    assert 0.5 < dish.names.probabilities([back])[0] < 1.0
-    third = dish.appear(*place, 11.0)
-    assert third.identity not in (cell.identity, back.number)  # it is taken once
-
-
-@pytest.mark.parametrize(
-    ("place", "size", "expected", "seconds"),
-    [
-        ((505.0, 490.0), (35.0, 38.0), RARE, 11.0),  # another size
-        ((505.0, 1600.0), (51.0, 25.0), RARE, 11.0),  # too far away
-        ((505.0, 490.0), (51.0, 25.0), 0.1, 11.0),  # where many others appear
-        ((505.0, 490.0), (51.0, 25.0), RARE, 10.2 + BACK_WITHIN_S),  # forgotten
-    ],
-)
-def test_another_cell_is_not_taken_for_a_lost_one(place, size, expected, seconds):
-    dish = Dish()
-    cell = dish.track(500.0, 500.0)
-    dish.lose(cell, 10.0, 1.0)
-    dish.names.answer(seconds)
-    new = dish.appear(*place, seconds, size, expected)
-    assert new.identity != cell.identity
 
 
 def test_cells_that_the_places_tell_apart_keep_their_names_without_a_question():

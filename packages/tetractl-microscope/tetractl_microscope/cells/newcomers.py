@@ -20,8 +20,6 @@ from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.readings import PATH, own_path
 from tetractl_microscope.cells.specks import (
     BORN,
-    NEAR,
-    NEAR_BORN,
     Speck,
     straight,
     swims,
@@ -89,8 +87,7 @@ class Newcomers:
             was_hidden = now.seconds - speck.path[-1].seconds > now.brief_s
             before = [] if was_hidden else speck.path[1 - PATH :]
             speck.path = [*before, free_blob.entry(now.seconds)]
-            needed = NEAR_BORN if nearest_um < NEAR * self._body_um else BORN
-            if swims(speck.path, needed, self._organism):
+            if swims(speck.path, self._organism):
                 cell = self._begin(speck, free_blob.track_blob, cells, now)
                 new_cells.append(cell)
         self._drop_hidden(now)
@@ -115,7 +112,7 @@ class Newcomers:
         return [
             speck.near
             for speck in self.specks
-            if speck.near is not None and len(speck.path) <= NEAR_BORN
+            if speck.near is not None and len(speck.path) <= BORN
         ]
 
     # ---- a cell begins ----

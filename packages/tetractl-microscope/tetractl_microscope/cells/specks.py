@@ -11,14 +11,10 @@ from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack
 from tetractl_microscope.organisms import Organism
 
-BORN = 5  # number of blobs after which a speck may be a cell: anywhere
-NEAR_BORN = 7  # near a cell
-NEAR = 0.75  # distance of a speck that is near to a cell [lengths]
+BORN = 5  # number of blobs after which a speck may be a cell
 WHOLE = 3  # fewest of these blobs that the picture's edge does not cut off
 SWUM = 0.23  # least way over these blobs [lengths]
 STRAY = 0.1  # largest distance of them from a line [lengths]
-ALONG = 0.75  # least cosine between a cell's axis and its path
-ROUND = 1.3  # greatest ratio of its sides at which a body has no axis
 MOTION = 4  # newest blobs that tell an object's motion
 STOPPED_S = 0.1  # time without a blob after which an object is expected where it was
 EVEN = 0.2  # relative variation of a cell's size
@@ -49,15 +45,15 @@ class Speck:
         self.path = [blob.moved(x, y) for blob in self.path]
 
 
-def swims(entries: Sequence[PathBlob], needed: int, organism: Organism) -> bool:
-    """Return whether the newest blobs of an object, `needed` of them, have an organism's size and
-    move fast, straight and along their axis.
+def swims(entries: Sequence[PathBlob], organism: Organism) -> bool:
+    """Return whether the newest BORN blobs of an object have an organism's size and move fast and
+    straight.
     """
-    path = np.array(entries[-needed:])
+    path = np.array(entries[-BORN:])
     body_um = organism.body_um[0]
     moved = math.hypot(*(path[-1, 1:3] - path[0, 1:3]))
     passed = path[-1, 0] - path[0, 0]
-    if len(path) < needed or moved < max(SWUM * body_um, organism.slowest_um_s * passed):
+    if len(path) < BORN or moved < max(SWUM * body_um, organism.slowest_um_s * passed):
         return False
     if np.isfinite(path[:, 4]).sum() < WHOLE:
         return False
@@ -65,12 +61,10 @@ def swims(entries: Sequence[PathBlob], needed: int, organism: Organism) -> bool:
     (short, longest), (thin, thick) = organism.outline_um
     if not (short < long < longest and thin < wide < thick):
         return False
-    (vx, vy), fitted = straight(path)
+    _, fitted = straight(path)
     strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
-    sway = np.abs(np.cos(path[:, 3] - math.atan2(vy, vx)))
     even = bool((np.nanstd(path[:, 4:6], axis=0) < (EVEN * long, EVEN * wide)).all())
-    along = long < ROUND * wide or np.median(sway) > ALONG  # a round blob has no axis
-    return bool(even and strayed < STRAY * body_um and along)
+    return bool(even and strayed < STRAY * body_um)
 
 
 def usual_size(path: Floats) -> BodySize:

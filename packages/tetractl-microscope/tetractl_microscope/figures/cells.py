@@ -1,4 +1,4 @@
-"""Draws the figure of a film's cells: their paths over the first picture, and beside them speeds
+"""Draws the figure of a film's cells: their paths over the first picture, and next to it speeds
 and turning in the field, as far as the film has them.
 """
 
@@ -25,7 +25,7 @@ NUMBERED = 60  # most cells that are numbered
 TURN_S = 0.2  # time over which the rate of turning is computed [s]
 BINS = 12  # bins of the angle to the field
 BIN_MIN = 3  # least number of values in a bin
-LEAST_IN = 2.2  # least height of a panel beside the paths [in]
+LEAST_IN = 2.2  # least height of a panel next to the paths [in]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +51,11 @@ def cells_figure(film: FilmTracks) -> Figure:
         panels["speeds"] = ("speed", _speeds)
     if record["field"] and film.paths:
         panels["turning"] = ("turning", _turning)
-    beside: list[Any] = [["paths", "paths", name] for name in panels if name != "paths"]
+    rows: list[Any] = [["paths", "paths", name] for name in panels if name != "paths"]
     shape = record["height"] / record["width"]
-    height_in = max(min(2 / 3 * style.PAGE_IN * shape, 5.2) + 0.6, LEAST_IN * len(beside))
+    height_in = max(min(2 / 3 * style.PAGE_IN * shape, 5.2) + 0.6, LEAST_IN * len(rows))
     figure = style.figure(style.PAGE_IN, height_in)
-    mosaic = figure.subplot_mosaic(beside or [["paths"]])
+    mosaic = figure.subplot_mosaic(rows or [["paths"]])
     for letter, (name, axes) in zip("abc", mosaic.items(), strict=False):
         title, draw = panels[name]
         draw(axes, film)

@@ -73,3 +73,12 @@ def test_a_trial_is_run_again_under_another_controller(logs):
     assert (again.start.seed, again.start.trial) == (was.seed, was.trial)
     assert f"total error {again.result.total_error:.2f} mm, in the log " in done.stderr
     assert "digests" not in done.stderr
+
+
+def test_a_value_that_is_set_as_it_was_makes_no_other_trial(logs):
+    """Regression: their specs were said to differ."""
+    steps_max = read_trial(logs / "trial-001.mcap").experiment.controller.steps_max
+    setting = f"controller.steps_max={steps_max}"
+    done = tetractl(logs, f"rerun trial-001.mcap --set {setting} --out same --quiet").ok()
+    assert "the content digests agree: " in done.stderr
+    assert "differ" not in done.stderr

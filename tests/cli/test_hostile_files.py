@@ -4,6 +4,7 @@ import pytest
 from support import random_trials
 from support.cli import tetractl
 from support.mutate import rewrite, stating
+from support.running import QUICK
 
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact
@@ -82,3 +83,25 @@ def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, drawn, tmp
         assert (tmp_path / "e.png").exists()
     else:
         refused(done, "log.mcap", "true_a", code=1)
+
+
+@pytest.mark.long
+def test_what_determines_nothing_is_told(tmp_path):
+    """Regression: a singular matrix was a traceback."""
+    (tmp_path / "poses.csv").write_text(poses(f"{i / 10},r,{i},0,0\n" for i in range(40)))
+    (tmp_path / "commands.csv").write_text("time_s,direction_rad\n0,0\n0.1,0\n3.9,0\n")
+    done = tetractl(tmp_path, "identify", "poses.csv", "commands.csv")
+    assert done.returncode in (0, 2), done
+
+
+def test_the_unit_of_identified_values_is_shown_as_a_terminal_may(tmp_path):
+    """Regression: a change of the writing direction came to the terminal."""
+    value = "{value: 1}"
+    fields = ("a", "speed", "heading_bias", "position_noise", "heading_noise", "heading_walk")
+    robot = ", ".join(f"{field}: {value}" for field in fields)
+    head = f'identified: "1"\norigin: lab\nunit: "\\u202e"\ndead_time: {value}\n'
+    (tmp_path / "measured.yaml").write_text(f"{head}robots: {{r: {{{robot}}}}}\n")
+    (tmp_path / "spec.yaml").write_text("identified: measured.yaml\n" + QUICK)
+    done = tetractl(tmp_path, "validate", "spec.yaml")
+    assert done.returncode == 2
+    assert "measured.yaml: unit: \\u202e: differs from the spec's, mm" in done.stdout

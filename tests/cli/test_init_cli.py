@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 from functools import partial
 
 import pytest
@@ -95,3 +96,22 @@ def test_every_file_that_a_help_or_a_hint_names_is_an_example():
     sources = "".join(path.read_text() for path in (ROOT / "tetractl").rglob("*.py"))
     names = {in_path or in_option for in_path, in_option in named.findall(sources)}
     assert {"three_m3pi", "three_m3pi_lab", "studies/dead_time"} <= names <= {*examples(), "NAME"}
+
+
+def test_a_file_for_which_the_disk_has_no_room_is_not_left(tetractl, tmp_path):
+    """Regression: an empty spec stayed, and the next `init` refused to write over it."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        done = tetractl("init", "first")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert done.returncode == 2
+    assert done.stderr == "error: first.yaml: cannot be written: File too large\n"
+    assert not (tmp_path / "first.yaml").exists()
+
+
+def test_a_name_that_ends_in_yml_is_kept(tetractl, tmp_path):
+    """Regression: `init mine.yml` wrote mine.yaml."""
+    tetractl("init", "mine.yml").ok()
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yml"]

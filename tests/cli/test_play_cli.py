@@ -11,7 +11,7 @@ from support.terminal import Terminal
 from support.trials import three_robots
 
 import tetractl as package
-from tetractl.cli.play import _best
+from tetractl.cli.play import _best, _error
 from tetractl.experiment.section_abilities import GivenDirections
 
 pytestmark = pytest.mark.slow
@@ -186,3 +186,12 @@ def test_the_best_try_is_one_that_is_not_lost():
     assert lost.left_arena
     assert _best([lost, kept]) is kept
     assert _best([lost]) is lost
+
+
+def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():
+    """Regression: an undisturbed controller was 0.000519 mm off."""
+    log = three_robots()
+    assert log.result
+    result = replace(log.result, total_error=0.000519)
+    assert _error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
+    assert _error(replace(result, total_error=6.9), log.experiment).startswith("6.90 mm in")

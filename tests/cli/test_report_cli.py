@@ -191,3 +191,48 @@ def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path):
     assert re.findall(r'<th scope="row">([^<]*)', head) == ["dead_time=0", "dead_time=0.1"]
     assert "sum over the robots" in head
     assert html.index("verdict on the mean error") < html.index('<section id="player"')
+
+
+@needs_chromium
+def test_curves_follow_the_theme(page):
+    """Regression: in the dark they kept the colour that they had on a light page."""
+    painted = """
+        (() => {
+          const { canvas } = player.charts.cost, probe = document.createElement("canvas");
+          const [context, ink] = [canvas.getContext("2d"), probe.getContext("2d")];
+          ink.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--whole");
+          ink.fillRect(0, 0, 1, 1);
+          const wanted = ink.getImageData(0, 0, 1, 1).data.join();
+          const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+          const starts = [...Array(data.length / 4).keys()];
+          return starts.some((i) => data.slice(4 * i, 4 * i + 4).join() === wanted);
+        })()
+    """
+    toggle = "document.getElementById('theme').click()"
+    for _ in range(2):
+        assert page.run(painted)
+        page.run(toggle)
+
+
+@needs_chromium
+def test_the_dots_of_a_figure_are_one_stop_of_the_tab_key(page):
+    """Regression: there were as many stops as trials."""
+    stops = """
+        [...document.querySelectorAll("svg.errors")]
+          .map((drawing) => drawing.querySelectorAll('a:not([tabindex="-1"])').length)
+    """
+    dots = page.run('document.querySelectorAll("svg.errors a").length')
+    assert dots > len(page.run(stops))
+    assert set(page.run(stops)) == {1}
+    page.run(
+        """
+        (() => {
+          const first = document.querySelector("svg.errors a");
+          first.focus();
+          first.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true }));
+        })()
+        """
+    )
+    moved = "[...document.querySelectorAll('svg.errors a')].indexOf(document.activeElement)"
+    assert page.run(moved) == 1
+    assert set(page.run(stops)) == {1}

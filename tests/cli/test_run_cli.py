@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -230,3 +231,23 @@ def test_help_imports_nothing_heavy(tmp_path, args):
     if args[0] == "run":
         heavy.remove("pydantic")  # typer's own, to read a command's options
     assert heavy & imported == set()
+
+
+def test_a_dry_run_sends_a_terminal_nothing_that_it_obeys(batch, tmp_path):
+    """Regression: a description turned the writing direction of the operator's terminal."""
+    text = (batch[0] / "quick.yaml").read_text("utf-8") + 'description: "three \\u202e robots"\n'
+    (tmp_path / "turned.yaml").write_text(text, encoding="utf-8")
+    done = run("turned.yaml", "--dry-run", cwd=tmp_path).ok()
+    assert all(line.isprintable() for line in done.stdout.splitlines())
+    assert "u202" in done.stdout.lower()
+
+
+@pytest.mark.system
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
+def test_a_signal_to_all_while_processes_start_is_an_interruption_too(tmp_path):
+    """Regression: it met workers that had not prepared for it, and the pool broke."""
+    with Running(tmp_path, ENDLESS, "--jobs", "2") as running:
+        running.until(lambda: len(running.workers()) == 2)
+        os.killpg(running.process.pid, signal.SIGINT)
+        assert running.end() == 130
+        assert_interrupted(running, 2)

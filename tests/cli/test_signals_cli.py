@@ -242,3 +242,34 @@ def test_every_command_ends_though_nobody_reads_it(files, tmp_path, words):
             timeout=PATIENCE_S,
         )
     assert done.returncode == ENDING[words]
+
+
+@pytest.mark.system
+@pytest.mark.parametrize(("spec", "jobs"), [(ENDLESS, "1"), (HEAVY, "2")], ids=["endless", "heavy"])
+def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path, spec, jobs):
+    with Running(tmp_path, spec, "--jobs", jobs) as running:
+        running.until_logging(int(jobs))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT) * 2:
+            running.process.send_signal(number)
+            time.sleep(0.002)  # apart, so that two of a kind do not arrive as one
+        assert running.end() == 130
+        for path in running.logs.glob("*.mcap"):
+            assert not read_result(path).recovered
+        lines = running.err.read_text().splitlines()
+        assert lines[-2].startswith("logs in logs")
+        assert lines[-1] == "interrupted; continue with the same command and --out logs --resume"
+
+
+PAGE = 4096  # bytes, fewer than the results of six trials as JSON; pipes are filled by pages
+
+
+def test_a_signal_leaves_out_the_results_that_nobody_reads(tmp_path):
+    with (
+        full(os.pipe, room=PAGE) as descriptor,
+        quick_run(tmp_path, "--json", "--set", "trials.count=6", stdout=descriptor) as running,
+    ):
+        assert not is_full(descriptor)
+        running.until(lambda: is_full(descriptor))  # with results: nothing else goes there
+        running.process.send_signal(signal.SIGINT)
+        assert running.end() == 0
+    assert "look at one with: tetractl replay logs/trial-000.mcap" in running.err.read_text()

@@ -276,3 +276,15 @@ def test_warm_compiles_what_specs_and_studies_name(folder):
     assert done.stderr.startswith("kept in /")
     done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")
     assert done.stdout.startswith("pso-mpc, pso, exact: ")
+
+
+def test_the_end_of_a_file_does_not_read_as_an_interruption(tmp_path, monkeypatch):
+    """Regression: typer takes every EOFError for Ctrl-D, as that of a killed process."""
+
+    def cut(*_):
+        raise EOFError("the pipe has ended")
+
+    monkeypatch.setattr("tetractl.experiment.yaml.document.read_document", cut)
+    done = tetractl(tmp_path, "lab", "check", "first.yaml")
+    assert done.returncode == 1
+    assert done.stderr.endswith("error: EOFError: the pipe has ended\n")

@@ -1,5 +1,6 @@
 """The face: every name of `import tetractl`, used as a notebook uses it."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -246,3 +247,27 @@ def test_importing_the_face_imports_next_to_nothing():
     done = subprocess.run(command, env=path, capture_output=True, text=True, check=True)
     assert len(done.stdout.split()) < 10, done.stdout
     assert not {"numpy", "numba", "pydantic", "typing"} & {*done.stdout.split()}
+
+
+@pytest.mark.parametrize("data", [3, None, {}, [3]], ids=repr)
+@pytest.mark.parametrize("name", ["summarise", "compare", "plot", "to_dataframe", "verify"])
+def test_what_is_no_trial_and_no_batch_is_refused_in_one_line(name, data):
+    """Regression: AttributeError, TypeError and IndexError, whose words were of other things."""
+    with pytest.raises(UsageError) as error:
+        getattr(tetractl, name)(data)
+    assert "\n" not in error.value.message
+
+
+@pytest.mark.parametrize("progress", [True, False])
+def test_a_batch_says_now_and_then_how_far_it_is(tmp_path, monkeypatch, capsys, progress):
+    """Regression: a batch of 372 s said no word."""
+    monkeypatch.setattr("tetractl.view.terminal.progress.PAUSE_S", 0.0)
+    tetractl.run_batch(tetractl.parse_spec(SPEC), tmp_path, progress=progress)
+    printed = capsys.readouterr()
+    first, *rest = printed.err.splitlines() or [""]
+    assert printed.out == ""
+    if progress:
+        assert re.fullmatch(r"1 of 3 trials; \d+ s left", first)
+        assert len(rest) == 2
+    else:
+        assert printed.err == ""

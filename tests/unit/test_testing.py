@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from pydantic import PrivateAttr
+from pydantic import PrivateAttr, model_validator
 from support.cli import tetractl
 from support.paths import ROOT
 
@@ -22,6 +22,7 @@ from tetractl.control.optimizers.pso import Pso
 from tetractl.control.sequence import SequenceSection
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Transmission
+from tetractl.core.errors import UsageError
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Poses
 from tetractl.core.protocols import Health
@@ -32,6 +33,9 @@ from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.experiment import ShapeSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
+from tetractl.lab.actuators.twist import line_ports
+from tetractl.lab.actuators.twist.section import TwistSection
+from tetractl.lab.serial_port import SerialPort
 from tetractl.testing import (
     check_actuator,
     check_camera,
@@ -42,6 +46,7 @@ from tetractl.testing import (
     check_shape,
     findings_of,
 )
+from tetractl.testing.device_checks import _check_leaving
 
 SETUP = parse_spec(template("check", "check"), "check").experiment.setup
 EXACT = MOTIONS.load("exact")
@@ -411,3 +416,62 @@ def test_the_command_says_what_was_checked(tmp_path):
     done = tetractl(tmp_path, "kinds", "--check", "mine:MINE")
     assert done.returncode == 1
     assert "WRONG  step: turns with heading and u" in done.stdout
+
+
+class Contradictory(Sketch):
+    """A shape whose fields contradict each other."""
+
+    @model_validator(mode="after")
+    def _never(self):
+        raise ValueError("its fields contradict each other")
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        (Untyped, "mine:KIND: the field `type` must be a Literal with one name"),
+        (Contradictory, "mine:KIND: its fields contradict each other"),
+    ],
+)
+def test_a_section_that_cannot_be_made_is_one_line(monkeypatch, kind, told):
+    """Regression: without `type` a KeyError, and a rule of all fields was reported of none."""
+    module = type("module", (), {"KIND": kind})
+    monkeypatch.setitem(__import__("sys").modules, "mine", module)
+    with pytest.raises(UsageError) as caught:
+        check_kind("mine:KIND", {"corners": ()}, SETUP)
+    assert caught.value.message == told
+
+
+def test_nothing_is_sent_to_the_port_of_a_network():
+    """Regression: it was given the name of a pseudo-terminal, on which it failed."""
+
+    class NetworkSection(PortSection):
+        port: int = 9001
+
+    findings = findings_of(partial(check_actuator, NetworkSection(), SETUP))
+    assert not any(finding.problem for finding in findings)
+    assert findings[-1].what.startswith("send: not called")
+
+
+def test_robots_with_ports_of_their_own_are_not_steered_there(monkeypatch):
+    """Regression: the lines to such a robot went to its own port, and it drove."""
+    opened = set()
+
+    class NotedPort(SerialPort):
+        def open(self, alone=True):
+            opened.add(self._name)
+            super().open(alone)
+
+    monkeypatch.setattr(line_ports, "open_port", NotedPort)
+    robots = [{"name": name, "radius_mm": 40.0, "port": f"/dev/{name}"} for name in SETUP.names]
+    section = TwistSection.model_validate({"type": "twist", "port": "/dev/none", "robots": robots})
+    check_actuator(section, SETUP)
+    assert len(opened) == 1
+    assert opened.isdisjoint({"/dev/none", *(robot["port"] for robot in robots)})
+
+
+def test_closing_before_opening_is_a_finding():
+    """Regression: it ended in a traceback."""
+    unopened = PortActuator(PortSection(), SETUP, None)
+    (finding,) = findings_of(partial(_check_leaving, unopened, unopened))
+    assert finding.problem == "AttributeError: 'PortActuator' object has no attribute 'port'"

@@ -1,6 +1,7 @@
 """The filters of the robots: what they identify, and what they take for lost, stuck or stale."""
 
 import math
+from copy import deepcopy
 from dataclasses import asdict, replace
 from typing import NamedTuple
 
@@ -579,3 +580,51 @@ def test_a_grid_is_noise_and_its_poses_may_repeat():
     assert more[2] == pytest.approx(step_rad**2 / 12)
     assert model.coarse
     assert not usual.coarse
+
+
+class Late(Disturbance):
+    """Stands for radio and wheels that answer late: from a time [s] on, commands act later on each
+    robot by a time of its own (N,) [s]."""
+
+    def __init__(self, late_s, since_s=0.0):
+        self.late_ns = (np.array(late_s) * SECOND).astype(np.int64)
+        self.since_ns = since_s * SECOND
+
+    def sent(self, command):
+        if command.sent_ns < self.since_ns:
+            return command
+        return replace(command, late_ns=self.late_ns)
+
+
+@pytest.mark.long
+def test_a_dead_time_that_changes_is_found_again():
+    """Regression: the dead times around 0.26 s had been dropped by then: 0.25 s, and a misfit."""
+    settings = "plant.dead_time=0.11", "plant.a_error=0.2", *NOISY
+    estimate, _, estimator = drive(settings, 24, 20, disturbance=Late([0.15] * 3, since_s=12.0))
+    assert estimate.dead_time == pytest.approx(0.26, abs=0.004)
+    assert estimate.misfit.max() < 1
+    assert (estimator.filter.reopened_ns or 0) > 12 * SECOND
+
+
+@pytest.mark.parametrize("dead_time_s", [0.105, 0.11])
+def test_a_radio_that_works_seems_so_whenever_commands_act_between_frames(dead_time_s):
+    """Regression: frames after the next direction had acted spoke against the one before."""
+    settings = (f"plant.dead_time={dead_time_s}", "plant.a_error=0.2", "plant.lost_commands=0")
+    driven = drive(settings, rate=20, seed=5, directions=JUMPING)
+    assert driven.filters.reception.times_shown == 0
+
+
+def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
+    """Regression: commands that had acted were forgotten at once, 65 at a time."""
+    directions = []
+
+    def replaced(k, estimator, plant):
+        filters = deepcopy(estimator.filter)
+        filters.restart([0])
+        if k > 10:
+            directions.append(filters.bank.direction[:, 0, 0])
+            of_one_that_is_stuck = filters.bank.direction[:, 0, -1]
+            assert np.isnan(of_one_that_is_stuck).all()
+
+    drive(["plant.dead_time=0.1"], seconds=4, rate=20, watch=replaced)
+    assert not np.isnan(np.concatenate(directions)).any()

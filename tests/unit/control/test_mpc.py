@@ -389,3 +389,37 @@ def test_searches_for_standing_robots_end_after_a_second(search_s, searches):
     plan = controller.plan(observation_of())
     done = [search for search in plan.searches if search.stopped is not StopReason.FIXED]
     assert len(done) == searches
+
+
+@pytest.mark.parametrize(("cost", "state"), [(1.0, State.DRIVING), (BAD, State.RESTING)])
+def test_near_the_limit_a_stop_is_compared_with_the_polished_plan(cost, state):
+    """Regression: with no time left for a new plan, robots stopped if that was better than the
+    plan under way as it was, though polished it would have led them to their targets.
+
+    The signals left lead the robots, ACCEPT + 30 short of their targets, far past them.
+    """
+    controller, search = driving({5: cost}, time_limit=2, collision=RESTS)
+    assert controller.section.time_limit < SHORTEST * PERIOD_S
+    plan = decide(controller, short_by(ACCEPT + 30))
+    assert plan.state is state
+    searched = [len(found.signals) for found in plan.searches if found.stopped != StopReason.FIXED]
+    assert searched == [length for length, _ in lengths(search)]  # the log has all of them
+
+
+def test_robots_stop_before_the_arc_of_a_signal_touches_a_wall_its_ends_do_not():
+    """Regression: a body went 0.6 mm over the edge by a plan whose obstacle cost was 0."""
+    bodies = RESTS | {"walls": True, "radius": BODY, "margin": 0}
+    controller, _ = driving({5: 0.0}, collision=bodies)
+    poses = STARTS.copy()
+    poses[0] = [800, controller.setup.arena.bottom + BODY + 0.1, -0.06]
+    assert decide(controller, poses).state is State.RESTING
+
+
+def test_robots_that_cannot_stand_drive_on_where_their_plan_is_longer_than_the_time_left():
+    """Regression: after a late step no plan was searched, and robots that cannot stand stopped."""
+    signals_in_time = 2
+    now_ns = 10 * PERIOD_NS
+    time_limit = now_ns / 1e9 + signals_in_time * PERIOD_S
+    controller, _ = driving({signals_in_time: ACCEPT}, signals_left=9, time_limit=time_limit)
+    plan = decide(controller, now=now_ns)
+    assert (plan.state, plan.search.length) == (State.DRIVING, signals_in_time)

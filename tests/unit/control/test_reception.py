@@ -138,3 +138,15 @@ def test_frames_after_the_next_direction_acts_say_nothing():
         bank = bank_that_follows(heard_later, weights, acted=TESTED + 1)
         reception.add_frame(bank, filters, commands)
     assert reception.ln_ratio > 1
+
+
+def test_directions_that_the_next_one_turns_back_from_are_tested():
+    """Regression: they said nothing, as each was tested after the next one had acted. Of these 80
+    directions, each turns back from the one before, and one in four is heard."""
+    directions = np.tile([0.0, 1.0, 0.1, 0.9], 20)
+    commands = SentCommands(0.05 * np.arange(80), directions)
+    reception = Reception()
+    for command in range(1, 80):
+        bank = bank_after(command, command % 4 == 0, directions)
+        reception.add_frame(bank, np.zeros(1, np.int64), commands)
+    assert reception.is_sparse

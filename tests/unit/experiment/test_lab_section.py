@@ -117,3 +117,34 @@ def test_labs_that_cannot_be_are_refused(settings, line):
     text = caught.value.message
     for part in line.split(": "):
         assert part in text
+
+
+def test_a_spec_without_a_folder_names_its_calibration_by_the_whole_path(tmp_path, monkeypatch):
+    """Regression: `rerun LOG --plant lab` drove robots by a file with that name in the present
+    folder, of other robots perhaps: a log does not know the folder of its spec."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "m.yaml"
+    file.write_text(MEASURED)
+    relative = parse_spec(SPEC.read_text(), "spec.yaml", ["lab.calibration=m.yaml"])
+    with pytest.raises(SpecError, match=r"^lab.calibration: m.yaml: is in the folder of a spec"):
+        on_plant(relative, "lab")
+    whole = parse_spec(SPEC.read_text(), "spec.yaml", [f"lab.calibration={file}"])
+    assert on_plant(whole, "lab").attached == (("m.yaml", MEASURED),)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "root:x:0:0::/:/bin/sh\n",
+        "[secret]\nkey = hunter2\n",
+        "- hunter2\n",
+        "hunter2: {",
+        "",
+        "a: b\n",
+    ],
+)
+def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
+    """Regression: a spec could name any readable file, and its lines were printed."""
+    with pytest.raises(SpecError) as error:
+        calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
+    assert error.value.message == "/etc/secret: is not a calibration file"

@@ -6,6 +6,7 @@ from support.paths import SPECS as FILES
 
 from tetractl.cli.specs import template
 from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.run.news import stated_model
 
 EXPERIMENTS = ROOT / "experiments"
 
@@ -98,3 +99,14 @@ def test_defaults_follow_the_robots_and_their_bodies():
     assert controller.arrival_tolerance == 0
     assert controller.collision.separation == 94
     assert controller.collision.stop_before_collision is True
+
+
+@pytest.mark.parametrize("name", ["micro_channels.yaml", "tetrahymena.yaml"])
+def test_a_prior_states_the_noise_of_the_simulated_camera(name):
+    """Regression: the filter of tetrahymena.yaml had to learn the noise, and errors were greater
+    (docs/decisions/filter.md)."""
+    prior = SPECS[name].controller.prior
+    camera = SPECS[name].plant.measurement_noise
+    assert prior.position_noise == camera.position > 0
+    assert prior.heading_noise == camera.heading > 0
+    assert not stated_model(SPECS[name]).lacks_noise  # so no trial warns of it

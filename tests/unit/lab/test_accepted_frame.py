@@ -47,3 +47,11 @@ def test_a_pose_that_is_not_of_the_frame_is_none():
     old = Pose(1.0, 2.0, 3.0)
     accepted = AcceptedFrame(CameraFrame(1, 0, 0, (None, old)), (old, old), (False, True))
     assert (accepted.pose(0), accepted.pose(1)) == (None, old)
+
+
+def test_the_newest_frame_is_the_last_one_if_there_is_any():
+    buffer = FrameBuffer()
+    assert buffer.newest is None
+    for number in (1, 2):
+        buffer.append(frame(number))
+        assert buffer.newest.frame.number == number

@@ -12,7 +12,7 @@ from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.culprit import CAMERA, RADIO, RECENT_NS, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_records import GuardRules
-from tetractl.lab.motion_check import ANOTHER, motion
+from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
 
 NAMES = ("green", "blue", "red")
 PAIR = NAMES[:2]
@@ -196,3 +196,50 @@ def test_two_robots_that_do_what_the_other_is_commanded_are_named_together(seed,
     text = SWAPPED.format(NAMES[first], NAMES[second])
     assert accused(obeys=obeys, seed=seed, suspect=first) == text
     assert accused(obeys=obeys, seed=seed, suspect=second) == text
+
+
+def test_the_two_of_two_robots_are_named_together_if_they_have_exchanged_numbers():
+    assert accused(obeys=[1, 0], names=PAIR, seed=4) == SWAPPED.format(*PAIR)
+
+
+def test_numbers_are_not_asked_for_if_the_reason_says_what_is_wrong_with_the_robot():
+    text = SWAPPED.format(*PAIR)
+    assert accused(obeys=[1, 0, 2], seed=3) == text
+    assert accused(obeys=[1, 0, 2], seed=3, reason=WRONG_WAY) != text
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_was_pushed_sideways_is_not_taken_for_another(seed):
+    """One alone that moves as another is commanded is not named: a push may look so."""
+
+    def slid(i, place, t):
+        if i != 1:
+            return np.zeros(3)
+        across = np.array([-np.sin(place[2]), np.cos(place[2]), 0.0])
+        return 200.0 * max(0.0, 0.1 - t) * across
+
+    assert accused(slid, seed=seed, suspect=1) == ""
+
+
+def test_nothing_is_named_but_the_robot_if_it_drives_alone():
+    assert accused(pushed([0]), names=NAMES[:1]) == ""
+
+
+def test_robots_that_all_stand_are_named_themselves():
+    """Regression: a radio that fell silent was named as slow, or as a camera that moves."""
+    last_places = {}
+
+    def stand(i, place, t):
+        if t > 0.2:
+            last_places[i] = place.copy()
+        return last_places[i] - place
+
+    assert accused(stand, reason=DOES_NOT_MOVE) == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_robots_that_are_seen_at_times_of_their_own_are_named_as_others(seed):
+    ages = (0, 6, 12)  # up to 0.1 s
+    assert accused(pushed([0]), seed=seed, ages=ages) == ""
+    assert accused(pushed([0, 1, 2]), seed=seed, ages=ages) == CAMERA
+    assert accused(delay_s=0.5, seed=seed, ages=ages) == RADIO.format(0.5)

@@ -1,5 +1,6 @@
 """Poses that leave their robots slowly, of three robots that drive as commanded, at 120 Hz."""
 
+import re
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab import drift_check
 from tetractl.lab.drift_check import TOGETHER, DriftCheck
 from tetractl.lab.guard_records import GuardRules
 from tetractl.lab.motion_check import motion
@@ -218,3 +220,62 @@ def test_a_trials_turns_are_those_of_its_wheels_whatever_is_expected_of_wheels(s
     assert (off[:2] < 3.0 * errors[:2]).all()
     assert errors[0] < error_max
     assert errors[2] == np.inf
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "limit"), [pytest.param(5, 10.0, marks=pytest.mark.long), (20, 13.0)]
+)
+def test_robots_with_slow_wheels_that_are_turned_to_and_fro_are_let(rate_hz, limit, monkeypatch):
+    """Regression: what is left of a reversal 0.2 s later was taken for a pose that turns; in 14
+    trials the statistic reached 13, it reaches 9; if it lasted for 50 ms, 13.3, it reaches 12.2.
+    """
+    monkeypatch.setattr(drift_check, "LIMIT", limit)
+    settings = {"seconds": 60 / rate_hz, "rate_hz": rate_hz, "lag_s": 0.08, "most": 8.0}
+    texts = [drifting(seed=seed, **settings).text for seed in range(14)]
+    assert texts == [""] * 14
+
+
+def pushed_by_20_mm(places, t):
+    """Green, in a single frame. What is more than an error of a block is carried to the next."""
+    off_mm = 20.0 if t > 1.95 else 0.0
+    return np.array([[off_mm, 0.0, 0.0], [0.0] * 3, [0.0] * 3])
+
+
+def test_a_rest_leaves_out_the_ways_that_were_still_to_be_counted():
+    """0.05 s after the push, one block has counted a part of it."""
+    on_and_on = drifting(pushed_by_20_mm, seconds=3.0)
+    with_a_rest = drifting(pushed_by_20_mm, seconds=3.0, rest_ns=240 * FRAME_NS)
+    assert on_and_on.text.startswith("green moves along its heading")
+    assert with_a_rest.text == ""
+
+
+class TurningPose:
+    """Stands for a camera that shows green's pose turning at 0.2 rad/s, in heading and course: each
+    of its ways is shown turned by as much as its heading by then."""
+
+    def __init__(self):
+        self.places = None  # of the frame before
+        self.off = np.zeros(2)
+
+    def __call__(self, places, t):
+        turned = 0.2 * t
+        if self.places is not None:
+            x, y = (places - self.places)[0, :2]
+            cos = np.cos(turned)
+            sin = np.sin(turned)
+            self.off += (cos * x - sin * y - x, sin * x + cos * y - y)
+        self.places = places.copy()
+        return np.array([[*self.off, turned], [0.0] * 3, [0.0] * 3])
+
+
+def test_a_turn_that_one_trial_cannot_distinguish_from_wheels_is_stated():
+    said = drifting(TurningPose(), 6.0, share=0.0)
+    assert said.text == ""
+    turns = said.check.turns()
+    rate, error = map(float, re.search(r"green ([+\d.]+) ± ([\d.]+) rad/s$", turns).groups())
+    assert rate == pytest.approx(0.2, abs=3 * error + 0.02)
+    assert "blue" not in turns
+
+
+def test_of_a_trial_without_motion_no_turns_are_known():
+    assert Watched().check.turning() == ((), ())

@@ -4,6 +4,7 @@ import math
 import random
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_findings import Abort, Lose, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
+from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import BUSY, Guard
 from tetractl.lab.guard_checks import robot_checks
@@ -657,3 +660,195 @@ class GuardMachine(RuleBasedStateMachine):
 
 TestGuardMachine = GuardMachine.TestCase
 TestGuardMachine.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+
+
+def test_a_pause_forgets_neither_how_seldom_a_robot_is_seen_nor_what_its_wheels_are():
+    """Regression: a robot seen for moments only drove on if the robots paused now and then."""
+    course = running(replace(RULES, wheel_radius=40.0))
+    began = course.now_ns
+    fits = []
+    while course.guard.state is not GuardState.ABORT and course.now_ns - began < 5 * SECOND:
+        course.frames(35, GREEN_UNSEEN)
+        course.frames(3)
+        if course.guard.state is not GuardState.ABORT:
+            course.guard.end_run()
+            course.frames(30)
+            course.guard.start_run(course.now_ns)
+            fits.append(course.guard.drift.blocks)
+    assert "green is seen too rarely" in course.guard.reason
+    assert course.now_ns - began < 4 * SECOND
+    assert fits == sorted(set(fits))  # each stretch adds to the fit
+
+
+def walk(step_mm, course, frames=40):
+    """Green's pose walks on by `step_mm` a frame; return how far it was accepted [mm]."""
+    x = PLACES[0].x
+    believed = 0.0
+    for _ in range(frames):
+        x += step_mm
+        course.frame((Pose(x, 500.0, 0.3), PLACES[1]))
+        course.guard.note_direction(course.now_ns)
+        if course.guard.state is GuardState.ABORT:
+            break
+        believed = course.accepted.poses[0].x - PLACES[0].x
+    return believed
+
+
+@pytest.mark.parametrize("standing", range(0, 30, 3))
+def test_a_ghost_that_walks_33_mm_a_frame_is_caught_within_70_mm(standing):
+    course = running()
+    course.frames(standing + 1)
+    assert walk(33.0, course) < 70.0
+    assert course.guard.state is GuardState.ABORT
+    assert course.guard.reason.startswith("green is not tracked: its pose jumped")
+
+
+def test_a_heading_that_walks_is_not_believed_for_long():
+    rules = replace(RULES, turning=(0.5, 0.5))
+    course = running(rules)
+    heading = 0.3
+    for _ in range(20):
+        heading += 0.6
+        course.frame((Pose(500.0, 500.0, heading), PLACES[1]))
+    assert course.guard.refusals >= 18
+
+
+def test_robots_that_turn_on_the_spot_wait_for_the_next_plan_as_in_a_pause():
+    """Regression: every turn at 20 Hz, which lasts 0.55 s, ended the trial."""
+    course = running(replace(RULES, silence_ns=500 * MS))
+    course.guard.note_direction(course.now_ns, ahead=False)
+    began = course.now_ns
+    while course.now_ns - began < 990 * MS:
+        assert course.frame().moving == (True, True)
+    for _ in range(250):
+        ruling = course.frame()
+    assert (ruling.state, ruling.moving) == (GuardState.HOLD, (False, False))
+    for _ in range(5):
+        course.guard.note_step(True)
+    course.guard.note_direction(course.now_ns)
+    assert course.frame().moving == (True, True)
+    for _ in range(63):
+        course.frame()
+    assert "gave no direction for 0.5 s" in course.guard.reason
+
+
+def test_a_run_that_goes_on_ends_where_a_robot_drives_backward():
+    guard = Drive(done=(-200.0, 0.0, 0.0), goes_on=True).go(0.7)
+    assert guard.state is GuardState.ABORT
+
+
+@pytest.mark.long
+def test_a_drift_is_the_same_in_every_unit():
+    """Green drives an arc, and is seen to do a little more than it is commanded."""
+
+    def worst_drift(mm):
+        motions = SimpleNamespace()
+        limits = LabLimits(wheel_error=0.12)
+        rules = GuardRules(
+            ("green",), (200.0 / mm,), (6.0,), RULES.arena, limits, mm=mm, wheel_radius=40.0 / mm
+        )
+        check = DriftCheck(rules, motions)
+        seen_rates = np.array([[210.0 / mm, 3.0 / mm, 1.02]])
+        for now_ns in range(0, 20 * SECOND, FRAME):
+            t = now_ns / SECOND
+            check.sent(now_ns, (200.0 / mm,), (1.0,))
+            motions.travelled = seen_rates * t
+            check.frame(now_ns, [now_ns], (Pose(0.0, 0.0, t),))
+        return check.worst
+
+    assert worst_drift(mm=1.0) == pytest.approx(worst_drift(mm=1000.0))
+    assert worst_drift(mm=1.0) != 0.0
+
+
+def test_a_robot_that_is_carried_to_its_start_is_no_noise_of_the_camera():
+    course = Course().pass_preflight()
+    for k in range(60):
+        course.frame((with_noise(PLACES[0], k), PLACES[1]))
+    course.start_run()
+    for _ in range(30):
+        assert course.frames(1, PLACES).moving == (True, True)
+
+
+def test_robots_that_stand_as_commanded_may_be_seen_so_to_the_last_bit():
+    drive = Drive(commanded=0.0, done=(0.0, 0.0, 0.0), noise=0.0)
+    assert drive.go(2.0).state is GuardState.RUN
+
+
+def test_a_ghost_is_not_believed_after_the_abort_either():
+    """Regression: its pose was valid again as soon as the robot could have driven there."""
+    drive = Drive()
+    walked = [0.0]
+
+    def see(pose):
+        walked[0] += 3.0
+        return replace(pose, y=pose.y - min(walked[0], 800.0))
+
+    drive.go(0.6)
+    guard = drive.go(0.3, see)
+    assert guard.state is GuardState.ABORT
+    refused = guard.refusals
+    drive.go(3.0, see)
+    assert guard.refusals == refused + 3 * FRAMES_A_SECOND
+    drive.go(1.0)  # the robot itself: no sensor knows
+    assert guard.refusals == refused + 4 * FRAMES_A_SECOND
+
+
+@pytest.mark.parametrize(
+    ("finding", "state", "reason", "lost", "warnings"),
+    [
+        (Warn("one"), GuardState.RUN, "", [], ("one",)),
+        (Lose(1, "two"), GuardState.RUN, "", [1], ("two: the run goes on without this robot",)),
+        (Abort("three"), GuardState.ABORT, "three", [], ()),
+    ],
+    ids=["warn", "lose", "abort"],
+)
+def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost, warnings):
+    course = begun_with_checks(Finds(finding))
+    ruling = course.frame()
+    assert (ruling.state, ruling.reason, list(course.guard.lost)) == (state, reason, lost)
+    assert ruling.warnings == warnings
+
+
+def test_a_body_in_place_of_a_ghost_is_no_ghost():
+    """Regression: the poses of the new body were refused for what the old one had done."""
+    course = begun_with_checks(Finds(Abort("green drifts", (0,))))
+    course.frames(2)
+    assert course.guard.refused == ("green drifts", "")
+    course.guard.lose_robot(0, "green has divided")
+    course.guard.replace_robot(0)
+    course.frame()
+    assert course.accepted.fresh == (True, True)
+
+
+class FindsInFrames(Finds):
+    """Stands for a check that finds what it was given, in each frame of a run."""
+
+    def frame(self, now_ns, times, poses):
+        yield from self._findings
+
+    def tick(self, robots):
+        yield from ()
+
+
+def test_an_abort_for_damaged_frames_passes_on_the_warnings_before_it():
+    """Regression: what was warned of since the last tick was lost."""
+    course = begun_with_checks(FindsInFrames(Warn("green wanders")), rules=RULES)
+    course.damaged = 21
+    ruling = course.frame()
+    assert ruling.reason == "21 damaged camera frames within a second"
+    assert ruling.warnings == ("green wanders",)
+
+
+def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
+    course = begun_with_checks(Finds(Lose(1, "it is gone")))
+    assert course.frame().moving == (True, False)
+
+
+def test_after_an_abort_no_robot_is_lost_any_more():
+    """Regression: checks after the one that aborted the run went on losing robots."""
+    aborts = Finds(Abort("the first"), Lose(1, "the second"))
+    loses = Finds(Lose(0, "the third"))
+    course = begun_with_checks(aborts, loses)
+    ruling = course.frame()
+    assert (ruling.reason, ruling.warnings) == ("the first", ())
+    assert course.guard.lost == {}

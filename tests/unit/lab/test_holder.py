@@ -164,3 +164,22 @@ def test_a_held_port_takes_bytes_of_a_second_opener_that_asks_for_that(port, hol
         assert opener.write(b"stop") > 0
     finally:
         opener.close()
+
+
+def test_that_no_stop_could_be_sent_next_to_another_program_is_said(port, hold):
+    """Regression: the error named the program alone, as if its robots had been sent stops."""
+    hold("terminal")
+
+    def refused():
+        raise AbortError("the radio is stuck")
+
+    with pytest.raises(AbortError, match="can be ended; the stops failed: the radio is stuck"):
+        stop_beside(port, refused, lambda line: None)
+
+
+def test_a_holder_that_is_not_known_is_sent_stops_over_and_told_of(port, hold, monkeypatch):
+    process = hold("tetractl")
+    monkeypatch.setattr(module, "holder", lambda port: None)
+    with pytest.raises(AbortError, match="another program still has the port"):
+        stopping(port)
+    assert process.poll() is None

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.labs import fake_lab
+from support.labs import STEP_NS, fake_lab
 from support.trials import experiment
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
+from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab import inner_loop
 from tetractl.lab.guard_records import GuardState
@@ -211,3 +212,141 @@ def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops(lab):
     lab.supervision.emergency.set()
     wait_a_second(lab)
     assert emergencies == [False] * 20 + [True] * 10
+
+
+class LosesBlue:
+    """Stands for a camera's watch to which blue is lost."""
+
+    def see(self, sampled_ns):
+        yield from ()
+
+    def lost(self):
+        yield Lose(1, "blue is another robot")
+
+    def replace(self, robot):
+        return ""
+
+
+def test_the_controller_loses_no_robot_while_the_loop_is_within_a_step(hung):
+    """Regression: its thread changed the guard at any time, also while a step was deciding by it;
+    a warning given meanwhile could be lost."""
+    hung.camera.watch = lambda setup, limits: LosesBlue()
+    with pytest.raises(AbortError, match="the inner loop did not answer"):
+        hung.plant.observe()
+
+
+def test_a_guard_of_newly_found_robots_does_not_wait_for_a_loop_that_hangs(hung):
+    """Regression: it waited without a limit."""
+    with pytest.raises(AbortError, match="the inner loop did not answer"):
+        hung.plant.rig.loop.restart(hung.plant.rig.loop.guard.rules)
+
+
+def test_a_guard_of_other_rules_has_the_checks_of_the_one_before():
+    """Regression: a robot faster than its spec was refused as a jump while it was calibrated."""
+    lab = fake_lab(experiment().setup)
+    loop = lab.plant.rig.loop
+    before = loop.guard
+    faster = replace(before.rules, speeds=(2000.0, 100.0, 100.0))
+    loop.restart(faster)
+    assert loop.guard is not before
+    assert loop.guard.rules is faster
+    assert loop.guard.checks_of is before.checks_of
+
+
+def test_an_emergency_stop_past_a_loop_that_hangs_is_one_to_the_devices(hung, monkeypatch):
+    """Regression: only stops of the loop itself said that devices are to latch them."""
+    hung.plant.rig.loop.guard.abort("emergency stop by the operator", emergency=True)
+    emergencies = []
+    stop = hung.actuator.stop
+
+    def note_stop(emergency=False):
+        emergencies.append(emergency)
+        return stop(emergency)
+
+    monkeypatch.setattr(hung.actuator, "stop", note_stop)
+    hung.plant.rig.loop.stop()
+    assert emergencies == [True] * 10
+
+
+def test_a_stop_past_a_loop_that_hangs_never_raises(hung, monkeypatch):
+    """Regression: errors of an actuator's own code ended it after the first stop."""
+    calls = []
+
+    def fail(emergency=False):
+        calls.append(emergency)
+        raise ValueError("a defect of the actuator")
+
+    monkeypatch.setattr(hung.actuator, "stop", fail)
+    assert hung.plant.rig.loop.stop() is None
+    assert len(calls) == 10
+
+
+def test_the_abort_of_a_new_guard_has_stops_of_its_own(lab):
+    """Regression: a loop sent the stops of an abort once, whichever guard it was of."""
+    lab = fake_lab(experiment().setup)
+    lab.plant.open()
+    loop = lab.plant.rig.loop
+    loop.guard.abort("the first")
+    wait_a_second(lab)
+    lab.plant.rig.settle(lab.plant.rig.setup)
+    before = len(lab.actuator.sent)
+    loop.guard.abort("the second")
+    wait_a_second(lab)
+    assert len(lab.actuator.sent) == before + 10
+
+
+def test_what_was_written_slowly_is_not_repeated_within_half_a_period(monkeypatch):
+    """Regression: half a period was counted from the step's begin, so that on a busy computer two
+    transmissions came within 1 ms, and `verify` called an honest log false."""
+    lab = fake_lab(experiment().setup, period_ns=SECOND // 40)
+    lab.plant.open()
+    send = lab.actuator.send
+
+    def send_late(*arguments):
+        if len(lab.actuator.sent) % 3 == 2:
+            VirtualClock.sleep_until(lab.clock, lab.clock.now() + SECOND // 50)
+        return send(*arguments)
+
+    monkeypatch.setattr(lab.actuator, "send", send_late)
+    lab.plant.send(Steer(0.5))
+    wait_a_second(lab)
+    sent_ns = [sent.sent_ns for sent in lab.actuator.sent]
+    assert min(np.diff(sent_ns)) >= SECOND // 80
+
+
+def test_a_failure_that_is_no_text_stops_the_robots(lab):
+    """Regression: no log could hold the reason, and the log stayed a .part."""
+    lab.actuator.failure = 5
+    lab.plant.rig.loop.step()
+    assert "an actuator returned a failure that is no text" in lab.plant.rig.loop.guard.reason
+
+
+def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step(blind):
+    """Regression: a step read the key after the camera's frames, so it was never obeyed while
+    the camera raised: nothing was sent, and no device latched a stop."""
+    lab = blind
+    assert lab.actuator.emergencies == 0
+    pressed_ns = lab.clock.now()
+    lab.supervision.emergency.set()
+    lab.clock.sleep_until(pressed_ns + SECOND)
+    stops = [sent for sent in lab.actuator.sent if sent.sent_ns > pressed_ns]
+    assert lab.actuator.emergencies == len(stops) == 10
+    assert stops[0].sent_ns - pressed_ns == STEP_NS  # in the next step
+    assert lab.plant.rig.loop.guard.reason == "the camera is gone"
+
+
+def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops(lab):
+    """Regression: the others got two stops. An abort at the first stop begins ten more."""
+    sent_ns = []
+
+    def stop_the_others(emergency=False):
+        sent_ns.append(lab.clock.now())
+        raise AbortError("green's port is gone")
+
+    lab.actuator.stop = stop_the_others
+    assert lab.plant.rig.loop.stop() is None
+    wait_a_second(lab)
+    assert len(sent_ns) == 11
+    assert min(np.diff(sent_ns)) > 0
+    assert sent_ns[-1] - sent_ns[0] < SECOND // 4
+    assert lab.plant.rig.loop.guard.reason == "green's port is gone"

@@ -318,3 +318,8 @@ def test_a_cell_has_no_drive(radius, part):
         faults.append(check.take_pose(0, pose_at(now_ns - FRAME), pose_at(now_ns)))
     first_fault = next(filter(None, faults))
     assert part in first_fault
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.25])
+def test_a_robot_that_obeys_late_may_repeat_its_pose_between_short_drives(delay):
+    assert refused_repeats(lambda pose: pose, SECOND // 10, SECOND // 5, delay=delay) == []

@@ -125,3 +125,35 @@ def test_what_is_no_robot_must_not_stand_in_the_arena(x):
 
     inside = ("something else stands in the arena at 1000, 700 mm",)
     assert looked_over(place).problems == (inside if x > 0 else ())
+
+
+def test_a_run_names_all_devices_that_are_missing():
+    lab = fake_lab(experiment().setup)
+    rig = lab.plant.rig
+    rig.actuator = Missing(rig.actuator, "actuator")
+    rig.camera = Missing(rig.camera, "camera")
+    with pytest.raises(AbortError) as caught, rig:
+        pass
+    assert caught.value.message == "there is no actuator; there is no camera"
+    assert caught.value.hint == "plug in the actuator; plug in the camera"
+
+
+def test_a_rig_that_was_closed_stays_closed():
+    rig = fake_lab(experiment().setup).plant.rig
+    with rig:
+        pass
+    rig.camera = Missing(rig.camera, "camera")
+    rig.open()  # AbortError if it opened the camera
+
+
+def test_a_camera_whose_program_ends_meanwhile_is_the_problem():
+    """Regression: its frames were reported as missing."""
+
+    def end(camera):
+        camera.silent = True
+        camera.frames = gone
+
+    def gone():
+        raise AbortError("the program of the camera has ended")
+
+    assert looked_over(end).problems == ("the program of the camera has ended",)

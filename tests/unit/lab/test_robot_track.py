@@ -1,5 +1,7 @@
 """Which poses a robot can have reached since it was last seen."""
 
+from dataclasses import replace
+
 import pytest
 
 from tetractl.core.clock import SECOND
@@ -104,3 +106,26 @@ def test_a_robot_lifted_in_a_pause_is_noticed_in_the_next_run():
     assert "lifted" in robot.fault(lifted, SECOND, driving=True)
     robot.start_run()
     assert "lifted" in robot.fault(lifted, 2 * SECOND, driving=True)
+
+
+def test_one_wrong_height_is_not_that_of_the_start():
+    robot = started([60.0, 60.0, 130.0])
+    assert robot.fault(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, driving=True) == ""
+
+
+def test_a_floor_out_of_level_is_followed_from_run_to_run():
+    """A pause comes every 2 m; each time the floor is 35 mm higher."""
+    robot = started([60.0])
+    for k in range(1, 5):
+        now_ns = k * 20 * SECOND
+        pose = Pose(2000.0 * k, 0.0, 0.0, height=60.0 + 35.0 * k)
+        assert robot.fault(pose, now_ns, driving=True) == ""
+        robot.accept(pose, now_ns)
+        robot.start_run()
+
+
+def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
+    metres = replace(RULES, speeds=(0.1,), mm=1000.0)
+    robot = started([0.06], metres)
+    assert robot.fault(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) == ""
+    assert "60 mm higher" in robot.fault(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import pytest
 from support.labs import fake_lab
+from support.paths import ROOT
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
@@ -13,6 +14,9 @@ from tetractl.core.poses import CameraFrame, Pose, Sight
 from tetractl.core.setup import Bounds
 from tetractl.core.trial import Note
 from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_records import GuardRules, GuardState
 from tetractl.lab.motion_check import REPEATS, SLACK_S
@@ -214,3 +218,74 @@ def test_a_camera_that_is_slower_than_it_says_causes_a_warning(declared_hz, warn
     notes = [note for note in lab.plant.news() if isinstance(note, Note)]
     warnings = [note for note in notes if "frames a second come instead of 200" in note.text]
     assert len(warnings) == warned
+
+
+@pytest.mark.long
+def test_poses_that_repeat_are_refused_where_nothing_is_said_of_a_grid():
+    mat = Mat(replace(RULES, sight=Sight()), swing=0.5, speed=60.0)
+    assert mat.go(6.0).refusals > 100
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("sight", [Sight(), MAT])
+def test_poses_30_ms_apart_do_not_abort_robots_that_turn_at_6_rad_s(sight):
+    mat = Mat(replace(RULES, sight=sight), late=(0, 30 * MS), sight=sight)
+    guard = mat.go(8.0)
+    assert guard.state is GuardState.RUN, guard.reason
+    assert guard.refusals == 0
+    assert mat.ruling.moving == (True, True)
+
+
+def test_a_pose_that_is_refused_leaves_the_time_of_the_pose_before():
+    """Regression: the old pose was logged with the new one's time, which went back later."""
+    mat = Mat(late=(0, 30 * MS))
+    guard = mat.go(1.0)
+    green, blue = mat.held
+    now_ns = mat.now_ns + FRAME_NS
+    far_outside = Pose(9e3, 9e3, 0.0)
+    for i, pose in enumerate((far_outside, None)):
+        own_times_ns = (now_ns + i * MS, now_ns)
+        frame = CameraFrame(
+            number=10**6 + i,
+            sampled_ns=max(own_times_ns),
+            received_ns=now_ns + MS,
+            poses=(pose, blue.pose),
+            exposed_ns=own_times_ns,
+        )
+        assert guard.check_frame(frame).exposed_ns == (green.time_ns, now_ns)
+
+
+def test_a_pose_that_is_refused_is_compared_once_and_its_robot_disobeys_until_the_next():
+    """Frames with another robot's poses repeat it; 60 ms later the run ends for what it did."""
+    mat = Mat(late=(0, 30 * MS))
+    guard = mat.go(1.0)
+    green, blue = (row.pose for row in mat.held)
+    sideways = replace(green, y=green.y + 14.0)
+    now_ns = mat.now_ns + FRAME_NS
+
+    def show(after_ns):
+        """Green's pose of `now_ns` with one of blue that is newer."""
+        own_times_ns = (now_ns, now_ns + after_ns)
+        frame = CameraFrame(
+            number=10**6 + after_ns,
+            sampled_ns=max(own_times_ns),
+            received_ns=now_ns + 100 * MS,
+            poses=(sideways, blue),
+            exposed_ns=own_times_ns,
+        )
+        return guard.check_frame(frame)
+
+    for after_ms in range(3):
+        assert not show(after_ms * MS).fresh[0]
+    assert guard.refusals == 1
+    fault = guard.refused[0]
+    show(60 * MS)
+    assert guard.decide(now_ns + 60 * MS).reason == f"green {fault}"
+
+
+def test_the_setup_of_another_plant_has_the_sight_of_its_camera(monkeypatch):
+    """Regression: the setup of the simulation was kept, and verify computed other decisions."""
+    loaded = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml")
+    assert loaded.experiment.setup.sight == Sight()
+    monkeypatch.setattr(OptitrackSection, "sight", MAT)
+    assert on_plant(loaded, "lab").experiment.setup.sight == MAT

@@ -1,12 +1,15 @@
 """`lab stop` of robots that have a port each: one that is away keeps no other from its stops."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tetractl.cli import lab
 from tetractl.core.clock import VirtualClock
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, Exit
+from tetractl.experiment.lab_section import ActuatorSection
 from tetractl.lab.actuators import own_robots
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.twist import line_ports
@@ -135,3 +138,72 @@ def test_a_run_that_has_a_port_is_ended_first_and_stops_are_sent_beside_it(stopp
         stopped(ports)
     assert stopped(ports, alone=False).startswith("sent 10 stops")
     assert len(ports.taken["b"]) == 10
+
+
+@pytest.fixture
+def command(monkeypatch, stopped):
+    """Return what does `lab stop` at ports, and returns its exit code and the ports of the runs
+    that it ended; a run that is ended releases its port, unless it is one of `retaken`."""
+
+    def lab_stop(ports, retaken=()):
+        ended = []
+
+        def end(port, stops, say):
+            stops()
+            ended.append(port)
+            if port not in retaken:
+                ports.held.remove(port)
+
+        monkeypatch.setattr(lab, "_stops", lambda *_: partial(stopped, ports))
+        monkeypatch.setattr(lab, "stop_beside", end)
+        return lab.stop(), ended
+
+    return lab_stop
+
+
+def test_each_of_two_runs_is_ended_before_the_last_stops(command):
+    """Regression: only the run that had the first port was ended. The last ten stops were sent to
+    no robot, as the second run had a port, and it drove on."""
+    ports = Ports(held={"a", "b"})
+    code, ended = command(ports)
+    assert code == Exit.DONE
+    assert ended == ["a", "b"]
+    # ten while each of two runs had a port, and ten when no run has a port any more
+    assert len(ports.taken["a"]) == len(ports.taken["b"]) == 30
+
+
+def test_a_port_that_another_run_takes_at_once_ends_the_command(command):
+    with pytest.raises(PortHeldError):
+        command(Ports(held={"a"}), retaken="a")
+
+
+class StrangeActuator:
+    """An actuator of a plug-in that sends to two robots; the first is lost after one stop."""
+
+    stops_of_second = 0
+
+    def __init__(self, *_):
+        type(self).stops_of_second = 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_): ...
+
+    def stop(self, emergency):
+        type(self).stops_of_second += 1
+        if self.stops_of_second > 1:
+            raise AbortError("the first robot is gone")
+
+
+class StrangeSection(ActuatorSection):
+    device = f"{__name__}:{StrangeActuator.__name__}"
+    type: str = "strange"
+
+
+def test_a_plug_ins_actuator_that_fails_once_is_asked_for_the_other_stops_too():
+    """Regression: of an actuator without a `stop_all` of its own, the first error ended the stops
+    to all robots."""
+    with pytest.raises(AbortError, match="the first robot is gone"):
+        StrangeSection(type="strange").stop_all(SETUP, VirtualClock())
+    assert StrangeActuator.stops_of_second == 10

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import socket
+import tempfile
 from queue import Queue
 
 import pytest
@@ -13,7 +14,7 @@ from tetractl.core.errors import AbortError
 from tetractl.experiment.lab_section import STOPS
 from tetractl.lab.port_holder import holder
 from tetractl.lab.serial_port import PortHeldError, SerialPort, stop_all_at
-from tetractl.lab.udp_port import UdpPort, address_of, lock_file, open_port
+from tetractl.lab.udp_port import REFUSALS_MAX, UdpPort, address_of, lock_file, open_port
 
 PATIENCE_S = 60
 
@@ -225,3 +226,95 @@ def test_a_link_in_the_place_of_the_lock_is_not_followed(port_to, tmp_path):
     with pytest.raises(AbortError, match=r"tetractl-udp.*: is a link"):
         port_to(name).open()
     assert not victim.exists()
+
+
+def test_a_second_program_with_another_temporary_folder_is_refused(
+    name, open_to, port_to, monkeypatch, tmp_path
+):
+    """Regression: `lab stop` in a terminal with another TMPDIR than the run's did not see the run,
+    said that stops were sent, and the run drove on."""
+    open_to(name)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)  # so that TMPDIR is read again
+    with pytest.raises(PortHeldError):
+        port_to(name).open()
+
+
+@pytest.mark.parametrize("hosts", [("localhost", "127.0.0.1"), ("127.0.0.1", "localhost")])
+def test_a_second_program_that_spells_the_address_in_another_way_is_refused(
+    name, hosts, open_to, port_to
+):
+    """Regression: a run at `udp://robot.local:5000` was not seen at the robot's number, and drove
+    on."""
+    first_host, second_host = hosts
+    first = open_to(name.replace("127.0.0.1", first_host))
+    second = port_to(name.replace("127.0.0.1", second_host))
+    with pytest.raises(PortHeldError) as held:
+        second.open()
+    assert holder(held.value.port) == os.getpid()
+    second.close()
+    first.close()
+    second.open()  # a closed port holds neither spelling
+
+
+def test_a_run_is_seen_while_its_name_cannot_be_resolved(name, open_to, port_to, monkeypatch):
+    """`lab stop` ends the run that has a port, even if the network that knows its name is gone."""
+    port_to(name)  # whose lock is held, too
+    by_name = name.replace("127.0.0.1", "localhost")
+    open_to(by_name)
+
+    def unknown(*_):
+        raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(PortHeldError):
+        port_to(by_name).open()
+
+
+def test_other_users_can_read_a_lock(name, open_to):
+    """Regression: with the umask 077, another user's `lab stop` could not open the lock, and sent
+    the robot no stop."""
+    umask = os.umask(0o077)
+    try:
+        open_to(name)
+        assert lock_file(name).stat().st_mode & 0o777 == 0o644
+    finally:
+        os.umask(umask)
+
+
+def test_a_datagram_that_is_not_sent_has_no_time_of_sending(name, open_to, monkeypatch):
+    """Regression: `write` returned a time though each try had only reported a refusal. The port can
+    be used further, so that all stops are tried."""
+
+    class RefusedSocket(socket.socket):
+        tries = 0
+
+        def sendto(self, *_):
+            RefusedSocket.tries += 1
+            raise ConnectionRefusedError
+
+    monkeypatch.setattr(socket, "socket", RefusedSocket)
+    port = open_to(name)
+    for _ in range(2):
+        with pytest.raises(AbortError, match="no device listens"):
+            port.write(b"stop")
+    assert RefusedSocket.tries == 2 * REFUSALS_MAX
+    assert port.failure is None
+
+
+def test_all_devices_are_heard_at_a_broadcast_address(open_to, heard):
+    with device() as robot:
+        robot.bind(("", 0))
+        port = open_to(f"udp://127.255.255.255:{robot.getsockname()[1]}")
+        port.write(b"?")
+        data, sender = robot.recvfrom(100)
+        assert data == b"?"
+        robot.sendto(b"reply", ("127.0.0.1", sender[1]))
+        assert heard.get(timeout=PATIENCE_S) == b"reply"
+
+
+def test_a_pipe_in_the_place_of_the_lock_is_refused_at_once(port_to):
+    name = "udp://127.0.0.1:9757"
+    os.mkfifo(lock_file(name))
+    with pytest.raises(AbortError, match="is not a regular file"):
+        port_to(name).open()

@@ -278,3 +278,42 @@ def test_robots_are_waited_for_while_somebody_places_them(metres):
     assert person.shown[-1][0] == ()
     assert info.facts["camera"] == "fake"
     assert info.facts["latency_ms"] == "5.00"
+
+
+def test_a_stop_that_an_actuator_never_sends_counts_as_not_delivered():
+    """Regression: an actuator whose own code raises has no failure, and the log said that a stop
+    had reached every robot although none was sent."""
+    lab = driving()
+
+    def fail(emergency=False):
+        raise ValueError("a defect of the actuator")
+
+    lab.actuator.stop = fail
+    now = lab.clock.now()
+    stop = lab.plant.stop()
+    assert (stop.sent_ns, stop.delivered) == (now, (False,) * 3)
+
+
+def test_the_last_frame_is_that_of_the_final_poses_however_late_it_is_asked_for():
+    """Regression: a slow computer logged over a second of frames after that of the result."""
+    lab = stopped()
+    final = lab.plant.settle().final.array()
+    lab.world.poses[:, 0] += 40  # carried away
+    wait(lab, 2.0)
+    assert (lab.plant.samples()[-1].observation.poses.array() == final).all()
+
+
+def test_a_pose_that_turns_in_a_pause_aborts():
+    """Regression: the rest in a pause was not checked."""
+    lab = driving()
+    lab.plant.send(Stop())
+    held = lab.world.advance
+
+    def spinning():
+        held()
+        lab.world.poses[1, 2] = lab.clock.now() / SECOND * 0.2
+
+    lab.world.advance = spinning
+    wait(lab, 0.7)
+    with pytest.raises(AbortError, match=r"in a pause blue still moves \(0 mm/s, \+0\.20 rad/s\)"):
+        lab.plant.send(Steer(0.5))

@@ -9,6 +9,7 @@ from support.plants import DIRECTIONS, PERIOD, driven, sim, truths
 from support.trials import experiment
 
 from tetractl.control.cost import predict
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.model.motion.exact import step as exact
@@ -203,3 +204,33 @@ def test_the_verdict_tells_who_left_the_arena_and_how_near_robots_came():
     verdict = simulated.settle()
     assert verdict.edge == pytest.approx((-100, 50), abs=1e-6)
     assert verdict.apart == pytest.approx((100, 100), abs=1e-6)
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.1, 0.05])
+def test_heading_noise_comes_with_every_frame(dead_time):
+    """Regression: a command taking effect just at a frame made the frame lose its noise."""
+    samples = steered(plant(STRAIGHT, heading_noise=0.3, dead_time=dead_time), [0.0] * 10)
+    began = round(dead_time * 120) + 1
+    steps = np.diff(truths(samples)[began:, 0, 2])
+    assert np.all(np.abs(steps) > 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("camera_rate", "sent_s", "dead_time"),
+    [*((rate, 0.05, 0.14) for rate in (120, 60, 50, 30, 25)), (5, 0.19, 0.05)],
+)
+def test_the_dead_time_counts_from_the_exposure_of_the_frame_answered(
+    camera_rate, sent_s, dead_time
+):
+    """Regression: it counted from `steer`, so the controller, which counts from the frame, was off
+    by the frame's age wherever the camera's rate is no multiple of the control rate. A frame older
+    than the dead time delays nothing further."""
+    simulated = plant(STRAIGHT, dead_time=dead_time, camera_rate=camera_rate, truth_rate=1000)
+    simulated.open()
+    simulated.clock.sleep_until(round(sent_s * SECOND))
+    exposed = simulated.observe().sampled_ns / SECOND
+    simulated.send(Steer(0.0))
+    simulated.clock.sleep_until(SECOND)
+    simulated.observe()
+    acted = max(exposed + dead_time, sent_s)
+    assert simulated.poses.x[0] - 900 == pytest.approx(100 * (1 - acted), abs=1e-6)

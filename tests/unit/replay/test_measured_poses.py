@@ -237,3 +237,20 @@ def test_right_headings_are_accepted():
     drifting = poses.copy()
     drifting[:, 2] += 0.001 * times  # 0.06 rad in all
     check(times, drifting)
+
+
+@pytest.mark.parametrize("rad_s", [0.012, -0.02, 0.05])
+def test_headings_that_drift_are_said_to(rad_s):
+    """Regression: "take 0.302 rad off the headings", or "across its heading in 22% of its way"."""
+    times, poses = drive()
+    poses[:, 2] += rad_s * times
+    with pytest.raises(UsageError, match=r"the angle from the heading of r1 .* changes by"):
+        check(times, poses)
+
+
+def test_a_robot_that_drives_backwards_moves_along_its_heading():
+    """Regression: "only with y reversed"."""
+    times, poses = drive(speed=-SPEED_MM_S)
+    check(times, poses, speed=-SPEED_MM_S)
+    with pytest.raises(UsageError, match="against its heading"):
+        check(times, poses)

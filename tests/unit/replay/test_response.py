@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.replay.identification.response import respond, response_table
+from tetractl.replay.identification.fit import SampleInterval
+from tetractl.replay.identification.identify import LATE_S
+from tetractl.replay.identification.response import RobotResponse, respond, response_table
 from tetractl.replay.identification.tracks import Track
 
 TRUE = {
@@ -267,3 +269,65 @@ def test_a_clock_that_is_fast_is_refused(rate):
         respond([moved])
     said = r"clock of the commands about \d\.\d% " + ("fast" if rate > 1 else "slow")
     assert re.search(said, str(error.value))
+
+
+@pytest.mark.long
+def test_a_heading_that_jumps_by_less_than_robots_turn_is_left_out():
+    """Regression: steps were left out only beyond the range of all turns that were sent."""
+    track = track_of_one_robot(4, commands_per_twist=60)
+    for amid_twist in (375, 675, 1125):
+        track.poses[amid_twist : amid_twist + 5, 0, 2] += 0.2
+    (response,) = respond([track])
+    assert response.left_out == 6  # there and back
+
+
+@pytest.mark.long
+def test_the_lag_of_a_speed_that_never_changes_has_no_upper_end():
+    """Regression: an interval up to 89329781684117241856 s."""
+    (response,) = respond([track_of_one_robot(6, speed=100.0)])
+    (_, column) = response_table([response], "", "mm").columns
+    assert column.values[2].endswith("to ?)"), column.values[2]
+
+
+def response_of(turning_gain, speed_gain):
+    """The response of a robot with some gains."""
+    values = TRUE | {"heading_noise": HEADING_NOISE_RAD, "position_noise": POSITION_NOISE_MM}
+    values |= {"turning_gain": turning_gain, "speed_gain": speed_gain}
+    intervals = {name: SampleInterval(x, 0.9 * x, 1.1 * x) for name, x in values.items()}
+    return RobotResponse("one", **intervals, intervals=300, left_out=0)
+
+
+@pytest.mark.parametrize(
+    ("turning_gain", "speed_gain", "are_asked"),
+    [
+        (1.58, 1.53, True),
+        (0.5, 0.55, True),
+        (0.93, 0.92, False),
+        (0.8, 0.6, False),  # slips as it drives
+        (0.6, 0.9, False),  # slips as it turns
+        (1.9, 1.0, False),  # w of a radius that is the base
+        (1.4, 1.45, False),
+    ],
+)
+def test_gains_of_commands_that_are_no_speeds_are_asked_for(turning_gain, speed_gain, are_asked):
+    """Regression: gains of 1.58 and 1.53 of shares of power, named left_mm_s, without a word."""
+    note = response_table([response_of(turning_gain, speed_gain)], "", "mm").note
+    assert ("are commands speeds in their unit" in note) is are_asked
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("late_s", [0.2, 0.5, -2.0, 7.0])
+def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
+    """Regression: of commands 0.5 s late, a dead time of -0.268 (-0.277 to -0.260) s for -0.405, a
+    gain of 0.908 for 0.95; 0.2 s late, 0.869 for 0.917."""
+    track = track_of_one_robot(7)
+    (response,) = respond([track])
+    (moved,) = respond([replace(track, sent=track.sent + late_s)])
+    by_one_clock = response.dead_time.value
+    assert moved.dead_time.value == pytest.approx(by_one_clock - late_s, abs=2e-3)
+    for name in ("turning_gain", "speed_gain", "turning_lag"):
+        value = response.quantities[name].value
+        assert moved.quantities[name].value == pytest.approx(value, rel=0.01)
+    note = response_table([moved], "", "mm").note
+    assert ("of two clocks" in note) == (late_s > by_one_clock)
+    assert ("of one clock?" in note) == (by_one_clock - late_s > LATE_S)

@@ -151,3 +151,10 @@ ONE_CLOCK = {
 def test_directions_by_one_clock_are_accepted(name):
     course, sent = ONE_CLOCK[name]
     check_clock_rate("c.csv", [course], sent)
+
+
+def test_directions_of_another_robot_explain_few_turns():
+    """Regression: an a of 1.50 (1.30 to 1.74) for 4, exit code 0."""
+    of_another = sent_every_1_5_s(np.random.default_rng(8).uniform(-3, 3, 16))
+    with pytest.raises(UsageError, match=r"p\.csv: the commands explain 1?\d% of the turns"):
+        check([course_by(RANDOM)], of_another, least=0.2)

@@ -27,6 +27,7 @@ from tetractl.log.format.channels import LOG, RESULT, STEP
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage
+from tetractl.replay.lab_commands import command_differences
 from tetractl.replay.lab_result import lab_differences
 from tetractl.replay.recompute import first_steps, recompute
 from tetractl.replay.verify import Method, verify
@@ -382,3 +383,27 @@ def without_result_and_a_frame(lost_parts):
 def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
     log = without_result_and_a_frame(("the result",))
     assert first_steps(log) == list(log.steps)
+
+
+def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
+    """Regression, found by benchmarks/fuzz.py: reading a trial does not decode it."""
+    entry = contents.by_topic["/tf"][0]
+    torn = {entry: entry._replace(data=entry.data[:-3])}
+    (problem,) = verify(rewrite(contents, tmp_path / "changed.mcap", torn)).problems
+    assert str(problem) == "trial: /tf[0]: not a valid message of its channel"
+
+
+def test_a_lab_of_robots_on_wheels_without_a_speed_of_any_is_compared(tmp_path):
+    """Regression: it ended in a traceback, as no greatest speed could be found."""
+    log = lab_log(tmp_path, lost(0, 100), 0.0, "yes", 0.001)
+    still = [replace(command, left=None, right=None) for command in log.commands]
+    differences = command_differences(replace(log, commands=still), log.result)
+    assert [difference.field for difference in differences if "wheels" in difference.message] == []
+
+
+def test_no_step_after_a_gap_is_a_first_step():
+    """Regression: one whose number was that of its place was, where a number was repeated."""
+    log = three_robots()
+    first, second, third, *_ = log.steps
+    with_gap = replace(log, steps=(first, third, replace(second, k=2)))
+    assert first_steps(with_gap) == [first]

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from rich.console import Console
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
 
@@ -215,3 +216,12 @@ def test_more_groups_than_fit_abreast_have_tables_of_their_own():
     assert headers == [["figure", "g0", "g1", "g2"], ["figure", "g3"]]
     lines = printed(*groups).splitlines()
     assert max(len(line) for line in lines) <= WIDTH
+
+
+@pytest.mark.parametrize("layout", [summary, tables])
+def test_a_batch_without_a_valid_trial_is_compared_with_nothing(layout):
+    """Regression: after Ctrl-C in the first trial, the difference was "- mm (Welch's t)"."""
+    text = printed(described(outcome=Outcome.INTERRUPTED), layout=layout)
+    assert "0 of 20 trials valid" in text
+    assert "difference" not in text
+    assert "scaled" not in text

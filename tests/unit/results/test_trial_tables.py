@@ -96,3 +96,12 @@ def test_columns_that_do_not_fit_are_one_line(path, tmp_path, spoil):
     spoilt = rewrite(contents, tmp_path / "trial.mcap", replaced)
     with pytest.raises(LogError, match="contains a value that tetractl does not write"):
         of_log(spoilt, TABLES)
+
+
+def test_every_length_of_a_trial_has_its_unit_in_its_name(log, columns):
+    """Regression: costs and least distances had none."""
+    verdict = log.result.verdict
+    for name, distances in (("clearance", verdict.clearance), ("edge", verdict.edge)):
+        least = min(distances, default=np.inf)
+        assert columns["trials"][f"{name}_mm"][0] == (None if least == np.inf else least)
+    assert columns["trials"].keys().isdisjoint({"clearance", "edge", "apart", "total_error"})

@@ -98,3 +98,11 @@ def test_a_simulation_has_no_such_figures():
     assert "less certain" not in texts_by_label(described)
     trial_items = batch_items(described)["trials"][0]
     assert not [key for key in trial_items if key.startswith("turn")]
+
+
+def test_few_trials_are_not_compared_and_nothing_is_said_of_them():
+    """Regression: a marker that may turn unnoticed was said of every small batch of a lab."""
+    few = group(emulated_trials(5, false_turns={3: [0.3, 0.0, 0.0]}))
+    assert "less certain" not in texts_by_label(few)
+    assert batch_items(few)["less_certain"] is None
+    assert "less certain" not in printed_summary(few)

@@ -157,3 +157,10 @@ def test_the_time_left_is_drawn_from_every_arm():
     times_left = left_at_ends([(i, arm) for i in range(10) for arm in ("quick", "slow")])
     assert times_left[:2] == [(19 * 1.0 / 2, False), (9 * (1.0 + 4.0) / 2, True)]
     assert times_left[-1] == (0.0, True)
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_a_batch_of_nothing_is_done(tmp_path, jobs):
+    """Regression: `--jobs 2 --resume` of a complete batch crashed."""
+    report = run(tmp_path, [], jobs)
+    assert (report.results, report.errors, report.left, report.interrupted) == ({}, {}, 0, False)

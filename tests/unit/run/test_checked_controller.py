@@ -9,6 +9,7 @@ import pytest
 from support.random_trials import trial, write
 from support.trials import experiment
 
+from tetractl.control.optimizers.pso import Pso
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.errors import WrongValueError
@@ -257,3 +258,18 @@ def test_what_was_seen_cannot_be_overwritten(array):
     arrays = {"x": poses.x, "y": poses.y, "heading": poses.heading, "valid": seen.valid}
     with pytest.raises(ValueError, match="read-only"):
         arrays[array][:] = 1
+
+
+class Silent(Pso):
+    """Stands for an optimiser of another package that does not say why it ended."""
+
+    def search(self, *arguments):
+        return replace(super().search(*arguments), stopped=None)
+
+
+def test_what_an_optimiser_of_another_package_gives_is_refused():
+    """Regression: the log could not hold it, and stayed a .part."""
+    optimizer = Silent(particles=2, iterations=1)
+    section = experiment().controller.model_copy(update={"optimizer": optimizer})
+    with pytest.raises(WrongValueError, match="a search was stopped by NoneType, not a text"):
+        CheckedController(section, SETUP, 1).plan(SEEN)

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from functools import partial
 
 import pytest
@@ -10,6 +10,7 @@ from support.fakes import bench
 from support.hand_clock import HandClock
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Turn
 from tetractl.core.errors import AbortError, ControlError
 from tetractl.core.plan import Outcome
 
@@ -265,3 +266,77 @@ def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
     assert fakes.run().outcome is Outcome.SEQUENCE_COMPLETED
     names = fakes.happenings.names
     assert names.index("log.samples") < names.index("plan") < names.index("send")
+
+
+def test_each_turn_on_the_spot_after_driving_is_reported():
+    """Regression: after turn, drive, turn only the first turn was in the log."""
+    fakes = bench(6)
+    fakes.controller.instead = {1: Turn(0.5), 2: Turn(0.4), 4: Turn(0.3)}
+    fakes.run()
+    turns = [note for note in fakes.observers[0].notes if "turn on the spot" in note.text]
+    sent = {step.k: step.command.sent_ns for step in fakes.observers[0].steps}
+    assert [note.t_ns for note in turns] == [sent[1], sent[4]]
+
+
+def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
+    """Regression: those taken in the step in which it could not say what it had sent were lost."""
+    fakes = bench(3)
+
+    def fail_in_the_second_step():
+        if fakes.happenings.names.count("send") == 2:
+            raise AbortError("the radio is gone")
+        return []
+
+    fakes.plant.news = fail_in_the_second_step
+    assert fakes.run().reason == "the radio is gone"
+    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
+    assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle
+
+
+def test_a_first_interruption_between_two_steps_begins_no_other(monkeypatch):
+    """Regression: one in the wait for the next step let it be planned and sent."""
+    fakes = bench(5)
+    sleep_until = fakes.plant.clock.sleep_until
+
+    def interrupted_while_asleep(when_ns):
+        sleep_until(when_ns)
+        fakes.interrupt.request()
+
+    monkeypatch.setattr(fakes.plant.clock, "sleep_until", interrupted_while_asleep)
+    result = fakes.run()
+    assert result.reason == "interrupted; the step was finished"
+    assert result.steps == fakes.happenings.names.count("plan") == 1
+
+
+@pytest.mark.parametrize("error", [AttributeError("no 'misc'"), ControlError("no finite cost")])
+def test_what_a_library_makes_of_an_interruption_is_an_interruption_too(error):
+    """Regression: torn in an import or a compilation, numba raises errors of other kinds."""
+    fakes = bench(5)
+
+    def torn():
+        fakes.interrupt.request()
+        with suppress(KeyboardInterrupt):
+            fakes.interrupt.request()
+        raise error
+
+    fakes.do_at("plan", 2, torn)
+    result = fakes.run()
+    assert_ended_well(fakes, Outcome.INTERRUPTED)
+    assert result.reason == "stopped at once by a second interruption"
+
+
+@pytest.mark.parametrize(("where", "nth"), [("log.step", 2), ("stop", 1)])
+def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raised(where, nth):
+    """Regression: one in the loop was taken for what a library makes of an interruption."""
+    fakes = bench(5)
+
+    def catch():
+        with suppress(KeyboardInterrupt):
+            twice(fakes)
+
+    fakes.do_at("plan", 2, catch)
+    fakes.fail_at(where, nth, BugError("off by one"))
+    with pytest.raises(BugError):
+        fakes.run()
+    ended = fakes.observers[0].stops[0][1]
+    assert (ended.outcome, ended.reason) == (Outcome.ABORTED, "BugError: off by one")

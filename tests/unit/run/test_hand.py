@@ -105,3 +105,13 @@ def test_while_it_runs_a_plan_shows_where_robots_go_if_the_direction_is_held(tmp
     assert [plan.signals.tolist() for plan in shown] == [[0.0] * 50, [2.0] * 50]
     logged = tetractl.read_log(log).steps
     assert [step.plan.signals.tolist() for step in logged] == [[0.0, 2.0], [2.0]]
+
+
+def test_a_crash_leaves_the_log_so_far(tmp_path):
+    """Regression: a log by hand was written at its end, and a killed process had none."""
+    directions = iter([0.5, 1.0, 1.5])
+    with pytest.raises(StopIteration):
+        steer(SPEC, tmp_path, lambda time_s: next(directions))
+    left = tetractl.read_log(tmp_path / "trial-001.mcap")
+    assert [step.plan.direction for step in left.steps] == [0.5, 1.0, 1.5]
+    assert len(left.mocap) > 3

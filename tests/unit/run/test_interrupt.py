@@ -124,3 +124,69 @@ def test_a_signal_ends_a_process_in_compiled_code(number):
         finally:
             process.kill()
         assert process.stderr.read() == "error: interrupted\n"
+
+
+def test_breakable_code_is_broken_once():
+    """Regression: of eight signals at once the third broke the code that stops the robots."""
+    interrupt = Interrupt()
+    stopped = False
+    with pytest.raises(KeyboardInterrupt), interrupt.breakable():
+        interrupt.request()
+        try:
+            interrupt.request()
+        finally:
+            interrupt.request()
+            stopped = True
+    assert stopped
+
+
+def test_a_signal_is_taken_once():
+    """Regression: a process was ended by a signal that a block before had taken, as the thread that
+    listens heard of it after the block."""
+    program = """
+import os
+import signal
+from contextlib import suppress
+from tetractl.run.interrupt import interrupted_once, leave_on_signals
+
+leave_on_signals(3)
+for _ in range(100):
+    with suppress(KeyboardInterrupt), interrupted_once():
+        os.kill(os.getpid(), signal.SIGTERM)
+"""
+    assert subprocess.run([sys.executable, "-c", program], timeout=PATIENCE_S).returncode == 0
+
+
+def test_handlers_of_the_program_around_are_left_alone():
+    rung = []
+    interrupt = Interrupt()
+    with handled(signal.SIGUSR1, lambda number, frame: rung.append(number)), interrupt.watch():
+        signal.raise_signal(signal.SIGUSR1)
+    assert (interrupt.count, rung) == (0, [signal.SIGUSR1])
+
+
+def test_an_interruption_lost_in_a_finaliser_is_silent_and_raised_at_the_next(capsys):
+    class Finalised:
+        """Stands for an object during whose finaliser Ctrl-C is pressed."""
+
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    interrupt = Interrupt()
+    with interrupt.watch():
+        interrupt.request()
+        with pytest.raises(KeyboardInterrupt), interrupt.breakable():
+            Finalised()
+            assert interrupt.count == 2
+            signal.raise_signal(signal.SIGINT)
+    assert capsys.readouterr().err == ""
+
+
+def test_signals_that_a_system_lacks_are_not_asked_for(monkeypatch):
+    """Regression: a run with robots named SIGTSTP, which Windows does not have."""
+    for name in ("SIGTSTP", "SIGTTIN", "SIGTTOU"):
+        monkeypatch.delattr(signal, name)
+    interrupt = Interrupt()
+    with interrupt.watch(robots=True):
+        signal.raise_signal(signal.SIGINT)
+    assert interrupt.requested

@@ -131,3 +131,9 @@ def test_a_robot_on_which_commands_act_later_is_said_once_after_two_seconds():
         f"commands act on {SETUP.names[1]} some 0.15 s later than on {NAME}, or more: its radio or "
         "its wheels are slow"
     ]
+
+
+def test_robots_that_stand_are_named_in_the_order_of_the_spec():
+    """Regression: the order was that of a set, which differs between processes."""
+    texts = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
+    assert texts == [f"{name} stands although it is sent a direction" for name in SETUP.names]

@@ -4,10 +4,11 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 from support.bounded import best_plan, spec
 from support.paths import ROOT
 
-from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.load import load_spec, parse_contents, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 
@@ -304,3 +305,20 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     assert len(solved) > 5
     assert len(warned) > 3
     assert not solved & warned
+
+
+def test_a_warning_of_contents_names_no_line():
+    """Regression: it named a line and a column of a file that there is not."""
+    contents = yaml.safe_load(THREE.read_text("utf-8"))
+    contents["robots"][2]["heading"] = 90
+    (warning,) = find_warnings(parse_contents(contents, "spec"))
+    assert str(warning).startswith("spec: robots.2.heading: 90: is more than")
+
+
+@pytest.mark.parametrize("target", ["[4000, 1200]", "[1300, 1200]"])
+def test_a_target_outside_the_arena_or_in_an_obstacle_has_one_message(target):
+    """Regression: a second one said that it was -2300 mm from the nearest obstacle or edge."""
+    sets = ("controller.collision.radius=20", f"robots.blue.target={target}")
+    with pytest.raises(InvalidSpecError) as refused:
+        load_spec(THREE, sets)
+    assert len(refused.value.message.splitlines()) == 1

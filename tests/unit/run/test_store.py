@@ -116,3 +116,12 @@ def test_a_full_disk_is_one_line_that_names_the_record(tmp_path):
     (tmp_path / "record-000001.json.part").symlink_to("/dev/full")
     with pytest.raises(LogError, match=r"record-000001\.json: "):
         keep(tmp_path, 1)
+
+
+def test_a_file_in_place_of_the_folder_of_records_is_one_line(tmp_path):
+    """Regression: "a plug-in" was blamed."""
+    file = tmp_path / "file"
+    file.touch()
+    for folder in (file, file / "days"):
+        with pytest.raises(UsageError, match="not a folder"):
+            records(folder)

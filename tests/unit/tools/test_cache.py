@@ -65,3 +65,13 @@ def test_a_file_to_which_others_can_write_is_not_read(tmp_path):
         read_own(file)
     file.chmod(0o600)
     assert read_own(file) == b"code"
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="gives a file to another user")
+def test_a_file_of_another_user_is_not_read(tmp_path):
+    """Regression: in the user's own folder, whose mode was mended, it was executed."""
+    file = tmp_path / "code.kernel"
+    file.write_bytes(b"code")
+    os.chown(file, 65534, -1)
+    with pytest.raises(PermissionError, match="belongs to another user"):
+        read_own(file)

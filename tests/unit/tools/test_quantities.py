@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.tools.table.quantities import NumberColumn, refuse_degrees
+from tetractl.tools.table.quantities import NumberColumn, name_and_unit, refuse_degrees
 
 RANDOM = np.random.default_rng(3).uniform(-np.pi, np.pi, 200)
 COUNTED_ON = {
@@ -42,3 +42,21 @@ def test_directions_that_count_turns_are_right(name):
 def test_directions_in_degrees_are_refused(name):
     with pytest.raises(UsageError, match=r"is more than a whole turn, 6\.283 rad"):
         refuse(IN_DEGREES[name])
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("w [°/s]", "deg_s"),
+        ("w (degrees/second)", "deg_s"),
+        ("w [rad/s]", "rad_s"),
+        ("w_deg_s", "deg_s"),
+        ("w [mm/sec]", "mm_s"),
+        ("w [µm]", "um"),
+        ("w [turns/s]", "turns_s"),  # no unit that is known
+        ("w", ""),
+    ],
+)
+def test_a_unit_may_be_spelled_in_parts(header, unit):
+    """Regression: "column w [°/s] is in °_s"."""
+    assert name_and_unit(header) == ("w", unit)

@@ -1,5 +1,6 @@
 """Cells that a trial finds and steers through synthetic pictures, emulated, in virtual time."""
 
+import contextlib
 import json
 import re
 
@@ -163,3 +164,37 @@ def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
             run_logged(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
         dish.clock.sleep_until(dish.clock.now() + SECOND)
         assert not dish.emulation.actuator.driver.running
+
+
+def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkeypatch):
+    """Regression: the page said so, and the field turned at once; then the question was on stdout,
+    so that with `--json > cells.json` it was not seen."""
+    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
+    with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
+        words = [word for setting in dish.settings for word in ("--set", setting)]
+        done = tetractl(tmp_path, "lab", "survey", DISH, *words, stdin="n\n")
+        assert dish.events("run") == []
+    assert done.returncode != 0
+    assert "The field will turn the cells for" in done.stderr
+    assert done.stdout.strip() == ""
+
+
+def test_a_key_is_the_emergency_stop_of_a_survey(tmp_path, monkeypatch):
+    """Regression: keys did nothing while a survey turned the field."""
+
+    class PressedKey(contextlib.nullcontext):
+        listening = True
+
+        def __init__(self, stop, enter):
+            super().__init__(self)
+            stop()
+
+    monkeypatch.setattr("tetractl.cli.lab.StopKey", PressedKey)
+    with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
+        words = [word for setting in dish.settings for word in ("--set", setting)]
+        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", *words)
+        dish.clock.sleep_until(dish.clock.now() + SECOND)
+        assert DriverStatus.EMERGENCY_STOPPED in dish.emulation.actuator.driver.status
+    assert done.returncode == 1
+    assert "SPACE or ESC" in done.stderr
+    assert "emergency stop by the operator" in done.stderr

@@ -1,8 +1,11 @@
 """`--plant emulated`: the emulated lab in virtual time, as a user runs it."""
 
+import contextlib
+import json
 import re
 from unittest import mock
 
+import numpy as np
 import pytest
 from support.cli import tetractl
 from support.lab_processes import SMALL as FEW_STEPS
@@ -10,7 +13,10 @@ from support.lab_processes import SPEC, flags
 from support.paths import EXAMPLES, ROOT
 from tetractl_emulator import firmware
 
-from tetractl.core.protocols import Health
+from tetractl.core.commands import Steer, Stop
+from tetractl.core.protocols import Health, LabSupervision
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 
 pytestmark = pytest.mark.slow
@@ -106,3 +112,67 @@ def test_what_cannot_be_emulated_is_one_line(tmp_path):
     assert done.returncode == 1
     assert "error: emulating cells needs tetractl-microscope, which is not installed" in done.stderr
     assert "hint: pip install ./packages/tetractl-microscope" in done.stderr
+
+
+@needs_compiler
+def test_a_lab_of_multicast_cameras_is_checked_without_a_port_or_an_address(tmp_path):
+    done = tetractl(tmp_path, "lab", "check", SPEC, "--plant", "emulated", "--json").ok()
+    printed = json.loads(done.stdout)
+    assert printed["ready"]
+    assert all(robot["answers"] for robot in printed["robots"])
+
+
+@pytest.mark.long
+@needs_compiler
+def test_late_steps_between_punctual_ones_do_not_end_a_trial(tmp_path):
+    script = tmp_path / "busy.yaml"
+    busy = "{fault: busy, seconds: 0.07, every: 2}"
+    script.write_text(f"about: every second plan is late\nfaults: [{busy}]\n")
+    few = flags(("controller.time_limit=1.5", "controller.deadline=60", f"plant.faults={script}"))
+    run(tmp_path, "busy", "--trials", "1", *few).ok()
+    log = read_trial(tmp_path / "busy" / "trial-000.mcap")
+    waits_ns = [step.command.sent_ns - step.observation.received_ns for step in log.steps]
+    late = [wait_ns for wait_ns in waits_ns if wait_ns > 50_000_000]
+    assert len(late) > 5  # as would end it in a row
+
+
+def test_a_log_is_not_run_again_with_files_of_the_present_folder(tmp_path):
+    """Regression: the calibration and the script of faults that were read belonged to others."""
+    (tmp_path / "spec").mkdir()
+    spec = tmp_path / "spec" / "spec.yaml"
+    text = SPEC.read_text()
+    spec.write_text(text.replace("\nlab:\n", "\nlab:\n  calibration: calibration.yaml\n"))
+    tetractl(tmp_path, "run", spec, "--trials", "1", "-q", "--out", "one", *SMALL).ok()
+    swapped = "measured: 2026-01-01\nactuator: {robots: [{name: green, swap: true}]}\n"
+    (tmp_path / "calibration.yaml").write_text(swapped)
+    (tmp_path / "faults.yaml").write_text("about: of another lab\nfaults: []\n")
+    words = ("rerun", "one/trial-000.mcap", "--plant", "emulated", "--dry-run")
+    done = tetractl(tmp_path, *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "error: lab.calibration: calibration.yaml: is in the folder" in done.stderr
+    without = flags(("lab.calibration=null",))
+    tetractl(tmp_path, *words, *without).ok()
+    script = flags(("lab.type=emulated", "lab.faults=faults.yaml"))
+    done = tetractl(tmp_path, *words, *without, *script)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "error: lab.faults: faults.yaml: is in the folder" in done.stderr
+
+
+@needs_compiler
+def test_a_drive_that_a_stop_follows_within_the_same_step_of_the_clock_is_recorded(tmp_path):
+    """Regression: a full disk stopped robots as they set off again, and a rehearsal saw them driven
+    after the end of the run, which it took the rest before for.
+    """
+    spec = on_plant(load_spec(SPEC), "emulated").experiment
+    section = spec.plant.model_copy(update={"record": str(tmp_path)})
+    of_trial = np.random.SeedSequence(1, spawn_key=(0,))
+    plant = section.build(spec.setup, section.clock(), of_trial, LabSupervision())
+    with contextlib.closing(plant):
+        plant.open()
+        plant.observe()
+        plant.send(Steer(0.0))
+        plant.send(Stop())
+    lines = (tmp_path / "truth-000.jsonl").read_text().splitlines()
+    events = [json.loads(line) for line in lines]
+    states = [event["state"] for event in events if event["event"] == "guard"]
+    assert states == ["preflight", "run", "ready"]

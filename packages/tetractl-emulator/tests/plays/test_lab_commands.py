@@ -229,3 +229,66 @@ def attachment(path, name):
         attachments = make_reader(file).iter_attachments()
         (only_one,) = [attached for attached in attachments if attached.name == name]
         return only_one.data.decode()
+
+
+def test_check_asks_about_a_radio_that_it_does_not_know(lab, tmp_path):
+    emulated = lab("about: an odd radio\nemulation: {actuator: {hardware: 0x7F44}}")
+    command = ("lab", "check", str(SPEC), *flags(emulated.settings))
+    done = tetractl(tmp_path, *command)
+    assert done.returncode == 1
+    says = "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run"
+    assert says in done.stdout
+    assert "questions not answered: add --yes if there is no terminal" in done.stderr
+    done = tetractl(tmp_path, *command, "--yes").ok()
+    assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
+
+
+def test_check_prints_the_names_that_the_cameras_have_beside_the_one_wanted(lab, tmp_path):
+    settings = lab().settings
+    sets = flags((*settings, "lab.camera.robots.green.body=Gren"))
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *sets)
+    assert done.returncode == 1
+    assert (
+        "problem: the cameras know no rigid body 'Gren', wanted for green; did you mean 'green'?; "
+        "they have 'green' (id 1); 'blue' (id 2); 'red' (id 3)"
+    ) in done.stdout
+
+
+def test_stop_needs_no_calibration(lab, tmp_path, monkeypatch):
+    """Regression: not one stop was sent if the file was missing."""
+    replaced = ("  # calibration: m3pi", "  calibration: m3pi")
+    done, count = stops_by_spec(lab(), tmp_path, monkeypatch, [replaced])
+    assert (done.returncode, count, done.stderr) == (0, 10, "")
+
+
+def test_stop_takes_the_settings_of_a_run(lab, tmp_path, monkeypatch):
+    """Regression: `--set plant.actuator.port=..`, as of `run --plant lab`, was refused."""
+    emulated = lab()
+    port = f"plant.actuator.port={tmp_path / 'radio'}"
+    replaced = (str(tmp_path / "radio"), "/dev/ttyUSB0")
+    done, count = stops_by_spec(emulated, tmp_path, monkeypatch, [replaced], port)
+    assert (done.returncode, count, done.stderr) == (0, 10, "")
+
+
+def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, monkeypatch):
+    def compiled(*_):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("tetractl.control.build.warm_up", compiled)
+    done = tetractl(
+        tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--set", "lab.actuator.port=nowhere"
+    )
+    assert done.returncode == 1
+    assert done.stderr.endswith("nowhere: there is no such port\nhint: is the radio plugged in?\n")
+
+
+def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):
+    """Regression: the question was on stdout, so that with `> values.txt` it was not seen."""
+    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
+    emulated = lab()
+    words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
+    done = tetractl(tmp_path, *words, stdin="n\n")
+    assert done.returncode != 0
+    assert "green, blue, red will move up to 0.3 m each. Continue?" in done.stderr
+    assert done.stdout.strip() == ""
+    assert emulated.events("run") == []

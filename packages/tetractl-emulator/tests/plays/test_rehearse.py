@@ -165,3 +165,27 @@ FAULTS = (
     {"kind": "packets doubled", "right": "$.", "fault": "doubled_packets", "at": 0.2},
     {"kind": "untracked", "right": SIGHT, "fault": "untracked", "robot": "green", "at": 0.6},
 )
+
+
+@pytest.mark.long
+def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):
+    """Regression: no row of the table had the reason."""
+    silent = {"kind": "server silent", "fault": "no_server", "right": SIGHT}
+    silent |= {"since": "start", "at": 0.0, "for": 2.778}
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent]))
+    done = rehearse(tmp_path, "--days", "1").ok()
+    assert done.stdout.endswith("1 day, 0 violations\n")
+    assert rows(tmp_path)[0]["reason"].startswith("no camera server answers at")
+
+
+@pytest.mark.long
+def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
+    """A pose to which no cell can have swum ends the trial."""
+    pytest.importorskip("tetractl_microscope")
+    jump = {"fault": "jump", "right": SIGHT, "robot": "first", "by": [0.6, 0.0], "at": 2.0}
+    plan = day.DayPlan(1, {}, [{"kind": "pose jumps", **jump}])
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
+    words = "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml", "--days", "1"
+    done = tetractl(tmp_path, *words, "--out", "days").ok()
+    assert done.stdout.endswith("1 day, 0 violations\n")
+    assert rows(tmp_path)[0]["reason"].startswith("first is not tracked: its pose jumped")

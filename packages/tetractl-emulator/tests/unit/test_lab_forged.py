@@ -1,6 +1,7 @@
 """What `verify` notices of the log of an emulated lab that was forged so that all digests fit."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -196,3 +197,39 @@ def test_a_least_distance_is_that_of_a_frame(log, tmp_path):
         assert trial.result is not None
         fields = [difference.field for difference in lab_differences(trial, trial.result)]
         assert f"result.{name}.0" in fields
+
+
+@pytest.mark.parametrize("every", [1, 2, 6])
+def test_commands_come_at_the_actuators_rate(log, every):
+    """Regression: every second command could be left out."""
+    changes = {index: [] for index in repeats(log)[2::every]}
+    assert found(with_records(log, changes)) == ["commands"]
+
+
+def test_a_computer_on_which_control_steps_are_late_repeats_late(log):
+    """Regression: honest trials on a busy computer had up to a third of late repetitions, and were
+    called false."""
+    trial = trial_of(with_records(log, {index: [] for index in repeats(log)[2::2]}))
+    assert trial.result is not None
+    control = trial.experiment.controller
+    for share_of_period, fields in ((1.0, ["commands"]), (0.5, [])):
+        stated = control.model_copy(update={"period": control.period * share_of_period})
+        experiment = trial.experiment.model_copy(update={"controller": stated})
+        differences = command_differences(replace(trial, experiment=experiment), trial.result)
+        assert [difference.field for difference in differences] == fields
+
+
+def lost_robot(run: Log) -> None:
+    run.message = "green is lost"
+    run.level = Log.WARNING
+
+
+def test_warnings_are_counted_and_the_last_message_is_the_end(log, tmp_path):
+    """Regression: neither `warnings` of a lab's result nor the messages were compared."""
+    stated = log.warnings
+    path = rewrite(log, tmp_path / "count.mcap", stating(log, RESULT, warnings=stated + 1))
+    assert found(scan(path)) == ["result.warnings"]
+    messages = indices(log, LOG)
+    added = {messages[0]: edited(log, messages[0], lost_robot)}
+    assert found(with_records(log, added)) == ["result.warnings"]
+    assert found(with_records(log, {messages[-1]: []})) == ["log"]

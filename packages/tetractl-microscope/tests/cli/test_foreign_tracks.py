@@ -1,6 +1,9 @@
 """`tetractl track`: cells from tracks of other programs, in pixels and pictures."""
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -84,3 +87,47 @@ def test_what_is_missing_is_one_line(dish, header, options, says):
     assert done.returncode == 2 and says in done.stderr
     assert len(done.stderr.splitlines()) == 2
     assert tetractl(folder, "track", "bad.csv", "--scale", 2).returncode == 2
+
+
+def test_without_a_field_tracks_have_speeds_and_no_a(dish):
+    """Regression: "tracks need --field", so that speeds of trackpy's links could not be had."""
+    folder, rows = dish
+    name = written(folder, "theirs.csv", "particle,frame,y,x", rows)
+    words = ("track", name, "--scale", UM_PX, "--rate", RATE_HZ)
+    done = tetractl(folder, *words, "-o", "cells", "--json").ok()
+    for cell in json.loads(done.stdout)["cells"]:
+        assert cell["a_rad_s"] is None
+        assert cell["speed_um_s"]["value"] == pytest.approx(SPEED, rel=0.03)
+        assert cell["vsl_um_s"] > 0
+    assert (folder / "cells" / "cells.csv").read_text().startswith("cell,since_s")
+
+
+def test_rare_pictures_show_no_turning_but_ways(dish):
+    """Regression: "robot cell 0 drives in only 0 intervals": give more logs."""
+    folder, rows = dish
+    rare = rows[rows[:, 1] % 15 == 0]
+    rare[:, 1] /= 15
+    name = written(folder, "rare.csv", "particle,frame,y,x", rare)
+    words = ("track", name, "--scale", UM_PX, "--rate", RATE_HZ / 15)
+    refused = tetractl(folder, *words, "--field", "field.csv")
+    assert refused.returncode == 2
+    assert "pictures are 0.5 s apart, but a heading is the direction of motion" in refused.stderr
+    assert "film at 7 pictures/s or more" in refused.stderr
+    done = tetractl(folder, *words, "--json").ok()
+    assert [cell["speed_um_s"] for cell in json.loads(done.stdout)["cells"]] == [None, None]
+
+
+def test_a_reader_that_ends_early_is_no_fault_of_a_plugin(dish):
+    """Regression: "plug-in command 'track' raised SystemExit: 1"."""
+    folder, rows = dish
+    name = written(folder, "theirs.csv", "particle,frame,y,x", rows[rows[:, 0] == 7])
+    reading, writing = os.pipe()
+    os.close(reading)
+    program = (sys.executable, "-m", "tetractl")
+    words = ("track", name, "--scale", f"{UM_PX}", "--rate", f"{RATE_HZ}")
+    for more in ((), ("--json",)):
+        done = subprocess.run(
+            [*program, *words, *more], cwd=folder, stdout=writing, stderr=subprocess.PIPE, text=True
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+    os.close(writing)

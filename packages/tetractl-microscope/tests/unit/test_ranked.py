@@ -1,5 +1,7 @@
 """Choices of cells, ranked by what is predicted for steering them together."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.paths import EXAMPLES
@@ -57,3 +59,10 @@ def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_ar
     (choice,) = ranked(spec.experiment, cells, noise, 12)
     at_once = RankedChoice(spec.experiment, choice.cells, noise).along(12)
     assert choice.error == at_once.error
+
+
+def test_what_does_not_swim_does_not_respond_to_the_field():
+    """Regression: a speck of which an axis was seen, at 8 um/s, was chosen, and steered for 6 s."""
+    speck = replace(found_cell(1, 6.04), a_sd=1.71, speed=7.9, speed_sd=5.2)
+    assert not speck.magnetised
+    assert replace(speck, speed=79.0).magnetised

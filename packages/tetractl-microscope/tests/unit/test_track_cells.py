@@ -147,3 +147,20 @@ def test_cells_that_turn_by_themselves_in_a_field_have_no_speed_along_a_helix(tu
         assert (speed is None) == (f"cell {cell['cell']}" in note)
         assert speed is None or speed["value"] == pytest.approx(100.0, rel=0.05)
         assert (cell["a_rad_s"] is None) == (cell["sway_rad"] is None) == (speed is None)
+
+
+def wandering(number, speed=100.0, hz=25.0):
+    """A cell that swims on, while its heading walks by 0.3 rad/sqrt(s); places are noisy."""
+    rng = np.random.default_rng(number)
+    when = times(15.0, hz)
+    heading = np.cumsum(rng.normal(0.0, 0.3 / math.sqrt(hz), len(when)))
+    way = np.cumsum(speed / hz * np.exp(1j * heading))
+    return track(number, when, way.real, way.imag, noise_um=0.4)
+
+
+def test_noise_of_places_makes_no_flow_past_a_swimmer():
+    """Regression: speeds of 78 (72 to 83) and 87 (83 to 91) for 100, by flows of up to 23 um/s."""
+    cells = swimming_tracks(SOURCE, [wandering(number) for number in (3, 5)], False)
+    for summary in fit_tracks(cells.paths, named("euglena"), None, cells.timing):
+        assert summary.speed.value == pytest.approx(100.0, rel=0.03)
+        assert summary.speed.low < 101.0 and summary.speed.high > 99.0

@@ -135,3 +135,115 @@ def test_numbers_of_pictures_that_may_be_milliseconds_are_said(step, is_said, tm
     said = []
     poses(path, UM, HZ, said)
     assert any("if these are milliseconds, name it t_ms" in line for line in said) == is_said
+
+
+FRAME = {"unit": "frame", "scale": 1 / HZ, "scaled_unit": "second"}
+
+
+PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
+
+
+TIME = {"type": "time", **FRAME}
+
+
+SPACE = {"type": "space", **PIXEL}
+
+
+def graph(path, axes, values):
+    """Write a graph with axes of such names and contents; `values` has the values of each."""
+    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
+    from geff import GeffMetadata
+    from geff_spec import Axis
+
+    ids = np.arange(len(K), dtype=np.uint64)
+    about = GeffMetadata(
+        directed=True,
+        axes=[Axis(name=name, **contents) for name, contents in axes.items()] or None,
+        node_props_metadata={},
+        edge_props_metadata={},
+    )
+    nodes = {name: {"values": column, "missing": None} for name, column in values.items()}
+    pairs = np.column_stack([ids[:-1], ids[1:]])
+    are_of_one_track = np.diff(NUMBER) == 0
+    edges = pairs[are_of_one_track]
+    core_io.write_arrays(path, ids, nodes, edges, {}, about)
+    return path
+
+
+@pytest.mark.parametrize("within", ["geff", None], ids=["under geff", "bare"])
+def test_a_graph_older_than_the_first_release_is_refused_with_a_remedy(within, tmp_path):
+    """Regression: "No geff key found", or seven errors of validation, cut off."""
+    zarr = pytest.importorskip("zarr", reason="geff is not installed")
+    axes = {"t": TIME, "y": SPACE, "x": SPACE}
+    path = graph(tmp_path / "old.geff", axes, {"t": K, "y": Y, "x": X})
+    group = zarr.open_group(path)
+    about = {"geff_version": "0.1.1", "directed": True, "position_prop": "position"}
+    del group.attrs["geff"]
+    group.attrs.update(about if within is None else {within: about})
+    with pytest.raises(UsageError, match=r"old\.geff: cannot be read as a GEFF graph") as error:
+        poses(path, UM, HZ)
+    assert "as CSV" in str(error.value.hint)
+
+
+def test_a_table_that_is_not_there_is_named(tmp_path):
+    """Regression: "plug-in camera ... raised FileNotFoundError"."""
+    with pytest.raises(UsageError, match=r"a\.csv: no such file"):
+        poses(tmp_path / "a.csv", UM, HZ)
+
+
+def test_a_graph_without_edges_has_no_tracks(tmp_path, monkeypatch):
+    """Regression: each spot was a robot, and none "is seen for 2 s"."""
+    monkeypatch.setitem(globals(), "NUMBER", K)  # no two spots follow one another
+    path = graph(tmp_path / "a.geff", {"t": TIME, "y": SPACE, "x": SPACE}, {"t": K, "y": Y, "x": X})
+    with pytest.raises(UsageError, match="has no edges"):
+        poses(path)
+
+
+def test_numbers_of_pictures_that_are_fractions_are_times(tmp_path):
+    """Regression: they were divided by the rate, and no robot was "seen for 2 s"."""
+    table = np.column_stack([NUMBER, K / HZ, Y, X])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="track_id,t,y,x", comments="")
+    with pytest.raises(UsageError, match=r"column t: 0\.04 is no number of a picture") as error:
+        poses(tmp_path / "a.csv", UM, HZ)
+    assert "name the column t_s" in str(error.value.hint)
+
+
+def test_numbers_of_pictures_below_0_are_refused(tmp_path):
+    """Regression: tracks were seconds before the field, and a was wrong."""
+    numbered_from(-3, tmp_path / "a.csv")
+    with pytest.raises(UsageError, match="column frame: -3 is no number of a picture"):
+        poses(tmp_path / "a.csv", UM, HZ)
+
+
+def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
+    """Regression: --scale multiplied micrometres, and --rate divided seconds."""
+    rows = "".join(
+        f"ID,{cell:g},{UM * x!r},{UM * y!r},{k / HZ!r},{k:g}\n" for cell, k, y, x in SPOT_ROWS
+    )
+    path = tmp_path / "spots.csv"
+    path.write_text(SPOTS.format(um="micron", s="sec") + rows)
+    with pytest.raises(UsageError, match="places are in a unit of length, so that --scale"):
+        poses(path, UM)
+    said = []
+    faster = poses(path, None, 2 * HZ, said)
+    assert np.allclose([t for t, _, _ in faster], [t / 2 for t, _, _ in POSES])
+    assert "--rate 50 replaces its times" in said[0]
+    seconds = {"t": {"type": "time", "unit": "second"}, "y": SPACE, "x": SPACE}
+    with pytest.raises(UsageError, match="it states times, so that --rate"):
+        poses(graph(tmp_path / "g.geff", seconds, {"t": K / HZ, "y": Y, "x": X}), None, HZ)
+
+
+@pytest.mark.parametrize(
+    ("header", "missing"),
+    [
+        ("number,frame,y,x", "particle, track_id or id missing"),
+        ("particle,picture,y,x", "frame, t or time_s missing"),
+        ("particle,frame,y,z", "x missing"),
+        ("particle,frame,row,col", "x; y missing"),
+    ],
+)
+def test_a_missing_column_is_named(header, missing, tmp_path):
+    """Regression: the hint named the columns of `identify`."""
+    path = placed(tmp_path / "a.csv", header, NUMBER, K, Y, X)
+    with pytest.raises(UsageError, match=f"no column of tracks: {missing}; its columns are"):
+        poses(path, UM, HZ)

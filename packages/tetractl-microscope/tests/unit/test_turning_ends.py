@@ -104,3 +104,10 @@ def test_an_emergency_stop_while_the_field_turns_is_sent_ten_times(dish):
     with pytest.raises(AbortError, match="emergency stop by the operator"):
         survey(dish)
     assert dish.actuator.emergencies >= STOPS
+
+
+def test_a_field_is_stopped_if_no_cell_can_be_chosen(dish, stops_before):
+    """Regression: it turned on until camera and loop were closed."""
+    with pytest.raises(AbortError, match="0 of 0 cells respond to the field"):
+        prepare_a_trial(dish)
+    assert stops_before == [STOPS]

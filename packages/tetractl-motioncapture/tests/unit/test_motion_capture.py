@@ -173,3 +173,29 @@ def test_the_real_library_streams_from_its_mock_in_the_process():
     port.close()
     assert came and json.loads(heard[0][0]) == {"bodies": {}}
     assert heard[0][1] <= heard[3][1] <= clock.now()
+
+
+TURNS = """
+class Turns(Capture):
+    def waitForNextFrame(self):
+        self.rigidBodies = {} if self.rigidBodies else Capture.rigidBodies
+"""
+
+
+@pytest.mark.parametrize(("system", "empty"), [("vrpn", 0), ("vicon", 2)])
+def test_a_turn_of_vrpn_without_news_is_no_frame(system, empty):
+    """Regression, found with VRPN's own server: robots were lost in every other frame."""
+    library = {}
+    out = Pipe()
+    exec(LIBRARY + TURNS, library)
+    stream(lambda *_: library["Turns"](), json.dumps([system, "", {}]), out)
+    assert out.getvalue().count('"bodies": {}') == empty
+
+
+def test_long_names_of_bodies_are_cut_and_many_are_counted():
+    """Regression: a sender's names of 600 characters were printed whole, with their escapes."""
+    with camera_of(*(f"{number}\x1b" * 300 for number in range(500))) as camera:
+        problem = camera.check().problems[0]
+    assert problem.isprintable()
+    assert len(problem) < 1500
+    assert problem.endswith("and 480 more")

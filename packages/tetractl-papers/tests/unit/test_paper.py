@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tetractl_papers import command
 from tetractl_papers import trials as reproduce_trials
-from tetractl_papers.claim import Claim, Fate, at_most
+from tetractl_papers.claim import Claim, Fate, assess, at_most, same_deviation
 from tetractl_papers.ou_measures import spinning_time, total_error
-from tetractl_papers.paper import Paper, Runs
+from tetractl_papers.paper import Paper, Runs, table
 from tetractl_papers.registries import PAPERS
 
 from tetractl import api
@@ -175,3 +175,11 @@ def test_the_command_prints_a_row_of_the_page(tmp_path):
 def test_an_unknown_paper_is_refused():
     with pytest.raises(UsageError, match="there is no paper 'oo'"):
         command.reproduce(["oo"])
+
+
+def test_the_deviation_of_one_trial_is_unknown():
+    """Regression: `reproduce ou --trials 1` ended with a traceback."""
+    asked = same_deviation(std=225.1, n=20)
+    row = assess(Claim("deviation", "225.1 mm", "one", float, asked), {"one": [132.0]})
+    (cells,) = table("mine", "x", [row]).rows
+    assert cells[3:6] == ("unknown", "1", "none")

@@ -113,3 +113,12 @@ def test_cubes_that_a_run_has_are_sent_stops_beside_it(lab, stop):
         stop()
     assert stop(alone=False) == "sent 10 stops"
     assert lab.motors(GREEN) == lab.motors(BLUE) == lab.motors(RED) == TEN_STOPS
+
+
+def test_of_two_cubes_that_are_off_both_are_named_and_the_third_gets_its_stops(lab, stop):
+    """Regression: no cube got a stop. Had each of the two been counted twice, as not found and as
+    failed, it would have been said that no robot was reached."""
+    lab.off.update((GREEN, BLUE))
+    with pytest.raises(AbortError, match=r"but not to all: .*toio-M0p.*; .*toio-a9R"):
+        stop()
+    assert lab.motors(RED) == TEN_STOPS

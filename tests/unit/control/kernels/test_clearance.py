@@ -10,6 +10,7 @@ from tetractl.control.kernels import clearance
 from tetractl.control.kernels.obstacles import arrays_of
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.setup import Bounds
+from tetractl.tools.kernels import kernel_options as options
 
 pytestmark = pytest.mark.slow
 
@@ -38,3 +39,9 @@ def test_the_least_distance_is_that_of_the_nearest_two(points):
     distances = np.hypot(x[:, None] - x, y[:, None] - y)
     of_pairs = distances[np.triu_indices(len(x), 1)]
     assert clearance.least_apart(x, y) == of_pairs.min()
+
+
+@pytest.mark.parametrize("name", ["INLINE_EXACT", "ENTRY", "INLINE_FAST", "ENTRY_FAST", "INLINE"])
+def test_no_kernel_inherits_the_options_of_its_first_caller(name):
+    """Regression: compiled after a fast caller, `gaps` was fast too, and its last bits differed."""
+    assert {"fastmath", "error_model", "nogil"} <= vars(options)[name].keys()

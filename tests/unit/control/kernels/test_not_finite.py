@@ -12,6 +12,9 @@ from support.running import PATIENCE_S
 from tetractl.control.kernels import multistart
 from tetractl.control.kernels.filter import follow
 from tetractl.control.kernels.filter_state import (
+    HEADING,
+    LN_A,
+    LOG_FOLLOWS,
     STATES,
     STATES_OF_WHEELS,
     Bank,
@@ -77,3 +80,34 @@ def test_the_polish_ends(odd, place):
     no_draws = np.uint64(0), np.empty(0), 0
     limits = PolishSettings(1e-3, 0.5, 6), 10_000, multistart.UNLIMITED, False
     assert ends(lambda: multistart.search(flatten(problem), *rooms, *no_draws, *limits, rounds))
+
+
+def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
+    """Regression: a hypothesis of a quick robot that drove against its direction had a covariance
+    of 1e19, which the next pose made none: then every likelihood of `identify` was NaN."""
+    model = FilterModel(
+        parameters=np.ones((1, len(PARAMETERS))),
+        noise=np.full((3, 1), 0.2),
+        walk=np.zeros((STATES_OF_WHEELS, 1)),
+        helix_rad_s=0.0,
+        lag_s=0.0,
+        watchdog_s=math.inf,
+        branch_all=True,
+    )
+    model.walk[HEADING] = 0.06
+    mean = np.zeros((1, 1, STATES))
+    std = np.zeros((1, STATES_OF_WHEELS))
+    mean[..., LN_A] = math.log(330.0)
+    std[:, [HEADING, LN_A]] = 0.8, 0.6
+    bank = Bank.start(np.zeros(1), mean, std, np.zeros(1, dtype=np.int64), LOG_FOLLOWS)
+    bank.direction[...] = math.pi
+    bank.next_command[...] = 1
+    times = 0.04 * np.arange(6.0)[:, None]
+    poses = np.zeros((6, 1, 3))
+    poses[:, 0, 0] = times[:, 0]
+    is_seen = np.arange(6)[:, None] > 3
+    commands = SentCommands(np.array([0.0]), np.array([math.pi]))
+    ln_likelihoods = follow(bank, model, commands, PoseFrames(times, poses, is_seen), False, 0.0)
+    assert np.isfinite(ln_likelihoods).all()
+    cov = bank.cov[0, 0, int(bank.ln_weight[0, 0].argmax())]
+    assert np.linalg.eigvalsh(cov).min() > -1e-9 * np.trace(cov)

@@ -164,3 +164,14 @@ def spread(problem, signals, reference):
     rng = np.random.default_rng(0)
     moved = [signals + rng.choice([-1e-12, 1e-12], signals.shape) for _ in range(4)]
     return np.max([np.abs(evaluate(problem, m).total - reference) for m in moved], axis=0)
+
+
+@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
+@pytest.mark.parametrize("turn", [1e-6, 1e-3, 1.25, 3.0, 5.0, 20.0, 50.0])
+def test_costs_agree_whatever_a_robot_turns_in_a_period(model, turn):
+    """Regression: above a T of about 4 the sines of `euler` and `arc` left their range."""
+    problem = problems.problem(problems.world(1, obstacles=0, model=model))
+    problem = replace(problem, a=np.full(3, turn / problem.period))
+    signals = np.random.default_rng(1).uniform(-math.pi, math.pi, (33, 3))
+    reference = evaluate(problem, signals).total
+    assert costs_twice(problem, signals) == pytest.approx(reference, rel=1e-8)

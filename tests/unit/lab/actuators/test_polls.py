@@ -94,3 +94,13 @@ def test_a_late_reply_to_the_try_before_still_counts():
             return coming.popleft()
 
     assert polled(LateRobot(), [0], clock, 1.0, 20) == [reply_of(0, 1)]
+
+
+def test_the_number_of_the_first_poll_cannot_be_foretold():
+    """Regression: it was always 1."""
+    asked = []
+    clock = VirtualClock()
+    clock.sleep_until(123_456_789)
+    link, _ = linked(["air"], {"air": lambda sequence: asked.append(sequence) or []}, clock)
+    link.poll(0.1)
+    assert asked == [(123_456_789 + 1) % 256]

@@ -147,3 +147,18 @@ def test_a_client_that_fails_is_said_and_released():
         port.write(b"")
     assert releases == ["there"]
     assert messages == [b"there", b""]
+
+
+class Named(OneRobot):
+    """Stands for a camera that says of every message that it is a name it does not know."""
+
+    def poses(self, message):
+        raise KeyError(message.decode())
+
+
+def test_what_a_sender_chose_is_bounded_in_the_error():
+    """Regression: a name of 600 characters was printed whole."""
+    with pytest.raises(AbortError) as refused, camera(Port([b"n\x1b" * 300]), Named):
+        pass
+    assert len(refused.value.message) < 700
+    assert refused.value.message.isprintable()

@@ -14,8 +14,8 @@ from support.fuzz import Original, fuzz
 from support.mutate import chunk, rewrite, stating
 from support.random_trials import trial, write
 
-from tetractl.core.errors import LogError
-from tetractl.log.format.channels import COMMANDS, FRAMES, RESULT, STEP
+from tetractl.core.errors import LogError, TetractlError
+from tetractl.log.format.channels import COMMANDS, FRAMES, HOST_END, RESULT, RUN, STEP
 from tetractl.log.format.packed_columns import pack_columns
 from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
@@ -25,9 +25,10 @@ from tetractl.log.format.tetractl_pb2 import (
     WheelCommand,
 )
 from tetractl.log.read import limits, raw_log, salvage
-from tetractl.log.read.reader import read_trial
+from tetractl.log.read.overview import overview
+from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
-from tetractl.log.read.salvage import scan
+from tetractl.log.read.salvage import peek, scan
 from tetractl.replay.verify import verify
 from tetractl.results.open_batch import counts, open_batch
 
@@ -223,3 +224,73 @@ def test_names_in_a_log_are_no_paths(tmp_path, log, name):
     out = Path(str(recover(path).path))
     assert b"evil" in [attachment.data for attachment in scan(out).attachments.values()]
     assert {*tmp_path.rglob("*")} == {path, out}
+
+
+PADDING = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
+
+
+EMPTY = bytes([Opcode.MESSAGE]) + struct.pack("<QHIQQ", 22, 1, 0, 0, 0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("inside", [PADDING, EMPTY * 60_000])
+def test_many_chunks_together_are_bounded(log, tmp_path, inside):
+    path = with_chunks(log, tmp_path / "many.mcap", [chunk(inside)] * 20)
+    assert path.stat().st_size < 200_000
+    with pytest.raises(LogError, match="very many bytes or messages in its chunks, more than"):
+        scan(path)
+
+
+def test_every_record_of_a_chunk_counts_towards_its_limit(log, tmp_path, monkeypatch):
+    """Regression: only messages did; a file of 30 kB, of 14 million channels, took 48 s."""
+    channel = bytes([Opcode.CHANNEL]) + struct.pack("<QHHIII", 16, 1, 1, 0, 0, 0)
+    path = with_chunks(log, tmp_path / "channels.mcap", [chunk(channel * 1000)])
+    monkeypatch.setattr(salvage, "file_limit", lambda: 250_000)
+    assert scan(log).entries
+    with pytest.raises(LogError, match="very many bytes or messages in its chunks, more than"):
+        scan(path)
+
+
+def test_all_of_the_reading_of_a_file_counts_towards_its_limit(log, monkeypatch):
+    assert peek(log) is not None
+    monkeypatch.setattr(salvage, "seconds_limit", lambda: -1)
+    for read in (scan, peek):  # though nothing is damaged
+        with pytest.raises(LogError, match="very many records"):
+            read(log)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"robots": ["a", "b"]},
+        {"camera_rate_hz": NAN},
+        {"format_version": -1},
+    ],
+)
+def test_a_bad_run_costs_its_own_trial_only(tmp_path, contents, changes):
+    edited = stating(contents, RUN, **changes)
+    rewrite(contents, tmp_path / "bad.mcap", edited)
+    write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
+    batch = open_batch([tmp_path])
+    assert len(batch.trials) == 1
+    assert [Path(log.log).name for log in batch.damaged] == ["bad.mcap"]
+
+
+@pytest.mark.parametrize("topic", [RUN, RESULT, HOST_END])
+def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, topic):
+    entry = contents.by_topic[topic][0]
+    torn = {entry: entry._replace(data=entry.data[:-1] + b"\xff")}
+    path = rewrite(contents, tmp_path / "trial.mcap", torn)
+    for read in (read_trial, read_result, overview, verify):
+        try:
+            answer = read(path)
+        except TetractlError as error:
+            assert "\n" not in str(error)
+        else:
+            assert read is not verify or answer.problems
+
+
+def test_the_step_that_is_spoilt_there_is_good_otherwise(tmp_path, contents):
+    entry = next(entry for entry in contents.entries if entry.topic == STEP)
+    new = entry._replace(data=spoilt_step().SerializeToString())
+    assert read_trial(rewrite(contents, tmp_path / "trial.mcap", {entry: new})).steps

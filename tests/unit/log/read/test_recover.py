@@ -5,13 +5,16 @@ import random
 from pathlib import Path
 
 import pytest
+from mcap.records import Channel
 from support.durable import small_disk
+from support.mutate import rewrite
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import RECOVERED
+from tetractl.log.format.channels import HOST_TIMING, RECOVERED, Entry
 from tetractl.log.read.find import find_logs
-from tetractl.log.read.reader import read_trial
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.sink import Sink
@@ -157,3 +160,75 @@ def test_a_full_disk_leaves_nothing_behind(log, tmp_path):
             recover(source, disk / "out.mcap")
         assert list(disk.iterdir()) == []
     assert recover(source).whole
+
+
+def test_a_lost_index_costs_nothing(log, tmp_path):
+    done = recover(torn(log, tmp_path))
+    assert done.path == str(tmp_path / "trial.recovered.mcap")
+    assert (done.whole, done.damage.lost) == (True, ())
+    out = out_path(done)
+    again = read_trial(out)
+    assert again.damage is None
+    assert content_digest(out) == again.digest == content_digest(log)
+    assert not read_result(out).recovered
+
+
+def test_a_recovered_log_says_what_was_lost(rotten):
+    done = recover(rotten)
+    damage = read_trial(out_path(done)).damage
+    assert damage is not None
+    assert damage.problems[0] == "recovered from trial.mcap, which was damaged"
+    assert set(done.damage.lost) <= set(damage.lost)
+    assert read_result(out_path(done)).recovered
+
+
+def test_a_recovered_log_has_the_digest_of_what_is_intact(rotten):
+    out = out_path(recover(rotten))
+    assert content_digest(out) == content_digest(rotten)
+
+
+def test_a_log_that_is_recovered_twice_says_it_once(rotten, tmp_path):
+    recover(out_path(recover(rotten)), tmp_path / "twice.mcap")
+    assert len(scan(tmp_path / "twice.mcap").by_topic[RECOVERED]) == 1
+
+
+def test_what_a_killed_recovery_left_is_replaced(log, tmp_path):
+    """Regression: `recover` refused to run again."""
+    source = torn(log, tmp_path)
+    unfinished = tmp_path / f"trial.recovered.mcap{PART_SUFFIX}"
+    unfinished.write_bytes(log.read_bytes()[:5000])
+    assert find_logs([tmp_path]) == [source]
+    done = recover(source)
+    assert done.whole
+    assert not unfinished.exists()
+    steps = read_trial(out_path(done)).steps
+    assert not first_difference(steps, read_trial(log).steps)
+
+
+def test_a_channel_that_is_only_in_the_index_is_copied(log, tmp_path):
+    """Regression: `recover` copied messages of a channel that it had not made."""
+    contents = scan(log)
+    extra = Entry("/only", 1, 1, b"data")
+    first = contents.records.index(contents.entries[0])
+    records = [*contents.records[:first], extra, *contents.records[first:]]
+    records.insert(first + 40, extra)  # the first takes the record of the channel with it
+    more = {"/only": (Channel(77, "/only", "none", {}, 0), None)}
+    changed = RawLog(log, records=records, channels=contents.channels | more)
+    data = rewrite(changed, tmp_path / "whole", {}, apart=True).read_bytes()
+    spoilt = flipped(data, data.index(CHUNK_DATA) + 60)
+    done = recover(damaged(tmp_path, spoilt))
+    assert extra in scan(out_path(done)).entries
+
+
+def test_a_lost_record_of_the_host_is_a_loss(log, tmp_path):
+    """The file is whole, and so is the trial: the digest of the host's records alone tells."""
+    contents = scan(log)
+    timing = contents.by_topic[HOST_TIMING][3]
+    path = tmp_path / "changed.mcap"
+    sink = Sink(path)
+    for record in contents.records:
+        if record != timing:
+            sink.add(record)
+    sink.close(complete=True)
+    assert recover(log).whole
+    assert recover(path).damage.lost == ("a record covered by the log's digest or its host digest",)

@@ -7,16 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mcap.records import Attachment
-from mcap.writer import IndexType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 from support.fuzz import Original
-from support.mutate import rewrite, stating
+from support.mutate import rewrite, rewritten, stating
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
-from tetractl.log.format.channels import RESULT, RUN
-from tetractl.log.read.reader import read_result, read_trial
-from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.log.format.channels import FRAMES, RESULT, RUN
+from tetractl.log.read.overview import overview
+from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.log.read.salvage import MAGIC, peek, scan
 from tetractl.replay.comparison import first_difference
 
 pytestmark = pytest.mark.slow
@@ -240,3 +241,68 @@ def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):
             assert read_result(path).recovered, offset
         except LogError:
             continue
+
+
+@pytest.mark.parametrize("tail", [b"\0" * 5000, b"\xff" * 5000, MAGIC])
+def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(
+    tmp_path, log, undamaged, chunks, tail
+):
+    cut = log.read_bytes()[: chunks[-2].end]
+    salvaged = read_trial(_damaged(tmp_path, cut + tail))
+    assert salvaged.damage is not None
+    assert salvaged.result is None
+    assert_part_of(salvaged, undamaged)
+    assert len(salvaged.steps) >= 10
+
+
+def test_a_lost_result_says_who_was_in_an_obstacle(undamaged, without_result):
+    shapes = [obstacle.shape() for obstacle in undamaged.experiment.obstacles]
+
+    def in_an_obstacle(poses):
+        x, y, _ = poses.T
+        return any(shape.contain(x, y).any() for shape in shapes)
+
+    truth = read_trial(without_result).truth
+    assert truth is not None
+    inside = tuple(in_an_obstacle(truth[:, i]) for i in range(3))
+    assert read_result(without_result).result.verdict.entered == inside
+
+
+def test_without_any_pose_there_is_no_result(tmp_path):
+    contents = scan(write(trial(steps=1), tmp_path / "trial.mcap"))
+    none = {"times": b"", "poses": b"", "truth": b"", "valid": []}
+    empty = stating(contents, FRAMES, **none) | stating(contents, RESULT, duration_s=math.nan)
+    with pytest.raises(LogError, match="no poses to compute it from"):
+        read_result(rewrite(contents, tmp_path / "empty.mcap", empty))
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    for read in (read_trial, read_result, content_digest):
+        with pytest.raises(LogError, match="No such file"):
+            read(tmp_path / "none.mcap")
+        with pytest.raises(LogError, match="is a folder, not a log"):
+            read(tmp_path)
+
+
+def test_a_log_that_was_written_again_without_chunks_is_told(log, tmp_path):
+    """Regression: it was "not a log of tetractl in format 4"."""
+    again = rewritten(log, tmp_path / "again.mcap", use_chunking=False)
+    for read in (read_trial, read_result, overview):
+        with pytest.raises(LogError, match="was written again without chunks by another program"):
+            read(again)
+
+
+@pytest.mark.parametrize("how", [CompressionType.LZ4, CompressionType.NONE])
+def test_chunks_of_other_writers_are_read(tmp_path, log, how):
+    again = rewritten(log, tmp_path / "again.mcap", True, compression=how, chunk_size=3000)
+    contents = scan(again)
+    assert [entry.data for entry in contents.entries] == [entry.data for entry in scan(log).entries]
+    assert not contents.problems
+
+
+def test_a_file_without_the_checksum_of_its_data_is_not_read_by_its_index(log, tmp_path):
+    data = log.read_bytes()
+    assert peek(log) is not None
+    checksum = data.rindex(DATA_END) + len(DATA_END)
+    without = data[:checksum] + bytes(4) + data[checksum + 4 :]
+    assert peek(_damaged(tmp_path, without)) is None

@@ -217,3 +217,10 @@ def loaded(folder, monkeypatch):
     kernel = cache.compiled()(doubled)
     assert kernel(21) == 42
     return sum(kernel.stats.cache_hits.values())
+
+
+def test_another_python_compiles_afresh(tmp_path, monkeypatch):
+    """Regression: Python 3.13 ran what 3.11 had compiled for its own structures."""
+    for tag, hits in (("cpython-311", 0), ("cpython-311", 1), ("cpython-313", 0)):
+        monkeypatch.setattr(sys.implementation, "cache_tag", tag)
+        assert loaded(tmp_path, monkeypatch) == hits

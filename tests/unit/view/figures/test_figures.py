@@ -14,6 +14,7 @@ from tetractl.core.colors import BLUE, GREEN, RED
 from tetractl.core.commands import Steer
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
+from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
 from tetractl.core.trial import PlantInfo
 from tetractl.view import style
@@ -366,3 +367,24 @@ def test_the_errors_of_a_batch_end_as_the_results_say(log):
     assert len(of_robots.collections) == 3  # a band a robot
     starts = [float(np.asarray(line.get_ydata())[0]) for line in trials]
     assert starts == pytest.approx([sum(np.hypot([800] * 3, [300, 300, 400]))] * 3, rel=0.01)
+
+
+def test_the_convergence_figures_legends_cover_no_data(log):
+    """Regression: that of the searches of each step stood over the last steps."""
+    figure = draw("convergence", [log])
+    figure.canvas.draw()
+    for axes in figure.axes[:2]:
+        assert axes.get_legend().get_window_extent().y0 >= axes.get_window_extent().y1 - 2
+
+
+@pytest.mark.parametrize(("error_mm", "is_drawn"), [(20.0, False), (200.0, True)])
+def test_an_error_is_dotted_where_the_signs_of_end_and_target_do_not_cover_it(
+    log, error_mm, is_drawn
+):
+    """Regression: the legend named a dotted line that was covered."""
+    final = Poses(TARGETS[:, 0] + error_mm, TARGETS[:, 1], np.zeros(3))
+    result = replace(log.result, verdict=replace(log.result.verdict, final=final))
+    figure = trajectory_figure([replace(log, result=result)])
+    dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
+    assert len(dotted) == 3 * is_drawn
+    assert ("error: end to target" in words(figure)) == is_drawn

@@ -147,3 +147,15 @@ def test_a_wrong_script_is_one_line(text, problem, tmp_path):
     with pytest.raises(UsageError) as caught:
         script(tmp_path, text)
     assert caught.value.message == f"{tmp_path / 'keys.txt'}{problem}"
+
+
+@pytest.mark.parametrize(
+    ("key", "answer"), [("enter", "enter"), ("R", "r"), ("r", "r"), ("q", "q")]
+)
+def test_a_key_that_answers_the_words_before_they_are_waited_for_counts(key, answer):
+    """Regression: it was forgotten, as when the machine is slow."""
+    steering = HandKeys(lambda: False)
+    steering.press("q")
+    steering.forget()
+    steering.press(key)
+    assert steering.await_answer() == answer

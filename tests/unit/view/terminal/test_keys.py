@@ -80,3 +80,9 @@ def pressed(terminal, *pieces):
 @pytest.mark.parametrize("keys", [b" ", b"\x1b\x1b", b"\x1bx", b"\x1b[A ", b"\x1b[A\x1b\x1b"])
 def test_space_and_escape_stop_the_robots(keys, terminal):
     assert pressed(terminal, keys) >= 1  # once a read: a terminal may hand the keys on in pieces
+
+
+@pytest.mark.parametrize("key", [b"\x1b[A", b"\x1bOB", b"\x1b[1;5C", b"\x1b[5~", b"\x1b\x1b[D"])
+def test_an_arrow_is_no_emergency_stop(key, terminal):
+    """Regression: its first byte is that of Esc, and robots were stopped until switched off."""
+    assert pressed(terminal, key) == 0

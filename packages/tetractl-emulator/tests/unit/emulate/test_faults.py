@@ -2,17 +2,24 @@
 
 import gc
 import json
+import math
 import weakref
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from random import Random
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import pytest
+from support.acting import act
 from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
 from support.lab_processes import emulated, turn_until
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES, SCRIPTS
 from support.virtual_lab import virtual_lab
+from tetractl_emulator.optitrack.scripted import FAULTS
+from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
 from tetractl_emulator.process import PROCESS_FAULTS
 
 from tetractl.core.clock import SECOND
@@ -278,3 +285,118 @@ def test_nothing_is_left_open(tmp_path):
             lab.actuator.plugged(True)
     assert open_files() == before
     assert [path.name for path in tmp_path.iterdir()] == ["record.jsonl"]
+
+
+def test_faults_of_the_servers_clock_add_up_and_each_takes_its_own_back(tmp_path):
+    """Regression: of two that overlapped, the first one's end changed nothing, and a change of rate
+    took back what the one before had gained."""
+    jump = faulty_lab(tmp_path, "{fault: clock_jump, by: 1}")
+    fast = faulty_lab(tmp_path, "{fault: clock_rate, rate: 3}").fault
+    clock = jump.lab.camera
+    then_ns = jump.lab.timeline.now_ns + SECOND
+    right = clock.ticks(then_ns)
+
+    def gained_s():
+        return (clock.ticks(then_ns) - right) / TICKS_PER_S
+
+    end_first_jump = jump.begin()
+    end_first_rate = jump.lab.injector.act(fast)
+    end_second_jump = jump.begin()
+    end_second_rate = jump.lab.injector.act(fast)
+    assert gained_s() == pytest.approx(2 * 1 + 2 * (3 - 1))
+    end_first_jump()
+    assert gained_s() == pytest.approx(1 + 2 * (3 - 1))
+    end_first_rate()
+    assert gained_s() == pytest.approx(1 + (3 - 1))
+    end_second_rate()
+    end_second_jump()
+    assert clock.ticks(then_ns) == right
+
+
+def test_a_picture_creeps_by_all_changes_and_stays_where_they_brought_it(tmp_path):
+    """Regression: a change that crept took the place of the one that crept before, though the table
+    says that changes of the picture add up."""
+    sliding = faulty_lab(tmp_path, "{fault: picture, by: [3, 0], creeps: true}")
+    turning = type(sliding.fault)(fault="picture", turn=0.25, creeps=True)
+    view = sliding.lab.camera.view
+    end_sliding = sliding.begin()
+    end_turning = sliding.lab.injector.act(turning)
+    acting = sliding.lab.injector.acting
+    view.exposed(acting.of("picture"))
+    end_sliding()
+    view.exposed(acting.of("picture"))
+    end_turning()
+    view.exposed(acting.of("picture"))
+    assert view.shift == 3
+    assert view.turned == 2 * 0.25
+
+
+def body_at_origin():
+    """What the cameras track of a robot at the origin that looks along x."""
+    robot = SimpleNamespace(name="green", x=0.0, y=0.0, heading=0.0)
+    return TrackedBody(robot, Asset(1, "green"), PoseNoise(0.0, 0.0, Random(0)))
+
+
+def begin_on(body, name, **fields):
+    """Begin a fault of this name on a body; return what ends it."""
+    kind = next(kind for kind in FAULTS if kind.__name__ == name)
+    fault = kind(fault=name, robot="green", **fields)
+    body.acting.add(fault)
+    return partial(body.acting.remove, fault)
+
+
+def test_a_jump_of_a_body_that_moves_away_does_not_hold_it_up():
+    """Regression: after a jump, the body was where it had been when it jumped.
+
+    A ghost moves on by 1 mm each frame.
+    """
+    body = body_at_origin()
+    begin_on(body, "ghost", by=(1, 0))
+    end_jump = begin_on(body, "jump", by=(100, 0))
+    assert body.expose(View()).position[0] == pytest.approx(0.101)
+    end_jump()
+    assert body.expose(View()).position[0] == pytest.approx(0.002)
+
+
+def test_a_body_that_repeats_its_pose_has_the_number_of_its_twin_at_once(tmp_path):
+    """Regression: it was reported with the number that it had had in its last new pose."""
+    faulty = faulty_lab(tmp_path, "{fault: twin_id, robot: green, other: blue}")
+    camera = faulty.lab.camera
+    green, blue = (body.id for body in camera._expose())
+    act(camera.acting, "repeat", robot="green")
+    end = faulty.begin()
+    assert [body.id for body in camera._expose()] == [blue, blue]
+    end()
+    assert [body.id for body in camera._expose()] == [green, blue]
+
+
+@pytest.mark.parametrize("carried_first", [False, True])
+def test_a_body_that_a_fault_hides_remains_hidden_when_robots_are_put_down(tmp_path, carried_first):
+    """Regression: putting robots down ended such a fault; and if it began and ended while they were
+    carried, the body was not tracked any more."""
+    faulty = faulty_lab(tmp_path, "{fault: untracked, robot: green}")
+    camera = faulty.lab.camera
+    green = camera.tracked_body("green")
+    faulty.lab.injector.acting.carried = carried_first
+    end_fault = faulty.begin()
+    faulty.lab.injector.acting.carried = True
+    assert not green.expose(View()).tracking_valid
+    faulty.lab.injector.acting.carried = False
+    assert not green.expose(View()).tracking_valid
+    end_fault()
+    assert green.expose(View()).tracking_valid
+    assert camera.tracked_body("blue").expose(View()).tracking_valid
+
+
+def test_faults_of_one_body_act_together():
+    """Regression: a body without a position had one again once it was tipped."""
+    body = body_at_origin()
+    end_nan = begin_on(body, "nan")
+    end_tipped = begin_on(body, "tipped", angle=1.0)
+    assert math.isnan(body.expose(View()).position[0])
+    end_nan()
+    tipped = body.expose(View())
+    assert tipped.position[0] == 0.0
+    assert tipped.quaternion[0] == pytest.approx(math.sin(1.0 / 2))
+    end_tipped()
+    assert body.expose(View()).quaternion == (0.0, 0.0, 0.0, 1.0)

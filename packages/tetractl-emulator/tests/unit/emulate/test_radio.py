@@ -1,5 +1,7 @@
 """The emulated XBee over a real pseudo-terminal, spoken to with pyserial and our frames."""
 
+import os
+
 import pytest
 import serial
 from support.lab_processes import emulated, turn_until
@@ -93,3 +95,20 @@ def test_a_name_that_an_emulation_uses_is_refused(tmp_path):
             second.plug()
     finally:
         first.unplug()
+
+
+def test_a_name_left_by_a_killed_emulation_is_taken_over_if_its_number_is_used_again(tmp_path):
+    """Regression: the new port had the number of the killed one, and the link to it "exists"."""
+    link = tmp_path / "radio"
+    first = PseudoPort(link)
+    first.plug()
+    target = link.readlink()
+    link.unlink()
+    first.unplug()
+    link.symlink_to(target)  # as SIGKILL leaves it
+    os.utime(link, (0, 0), follow_symlinks=False)
+    again = PseudoPort(link)
+    again.plug()
+    assert link.exists()
+    again.unplug()
+    assert not link.is_symlink()

@@ -7,6 +7,7 @@ from tetractl_emulator.m3pi.emulated_radio import at_response
 from tetractl_emulator.memory_wires import MemoryNetwork
 from tetractl_emulator.virtual_lab import LabClock
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command, stop_all
 from tetractl.lab.actuators.wheel_commands import Reply, Status
@@ -173,3 +174,50 @@ def test_lab_stop_says_that_no_module_answers_after_the_stops(stop_robots):
     assert "baud rate" in raised.value.hint
     assert "switch the robots off by hand" in raised.value.hint
     assert emergency_stops(module) == 10
+
+
+def test_a_module_that_falls_silent_is_not_said_to_have_another_mode():
+    """Regression: a module that began again between two questions was "not in API mode"."""
+    answers = {command: value for command, value in SERIES_1.items() if command != b"AP"}
+    with pytest.raises(AbortError, match="the radio's module does not answer any more"):
+        Module(answers).opened()
+
+
+class Sleepy(Module):
+    """Stands for a module that wakes once it has received some requests, and then answers all."""
+
+    def __init__(self, wakes_after):
+        super().__init__()
+        self.wakes_after = wakes_after
+        self.unanswered = []
+
+    def say(self, frame):
+        self.unanswered.append(frame)
+        if len(self.unanswered) >= self.wakes_after:
+            for answer in self.unanswered:
+                super().say(answer)
+            self.unanswered.clear()
+            self.wakes_after = 0
+
+
+@pytest.mark.parametrize("wakes_after", range(1, 7))
+def test_a_late_answer_is_not_one_at_the_next_baud_rate(wakes_after):
+    """Regression: "the module answers at 38400 baud, not the spec's 57600"."""
+    radio = Sleepy(wakes_after)
+    link = radio.opened()
+    assert radio.port_of_link.bits_a_second == 57600
+    assert link.ask(b"AP") == b"\x02"
+
+
+def test_robots_are_asked_again_if_the_computer_slept_meanwhile():
+    """Regression: of a robot whose first reply was lost it was said that it does not answer."""
+    polls = []
+
+    def sleep(content):
+        polls.append(content)
+        radio.clock.sleep_until(radio.clock.now() + 3 * SECOND)
+        return []
+
+    radio = Module(respond=sleep)
+    assert Broadcaster(radio.opened(), radio.clock, (0, 1)).poll(1.0) == [None, None]
+    assert len(polls) == 5

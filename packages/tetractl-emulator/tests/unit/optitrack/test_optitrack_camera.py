@@ -9,6 +9,7 @@ from support.lab_specs import SPEC
 from support.virtual_lab import Joined, virtual_lab
 from tetractl_emulator.optitrack.natnet_server import pack_answer
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.lab.cameras.optitrack import natnet
 
@@ -154,3 +155,12 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
         assert health.problems == ()
         assert f"protocol {version} is newer than 4.3; it is read as 4.3" in (health.warnings)
         assert camera.damaged == 0
+
+
+@pytest.mark.long
+def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
+    """Regression: four times a second, for as long as the bit lasted."""
+    with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:
+        before = lab.camera.counts["models asked"]
+        clock.sleep_until(clock.now() + 60 * SECOND)
+        assert 5 <= lab.camera.counts["models asked"] - before <= 13

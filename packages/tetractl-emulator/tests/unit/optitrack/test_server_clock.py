@@ -193,3 +193,11 @@ def test_a_drift_is_found_and_undone():
     assert abs(sync.drift - drift) < 5e-6
     later = 65 * SECOND
     assert abs(sync.to_host(ticks(later)) - later) < 200_000
+
+
+def test_frames_of_another_clock_than_the_echoes_are_named():
+    """Regression: every frame was dropped as damaged, and `lab check` found nothing wrong."""
+    server = Server()
+    server.ticks_of_frame = lambda number, host_ns: 0
+    assert server.until(2) < 0.5
+    assert "s before reception: the clock was set" in server.stream.newest.fault

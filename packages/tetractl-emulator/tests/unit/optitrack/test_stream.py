@@ -146,3 +146,14 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     assert stream.up is None
     assert says in str(error)
     assert error.hint.startswith(hint)
+
+
+def test_an_exposure_that_cannot_be_is_a_bad_datagram():
+    """Regression: such an age did not fit into a log."""
+    stream = connected()
+    stream.asked(natnet.EchoRequest(0))
+    stream.feed(pack_answer(natnet.EchoResponse(0, 2**64 - 1)), 10)
+    stream.feed(frame(1, exposure=0), 20)
+    assert stream.counts.bad == 1
+    assert stream.counts.frames == 0
+    assert stream.newest is None

@@ -56,3 +56,11 @@ STAND = (9, 1, [True, False])
 )
 def test_the_log_has_each_command_as_it_was_sent(commands, sent, text):
     assert findings(commands=commands, sent=sent) == ([text] if text else [])
+
+
+def test_a_log_need_not_have_what_was_sent_before_its_run():
+    """Regression: another program drove robots before, and a poll of the start was missed."""
+    poll = (3, 4, [False, False])
+    day = {"commands": [(9, Steer(0.0), (True, True))], "sent": [poll, AHEAD]}
+    assert findings(**day, began_s=8e-9) == []
+    assert findings(**day, began_s=2e-9) == ["lacks a command"]

@@ -15,6 +15,7 @@ from tetractl_emulator.rehearsal.truth import Truth
 
 from tetractl.core.commands import Steer, Stop
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Sight
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.trial_log import TrialLog
@@ -395,3 +396,114 @@ def test_poses_may_be_false_that_move_no_faster_than_wheels_may_be_off(turn, wro
     turned = [[900.0, 800.0, math.pi / 2], *STARTS[1:]]
     truth = with_log(turned, fault=GHOST | {"turn": turn})
     assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
+MAT = Sight(grid_mm=1.36, grid_rad=0.02)
+
+
+FILMED = Sight()
+
+
+LATE = {"kind": "frames late", "fault": "late_frames", "by": 0.11, "at": 1.0}
+
+
+def test_a_robot_that_is_shown_late_is_shown():
+    """Regression: robots were called unseen for half of 4 s whose frames came late, one by one."""
+    events = [*RUN, starts(1.0), *SEEN_SELDOM, at(5.5, "end"), truth_at(6.5)]
+    assert "driven blind" not in broken(events, fault=LATE)
+
+
+def test_a_robot_that_is_free_again_is_dated_when_it_is_free():
+    """Regression: it was dated by the exposure before, at which it had still latched the stop."""
+    truth = day([*GOOD, truth_at(2.0, status=(2, 0, 0)), truth_at(2.1)])
+    freed = [v for v in violations(truth) if v.finding == "a robot is free again"]
+    assert [violation.at_s for violation in freed] == [2.1]
+
+
+SLOW_RADIO = {"kind": "radio late", "fault": "late_radio", "by": 0.6, "at": 1.0}
+
+
+DRIVEN_AGAIN = [truth_at(2.4), truth_at(2.6, 180.0, status=(1, 0, 0)), truth_at(2.9)]
+
+
+@pytest.mark.parametrize(("fault", "wrong"), [(SLOW_RADIO, False), (LOST, True)])
+def test_a_radio_that_delays_all_alike_lets_old_commands_drive_after_the_end(fault, wrong):
+    """Regression: on a day on which commands came 0.6 s late robots that had stood for one period,
+    by a stop of before the end, were said to be driven again."""
+    assert ("not at rest" in broken([*GOOD, *DRIVEN_AGAIN], fault=fault)) == wrong
+
+
+@pytest.mark.parametrize(("turn", "wrong"), [(-1.2, False), (0.05, True)])
+def test_a_pose_may_be_of_just_before_a_robot_is_turned(turn, wrong):
+    """Regression: a cube was carried off its mat 3 ms before an exposure, and turned by 1.2 rad."""
+    x, y, heading = STARTS[0]
+    carried = {"kind": "put elsewhere", "fault": "pushed", "robot": "green", "at": 1.0}
+    fault = carried | {"by": [-62.0, -409.0], "turn": turn}
+    truth = with_log([[x, y, heading + 1.15], *STARTS[1:]], fault=fault)
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
+def test_a_robot_may_turn_while_no_new_pose_of_it_is_accepted():
+    """Regression: a robot that spun while our program was suspended broke the sentence."""
+    truth = with_log(STARTS)
+    x, y, heading = STARTS[0]
+    truth.day.events[-3]["poses"] = [[x, y, heading + 1.2], *STARTS[1:]]
+    assert truth.poses[1, 0, 2] == 1.2
+    assert names_of(3, truth) == set()
+
+
+@pytest.mark.parametrize(("turned_before_s", "wrong"), [(0.3, False), (0.7, True)])
+def test_a_pose_that_repeats_is_not_known_to_be_frozen_at_once(turned_before_s, wrong):
+    """Regression: a robot that turned to rest under a frozen pose broke the sentence.
+
+    `stale` 0.1 s, a packet in the air and the watchdog may pass until no stop acts any more.
+    """
+    x, y, heading = STARTS[0]
+    turned = [[x, y, heading + 1.2], *STARTS[1:]]
+    truth = with_log(STARTS)
+    truth.day.events[-4]["poses"] = turned
+    vars(truth)["repeated"] = np.ones((4, 3), bool)
+    truth.day.events.insert(2, truth_at(2.2 - turned_before_s, 180.0, STARTS))
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
+@pytest.mark.parametrize(
+    ("sight", "hidden_s", "wrong"),
+    [(MAT, 2.175, False), (MAT, 2.165, True), (FILMED, 2.175, True), (FILMED, 2.185, False)],
+)
+def test_only_a_reading_of_a_mat_may_be_from_before_its_robot_was_hidden(sight, hidden_s, wrong):
+    """Regression: a cube's reading was passed on 20 ms after the cube saw its mat no more."""
+    truth = with_log(STARTS, fault=LOST)
+    truth.day.events[-1] = starts(hidden_s)
+    truth.setup = replace(truth.setup, sight=sight)
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
+@pytest.mark.parametrize(("pushed_s", "wrong"), [(2.19, False), (2.05, True)])
+def test_a_result_may_be_of_just_before_a_robot_is_put_elsewhere(pushed_s, wrong):
+    """Regression: a cube was put elsewhere in the last 28 ms of a trial, and its new pose was not
+    accepted in that time."""
+    before = [[600.0, 800.0, 0.0], *STARTS[1:]]
+    truth = with_log(STARTS, result=complete_result(before))
+    truth.day.events.insert(2, truth_at(pushed_s, poses=before))
+    assert names_of(3, truth) == ({"untrue"} if wrong else set())
+
+
+def test_a_trial_may_count_though_a_cameras_grid_hides_that_it_froze_at_the_end():
+    """Regression: cubes reported the same again and again from the last stop on, as cubes that
+    stand do (a rehearsed day of seed 91129705)."""
+    truth = complete(FREEZES, [starts(2.3), truth_at(4.0, unseen=(800.0, 10.0, 10.0))])
+    on_grid = replace(truth, setup=replace(truth.setup, sight=MAT))
+    vars(on_grid)["log"] = truth.log
+    assert names_of(5, truth) == {"exit code"}
+    assert names_of(5, on_grid) == set()
+
+
+@pytest.mark.parametrize(("ended_s", "unseen"), [(0.9, True), (2.2, False)])
+def test_a_camera_that_slipped_before_the_run_is_what_no_camera_shows(ended_s, unseen):
+    """Regression: a picture that grew by 0.5 % before a run made its result "untrue", by 10 mm."""
+    slips = {"kind": "scale creeps", "fault": "picture", "at": 0.8}
+    slips |= {"scale": 0.999, "creeps": True}
+    end = at(ended_s, "fault", phase="end", row=0)
+    truth = day([starts(0.8), *RUN, truth_at(2.2, 180.0), end], fault=slips)
+    assert truth.false_as_true is unseen

@@ -19,6 +19,7 @@ from tetractl_emulator.pictures.network_camera import (
 )
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
+from tetractl_microscope.pictures.feed import Picture
 from tetractl_microscope.pictures.source import FileFeed
 
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
@@ -267,3 +268,34 @@ def test_a_camera_without_pictures_is_no_camera():
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
             camera.__enter__()
         camera.__exit__(None, None, None)  # again: nothing happens
+
+
+def test_an_error_of_the_search_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):
+    """Regression: it ended the thread that searches, and nothing said why no frames came."""
+    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 2)))
+    see = camera._see
+
+    def fail_at_second(grey, exposed):
+        if woken.count == 1:
+            raise ValueError("no such tag")
+        return see(grey, exposed)
+
+    monkeypatch.setattr(camera, "_see", fail_at_second)
+    with camera:
+        woken.wait(lambda: woken.count == 2)
+        with pytest.raises(ValueError, match="no such tag"):
+            camera.frames()
+        (problem, *_) = camera.check().problems
+    assert problem == "the search of pictures has ended: ValueError: no such tag"
+
+
+def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
+    """Regression: on a busy computer "no picture comes, URL closed the stream"."""
+    it = Served(connect=0.1)
+    act(it.acting, "no_frames")
+    monkeypatch.setattr(it.camera, "_see", lambda picture, exposed_ns: None)
+    it.camera._search(1, Picture(np.zeros((9, 9), np.uint8), 0))
+    with pytest.raises(AbortError, match=r"pictures come .* 0.1 s no search") as told:
+        it.__enter__()
+    it.server.__exit__()
+    assert told.value.hint == "is this computer busy? lab.camera.connect waits longer"

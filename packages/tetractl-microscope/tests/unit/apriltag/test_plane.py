@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
+from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, SMALL, look, rendered, tracker
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_microscope.apriltag.floor import SQUARE, Plane
 
@@ -55,3 +55,11 @@ def test_pictures_show_the_height_of_a_tag(higher_mm):
     for pose, robot in zip(looked.poses, lifted, strict=True):
         assert pose.height == pytest.approx(robot.height_mm, abs=12.0)
         assert pose.tilt < 0.1
+
+
+def test_a_tag_of_few_pixels_shows_no_height():
+    """Regression: of tags of 15 pixels it differed by up to 59 mm from place to place, so that a
+    robot that drives would be taken for one that is lifted."""
+    looked = look(tracker(), rendered(SMALL))
+    assert [pose.height for pose in looked.poses] == [None, None, None]
+    assert all(pose.tilt is not None for pose in looked.poses)

@@ -19,6 +19,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.lab.cobs import Flag
+from tetractl.lab.serial_port import PortHeldError
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A = np.array([5.0, 3.5])
@@ -280,3 +281,18 @@ def test_lab_stop_says_that_no_driver_replies_that_it_is_stopped(stop_coils, bau
     with pytest.raises(AbortError, match="sent 10 stops, but no current driver replies") as raised:
         stop_coils(stage)
     assert raised.value.hint == "switch the driver's supply off"
+
+
+@needs_compiler
+def test_lab_stop_is_sent_next_to_a_run_that_has_the_port(stop_coils):
+    """Regression: the field stayed on until the run had ended, and next to a program that cannot be
+    ended it was not switched off at all."""
+    stage = Bench()
+    with stage.opened(SETUP) as run:
+        run.send(Steer(1.0), POSES, BOTH, 0)
+        with pytest.raises(PortHeldError):
+            stop_coils(stage)
+        assert stop_coils(stage, alone=False) == "sent 10 stops"
+    with stage.opened(SETUP) as actuator:
+        (problem,) = actuator.check().problems
+    assert "emergency-stopped" in problem

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from tetractl_microscope.film.field_file import read_field, side_remarks
+from tetractl_microscope.handedness import handedness
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.identification.sent_directions import (
@@ -88,3 +89,12 @@ def test_cells_that_the_field_does_not_turn_say_nothing(tmp_path):
     (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,0\n2,2\n4,1\n")
     field = read_field(tmp_path / "field.csv")
     assert side_remarks(field, turned_by(field, rates=(0.0, 0.0, 0.0))) == ()
+
+
+def test_a_field_that_never_changes_shows_no_side(tmp_path):
+    """Regression: rounding decided between two sides that explain the same."""
+    (tmp_path / "field.csv").write_text("time_s,direction_rad\n0,1\n")
+    field = read_field(tmp_path / "field.csv")
+    for rates in ((1.0, 2.0, 2.5), (3.0, 4.0, 5.0), (3.3, 0.7, 5.1, 4.4)):
+        turning = handedness(turned_by(field, rates), field.at)
+        assert turning is not None and not turning.mirrored

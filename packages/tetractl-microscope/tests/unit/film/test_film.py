@@ -269,3 +269,10 @@ def test_a_file_that_is_no_film_says_what_it_is(tmp_path, head, says):
     (tmp_path / "tracks").write_bytes(head)
     with pytest.raises(UsageError, match=says):
         open_film(tmp_path / "tracks", 30.0)
+
+
+def test_a_cell_needs_no_way_beyond_its_length():
+    """Regression: cells of 50 um that swam less than 60 um, as many that turn, were not shown."""
+    pictures = [{5: seen_cell(1, 80.0 * k / 30, 0.0, 5)} for k in range(15)]
+    paths = recorded(pictures, np.arange(15) / 30.0).paths(TETRAHYMENA)
+    assert [path.identity for path in paths] == [1]

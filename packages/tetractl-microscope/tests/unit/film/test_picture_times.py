@@ -182,3 +182,22 @@ def test_a_compression_that_is_not_read_is_named_with_the_remedy(tmp_path, many,
     ) as error:
         open_film(path, 10.0)
     assert "pip install imagecodecs" in error.value.hint
+
+
+def test_numbers_that_have_started_again_are_refused(tmp_path):
+    """Regression: the first half of a film came after the second."""
+    before = [f"p{k}.png" for k in range(9990, 10000)]
+    after = [f"p{k:04d}.png" for k in range(10)]
+    with pytest.raises(UsageError, match=r"9980 pictures are missing, .* p0009\.png: have the num"):
+        places_of(tmp_path, [*after, *before], [])
+    assert places_of(tmp_path, after, []) is None
+
+
+def test_a_rate_that_no_film_has_is_not_used_in_silence(tmp_path):
+    """Regression: "states no rate; ... taken at 0.01 Hz, by their times, which are used"."""
+    (tmp_path / "film").mkdir()
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / "film" / f"{k}.png"), drawn(1)[0])
+    (tmp_path / "film" / TIMES_FILE).write_text("time_s\n0\n50\n100\n150\n")
+    with pytest.raises(UsageError, match=r"for --rate, 0\.02, is not used: not in 0\.1 to 2000"):
+        open_film(tmp_path / "film")

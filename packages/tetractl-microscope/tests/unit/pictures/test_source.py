@@ -239,3 +239,12 @@ def test_a_source_of_another_package_is_found_by_its_name(monkeypatch):
     source.checked()
     with pytest.raises(ValidationError, match="unknown type"):
         TypeAdapter(Annotated[PictureSource, mark]).validate_python({"type": "stil"})
+
+
+def test_a_camera_that_is_not_there_is_said_once(capfd):
+    """Regression: OpenCV wrote two lines of warnings above ours."""
+    with pytest.raises(AbortError, match="camera 63 cannot be opened"):
+        DeviceSource(type="device", index=63, width=64, height=64, rate=30).open(
+            VirtualClock(), 1.0
+        )
+    assert capfd.readouterr().err == ""

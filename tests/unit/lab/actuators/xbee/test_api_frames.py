@@ -103,3 +103,15 @@ def test_a_frame_behind_a_torn_one_is_found(torn):
 def test_frames_longer_than_the_radio_takes_are_not_encoded(size):
     with pytest.raises(WireError):
         encode(bytes(size))
+
+
+def test_a_frame_of_another_kind_reports_no_data():
+    modem_status = b"\x8a" + bytes(18)
+    assert received(modem_status) == b""
+
+
+def test_a_frame_with_a_wrong_checksum_is_dropped_whole():
+    good = encode(b"\x89\1\0")
+    decoder = Decoder()
+    assert decoder.feed(good[:-1] + b"\x76" + good) == [b"\x89\1\0"]
+    assert decoder.dropped_bytes == len(good)

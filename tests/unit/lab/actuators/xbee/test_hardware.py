@@ -8,7 +8,7 @@ import pytest
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.xbee.hardware import XbeeSection, protocol
+from tetractl.lab.actuators.xbee.hardware import FAMILIES, XbeeSection, protocol
 from tetractl.lab.actuators.xbee.link import Link
 
 
@@ -58,3 +58,8 @@ def test_a_radio_that_takes_nothing_is_stuck_and_stays_so():
         link.close()
         os.close(master)
         os.close(slave)
+
+
+def test_no_hardware_is_of_two_families():
+    codes = [code for family, _ in FAMILIES for code in family]
+    assert len(codes) == len(set(codes))

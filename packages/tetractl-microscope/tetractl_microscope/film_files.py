@@ -4,6 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from tetractl_microscope.film.film_tables import pose_tables
 from tetractl_microscope.film.follow import Followed
 from tetractl_microscope.film.pictures import FilmPictures
 from tetractl_microscope.results.cell_tables import cell_data
+from tetractl_microscope.results.geff_file import write_geff
 
 SIDE_PX = 768  # longest side of the film with the tracks; larger films are drawn at a fraction
 TRAIL = 45  # length of a trail [pictures]
@@ -34,7 +36,7 @@ Cells = list[SeenCell]
 
 
 def write_results(folder: Path, film: FilmPictures, followed: Followed, record: Any) -> None:
-    """Write all results of a film into a folder."""
+    """Write all results of a film into a folder; GEFF only if its package is installed."""
     poses, tracks = pose_tables(followed)
     tables = {"cells": cell_data(record), "poses": poses, "tracks": tracks}
     with table_files({name: folder / f"{name}.csv" for name in tables}) as add:
@@ -51,6 +53,9 @@ def write_results(folder: Path, film: FilmPictures, followed: Followed, record: 
         ]
         tracks_drawn = FilmTracks(record, long_paths, picture)
         save(cells_figure(tracks_drawn), folder / "cells.png", SCREEN_DPI)
+        if find_spec("geff") is not None:
+            rate_hz = followed.rate_hz if followed.timing.even else None
+            write_geff(folder / "tracks.geff", poses, tracks, rate_hz, followed.um_px)
 
 
 def _write_overlay(path: Path, film: FilmPictures, followed: Followed) -> Grey:

@@ -1,22 +1,20 @@
-"""Reads tracks of other programs: the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's
-Manual Tracking and Imaris.
-
-`spot_tracks` returns each track as rows of time [s], x and y [um], y upwards. A table states
-pictures and pixels, y downwards, or else seconds and a unit of length: what the header of a column
-says, such as `x [um]`. Pictures need a rate, and pixels a scale.
+"""Tracks of other programs: the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's Manual
+Tracking and Imaris, and GEFF graphs.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
-from tetractl.core.errors import UsageError, printable
+from tetractl.core.errors import AbortError, UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.csv_tracks import COLUMNS_SAID
+from tetractl.replay.identification.csv_tracks import COLUMNS_SAID, POSES_MAX
 from tetractl.tools.table.csv_rows import is_number, read_csv
 from tetractl.tools.table.quantities import (
     SECONDS,
@@ -27,8 +25,12 @@ from tetractl.tools.table.quantities import (
     name_and_unit,
 )
 
+AXES = (("t", "time", "frame"), ("x",), ("y",))
+"""Names of the axes of a graph of which no types are stated."""
 SPARSE = 10
 """Least common step of the numbers of all pictures that is said: times in ms have such a one."""
+SAID_MAX = 200
+"""Most characters of an error of the library geff that are shown."""
 MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
 """Units of lengths [um]."""
 PIXELS = ("", "px", "pixel", "pixels")
@@ -63,19 +65,27 @@ WORDS_BELOW = "position_x"
 """Where TrackMate's tables have rows of words below the header, of which the last states units."""
 
 
+@dataclass(frozen=True, slots=True)
+class AxisStep:
+    """What 1 stands for along an axis: its `size` [um or s], None if it is not stated. If numbers
+    are `counted`, they are pixels or pictures, whose size an option may state instead."""
+
+    size: float | None = None
+    counted: bool = True
+
+
 FROM_ONE = "pictures are numbered from 1: that is taken as the first of the film, at 0 s"
 
 
 @dataclass(frozen=True, slots=True)
 class SpotTable:
-    """Spots of tracks: rows (R, 4) of track, picture or time, x and y, downwards. Times are in
-    `seconds` [s], and x in `um` [um], None if they are pictures and pixels; 1 along y is `tall`
-    times as long as along x.
+    """Spots of tracks: rows (R, 4) of track, picture or time, x and y, downwards; what 1 stands for
+    in `time` and along x, `across`; along y it is `tall` times as long.
     """
 
     rows: Floats
-    um: float | None = None
-    seconds: float | None = None
+    across: AxisStep = AxisStep()
+    time: AxisStep = AxisStep()
     tall: float = 1.0
 
 
@@ -90,12 +100,12 @@ class SpotTrack:
 def spot_tracks(
     path: Path, um_px: float | None, rate_hz: float | None, remarks: list[str]
 ) -> list[SpotTrack]:
-    """Return the tracks in a table of another program; add what is to be said of them.
+    """Return the tracks in a table or graph of another program; add what is to be said of them.
 
     These are given in pixels, y downwards, and pictures, so that they need a scale `um_px` and a
     rate, unless the table states them.
     """
-    spots = _spot_table(path, rate_hz, remarks)
+    spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
     return _scaled_tracks(path, spots, um_px, rate_hz)
 
 
@@ -149,8 +159,8 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
                 values["y"],
             ]
         ),
-        um=um_across,
-        seconds=1.0 if frames is None else None,
+        across=AxisStep(um_across, um_across is None),
+        time=AxisStep(1.0, False) if frames is None else AxisStep(),
         tall=um_up / um_across if um_across and um_up else 1.0,
     )
     if frames is None or times is None:
@@ -236,7 +246,7 @@ def _timed(
     rows = counted.rows
     if rate_hz is None:
         timed = np.column_stack([rows[:, 0], times, rows[:, 2:]])
-        return replace(counted, rows=timed, seconds=1.0)
+        return replace(counted, rows=timed, time=AxisStep(1.0, False))
     off = (times - times[0]) - (rows[:, 1] - rows[0, 1]) / rate_hz
     most = float(np.abs(off).max())
     if most > 0.5 / rate_hz:
@@ -250,9 +260,9 @@ def _scaled_tracks(
     path: Path, spots: SpotTable, um_px: float | None, rate_hz: float | None
 ) -> list[SpotTrack]:
     """Return the tracks of spots in seconds and micrometres."""
-    um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.um)
+    um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
     period = None if rate_hz is None else 1 / rate_hz
-    seconds = _size(path, "--rate", "it states times", period, spots.seconds)
+    seconds = _size(path, "--rate", "it states times", period, spots.time)
     missing = list[str]()
     if um is None:
         missing.append("a unit of length")
@@ -285,11 +295,103 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
 
 
 def _size(
-    path: Path, option: str, states: str, given: float | None, stated: float | None
+    path: Path, option: str, states: str, stated: float | None, step: AxisStep
 ) -> float | None:
-    """Return what 1 stands for: as an option gives it, or else as the table states it; UsageError
-    for both."""
-    if given is not None and stated is not None:
+    """Return what 1 stands for: as an option states it, or else the table; UsageError for an option
+    if nothing is counted."""
+    if stated is None:
+        return step.size
+    if not step.counted:
         said = f"{path}: {states}, so that {option} has no meaning"
         raise UsageError(said, f"leave out {option}")
-    return stated if given is None else given
+    return stated
+
+
+def _graph(path: Path) -> SpotTable:
+    """Return the spots of a GEFF graph, by the types of its axes.
+
+    A track begins where a node has no predecessor, or one with several successors.
+    """
+    try:
+        from geff.core_io import read_to_memory
+    except ModuleNotFoundError as error:
+        said = f"{path}: is a folder, and GEFF graphs are read by geff, which is not installed"
+        raise AbortError(said, "pip install './packages/tetractl-microscope[geff]'") from error
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    try:
+        graph: Mapping[str, Any] = read_to_memory(path)
+        properties = graph["node_props"]
+        axes = _axes(graph["metadata"].axes or (), properties)
+        nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
+    except Exception as error:  # geff and zarr do not document what they raise
+        raise UsageError(
+            f"{path}: cannot be read as a GEFF graph of t, x, y: {_said(error)}",
+            "write it again with a newer version of the program that wrote it, or as CSV",
+        ) from error
+    ids = graph["node_ids"]
+    edges = graph["edge_ids"]
+    if len(ids) > POSES_MAX:
+        raise UsageError(f"{path}: has {len(ids)} nodes; at most {POSES_MAX} are read")
+    if not len(edges):
+        raise UsageError(f"{path}: has no edges, and so no tracks")
+    order = np.argsort(ids)
+    first, last = order[np.searchsorted(ids, edges, sorter=order)].T
+    single = np.bincount(first, minlength=len(ids))[first] == 1
+    ends = (first[single], last[single])
+    count = len(ids)
+    links = coo_array((np.ones(single.sum()), ends), (count, count))
+    _, track = connected_components(links, directed=False)
+    time, x, y = axes
+    across = _step(x, MICROMETRES)
+    down = _step(y, MICROMETRES)
+    tall = down.size / across.size if across.size and down.size else 1.0
+    return SpotTable(np.column_stack([track + 1, *nodes]), across, _step(time, SECONDS), tall)
+
+
+def _said(error: Exception) -> str:
+    """Return what is wrong with a graph, of a library's many lines what says so."""
+    problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
+    if callable(problems):
+        first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]
+        place = ".".join(map(str, first["loc"]))
+        return printable(f"{place}: {first['msg']}" if place else str(first["msg"]), SAID_MAX)
+    return printable(" ".join(f"{type(error).__name__}: {error}".split()), SAID_MAX)
+
+
+def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
+    """Return the axes of time, x and y, by the types that the metadata state, or else by the names
+    of axes or, without any, of properties: t or time, x and y.
+
+    In space, x and y are those whose names end so, or else the last two: a picture's are y, x.
+    """
+    times = [axis for axis in stated if axis.type == "time"]
+    places = [axis for axis in stated if axis.type == "space"]
+    if times and len(places) >= 2:
+        ends = {axis.name.lower()[-1:]: axis for axis in places}
+        *_, y, x = places
+        return [times[0], ends["x"], ends["y"]] if {"x", "y"} <= set(ends) else [times[0], x, y]
+    named_axes = [*stated] or [
+        SimpleNamespace(name=name, unit="", scale=None, scaled_unit="") for name in names
+    ]
+    by_name = {axis.name.lower(): axis for axis in named_axes}
+    by_place = [_first_of(by_name, names_of_place) for names_of_place in AXES]
+    if None in by_place:
+        said = ", ".join(axis.name for axis in named_axes)
+        raise ValueError(f"no axis has a type, and their names are {said}")
+    return by_place
+
+
+def _first_of(by_name: Mapping[str, Any], names: Iterable[str]) -> Any:
+    """Return the axis with the first of some names that one has; None if none has one."""
+    return next((by_name[name] for name in names if name in by_name), None)
+
+
+def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:
+    """Return what 1 stands for along an axis, in one of some units."""
+    scaled = factor(axis.scaled_unit or "", units)
+    if scaled is not None and axis.scale:
+        return AxisStep(axis.scale * scaled)
+    size = factor(axis.unit or "", units)
+    return AxisStep(size, size is None)

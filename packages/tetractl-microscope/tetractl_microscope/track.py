@@ -12,8 +12,8 @@ from tetractl.tools.table.table_files import table_files
 if TYPE_CHECKING:
     from tetractl_microscope.organisms import Organism
 
-TABLES = (".csv", ".tsv", ".txt")
-"""Endings of the names of tables of tracks."""
+TABLES = (".csv", ".tsv", ".txt", ".geff", ".zarr")
+"""Endings of the names of tables and graphs of tracks."""
 
 
 def track(
@@ -68,9 +68,9 @@ def track(
 ) -> int:
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
 
-    Of tracks of another program, in a CSV file with the columns of TrackMate, napari, trackpy
-    (particle or track_id, frame or t, y and x in pixels), MTrackJ, Manual Tracking or Imaris, it
-    prints the same of each cell; -o names the folder of cells.csv.
+    Of tracks of another program, in GEFF or in a CSV file with the columns of TrackMate, napari,
+    trackpy (particle or track_id, frame or t, y and x in pixels), MTrackJ, Manual Tracking or
+    Imaris, it prints the same of each cell; -o names the folder of cells.csv.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
     bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from support.cli import tetractl
 
+from tetractl.core.errors import AbortError
+
 pytestmark = pytest.mark.long
 
 RATE_HZ = 30.0
@@ -86,6 +88,9 @@ def test_what_is_missing_is_one_line(dish, header, options, says):
     done = tetractl(folder, "track", name, "--field", "field.csv", *options)
     assert done.returncode == 2 and says in done.stderr
     assert len(done.stderr.splitlines()) == 2
+    (folder / "no.geff").mkdir(exist_ok=True)
+    graph = tetractl(folder, "track", "no.geff", "--field", "field.csv")
+    assert graph.returncode in (2, AbortError.exit) and "geff" in graph.stderr.lower()
     assert tetractl(folder, "track", "bad.csv", "--scale", 2).returncode == 2
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -42,6 +43,7 @@ def test_tables_figures_and_a_film_are_written(tracks):
         "overlay.mp4",
         "poses.csv",
         "tracks.csv",
+        *(["tracks.geff"] if find_spec("geff") else []),
     ]
     with (out / "cells.csv").open() as stream:
         cells = list(csv.DictReader(stream))
@@ -54,6 +56,30 @@ def test_tables_figures_and_a_film_are_written(tracks):
     assert overlay.get(cv2.CAP_PROP_FRAME_COUNT) == 120
     again = tetractl(out.parent, "track", "dish.avi", "-o", "found")
     assert again.returncode == 2 and "exists already" in again.stderr
+
+
+def test_tracks_are_read_by_geff_as_they_are_in_the_table(tracks):
+    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
+    from geff.validate.data import ValidationConfig
+
+    graph = core_io.read_to_memory(
+        tracks[0] / "tracks.geff", data_validation=ValidationConfig(graph=True)
+    )
+    with (tracks[0] / "tracks.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    nodes = {name: prop["values"] for name, prop in graph["node_props"].items()}
+    assert set(nodes) == {"t", "y", "x", "cell", "heading", "axis", "sure"}
+    for name, column in {"t": "t", "y": "y", "x": "x", "cell": "id"}.items():
+        assert nodes[name].tolist() == [float(row[column]) for row in rows]
+    t, y, x = graph["metadata"].axes
+    assert (t.scale, y.scale) == pytest.approx((1 / 30, 2.3)) and x.scaled_unit == "micrometer"
+    first, second = graph["edge_ids"].astype(int).T
+    assert (nodes["cell"][first] == nodes["cell"][second]).all()
+    cells = set(nodes["cell"])
+    assert len(first) == len(rows) - len(cells)
+    ahead = (nodes["x"][second] - nodes["x"][first]) * np.cos(nodes["heading"][first])
+    ahead += (nodes["y"][second] - nodes["y"][first]) * np.sin(nodes["heading"][first])
+    assert np.mean(ahead > 0) > 0.9
 
 
 def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):

@@ -13,12 +13,66 @@ SPOT_ROWS = [
 ]
 NUMBER, K, Y, X = np.array(SPOT_ROWS).T
 POSES = sorted(zip(K / HZ, UM * X, -UM * Y, strict=True))
+FRAME = {"unit": "frame", "scale": 1 / HZ, "scaled_unit": "second"}
+PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
+TIME = {"type": "time", **FRAME}
+SPACE = {"type": "space", **PIXEL}
 
 
 def poses(path, um=None, hz=None, said=None):
     tracks = spot_tracks(path, um, hz, [] if said is None else said)
     assert len(tracks) == 2
     return sorted(tuple(row) for track in tracks for row in track.rows.tolist())
+
+
+def graph(path, axes, values):
+    """Write a graph with axes of such names and contents; `values` has the values of each."""
+    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
+    from geff import GeffMetadata
+    from geff_spec import Axis
+
+    ids = np.arange(len(K), dtype=np.uint64)
+    about = GeffMetadata(
+        directed=True,
+        axes=[Axis(name=name, **contents) for name, contents in axes.items()] or None,
+        node_props_metadata={},
+        edge_props_metadata={},
+    )
+    nodes = {name: {"values": column, "missing": None} for name, column in values.items()}
+    pairs = np.column_stack([ids[:-1], ids[1:]])
+    are_of_one_track = np.diff(NUMBER) == 0
+    edges = pairs[are_of_one_track]
+    core_io.write_arrays(path, ids, nodes, edges, {}, about)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("axes", "values"),
+    [
+        ({"t": TIME, "y": SPACE | {"scale": 4.0}, "x": SPACE}, {"t": K, "y": Y / 2, "x": X}),
+        ({"t": FRAME, "y": PIXEL, "x": PIXEL}, {"t": K, "y": Y, "x": X}),
+        ({"Frame": FRAME, "X": PIXEL, "Y": PIXEL}, {"Frame": K, "X": X, "Y": Y}),
+        ({"t": TIME, "row": SPACE, "col": SPACE}, {"t": K, "row": Y, "col": X}),
+        (
+            {"time": TIME, "POSITION_Y": SPACE, "POSITION_X": SPACE},
+            {"time": K, "POSITION_Y": Y, "POSITION_X": X},
+        ),
+    ],
+    ids=["pixels twice as high as wide", "no types", "other names", "row and column", "TrackMate"],
+)
+def test_each_axis_of_a_graph_has_its_own_scale_whether_or_not_it_has_a_type(
+    axes, values, tmp_path
+):
+    """Regression: y had the scale of x, and axes without a type had none; and a graph whose axis of
+    type "time" is named "time" was no graph of t, x, y."""
+    assert np.allclose(poses(graph(tmp_path / "tracks.geff", axes, values)), POSES)
+
+
+def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_path):
+    axes = {"a": {}, "b": {}, "c": {}}
+    path = graph(tmp_path / "tracks.geff", axes, {"a": K, "b": Y, "c": X})
+    with pytest.raises(UsageError, match="no axis has a type, and their names are a, b, c"):
+        poses(path, UM, HZ)
 
 
 @pytest.mark.parametrize(
@@ -137,39 +191,6 @@ def test_numbers_of_pictures_that_may_be_milliseconds_are_said(step, is_said, tm
     assert any("if these are milliseconds, name it t_ms" in line for line in said) == is_said
 
 
-FRAME = {"unit": "frame", "scale": 1 / HZ, "scaled_unit": "second"}
-
-
-PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
-
-
-TIME = {"type": "time", **FRAME}
-
-
-SPACE = {"type": "space", **PIXEL}
-
-
-def graph(path, axes, values):
-    """Write a graph with axes of such names and contents; `values` has the values of each."""
-    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
-    from geff import GeffMetadata
-    from geff_spec import Axis
-
-    ids = np.arange(len(K), dtype=np.uint64)
-    about = GeffMetadata(
-        directed=True,
-        axes=[Axis(name=name, **contents) for name, contents in axes.items()] or None,
-        node_props_metadata={},
-        edge_props_metadata={},
-    )
-    nodes = {name: {"values": column, "missing": None} for name, column in values.items()}
-    pairs = np.column_stack([ids[:-1], ids[1:]])
-    are_of_one_track = np.diff(NUMBER) == 0
-    edges = pairs[are_of_one_track]
-    core_io.write_arrays(path, ids, nodes, edges, {}, about)
-    return path
-
-
 @pytest.mark.parametrize("within", ["geff", None], ids=["under geff", "bare"])
 def test_a_graph_older_than_the_first_release_is_refused_with_a_remedy(within, tmp_path):
     """Regression: "No geff key found", or seven errors of validation, cut off."""
@@ -247,3 +268,16 @@ def test_a_missing_column_is_named(header, missing, tmp_path):
     path = placed(tmp_path / "a.csv", header, NUMBER, K, Y, X)
     with pytest.raises(UsageError, match=f"no column of tracks: {missing}; its columns are"):
         poses(path, UM, HZ)
+
+
+def test_a_broken_graph_is_one_line_without_an_address_of_a_library(tmp_path):
+    """Regression: pydantic's text named its web page."""
+    zarr = pytest.importorskip("zarr", reason="geff is not installed")
+    axes = {"t": TIME, "y": SPACE, "x": SPACE}
+    path = graph(tmp_path / "tracks.geff", axes, {"t": K, "y": Y, "x": X})
+    group = zarr.open_group(path)
+    group.attrs.update({"geff": group.attrs["geff"] | {"directed": "perhaps"}})
+    with pytest.raises(UsageError, match="cannot be read as a GEFF graph of t, x, y: ") as error:
+        poses(path)
+    assert "http" not in error.value.message and "directed" in error.value.message
+    assert "\n" not in error.value.message

@@ -6,17 +6,16 @@ from support.studies import FAILING, SMALL, run
 from tetractl.core.errors import UsageError
 from tetractl.results.open_batch import open_batch, sources
 from tetractl.run import store
-from tetractl.study.missing_trials import Logs
-
-ALL = Logs(float("inf"), failed=True)
-FIRST = Logs(1, failed=False)
-FAILED = Logs(0, failed=True)
-NONE = Logs(0, failed=False)
 
 
-def arm_of_three_trials(folder, logs):
-    """Run a study whose whole logs are these; return the folder of one arm."""
-    run(folder, SMALL, logs=logs)
+def arm_of_three_trials(folder, last_are_brief=True):
+    """Run a study; return the folder of one arm. Its logs are whole, or those of the last two
+    trials brief."""
+    run(folder, SMALL, whole_logs=True)
+    if last_are_brief:
+        for log in folder.glob("out/*/trial-00[12].mcap"):
+            log.unlink()
+        run(folder, SMALL)
     return folder / "out" / "dead_time=0.1"
 
 
@@ -36,7 +35,7 @@ def sizes_of(paths):
 
 
 def test_whole_and_brief_logs_are_read_alike(tmp_path):
-    arm = arm_of_three_trials(tmp_path, FIRST)
+    arm = arm_of_three_trials(tmp_path)
     mixed = {0: True, 1: False, 2: False}
     batch = open_batch([arm])
     assert whole_logs(batch) == mixed
@@ -46,7 +45,7 @@ def test_whole_and_brief_logs_are_read_alike(tmp_path):
 
 
 def test_a_path_spelt_twice_gives_each_trial_once(tmp_path, monkeypatch):
-    arm = arm_of_three_trials(tmp_path, FIRST)
+    arm = arm_of_three_trials(tmp_path)
     link = tmp_path / "link"
     link.symlink_to(arm)
     monkeypatch.chdir(arm.parent)
@@ -55,22 +54,22 @@ def test_a_path_spelt_twice_gives_each_trial_once(tmp_path, monkeypatch):
 
 
 def test_a_trial_that_failed_is_counted_once(tmp_path):
-    run(tmp_path, FAILING, logs=FAILED)
+    run(tmp_path, FAILING, whole_logs=True)
     failed = open_batch([tmp_path / "out" / "speed=1e+308"])
     assert whole_logs(failed) == {0: True, 1: True, 2: True, 3: True}
 
 
 @pytest.mark.long
 def test_logs_that_were_set_aside_do_not_count(tmp_path, monkeypatch):
-    arm = arm_of_three_trials(tmp_path, ALL)
+    arm = arm_of_three_trials(tmp_path, last_are_brief=False)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
-    run(tmp_path, SMALL, logs=NONE, rerun_outdated=True)
+    run(tmp_path, SMALL, rerun_outdated=True)
     assert len(list(arm.glob("*.attempt-1.mcap"))) == 3
     assert whole_logs(open_batch([arm])) == {0: False, 1: False, 2: False}
 
 
 def test_the_folder_of_a_study_is_a_batch_per_arm(tmp_path):
-    study = arm_of_three_trials(tmp_path, FIRST).parent
+    study = arm_of_three_trials(tmp_path).parent
     assert sizes_of([str(study)]) == {"dead_time=0": 3, "dead_time=0.1": 3}
     arms = [source.read() for source in sources([str(study)])]
     assert [len(arm.trials) for arm in arms] == [3, 3]

@@ -11,7 +11,8 @@ The value of a candidate is an error [length unit], the less the better:
     price t  the price of the time t until the robots stand at the end
     caution  if the path touches a margin
 
-`accept` is the spec's `accept_error`, the scale of all of them.
+`accept` is the spec's `accept_error`, the scale of all of them. A rest and a turn on the spot have
+no value: they are what is left if no plan is safe (`mpc`, and `corners` for turns).
 """
 
 from dataclasses import dataclass

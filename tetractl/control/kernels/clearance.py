@@ -8,7 +8,7 @@ and a path (M, N, 3) the x, y and heading of N robots at M moments, with straigh
 
 import math
 
-from tetractl.control.kernels.obstacles import touches, wall_distance
+from tetractl.control.kernels.obstacles import box, touches, wall_distance
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 
@@ -58,16 +58,13 @@ def crosses(obstacles, x0, y0, x1, y1):
         if wall_distance(walls, w, x0, y0) <= 0 or wall_distance(walls, w, x1, y1) <= 0:
             return True
     for o in range(obstacles.radii.size):
-        radius = obstacles.radii[o]
-        left = obstacles.low[o, 0] - radius
-        right = obstacles.high[o, 0] + radius
+        left, bottom, right, top = box(obstacles, o)
         if max(x0, x1) < left or min(x0, x1) > right:
             continue
-        bottom = obstacles.low[o, 1] - radius
-        top = obstacles.high[o, 1] + radius
         if max(y0, y1) < bottom or min(y0, y1) > top:
             continue
-        if touches(obstacles.corners[o], obstacles.corner_counts[o], radius, x0, y0, x1, y1):
+        corners = obstacles.corners[o]
+        if touches(corners, obstacles.corner_counts[o], obstacles.radii[o], x0, y0, x1, y1):
             return True
     return False
 

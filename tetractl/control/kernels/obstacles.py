@@ -43,6 +43,17 @@ def arrays_of(obstacles: Obstacles) -> ObstacleArrays:
 
 
 @compiled(**INLINE_FAST)
+def box(obstacles, o):
+    """Return the left, bottom, right and top of the smallest box around shape o."""
+    radius = obstacles.radii[o]
+    left = obstacles.low[o, 0] - radius
+    bottom = obstacles.low[o, 1] - radius
+    right = obstacles.high[o, 0] + radius
+    top = obstacles.high[o, 1] + radius
+    return left, bottom, right, top
+
+
+@compiled(**INLINE_FAST)
 def gap2(x, y, ex, ey):
     """Return the squared distance of (x, y) to the segment from (0, 0) to (ex, ey)."""
     length2 = ex * ex + ey * ey
@@ -163,10 +174,7 @@ def count_hits(problem, x, y, i, room):
         corners = obstacles.corners[o]
         count = obstacles.corner_counts[o]
         radius = obstacles.radii[o]
-        box_left = obstacles.low[o, 0] - radius
-        box_bottom = obstacles.low[o, 1] - radius
-        box_right = obstacles.high[o, 0] + radius
-        box_top = obstacles.high[o, 1] + radius
+        box_left, box_bottom, box_right, box_top = box(obstacles, o)
         in_box = 0.0
         mid_x = (box_left + box_right) / 2.0
         mid_y = (box_bottom + box_top) / 2.0
@@ -214,10 +222,7 @@ def find_deepest(problem, floor, room):
             corners = obstacles.corners[o]
             count = obstacles.corner_counts[o]
             radius = obstacles.radii[o]
-            box_left = obstacles.low[o, 0] - radius
-            box_bottom = obstacles.low[o, 1] - radius
-            box_right = obstacles.high[o, 0] + radius
-            box_top = obstacles.high[o, 1] + radius
+            box_left, box_bottom, box_right, box_top = box(obstacles, o)
             depth_most = floor
             deepest = 0
             for j in range(room.near.size):

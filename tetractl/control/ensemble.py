@@ -59,7 +59,7 @@ class EnsembleSection(PlainSection):
         return Ensemble(self, setup, key)
 
 
-class Held(NamedTuple):
+class HeldDirection(NamedTuple):
     """What robots follow from a time on: a direction of the field [rad], or None for no field."""
 
     since_ns: int
@@ -76,7 +76,7 @@ class Ensemble(PlainController):
         super().__init__(section, setup, key)
         self.section = section
         self._dead_time_ns = round(section.dead_time * SECOND)
-        self._held: list[Held] = []
+        self._held: list[HeldDirection] = []
         """The decisions that act or are still to act, oldest first."""
         self._field: float | None = None
         """The direction of the rotating field [rad], None while it is off."""
@@ -109,7 +109,7 @@ class Ensemble(PlainController):
             in_vain = self._turned_rad > 2 * np.pi * section.turns
             if in_vain and end.distances(problem.targets).sum() >= error:
                 return Outcome.NO_BETTER_PLAN
-        self._held.append(Held(observation.sampled_ns + self._dead_time_ns, self._field))
+        self._held.append(HeldDirection(observation.sampled_ns + self._dead_time_ns, self._field))
         return self._planned(problem, signals, end)
 
     def _rotate(self, problem: Problem) -> None:

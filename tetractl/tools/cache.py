@@ -1,8 +1,8 @@
 """The cache folder for compiled code, to which only its user can write, and names for its files.
 
 The files in the folder are executed: numba's files are pickles, and the firmware's cores are shared
-libraries. Therefore the folder has to be the user's, and so has each file in it that is read
-(`read_own`).
+libraries. A folder that another user can write to, or whose parents another user can replace, is
+therefore never read.
 """
 
 import atexit
@@ -24,13 +24,15 @@ FOLDER = "TETRACTL_CACHE_DIR"
 compiling: list[Callable[[], None]] = []
 """Functions to call before a kernel is compiled because the cache does not contain it."""
 
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # bits of a mode by which other users can write
+
 
 @functools.cache
 def cache_folder() -> Path:
     """Return the user's cache folder for tetractl, mode 0700.
 
-    If this folder cannot be made, or is another user's, a temporary folder is returned, which is
-    removed at the end of the process. Raises OSError if no temporary folder can be made.
+    If this folder cannot be made, or other users can write to it, a temporary folder is returned,
+    which is removed at the end of the process. Raises OSError if no temporary folder can be made.
     """
     wanted = _wanted()
     why = "the user has no home folder"
@@ -60,14 +62,37 @@ def claim(folder: Path) -> str | None:
     """Make a folder that only this user can write to; return the reason if that fails, or None."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        status = folder.stat()
-        if hasattr(os, "getuid") and status.st_uid != os.getuid():
-            return f"{folder} belongs to another user"
-        if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        why = exposed(folder)
+        if why:
+            return why
+        if folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             folder.chmod(0o700)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         return f"{folder} cannot be used: {error.strerror or error}"
+    return None
+
+
+def exposed(folder: Path) -> str | None:
+    """Return a sentence that states how other users can write to a folder, None if they cannot.
+
+    The folder has to be the user's, and each parent the user's or root's; a parent that others can
+    write to must be sticky, as the temporary folder is. A group of which the user is the only
+    member counts as the user.
+    """
+    if not hasattr(os, "getuid"):  # Windows: files have no owners
+        return None
+    me = os.getuid()
+    real = folder.resolve(strict=True)
+    for place in (real, *real.parents):
+        status = place.stat()
+        if status.st_uid not in ((me,) if place == real else (me, 0)):
+            return f"{place} belongs to another user"
+        shared = status.st_mode & _OTHERS
+        if shared == stat.S_IWGRP and _alone_in(status.st_gid):
+            continue
+        if shared and (place == real or not status.st_mode & stat.S_ISVTX):
+            return f"others can write to {place}"
     return None
 
 
@@ -81,6 +106,19 @@ def read_own(file: Path) -> bytes:
         if hasattr(os, "getuid") and state.st_mode & stat.S_IWOTH:
             raise PermissionError(f"others can write to {file}")
         return opened.read()
+
+
+def _alone_in(group: int) -> bool:
+    """Return whether the user is the only member of a group."""
+    import grp
+    import pwd
+
+    try:
+        name = pwd.getpwuid(os.getuid()).pw_name
+        members = grp.getgrgid(group)
+    except KeyError:
+        return False
+    return members.gr_name == name and set(members.gr_mem) <= {name}
 
 
 def compiler_settings() -> str:

@@ -11,8 +11,10 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
@@ -30,6 +32,10 @@ LINES_MAX = 50
 """Most lines of all workers of a pool that are shown."""
 READ_BYTES = 65536
 """Most bytes that are read of a pipe at a time."""
+STARTS_MAX = 50
+"""How often it is tried whether workers can be started again."""
+START_S = 0.1
+"""Time before each of these attempts [s]."""
 SAFE_PATH = "PYTHONSAFEPATH"
 """The environment variable by which Python does not import from the present folder."""
 
@@ -205,6 +211,7 @@ class WorkerPool:
         self._heard, self._said = context.Pipe(duplex=False)
         self._who = who
         self._tell = tell
+        self._context: Any = context
         start = self._said, prepare, arguments
         self._pool = ProcessPoolExecutor(workers, context, _start_worker, start)
         self._listener = threading.Thread(target=self._listen, name="workers", daemon=True)
@@ -219,9 +226,27 @@ class WorkerPool:
         self._listener.join(1.0)  # a worker's own child may keep the pipe open
 
     def submit(self, call: Callable[..., R], *arguments: object) -> "Future[R]":
-        """Let a worker make a call."""
-        with isolated():
-            return self._pool.submit(call, *arguments)
+        """Let a worker make a call. If none can be started, as when the server that starts them was
+        killed, the future ends as it does when a worker was: with BrokenProcessPool."""
+        try:
+            with isolated():
+                return self._pool.submit(call, *arguments)
+        except BrokenProcessPool as error:
+            return _lost(error)
+        except (OSError, EOFError) as error:
+            self._wait_for_server()
+            return _lost(BrokenProcessPool(str(error)))
+
+    def _wait_for_server(self) -> None:
+        """Wait until a process can be started again, at most some time: `multiprocessing` replaces
+        a server that was killed once the system has removed it."""
+        for _ in range(STARTS_MAX):
+            time.sleep(START_S)
+            with suppress(OSError, EOFError), isolated():
+                probe = self._context.Process(target=int)
+                probe.start()
+                probe.join()
+                return
 
     def _listen(self) -> None:
         lines = 0
@@ -233,6 +258,12 @@ class WorkerPool:
                         self._tell(f"{self._who}: {text}")
                     elif lines == LINES_MAX + 1:
                         self._tell(f"{self._who}: says more, which is not shown")
+
+
+def _lost(error: BrokenProcessPool) -> "Future[Any]":
+    lost: Future[Any] = Future()
+    lost.set_exception(error)
+    return lost
 
 
 def _start_worker(

@@ -6,7 +6,7 @@ import stat
 import pytest
 
 from tetractl.tools import cache
-from tetractl.tools.cache import FOLDER, cache_folder, claim, read_own
+from tetractl.tools.cache import FOLDER, cache_folder, claim, exposed, read_own
 
 
 @pytest.fixture(autouse=True)
@@ -31,25 +31,40 @@ def test_the_folder_is_the_users_alone(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_a_folder_to_which_others_could_write_is_the_users_alone_again(tmp_path, monkeypatch):
-    (tmp_path / "tetractl").mkdir()
-    (tmp_path / "tetractl").chmod(0o777)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert mode(cache_folder()) == 0o700
+@pytest.mark.parametrize("exposes", ["itself", "its parent"])
+def test_a_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, capsys, exposes):
+    base = tmp_path / "shared"
+    (base / "tetractl").mkdir(parents=True)
+    (base if exposes == "its parent" else base / "tetractl").chmod(0o777)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(base))
+    folder = cache_folder()
+    assert not folder.is_relative_to(base)
+    assert mode(folder) == 0o700
+    assert list(folder.iterdir()) == []
+    assert os.environ[FOLDER] == str(folder)  # for worker processes
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "others can write to" in said
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
-def test_a_folder_of_another_user_is_not_used(tmp_path, monkeypatch, capsys):
+def test_a_folder_of_another_user_is_not_used(tmp_path):
     """Regression: the temporary folder's `tetractl-UID` was used, whatever user had made it."""
     folder = tmp_path / "tetractl"
     folder.mkdir(mode=0o700)
     os.chown(folder, 12345, 12345)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    temporary = cache_folder()
-    assert not temporary.is_relative_to(tmp_path)
-    assert mode(temporary) == 0o700
-    assert os.environ[FOLDER] == str(temporary)  # for worker processes
-    assert f"{folder} belongs to another user" in capsys.readouterr().err
+    assert claim(folder) == f"{folder} belongs to another user"
+    os.chown(folder, 0, 0)
+    os.chown(tmp_path, 12345, 12345)
+    assert exposed(folder) == f"{tmp_path} belongs to another user"
+
+
+def test_a_link_into_a_shared_folder_is_not_used(tmp_path):
+    shared = tmp_path / "shared"
+    (shared / "mine").mkdir(parents=True)
+    shared.chmod(0o777)
+    (tmp_path / "tetractl").symlink_to(shared / "mine")
+    assert claim(tmp_path / "tetractl") == f"others can write to {shared}"
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):

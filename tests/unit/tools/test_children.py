@@ -4,6 +4,8 @@ import errno
 import os
 import signal
 import sys
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import forkserver
 
 import pytest
 
@@ -13,6 +15,7 @@ from tetractl.tools.children import (
     Child,
     WorkerPool,
     copying_context,
+    fresh_context,
     python,
     run_tool,
 )
@@ -83,3 +86,16 @@ def test_a_killed_child_tells_the_signal():
         child.kill()
         child.kill()
         assert child.wait() == -signal.SIGKILL
+
+
+def test_workers_start_again_after_their_server_was_killed():
+    """Regression: the error of the connection to it ended the command as "interrupted"."""
+    context = fresh_context()
+    with WorkerPool(context, 1, "a worker", print) as pool:
+        assert pool.submit(abs, -1).result() == 1
+    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGKILL)
+    with WorkerPool(context, 1, "a worker", print) as pool:
+        lost = pool.submit(abs, -2)
+        assert lost.exception() is None or isinstance(lost.exception(), BrokenProcessPool)
+    with WorkerPool(context, 1, "a worker", print) as pool:
+        assert pool.submit(abs, -3).result() == 3

@@ -67,7 +67,7 @@ class FirstPictures:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class UniformMotion:
     """The uniform motion of an object: its length, width and way [um], and its speed [um/s]."""
 
     long_um: float
@@ -179,7 +179,7 @@ def _gone_on(going: Sequence[list[Floats]], rows: Floats) -> list[list[Floats]]:
 # ---- 3: what moves straight, and what it may be ----
 
 
-def _motion(rows: Floats, um_px: float) -> Motion | None:
+def _motion(rows: Floats, um_px: float) -> UniformMotion | None:
     """Return how an object moves along its way (K, 5); None if it hardly moves, or not evenly and
     straight, or if it was seen too briefly.
     """
@@ -192,10 +192,10 @@ def _motion(rows: Floats, um_px: float) -> Motion | None:
     way = speed * float(np.ptp(rows[:, 0]))
     if way <= MOVED * long or strayed >= STRAIGHT * way:
         return None
-    return Motion(um_px * long, um_px * wide, um_px * speed, um_px * way)
+    return UniformMotion(um_px * long, um_px * wide, um_px * speed, um_px * way)
 
 
-def _unlike_lines(motions: Sequence[Motion], followed: Organism) -> Iterator[str]:
+def _unlike_lines(motions: Sequence[UniformMotion], followed: Organism) -> Iterator[str]:
     """Yield a line if two or more objects move by more than their lengths and cannot be of the
     organism that is followed.
     """

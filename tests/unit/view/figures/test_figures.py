@@ -18,8 +18,8 @@ from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
 from tetractl.core.trial import PlantInfo
 from tetractl.view import style
-from tetractl.view.figures.curves import errors_at
 from tetractl.view.figures.draw import draw
+from tetractl.view.figures.errors import errors_at
 from tetractl.view.figures.trajectory import trajectory_figure
 
 pytestmark = pytest.mark.slow

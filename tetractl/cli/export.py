@@ -1,0 +1,84 @@
+"""`tetractl export`: writes the tables of logs as CSV files."""
+
+from pathlib import Path
+from typing import Annotated
+
+from tetractl.cli import ui
+from tetractl.cli.options import Logs, option, out_option
+from tetractl.core.errors import Exit, LogError, UsageError, printable
+from tetractl.log.read.find import find_logs
+from tetractl.tools.retired import refuse_retired
+from tetractl.tools.table.table_files import table_files
+
+
+def export(
+    logs: Logs,
+    out: Annotated[
+        Path,
+        out_option(
+            "DIR|FILE",
+            "Folder for all tables; or a .csv file for the one named by --table.",
+        ),
+    ],
+    table: Annotated[
+        str | None,
+        option("NAME", "Write only this table: trials, steps, poses, estimates or events. [all]"),
+    ] = None,
+) -> int:
+    """Write trials as tidy CSV tables: one row per trial, control step, pose, estimate or event.
+
+    The names of columns end in their units. Each table has the columns `log` and `trial`, by which
+    tables can be joined. Existing files of these names are overwritten.
+
+    Example: tetractl export logs/three-m3pi -o tables
+    """
+    from tetractl.results.trial_tables import of_log
+
+    table_paths = _table_paths(out, table)
+    log_paths = find_logs(logs)
+    unread: list[Path] = []
+    damaged: list[Path] = []
+    with table_files(table_paths) as add_rows, ui.progress("Reading logs") as on_log:
+        for number, path in enumerate(log_paths):
+            on_log(number, len(log_paths))
+            try:
+                rows_of, damage = of_log(path, table_paths)
+            except LogError as error:
+                ui.tell(f"warning: {error.message}")
+                unread.append(path)
+                continue
+            ui.warn_of_damage(str(path), damage)
+            if damage is not None:
+                damaged.append(path)
+            for name, rows in rows_of.items():
+                add_rows(name, rows, str(path))
+        if len(unread) == len(log_paths):
+            raise LogError("none of the logs can be read")
+    for path in table_paths.values():
+        print(printable(str(path)))
+    return Exit.FAILED if unread or damaged else Exit.DONE
+
+
+def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
+    """Return the file of each table to write: of all tables in the folder `out`, or of one."""
+    from tetractl.results.trial_tables import TABLES
+
+    if table is not None and table not in TABLES:
+        raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")
+    ending = out.suffix.lower().removeprefix(".")
+    refuse_retired("export", ending)
+    if ending != "csv" or out.is_dir():
+        _refuse_file_as_folder(out)
+        names = TABLES if table is None else (table,)
+        return {name: out / f"{name}.csv" for name in names}
+    if table is None:
+        raise UsageError(f"{out}: one file holds one table", "name the table with --table")
+    _refuse_file_as_folder(out.parent)
+    return {table: out}
+
+
+def _refuse_file_as_folder(folder: Path) -> None:
+    """Raise UsageError if a folder cannot be made, as it or one that it is in is a file."""
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    if not there.is_dir():
+        raise UsageError(f"{there}: not a folder", "name another with --out")

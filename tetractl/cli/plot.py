@@ -1,0 +1,84 @@
+"""`tetractl plot`: draws a figure or a video of logs."""
+
+from os.path import commonpath
+from pathlib import Path
+from typing import Annotated
+
+from tetractl.cli import ui
+from tetractl.cli.options import Logs, option, out_option
+from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.log.read.find import find_logs
+
+TRAJECTORY = "trajectory"
+"""The figure that is drawn by default."""
+VIDEO = "video"
+
+
+def plot(
+    logs: Logs,
+    out: Annotated[
+        Path | None,
+        out_option(
+            "FILE",
+            "Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. A "
+            "video: .mp4, .gif or .webp, by default LOG-video.gif.",
+        ),
+    ] = None,
+    kind: Annotated[
+        str | None, option("NAME", "The figure to draw, a name from the lists above. [trajectory]")
+    ] = None,
+) -> int:
+    """Draw a figure of one trial or several, and print the name of its file.
+
+    trajectory: paths in one trial or several, the paper's Figure 5.
+    convergence: cost over the iterations, the paper's Figure 3.
+    swarm: particles of the first search, the paper's Figure 2.
+    errors: errors over time, of one trial or, with their median by folder, of several.
+    batch: final errors by folder: each trial, the mean with its interval, the distribution.
+    over-time: signal, solve times, and the estimates of turning rate a, speed and so on.
+    video: the trial as a video.
+
+    Installed packages may add figures.
+
+    The same log gives the same bytes. MP4 needs ffmpeg.
+
+    Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
+    """
+    from tetractl.view.figures.draw import check_kind, draw
+    from tetractl.view.style import file_format, save
+
+    if kind == VIDEO:
+        return _video(find_logs(logs), out)
+    figure = kind or TRAJECTORY
+    check_kind(figure)  # before the logs are read
+    log_paths = find_logs(logs)
+    path = out or _default_name(log_paths, figure)
+    file_format(path)
+    trials = [ui.open_trial(log) for log in log_paths]
+    save(draw(figure, trials), path)
+    print(printable(str(path)))
+    return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
+
+
+def _video(logs: list[Path], out: Path | None) -> int:
+    """Write the video of one trial, and print the name of its file; return the exit code."""
+    from tetractl.view.video import check_file, write_video
+
+    if len(logs) > 1:
+        raise UsageError(f"a video shows one trial, not {len(logs)}", "give one log")
+    path = out or _default_name(logs, VIDEO).with_suffix(".gif")
+    check_file(path)
+    log = ui.open_trial(logs[0])
+    with ui.progress("Drawing") as on_picture:
+        speed = write_video(log, path, on_picture)
+    if speed > 1:
+        ui.tell(f"plays {speed} times faster than the trial")
+    print(printable(str(path)))
+    return Exit.FAILED if log.damage else Exit.DONE
+
+
+def _default_name(logs: list[Path], kind: str) -> Path:
+    """Return the picture's name: after the log, or after the folder that all logs are in."""
+    common = Path(commonpath([log.absolute().parent for log in logs]))
+    name = logs[0].name if len(logs) == 1 else common.name or "trials"
+    return Path(f"{name.partition('.mcap')[0]}-{kind}.png")

@@ -1,0 +1,55 @@
+"""`tetractl report` and `open`: write a page of logs, and show it in the browser."""
+
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Annotated
+
+from tetractl.cli import ui
+from tetractl.cli.options import Logs, option, out_option
+from tetractl.core.errors import Exit, printable
+from tetractl.tools.files import save_whole
+
+
+def report(
+    logs: Logs,
+    out: Annotated[
+        Path, out_option("FILE", "HTML file to write; an existing file is overwritten.")
+    ] = Path("report.html"),
+    title: Annotated[str | None, option("TEXT", "Title of the page. [experiment's name]")] = None,
+) -> int:
+    """Write one HTML page that shows trials and their statistics, and needs no network.
+
+    The page holds a player of every trial, or of some 60 out of more than 100, the tables of
+    `tetractl stats`, the distribution of the errors, figures of each batch and of the first trial,
+    and where the numbers come from. Each folder is a batch; several batches are shown side by side.
+
+    Example: tetractl report logs/three-m3pi -o report.html
+    """
+    from tetractl.report import page
+
+    ui.require_folder_of(out)
+    with ui.progress("Reading logs") as on_log:
+        html, unread = page.report(logs, title, on_log)
+    save_whole(out, html.encode())
+    ui.tell(*(f"warning: {problem}" for problem in unread))
+    print(printable(str(out)))
+    return Exit.FAILED if unread else Exit.DONE
+
+
+def open_(
+    logs: Logs,
+    out: Annotated[
+        Path | None, out_option("FILE", "HTML file to keep. [one in the folder of temporary files]")
+    ] = None,
+) -> int:
+    """Write the page of `tetractl report` to a temporary file, and open it in the browser.
+
+    Example: tetractl open trial-000.mcap
+    """
+    from tetractl.tools.children import open_in_browser
+
+    out = out or Path(mkdtemp(prefix="tetractl-")) / "report.html"
+    code = report(logs, out)
+    if not open_in_browser(out.resolve().as_uri()):
+        ui.tell("notice: no browser was found here; open the file in one")
+    return code

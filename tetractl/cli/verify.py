@@ -1,0 +1,77 @@
+"""`tetractl verify` and `recover`: check a log, and save what is left of a damaged one."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Logs, argument, out_option
+from tetractl.core.errors import Exit, LogError, printable
+from tetractl.log.read.find import find_log, find_logs
+
+
+def verify(logs: Logs, as_json: AsJson = False) -> int:
+    """Compute every control decision of a log again and compare it with the logged decision.
+
+    Every number must be the same to the last bit. If one is not, and processor or versions
+    (tetractl, Python, NumPy, numba) differ from those that wrote the log, only the costs of the
+    logged plans are evaluated again; the output names the check that was made. If processor and
+    versions agree, a simulation is run again, which decides every step again, and the two logs are
+    compared record by record.
+
+    If anything differs, exits with 1 and names the first step and field that differ.
+
+    A log with the same messages that another program wrote again is ok, and said to be so.
+
+    Example: tetractl verify logs/batch
+    """
+    from tetractl.replay.verify import verify as check
+
+    checked: list[dict[str, Any]] = []
+    for path in find_logs(logs):
+        try:
+            verification = check(path)
+        except LogError as error:
+            checked.append({"log": str(path), "ok": False, "error": error.message})
+            lines = [f"{path}: FAILED: {error.message.removeprefix(f'{path}: ')}"]
+        else:
+            checked.append({**asdict(verification), "ok": verification.ok})
+            lines = verification.lines
+        if not as_json:
+            for line in lines:
+                print(printable(line))
+    all_ok = all(log["ok"] for log in checked)
+    if as_json:
+        print(json.dumps({"ok": all_ok, "logs": checked}, indent=2))
+    return Exit.DONE if all_ok else Exit.FAILED
+
+
+def recover(
+    log: Annotated[Path, argument("LOG", "Log of a trial, or a .part file.")],
+    out: Annotated[Path | None, out_option("FILE", "File to write. [NAME.recovered.mcap]")] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Copy the intact records of a damaged log to a complete file, and print what is lost.
+
+    Exits with 0 if nothing is lost, 3 if something is, 1 if nothing can be saved.
+
+    Example: tetractl recover logs/batch/trial-003.mcap.part
+    """
+    from tetractl.log.read.recover import recover as save
+
+    log = find_log(log)
+    copy = save(log, out)
+    if as_json:
+        print(json.dumps({**asdict(copy), "whole": copy.whole}, indent=2))
+    elif copy.path is None:
+        print(printable(f"{log}: complete; there is nothing to recover"))
+    else:
+        ui.tell(*(f"damaged: {problem}" for problem in copy.damage.problems))
+        records = f"{copy.chunks} chunks with {copy.messages} messages"
+        print(printable(f"{copy.path}: {records}, {copy.attachments} attachments"))
+        for lost in copy.damage.lost:
+            print(printable(f"lost: {lost}"))
+        if copy.whole:
+            print("nothing is lost: the content digest matches")
+    return Exit.DONE if copy.whole else Exit.LOSSY

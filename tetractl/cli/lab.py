@@ -1,6 +1,5 @@
 """`tetractl lab`: checks, calibrates, surveys, stops or emulates a lab."""
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -63,7 +62,7 @@ def check(
         return Exit.FAILED
     if yes:
         return Exit.DONE
-    if preflight.questions and not sys.stdin.isatty():
+    if preflight.questions and not ui.has_keys():
         ui.tell("questions not answered: add --yes if there is no terminal")
         return Exit.FAILED
     agreed = all(typer.confirm(question, err=True) for question in preflight.questions)

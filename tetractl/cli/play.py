@@ -2,11 +2,11 @@
 
 _on_terminal    a simulation: you, as often as you want, and the controller once
 _in_lab         the robots of a lab: you, once
-_by_script      a file of keys: you, once, then the controller
+
+With a file of keys, you steer once, then the controller does.
 """
 
 import math
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.hand import Ask, Pause
     from tetractl.run.interrupt import Interrupt
-    from tetractl.view.terminal.hand_keys import HandKeys, KeyScript
+    from tetractl.view.terminal.hand_keys import HandKeys
     from tetractl.view.terminal.live_screen import LiveView
 
 TRIAL = 0
@@ -99,8 +99,7 @@ def play(
     in_lab = experiment.plant.real_time
     timed_keys = None if script is None else read_script(script)
     console = open_console(stderr=True)
-    has_keys = sys.stdin is not None and sys.stdin.isatty()
-    if timed_keys is None and not (has_keys and shows_pictures(console)):
+    if timed_keys is None and not (ui.has_keys() and shows_pictures(console)):
         raise UsageError("play reads keys, and this is no terminal with UTF-8: give --script FILE")
     if in_lab and (timed_keys is not None or speed is not None):
         raise UsageError("--script and --speed are for virtual time: in the lab a person steers")
@@ -120,7 +119,9 @@ def play(
             if timed_keys is None:
                 _on_terminal(game, console, speed or 1.0)
             else:
-                _by_script(game, timed_keys)
+                game.steer(timed_keys.ask)
+                if not game.over:
+                    game.control()
     return _conclude(game)
 
 
@@ -208,14 +209,7 @@ class Game:
             self.over = True
 
 
-# ---- three ways to play ----
-
-
-def _by_script(game: Game, keys: "KeyScript") -> None:
-    """Steer once by a file of keys; then the controller does."""
-    game.steer(keys.ask)
-    if not game.over:
-        game.control()
+# ---- at a terminal ----
 
 
 def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:

@@ -8,8 +8,11 @@ from tetractl.cli.options import Logs, option, switch
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.log.read.find import find_logs
+from tetractl.tools.table.terminal_table import open_console
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from tetractl.replay.player import Player, Recording
 
 
@@ -41,10 +44,13 @@ def replay(
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
+    from tetractl.view.terminal.screen import shows_pictures
+
     if rate is not None and not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, not {rate:g}")
     paths = find_logs(logs)
-    on_screen = ui.is_terminal()
+    console = open_console()
+    on_screen = ui.has_keys() and shows_pictures(console)
     if paused and not on_screen:
         raise UsageError("--paused needs a terminal, where a key continues")
     if loop and not on_screen and len(paths) > 1:
@@ -54,7 +60,7 @@ def replay(
     playlist = Playlist(paths, rate, start, until, loop)
     try:
         if on_screen:
-            stopped = playlist.play(paused)
+            stopped = playlist.play(console, paused)
         else:
             stopped = False
             playlist.print_all()
@@ -88,10 +94,8 @@ class Playlist:
         self._loop = loop
         self._wall = MonotonicClock()
 
-    def play(self, paused: bool) -> bool:
+    def play(self, console: "Console", paused: bool) -> bool:
         """Play on the terminal's screen until q is pressed; return whether a signal ended it."""
-        from rich.console import Console
-
         from tetractl.replay.player import Player, span
         from tetractl.view.terminal.replay_screen import play
 
@@ -104,7 +108,7 @@ class Playlist:
             loop=self._loop,
             paused=paused,
         )
-        return play(Console(), player, len(self._paths), self._turn_to)
+        return play(console, player, len(self._paths), self._turn_to)
 
     def print_all(self) -> None:
         """Print each log as lines."""

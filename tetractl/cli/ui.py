@@ -2,7 +2,6 @@
 move.
 """
 
-import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -107,10 +106,15 @@ def require_consent(yes: bool, what: str) -> None:
         typer.confirm(f"{what} Continue?", abort=True, err=True)
 
 
+def has_keys() -> bool:
+    """Return whether a person can press keys: whether stdin is a terminal."""
+    return sys.stdin is not None and sys.stdin.isatty()
+
+
 def require_confirmation(yes: bool) -> None:
     """Raise UsageError if there is neither `yes` nor a terminal at which to confirm that robots may
     move."""
-    if not yes and (sys.stdin is None or not sys.stdin.isatty()):
+    if not yes and not has_keys():
         raise UsageError(
             "robots would move, and there is no terminal at which to ask",
             "add --yes to move them without asking",
@@ -155,10 +159,3 @@ def announce_compiling(quiet: bool, text: str) -> None:
     """Print on stderr that code is being compiled; with `quiet`, only if stderr is a terminal."""
     if not quiet or sys.stderr.isatty():
         tell(text)
-
-
-def is_terminal() -> bool:
-    """Return whether stdin and stdout are a terminal that can show a screen."""
-    dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")
-    has_signs = sys.stdout.encoding.lower().startswith("utf")
-    return sys.stdin.isatty() and sys.stdout.isatty() and has_signs and not dumb

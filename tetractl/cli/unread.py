@@ -220,7 +220,12 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
         finally:
             signal.signal(signal.SIGHUP, before)
         return
-    streams = [stream for stream in (STDOUT, STDERR) if _has_reader(stream)]
+    modes = {stream: os.fstat(stream).st_mode for stream in (STDOUT, STDERR)}
+    streams = [
+        stream
+        for stream, mode in modes.items()
+        if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(stream)
+    ]
     if not robots or not streams:
         yield
         return
@@ -235,12 +240,6 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
     finally:
         ended.set()
         thread.join()
-
-
-def _has_reader(stream: int) -> bool:
-    """Return whether another process reads a stream as it is written."""
-    mode = os.fstat(stream).st_mode
-    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(stream)
 
 
 def _watch_readers(streams: list[int], ended: threading.Event, main_thread: int) -> None:

@@ -55,11 +55,10 @@ Finding = Refuse | Moved | Lose | Warn | Abort
 
 @dataclass(frozen=True, slots=True)
 class RobotPlace:
-    """Where a robot is at a tick: its `pose`, None if it is not tracked, and the `last` one that
-    was accepted. It may drive the `way` [length unit] before it can be stopped.
+    """Where a robot is at a tick: its `pose`, None if it is not tracked, the last one if it is
+    `lost`. It may drive the `way` [length unit] before it can be stopped.
     """
 
     pose: Pose | None
-    last: Pose | None
     lost: bool
     way: float

@@ -28,7 +28,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, CameraFrame, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS, DOES_NOT_MOVE
 
 RECENT_NS = SECOND // 2

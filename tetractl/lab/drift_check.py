@@ -34,7 +34,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import GuardCheck
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
     ANOTHER,
     KINDS,

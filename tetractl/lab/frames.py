@@ -24,52 +24,24 @@ noisy: at 120 Hz 0.2 s, in which robots stand, or somebody carries one of them."
 
 
 @dataclass(slots=True)
-class Repetition:
-    """Whether a camera repeats its frames: `take` each new one."""
-
-    repeats: bool = False
-    """Whether the newest frame repeats the one before, though poses are noisy."""
-    _noisy: bool = False
-    """Whether poses of robots that stand differ in each frame."""
-    _newest: CameraFrame | None = None
-    """The newest frame, None before the first."""
-    _differ: int = 0
-    """In how many of the newest frames, in a row, each body was elsewhere than in the one before,
-    before robots were first driven."""
-
-    def take(self, frame: CameraFrame, driven: bool) -> None:
-        """Take a frame that is newer than all before: is each body where it was, to the bit?
-        `driven` says whether robots ever were.
-        """
-        before = self._newest
-        self._newest = frame
-        if before is None:
-            return
-        if not driven:
-            bodies = [pair for pair in zip(frame.poses, before.poses, strict=True) if any(pair)]
-            each_differs = bool(bodies) and all(now != then for now, then in bodies)
-            self._differ = self._differ + 1 if each_differs else 0
-            self._noisy |= self._differ >= NOISE_FRAMES
-        is_equal = (frame.poses, frame.strangers) == (before.poses, before.strangers)
-        self.repeats = is_equal and self._noisy
-
-
-@dataclass(slots=True)
 class CameraStream:
     """The newest frame of a camera, and the frames that came too late."""
 
-    exposed_ns: int | None = None
-    """When the newest frame was exposed, None before the first."""
-    own_times: bool = False
-    """Whether its poses have times of their own."""
+    newest: CameraFrame | None = None
+    """The newest frame, None before the first."""
+    repeats: bool = False
+    """Whether it repeats the one before, though poses are noisy."""
     outdated: int = 0
     """How many frames came since the newest but were exposed before it, or together with it."""
     behind_ns: int = 0
     """By how much the last of these was behind."""
     dropped: int = 0
     """How many came too late since the last start of a run."""
-    repetition: Repetition = field(default_factory=Repetition)
-    """Whether its frames repeat."""
+    _noisy: bool = False
+    """Whether poses of robots that stand differ in each frame."""
+    _differ: int = 0
+    """In how many of the newest frames, in a row, each body was elsewhere than in the one before,
+    before robots were first driven."""
     _recent_ns: deque[int] = field(default_factory=deque)
     """When the frames of the last second were exposed, oldest first."""
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
@@ -78,26 +50,37 @@ class CameraStream:
     @property
     def newest_ns(self) -> int:
         """When the newest frame was exposed, 0 before the first."""
-        return self.exposed_ns or 0
+        return 0 if self.newest is None else self.newest.sampled_ns
 
     def advance(self, frame: CameraFrame, driven: bool) -> bool:
         """Take a frame; return whether it is newer than all before, and count it as dropped if it
         is not. `driven` says whether robots ever were.
         """
         exposed_ns = frame.sampled_ns
-        if self.exposed_ns is not None and exposed_ns <= self.exposed_ns:
-            self.dropped += 1
-            self.outdated += 1
-            self.behind_ns = self.exposed_ns - exposed_ns
-            return False
-        self.repetition.take(frame, driven)
-        self.exposed_ns = exposed_ns
-        self.own_times = bool(frame.exposed_ns)
+        before = self.newest
+        if before is not None:
+            if exposed_ns <= before.sampled_ns:
+                self.dropped += 1
+                self.outdated += 1
+                self.behind_ns = before.sampled_ns - exposed_ns
+                return False
+            self._compare(frame, before, driven)
+        self.newest = frame
         self.outdated = 0
         self._recent_ns.append(exposed_ns)
         while self._recent_ns[0] < exposed_ns - SECOND:
             self._recent_ns.popleft()
         return True
+
+    def _compare(self, frame: CameraFrame, before: CameraFrame, driven: bool) -> None:
+        """Look whether each body is where it was in the frame before, to the bit."""
+        if not driven:
+            bodies = [pair for pair in zip(frame.poses, before.poses, strict=True) if any(pair)]
+            each_differs = bool(bodies) and all(now != then for now, then in bodies)
+            self._differ = self._differ + 1 if each_differs else 0
+            self._noisy |= self._differ >= NOISE_FRAMES
+        is_equal = (frame.poses, frame.strangers) == (before.poses, before.strangers)
+        self.repeats = is_equal and self._noisy
 
     @property
     def slow_text(self) -> str:

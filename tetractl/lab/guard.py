@@ -81,6 +81,7 @@ Lengths are in the spec's length unit, times ns on the run's clock.
 import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import chain
 
 from tetractl.core.clock import SECOND
@@ -91,7 +92,7 @@ from tetractl.lab.culprit import RECENT_NS, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.frames import AcceptedFrame, CameraStream, FrameBuffer
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
-from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEATS
 from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
@@ -102,6 +103,30 @@ BUSY = "; control steps were late just before: is this computer busy?"
 FROZEN = "the frame repeats the one before to the last bit: is the camera frozen?"
 RARELY = 3.0
 """A robot may be unseen for so many times `untracked_abort`, though not all at once."""
+
+
+class GuardState(StrEnum):
+    """The guard's states."""
+
+    PREFLIGHT = "preflight"
+    READY = "ready"
+    RUN = "run"
+    HOLD = "hold"
+    ABORT = "abort"
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """The decision of a tick: which robots may move, `moving` (N,), and the accepted `poses` (N,).
+
+    A pose is None if the robot is not tracked. `reason` is why the run was aborted, "" otherwise.
+    """
+
+    state: GuardState
+    moving: tuple[bool, ...]
+    poses: tuple[Pose | None, ...]
+    reason: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -399,7 +424,7 @@ class Guard:
         if not robot.is_new:
             return None
         fault = robot.ghost or robot.fault(pose, robot.read_ns, self._pace.driven)
-        if not fault and self._stream.repetition.repeats:
+        if not fault and self._stream.repeats:
             fault = FROZEN
         if fault:
             return PoseDecision(refused=fault)
@@ -503,18 +528,20 @@ class Guard:
         pose = robot.last
         if pose is None or not robot.tracked:
             return None
-        if not self._stream.own_times or robot.untracked_ns <= 0:
+        newest = self._stream.newest
+        own_times = newest is not None and bool(newest.exposed_ns)
+        if not own_times or robot.untracked_ns <= 0:
             return pose
         return self.drift.carried(i, pose, robot.last_ns, robot.untracked_ns)
 
-    def _places(self, poses: Sequence[Pose | None]) -> tuple[RobotPlace, ...]:
+    def _places(self, poses: Sequence[Pose | None]) -> list[RobotPlace]:
         """Return where the robots are, whose `poses` (N,) are those at the newest frame."""
         places: list[RobotPlace] = []
         for robot, pose, speed in zip(self._robots, poses, self.rules.speeds, strict=True):
             stands = robot.lost or not self._pace.ahead
             way = 0.0 if stands else speed * self.rules.limits.reaction
-            places.append(RobotPlace(pose, robot.last, robot.lost, way))
-        return tuple(places)
+            places.append(RobotPlace(robot.last if robot.lost else pose, robot.lost, way))
+        return places
 
     def _moving(self, now_ns: int) -> tuple[bool, ...]:
         """Return which robots may move in a run (N,)."""

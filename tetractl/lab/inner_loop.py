@@ -42,8 +42,8 @@ from tetractl.core.protocols import Actuator, Camera
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.frames import FrameBuffer
-from tetractl.lab.guard import Guard
-from tetractl.lab.guard_records import GuardRules, GuardState, Ruling
+from tetractl.lab.guard import Guard, GuardState, Ruling
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.tools.plugin_fault import plugin_fault
 from tetractl.tools.worker import WAITING_MAX, drained
 

@@ -50,16 +50,17 @@ greatest.
 import math
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Finding, Refuse
+from tetractl.core.guard_findings import Finding, Moved, Refuse
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.protocols import GuardCheck
-from tetractl.lab.guard_records import GuardRules
+from tetractl.experiment.lab_section import UNTRACKED_STOP_S
+from tetractl.lab.guard_rules import GuardRules
 
 ROOM = 256
 """Transmissions for which a history has room at first."""
@@ -165,7 +166,9 @@ class MotionSinceRest:
 
 
 class MotionCheck(GuardCheck):
-    """Refuses a pose if it moves as no command of the last 0.3 s does, of the N robots of `rules`.
+    """Refuses a pose if it moves as no command of the last 0.3 s does, of the N robots of `rules`;
+    in a pause, says which robot has moved so for UNTRACKED_STOP_S: a stop may be lost and sent
+    again.
 
     `share` is the relative error g of the wheels. `noise` is the largest error of a position
     [length unit]; the slack holds it once, though a motion has the errors of two.
@@ -198,6 +201,8 @@ class MotionCheck(GuardCheck):
         # of each robot was taken
         self._driven_s = np.zeros(robots)
         self._since_rest = MotionSinceRest(robots)
+        # of robots that are seen to move in a pause: since when, and the pose where they stood
+        self._straying: dict[int, tuple[int, Pose]] = {}
 
     @property
     def travelled(self) -> Floats:
@@ -211,6 +216,7 @@ class MotionCheck(GuardCheck):
         which a camera with a grid needs, begin at 0 again.
         """
         self._since_rest = MotionSinceRest(len(self._times))
+        self._straying.clear()
 
     def replace(self, robot: int) -> None:
         """Forget the moments of a robot: its next pose is taken as consistent, and the motion up to
@@ -304,6 +310,17 @@ class MotionCheck(GuardCheck):
         fault = self.take_pose(robot, before, pose)
         if fault:
             yield Refuse(robot, fault)
+
+    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
+        """Note a robot that has moved for long against its commands, which are to stand."""
+        since_ns, stood = self._straying.get(robot, (now_ns, before))
+        fault = self.take_pose(robot, stood, pose)
+        if not fault:
+            self._straying.pop(robot, None)
+            return
+        self._straying[robot] = (since_ns, stood)
+        if now_ns - since_ns > UNTRACKED_STOP_S * SECOND:
+            yield Moved(robot, fault)
 
     def take_pose(self, i: int, before: Pose, pose: Pose) -> str:
         """Take a pose of robot i in the newest frame; `before` is the last consistent one. Return

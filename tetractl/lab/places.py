@@ -13,7 +13,7 @@ from tetractl.core.guard_findings import Abort, Finding, RobotPlace
 from tetractl.core.poses import Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import chord
 
 
@@ -44,7 +44,7 @@ class Keeps(GuardCheck):
         then: dict[str, Pose] = {}
         for i, robot in enumerate(robots):
             name = self._rules.names[i]
-            pose = robot.last if robot.lost else robot.pose
+            pose = robot.pose
             if pose is None:
                 continue
             now[name] = pose

@@ -29,7 +29,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
 from tetractl.lab.frames import AcceptedFrame, as_shown
-from tetractl.lab.guard_records import GuardState
+from tetractl.lab.guard import GuardState
 from tetractl.lab.rig import Rig
 
 STANDSTILL_S = 2.0

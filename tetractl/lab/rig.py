@@ -7,14 +7,14 @@ from contextlib import ExitStack
 from pkgutil import resolve_name
 from typing import Self
 
-from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera, Health
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
 
@@ -49,7 +49,7 @@ class Rig:
         self.loop = InnerLoop(
             camera,
             actuator,
-            Guard(guard_rules(setup, limits), checks_of),
+            Guard(GuardRules.of(setup, limits), checks_of),
             clock,
             wake or threading.Event(),
             emergency or threading.Event(),
@@ -121,7 +121,7 @@ class Rig:
         """
         self.setup = setup
         self.start_anywhere()
-        self.loop.restart(guard_rules(setup, self.limits))
+        self.loop.restart(GuardRules.of(setup, self.limits))
         wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:
@@ -159,22 +159,3 @@ def build_rig(
     actuator = lab.actuator.build(setup, clock)
     checks_of = resolve_name(lab.actuator.checks)
     return Rig(camera, actuator, lab.limits, setup, clock, emergency, wake, checks_of=checks_of)
-
-
-def guard_rules(setup: Setup, limits: LabLimits) -> GuardRules:
-    """Return the guard's rules for a setup, with lengths in the spec's length unit."""
-    per_mm = MM / setup.metres
-    silence_s = setup.period_s * (limits.late_steps + 1)
-    return GuardRules(
-        names=setup.names,
-        speeds=tuple(setup.speed.tolist()),
-        turning=tuple(setup.a.tolist()),
-        arena=setup.arena,
-        limits=limits,
-        obstacles=tuple(shape.grown(setup.body_radius) for shape in setup.obstacles),
-        mm=1 / per_mm,
-        silence_ns=round(max(silence_s, 0.5) * SECOND),
-        wheel_radius=setup.wheel_radius or 0.0,
-        goes_on=setup.loss is not None and not setup.loss.ends,
-        sight=setup.sight,
-    )

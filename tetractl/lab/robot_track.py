@@ -19,7 +19,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Finding
 from tetractl.core.poses import Pose
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 
 FORGIVEN = 0.25
 """Share of the time for which a robot is seen that is taken off the time for which it was not."""

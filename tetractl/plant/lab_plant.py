@@ -22,7 +22,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
 from tetractl.lab.frames import AcceptedFrame
-from tetractl.lab.guard_records import GuardState
+from tetractl.lab.guard import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import LONGER, STANDS_NS, Rest, drifting_robots, wait_for_rest
 from tetractl.lab.rig import Rig, build_rig

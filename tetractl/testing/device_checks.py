@@ -29,7 +29,7 @@ from tetractl.experiment.lab_section import ActuatorSection, CameraSection, LabL
 from tetractl.experiment.section_abilities import OnPort
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.guard_checks import ChecksOf
-from tetractl.lab.rig import guard_rules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
 from tetractl.testing.expect import expect, near, true
@@ -320,7 +320,7 @@ class _SteeringChecks:
         robots: MovedRobots,
     ) -> None:
         checks_of: ChecksOf = resolve_name(section.checks)
-        self.together = checks_of(guard_rules(setup, LabLimits())).together
+        self.together = checks_of(GuardRules.of(setup, LabLimits())).together
         self.actuator = actuator
         self.setup = setup
         self.robots = robots

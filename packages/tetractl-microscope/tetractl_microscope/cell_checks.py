@@ -11,7 +11,7 @@ from tetractl.core.poses import Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import GuardChecks
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import MotionCheck
 from tetractl.lab.places import driven, outside, too_close
 
@@ -41,6 +41,10 @@ class Swims(MotionCheck):
             self.replace(robot)
             yield Warn(f"{self._names[robot]} {fault}")
 
+    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> tuple[Finding, ...]:
+        """Find nothing: cells swim on."""
+        return ()
+
 
 class Stays(GuardCheck):
     """A cell that leaves the arena is lost; the run is aborted if two come too close."""
@@ -53,7 +57,7 @@ class Stays(GuardCheck):
         now: dict[str, Pose] = {}
         then: dict[str, Pose] = {}
         for i, robot in enumerate(robots):
-            if robot.pose is None:
+            if robot.pose is None or robot.lost:
                 continue
             name = self._rules.names[i]
             now[name] = robot.pose

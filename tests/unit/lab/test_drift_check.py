@@ -13,7 +13,7 @@ from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab import drift_check
 from tetractl.lab.drift_check import TOGETHER, DriftCheck
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import motion
 
 NAMES = ("green", "blue", "red")

@@ -21,9 +21,9 @@ from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.frames import FrameBuffer
-from tetractl.lab.guard import BUSY, Guard
+from tetractl.lab.guard import BUSY, Guard, GuardState
 from tetractl.lab.guard_checks import robot_checks
-from tetractl.lab.guard_records import GuardRules, GuardState
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import PUSHED
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab import inner_loop
-from tetractl.lab.guard_records import GuardState
+from tetractl.lab.guard import GuardState
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import DOES_NOT_MOVE, MotionCheck
 
 pytestmark = pytest.mark.slow

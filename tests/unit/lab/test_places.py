@@ -8,7 +8,7 @@ from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import LabLimits
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.places import Keeps
 
 DISC = Shape(np.array([[500.0, 500.0]]), 100.0)

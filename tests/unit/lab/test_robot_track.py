@@ -8,7 +8,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.robot_track import RobotTrack
 
 RULES = GuardRules(

@@ -17,8 +17,8 @@ from tetractl.experiment.lab_section import LabLimits
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
-from tetractl.lab.guard import Guard
-from tetractl.lab.guard_records import GuardRules, GuardState
+from tetractl.lab.guard import Guard, GuardState
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import REPEATS, SLACK_S
 
 MS = 1_000_000

@@ -12,7 +12,7 @@ from support.virtual_lab import VirtualLab
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.trial import Result
-from tetractl.lab.guard_records import GuardState
+from tetractl.lab.guard import GuardState
 
 CAMERA_HZ = 120.0
 NOISE = {"noise_mm": 0.3, "noise_rad": 0.004}  # of a real capture

@@ -18,7 +18,7 @@ from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.guard import Guard
-from tetractl.lab.guard_records import GuardRules
+from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
 pytestmark = pytest.mark.slow

@@ -1,26 +1,18 @@
-"""What the guard is given and what it returns: its states, rules and rulings."""
+"""What the guard and its checks are given: the limits of a lab, and what robots can do."""
 
 from dataclasses import dataclass
-from enum import StrEnum
+from typing import Self
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import UNSTATED, Pose, Sight
-from tetractl.core.setup import Bounds
+from tetractl.core.poses import UNSTATED, Sight
+from tetractl.core.setup import MM, Bounds, Setup
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import LabLimits
 
 NOISE_MM = 2.0
 """Largest error of a pose [mm], in addition to that which the camera's section states."""
-
-
-class GuardState(StrEnum):
-    """The guard's states."""
-
-    PREFLIGHT = "preflight"
-    READY = "ready"
-    RUN = "run"
-    HOLD = "hold"
-    ABORT = "abort"
+SILENCE_MIN_S = 0.5
+"""Least time without a direction after which a run ends [s], however short the period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,21 +36,26 @@ class GuardRules:
     goes_on: bool = False
     sight: Sight = UNSTATED
 
+    @classmethod
+    def of(cls, setup: Setup, limits: LabLimits) -> Self:
+        """Return the rules for a setup, with lengths in the spec's length unit."""
+        per_mm = MM / setup.metres
+        silence_s = setup.period_s * (limits.late_steps + 1)
+        return cls(
+            names=setup.names,
+            speeds=tuple(setup.speed.tolist()),
+            turning=tuple(setup.a.tolist()),
+            arena=setup.arena,
+            limits=limits,
+            obstacles=tuple(shape.grown(setup.body_radius) for shape in setup.obstacles),
+            mm=1 / per_mm,
+            silence_ns=round(max(silence_s, SILENCE_MIN_S) * SECOND),
+            wheel_radius=setup.wheel_radius or 0.0,
+            goes_on=setup.loss is not None and not setup.loss.ends,
+            sight=setup.sight,
+        )
+
     @property
     def largest_error(self) -> float:
         """The largest error of a position [length unit]."""
         return (NOISE_MM + self.sight.largest[0]) / self.mm
-
-
-@dataclass(frozen=True, slots=True)
-class Ruling:
-    """The decision of a tick: which robots may move, `moving` (N,), and the accepted `poses` (N,).
-
-    A pose is None if the robot is not tracked. `reason` is why the run was aborted, "" otherwise.
-    """
-
-    state: GuardState
-    moving: tuple[bool, ...]
-    poses: tuple[Pose | None, ...]
-    reason: str = ""
-    warnings: tuple[str, ...] = ()

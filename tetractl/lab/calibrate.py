@@ -33,7 +33,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.actuators.wheeled_section import CalibratedSection, Found, FoundWheel
-from tetractl.lab.frames import AcceptedFrame
+from tetractl.lab.frames import AcceptedFrame, TimedPose, timed_poses
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import CountArray
 
@@ -314,8 +314,8 @@ class _Bench:
             self._raise_abort()
             frames, _ = self.rig.loop.frames.since(first)
             self._late_s = max(self._late_s, _late_s(frames))
-            poses = _poses_since(frames, began_ns)
-            times_ns = [began_ns, *(t_ns for t_ns, _ in poses), end_ns]
+            poses = [pose for pose in timed_poses(frames, 0) if pose.exposed_ns >= began_ns]
+            times_ns = [began_ns, *(pose.exposed_ns for pose in poses), end_ns]
             if max(np.diff(times_ns)) <= (GAP_S + self._late_s) * SECOND:  # none are missing
                 return _steady(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
@@ -365,29 +365,18 @@ def _late_s(frames: Sequence[AcceptedFrame]) -> float:
     return max(0.0, float(GAP_PERIODS * period_ns + way_ns) / SECOND - GAP_S)
 
 
-def _poses_since(frames: Sequence[AcceptedFrame], since_ns: int) -> list[tuple[int, Pose]]:
-    """Return the times [ns] and poses of the robot, where it is tracked, in the frames that were
-    exposed at `since_ns` or later."""
-    poses = list[tuple[int, Pose]]()
-    for frame in frames:
-        pose = frame.pose(0)
-        if pose is not None and frame.exposed(0) >= since_ns:
-            poses.append((frame.exposed(0), pose))
-    return poses
-
-
-def _steady(poses: Sequence[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:
-    """Return the steady motion fitted to (time [ns], pose) pairs from `since_ns` on; `mm` is the
-    spec's length unit in millimetres.
+def _steady(poses: Sequence[TimedPose], since_ns: int, mm: float) -> DrivenPath:
+    """Return the steady motion fitted to poses from `since_ns` on; `mm` is the spec's length unit
+    in millimetres.
 
     The turning rate is the slope of the headings; the speeds are the sums of the displacements
     along and across the heading in the middle of each, over the time.
     """
-    steady = [(t_ns, pose) for t_ns, pose in poses if t_ns >= since_ns]
-    t = np.array([t_ns for t_ns, _ in steady]) / SECOND
-    x = np.array([pose.x for _, pose in steady])
-    y = np.array([pose.y for _, pose in steady])
-    heading = np.unwrap([pose.heading for _, pose in steady])
+    steady = [timed for timed in poses if timed.exposed_ns >= since_ns]
+    t = np.array([timed.exposed_ns for timed in steady]) / SECOND
+    x = np.array([timed.pose.x for timed in steady])
+    y = np.array([timed.pose.y for timed in steady])
+    heading = np.unwrap([timed.pose.heading for timed in steady])
     turning = float(np.polyfit(t - t[0], heading, 1)[0])
     middle = (heading[1:] + heading[:-1]) / 2
     dx = np.diff(x) * mm

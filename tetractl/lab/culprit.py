@@ -28,6 +28,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, CameraFrame, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
+from tetractl.lab.frames import AcceptedFrame, TimedPose, as_shown, timed_poses
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS, DOES_NOT_MOVE
 
@@ -55,16 +56,14 @@ SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies
 
 class Culprit:
     """Asks what the N robots of `rules` have done by `frames`: at least one, oldest first, of the
-    last RECENT_NS, with their poses as the camera shows them, accepted or not. `drift` follows
+    last RECENT_NS, of which all poses count that the camera shows, accepted or not. `drift` follows
     their motion.
     """
 
     def __init__(self, rules: GuardRules, drift: DriftCheck, frames: Sequence[CameraFrame]) -> None:
         self._rules = rules
         self._drift = drift
-        self._frames = frames
-        unknown = (0,) * len(rules.names)
-        self._times = [frame.times(unknown) for frame in frames]  # of poses that are shown (N,)
+        self._frames = [as_shown(frame) for frame in frames]
 
     def why(self, suspect: int, reason: str) -> str:
         """Return a text if the camera, the radio or two numbers are at fault, "" if the suspect of
@@ -112,23 +111,13 @@ class Culprit:
 
     def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
         """Return the sums of squares of the camera and of one robot."""
-        left_over = [self._drift.left_over(i, self._blocks(i)) for i in robots]
+        left_over = [self._drift.left_over(i, ends_of_blocks(self._frames, i)) for i in robots]
         z = np.array([residual for residual, _ in left_over])
         moves = np.vstack([picture for _, picture in left_over]) * LIKELY_RATES
         flat = z.ravel()
         g = np.linalg.solve(moves.T @ moves + np.eye(4), moves.T @ flat)
         camera = ((flat - moves @ g) ** 2).sum() + g @ g
         return camera, (z[others] ** 2).sum()
-
-    def _blocks(self, i: int) -> list[tuple[int, Pose]]:
-        """Return the poses of robot i that are at least BLOCK_NS apart, with their times."""
-        blocks: list[tuple[int, Pose]] = []
-        for frame, times in zip(self._frames, self._times, strict=True):
-            pose = frame.poses[i]
-            exposed_ns = times[i]
-            if pose is not None and (not blocks or exposed_ns - blocks[-1][0] >= BLOCK_NS):
-                blocks.append((exposed_ns, pose))
-        return blocks
 
     def _radio(self, robots: Sequence[int], others: Bools) -> tuple[float, float, int]:
         """Return the sums of squares of the radio and of one robot, and the radio's delay [ns]."""
@@ -146,20 +135,21 @@ class Culprit:
         which act later by 0, 1, ... steps of STEP_NS."""
         then = self._array(self._frames[0].poses, robots)
         now = self._array(self._frames[-1].poses, robots)
-        began = self._times[0]
-        ended = self._times[-1]
+        ended_ns = {i: self._frames[-1].exposed(i) for i in robots}
+        spans_ns = [ended_ns[i] - self._frames[0].exposed(i) for i in robots]
         # steps between each robot's own two poses
-        own_steps = np.array([max(1, round((ended[i] - began[i]) / STEP_NS)) for i in robots])
+        own_steps = np.array([max(1, round(span_ns / STEP_NS)) for span_ns in spans_ns])
         steps = int(own_steps.max())
         in_own = (np.arange(steps)[:, None] < own_steps)[:, None]
         # speeds and turning rates (T, 2, N) in steps before each end, the newest first
         commands = self._drift.commands
         sent_before: dict[int, Floats] = {}
-        for end_ns in {ended[i] for i in robots}:
+        for end_ns in set(ended_ns.values()):
             means = [commands.mean(end_ns - k * STEP_NS, STEP_NS) for k in range(delays + steps)]
             sent_before[end_ns] = np.array(means)
         columns = [
-            sent_before[ended[i]][:, :, column] for i, column in zip(robots, commanded, strict=True)
+            sent_before[ended_ns[i]][:, :, column]
+            for i, column in zip(robots, commanded, strict=True)
         ]
         sent = np.stack(columns, axis=-1)
         sent *= STEP_NS / SECOND
@@ -178,6 +168,15 @@ class Culprit:
                 mm = self._rules.mm
                 rows.append((pose.x * mm, pose.y * mm, pose.heading))
         return np.array(rows)
+
+
+def ends_of_blocks(frames: Sequence[AcceptedFrame], i: int) -> list[TimedPose]:
+    """Return poses of robot i that are at least BLOCK_NS apart."""
+    ends: list[TimedPose] = []
+    for timed in timed_poses(frames, i):
+        if not ends or timed.exposed_ns - ends[-1].exposed_ns >= BLOCK_NS:
+            ends.append(timed)
+    return ends
 
 
 def squares_of(then: Floats, now: Floats, sent: Floats) -> Floats:

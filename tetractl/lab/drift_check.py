@@ -26,7 +26,6 @@ a quarter second later. Lengths are mm.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import GuardCheck
+from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
     ANOTHER,
@@ -65,40 +65,39 @@ CLIP = 1.7
 """Standard deviations beyond which a residual counts no more."""
 
 
-class Columns(NamedTuple):
+class At:
     """The columns of the regressors, in the order of the module's equations."""
 
-    residual: int = 0
+    residual = 0
     """Motion that nominal wheels do not explain."""
-    speed: int = 1  # s
-    radius: int = 2  # k
-    difference: int = 3  # d
-    heading: int = 4  # b
-    forward: int = 5  # f
-    aside: int = 6  # l
-    taps_along: slice = slice(7, 10)
+    speed = 1  # s
+    radius = 2  # k
+    difference = 3  # d
+    heading = 4  # b
+    forward = 5  # f
+    aside = 6  # l
+    taps_along = slice(7, 10)
     """Weights of the delays of driving, without the nominal one."""
-    taps_around: slice = slice(10, 13)
+    taps_around = slice(10, 13)
     """Weights of the delays of turning."""
-    constants: slice = slice(1, 13)
+    constants = slice(1, 13)
     """All that are constant over a trial."""
-    velocity: slice = slice(13, 16)
+    velocity = slice(13, 16)
     """A constant velocity of one robot."""
-    picture: slice = slice(16, 20)
+    picture = slice(16, 20)
     """Shift, turn and growth of the picture."""
-    motion: slice = slice(13, 20)
+    motion = slice(13, 20)
     """Both of these."""
-    width: int = 20
+    width = 20
 
 
-AT = Columns()
 PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
 """Standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
 ERRORS = np.zeros((3, len(PRIOR)))
 """Errors of the left and right wheel and of the heading, by the columns `constants`."""
-ERRORS[:, AT.speed - 1] = (1, 1, 0)
-ERRORS[:, AT.difference - 1] = (-1, 1, 0)
-ERRORS[:, AT.heading - 1] = (0, 0, 1)
+ERRORS[:, At.speed - 1] = (1, 1, 0)
+ERRORS[:, At.difference - 1] = (-1, 1, 0)
+ERRORS[:, At.heading - 1] = (0, 0, 1)
 LARGEST = np.array([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0]) ** -2
 """Inverse variances of the columns `motion` [mm/s, rad/s, 1/s]."""
 LEAST_BLOCKS = 12
@@ -131,7 +130,7 @@ WRONG = (
 @dataclass(frozen=True, slots=True)
 class MeasuredPose:
     """The last accepted pose of a robot, its time, and the robot's motion until then since its rest
-    (3,) [mm, mm, rad]."""
+    (3,) [mm, mm, rad]; at the beginning or the end of a block."""
 
     pose: Pose
     exposed_ns: int
@@ -182,14 +181,16 @@ class DriftCheck(GuardCheck):
         self.blocks = 0
         self._fastest = np.zeros(robots)  # greatest speeds commanded [mm/s]
         # the fit: sums of products of the columns, the constants and their covariance
-        self._sums = np.zeros((robots, AT.width, AT.width))
+        self._sums = np.zeros((robots, At.width, At.width))
         self._fit = np.zeros((robots, len(PRIOR)))
         self._spread = np.array([np.diag(PRIOR**2)] * robots)
         # the grid: sums at moments since which a change is looked for, by the blocks before each
         self._grid = {0: self._sums.copy()}
         # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
         self._carried = np.zeros((robots, 3))
-        self._last: list[MeasuredPose | None] = [None] * robots
+        # the last accepted poses of the newest frame, and their times
+        self._poses: Sequence[Pose | None] = (None,) * robots
+        self._times: Sequence[int] = (0,) * robots
         self.start()
 
     # ---- what is taken ----
@@ -213,29 +214,27 @@ class DriftCheck(GuardCheck):
         Wheels that may be wrong by more than STEADY, as before they are calibrated, would explain
         any drift.
         """
-        before = self._last
-        ways = self._motion.travelled * (self._mm, self._mm, 1.0)
-        self._last = [
-            None if pose is None else MeasuredPose(pose, exposed_ns, way)
-            for pose, exposed_ns, way in zip(poses, times, ways, strict=True)
-        ]
+        poses_before = self._poses
+        times_before = self._times
+        self._poses = poses
+        self._times = times
         dt_ns = now_ns - self._began_ns
         if dt_ns < BLOCK_NS or self._share > STEADY:
             return ()
-        pairs = zip(before, self._last, strict=True)
-        ends = [None if self._repeats(last, now) else now for last, now in pairs]
+        ways = self._motion.travelled * (self._mm, self._mm, 1.0)
+        ends: list[MeasuredPose | None] = []
+        for i, pose in enumerate(poses):
+            # no new measurement, though it has another time
+            repeats = pose == poses_before[i] and times[i] != times_before[i] and not self._coarse
+            measured = pose is not None and not repeats
+            ends.append(MeasuredPose(pose, times[i], ways[i]) if measured else None)
         if dt_ns < WATCHDOG_NS:
             self._add(ended_blocks(self._starts, ends))
             self.blocks += 1
         self._began_ns = now_ns
         self._starts = ends
-        return self._fault() if self.blocks % 2 == 0 else ()
-
-    def _repeats(self, last: MeasuredPose | None, now: MeasuredPose | None) -> bool:
-        """Return whether a pose is no new measurement, though it has another time."""
-        if last is None or now is None or self._coarse:
-            return False
-        return now.pose == last.pose and now.exposed_ns != last.exposed_ns
+        fault = self._fault() if self.blocks % 2 == 0 else None
+        return () if fault is None else (fault,)
 
     # ---- what is known ----
 
@@ -268,7 +267,7 @@ class DriftCheck(GuardCheck):
         m with the variance q, of which the prior is p, has the rate v / r m / (1 - q / p) and the
         variance (v / r)^2 q / (1 - q / p).
         """
-        d = AT.difference - 1
+        d = At.difference - 1
         per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
         variance = self._spread[:, d, d]
         explained = 1.0 - variance / PRIOR[d] ** 2
@@ -280,24 +279,25 @@ class DriftCheck(GuardCheck):
         errors = np.where(is_known, per * np.sqrt(variance / explained), np.inf)
         return tuple(rates.tolist()), tuple(errors.tolist())
 
-    def left_over(self, i: int, frames: Sequence[tuple[int, Pose]]) -> tuple[Floats, Floats]:
-        """Return what commands and wheels do not explain of the motion of robot i over its poses
-        `frames`, at times [ns]: z (3,), in standard deviations, and its regressors on a shift, turn
-        and growth of the picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
+    def left_over(self, i: int, poses: Sequence[TimedPose]) -> tuple[Floats, Floats]:
+        """Return what commands and wheels do not explain of the motion of robot i over its poses:
+        z (3,), in standard deviations, and its regressors on a shift, turn and growth of the
+        picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
-        total = np.zeros((3, AT.width))
+        total = np.zeros((3, At.width))
         variance = 2 * self._noise**2
-        for (then_ns, then), (now_ns, now) in pairwise(frames):
-            way = motion(then, now) * (self._mm, self._mm, 1.0)
-            block = MotionBlock(i, then, way, now_ns, now_ns - then_ns)
+        for then, now in pairwise(poses):
+            way = motion(then.pose, now.pose) * (self._mm, self._mm, 1.0)
+            dt_ns = now.exposed_ns - then.exposed_ns
+            block = MotionBlock(i, then.pose, way, now.exposed_ns, dt_ns)
             x, walk = self._regressors([block], way[None])
             total = total + x[0]
             variance = variance + walk[0]
-        regressors = total[:, AT.constants]
+        regressors = total[:, At.constants]
         variance = variance + np.einsum("rp,pq,rq->r", regressors, self._spread[i], regressors)
         spread = np.sqrt(variance)
-        residual = total[:, AT.residual] - regressors @ self._fit[i]
-        return residual / spread, total[:, AT.picture] / spread[:, None]
+        residual = total[:, At.residual] - regressors @ self._fit[i]
+        return residual / spread, total[:, At.picture] / spread[:, None]
 
     # ---- the fit ----
 
@@ -319,23 +319,23 @@ class DriftCheck(GuardCheck):
         along = 0
         across = 1
         around = 2
-        x = np.zeros((len(blocks), 3, AT.width))
-        x[:, :, AT.residual] = motions
-        x[:, along, AT.residual] -= v
-        x[:, around, AT.residual] -= w
-        x[:, along, AT.speed] = v
-        x[:, along, AT.difference] = w * r
-        x[:, along, AT.aside] = w
-        x[:, along, AT.taps_along] = later[:, :, 0]
-        x[:, across, AT.heading] = v
-        x[:, across, AT.forward] = w
-        x[:, around, AT.speed] = w
-        x[:, around, AT.radius] = w
-        x[:, around, AT.difference] = v / r if r else 0.0
-        x[:, around, AT.taps_around] = later[:, :, 1]
-        x[:, :, AT.velocity] = np.eye(3) * dt_s[:, None, None]
-        x[:, :2, AT.picture] = self._picture_moves([block.before for block in blocks], dt_s)
-        x[:, around, AT.picture.start + 2] = dt_s
+        x = np.zeros((len(blocks), 3, At.width))
+        x[:, :, At.residual] = motions
+        x[:, along, At.residual] -= v
+        x[:, around, At.residual] -= w
+        x[:, along, At.speed] = v
+        x[:, along, At.difference] = w * r
+        x[:, along, At.aside] = w
+        x[:, along, At.taps_along] = later[:, :, 0]
+        x[:, across, At.heading] = v
+        x[:, across, At.forward] = w
+        x[:, around, At.speed] = w
+        x[:, around, At.radius] = w
+        x[:, around, At.difference] = v / r if r else 0.0
+        x[:, around, At.taps_around] = later[:, :, 1]
+        x[:, :, At.velocity] = np.eye(3) * dt_s[:, None, None]
+        x[:, :2, At.picture] = self._picture_moves([block.before for block in blocks], dt_s)
+        x[:, around, At.picture.start + 2] = dt_s
         unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt_s[:, None]
         before = np.abs(commanded[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]]
         before = before * dt_s[:, None]
@@ -365,19 +365,19 @@ class DriftCheck(GuardCheck):
         x, walk = self._regressors(blocks, motions)
         spread = np.sqrt(2 * self._noise**2 + walk)
         x /= spread[:, :, None]
-        regressors = x[:, :, AT.constants]
+        regressors = x[:, :, At.constants]
         expected = (regressors @ self._fit[robots, :, None])[..., 0]
         bound = CLIP * np.sqrt(1 + ((regressors @ self._spread[robots]) * regressors).sum(axis=2))
-        residual = x[:, :, AT.residual].copy()
-        x[:, :, AT.residual] = np.clip(residual, expected - bound, expected + bound)
-        self._carried[robots, :2] = ((residual - x[:, :, AT.residual]) * spread)[:, :2]
+        residual = x[:, :, At.residual].copy()
+        x[:, :, At.residual] = np.clip(residual, expected - bound, expected + bound)
+        self._carried[robots, :2] = ((residual - x[:, :, At.residual]) * spread)[:, :2]
         self._sums[robots] += x.swapaxes(1, 2) @ x
 
-    def _fault(self) -> tuple[Abort, ...]:
-        """Fit the constants again; return what is wrong."""
+    def _fault(self) -> Abort | None:
+        """Fit the constants again; return what is wrong, None for nothing."""
         sums = self._sums
-        self._spread = np.linalg.inv(sums[:, AT.constants, AT.constants] + np.diag(PRIOR**-2.0))
-        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, AT.constants, AT.residual])
+        self._spread = np.linalg.inv(sums[:, At.constants, At.constants] + np.diag(PRIOR**-2.0))
+        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, At.constants, At.residual])
         self.worst = 0.0
         change = self._worst_change()
         if self.blocks - max(self._grid) >= SPACING:
@@ -389,16 +389,16 @@ class DriftCheck(GuardCheck):
 
     # ---- changes ----
 
-    def _worst_change(self) -> tuple[Abort, ...]:
+    def _worst_change(self) -> Abort | None:
         """Return the motion since a moment of the grid that gains most, of one robot or of the
-        whole picture; set `worst` to its gain."""
+        whole picture; set `worst` to its gain. None while no moment is old enough."""
         youngest = self.blocks - LEAST_BLOCKS
         old = [sums_then for blocks, sums_then in self._grid.items() if blocks <= youngest]
         if not old:
-            return ()
+            return None
         sums = self._sums
-        fitted = np.einsum("np,np->n", self._fit, sums[:, AT.constants, AT.residual])
-        squares = sums[:, AT.residual, AT.residual] - fitted  # (N,) what is left over in all
+        fitted = np.einsum("np,np->n", self._fit, sums[:, At.constants, At.residual])
+        squares = sums[:, At.residual, At.residual] - fitted  # (N,) what is left over in all
         count = 3.0 * max(self.blocks, 1)
         changes = self._changes(np.array(old), squares, count)
         of_one = slice(0, 3)
@@ -417,17 +417,17 @@ class DriftCheck(GuardCheck):
             i = int(gains.argmax())
             if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
                 everybody = range(len(self._names))
-                return (Abort(TOGETHER, tuple(everybody)),)
+                return Abort(TOGETHER, tuple(everybody))
         kind = KINDS[int((pulls[g, i] * velocity[g, i]).argmax())]  # in which it moves most
-        return (Abort(f"{self._names[i]} {ANOTHER.format(kind)}", (i,), suspect=i),)
+        return Abort(f"{self._names[i]} {ANOTHER.format(kind)}", (i,), suspect=i)
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
         """Return what is left of the motion since moments with the sums `old` (G, N, ...), if
         `squares` (N,) of `count` residuals are left over in all."""
         since = self._sums - old
-        mixed = since[..., AT.constants, AT.motion]
-        unexplained = since[..., AT.motion, AT.motion] - mixed.swapaxes(2, 3) @ self._spread @ mixed
-        pulls = since[..., AT.motion, AT.residual] - (self._fit[:, None] @ mixed)[..., 0, :]
+        mixed = since[..., At.constants, At.motion]
+        unexplained = since[..., At.motion, At.motion] - mixed.swapaxes(2, 3) @ self._spread @ mixed
+        pulls = since[..., At.motion, At.residual] - (self._fit[:, None] @ mixed)[..., 0, :]
         noise = np.maximum(1.0, squares / count)[:, None]
         return Changes(unexplained, pulls, noise)
 
@@ -452,7 +452,7 @@ class DriftCheck(GuardCheck):
 
     # ---- wheels ----
 
-    def _wrong_wheels(self) -> tuple[Abort, ...]:
+    def _wrong_wheels(self) -> Abort | None:
         """Return which robot's wheels or heading are wrong by more than allowed."""
         errors = self._fit @ ERRORS.T  # (N, 3)
         variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
@@ -460,11 +460,11 @@ class DriftCheck(GuardCheck):
         for i, name in enumerate(self._names):
             left_is_wrong, right_is_wrong, heading_is_wrong = beyond[i]
             if heading_is_wrong:
-                return (Abort(f"{name} {ANOTHER.format(KINDS[1])}"),)
+                return Abort(f"{name} {ANOTHER.format(KINDS[1])}")
             if left_is_wrong or right_is_wrong:
                 left_error, right_error, _ = errors[i]
-                return (Abort(WRONG.format(name, left_error, right_error)),)
-        return ()
+                return Abort(WRONG.format(name, left_error, right_error))
+        return None
 
 
 def ended_blocks(

@@ -8,7 +8,7 @@ that equals it to the last bit was not measured. Poses without noise, or on a gr
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 
@@ -147,6 +147,24 @@ class AcceptedFrame:
     def pose(self, i: int) -> Pose | None:
         """Return the pose of robot i accepted from this frame, None if there is none."""
         return self.poses[i] if self.fresh[i] else None
+
+
+@dataclass(frozen=True, slots=True)
+class TimedPose:
+    """A pose and the time of its exposure."""
+
+    exposed_ns: int
+    pose: Pose
+
+
+def timed_poses(frames: Iterable[AcceptedFrame], i: int) -> list[TimedPose]:
+    """Return the poses of robot i accepted from some frames."""
+    timed: list[TimedPose] = []
+    for frame in frames:
+        pose = frame.pose(i)
+        if pose is not None:
+            timed.append(TimedPose(frame.exposed(i), pose))
+    return timed
 
 
 def as_shown(frame: CameraFrame) -> AcceptedFrame:

@@ -60,6 +60,7 @@ from tetractl.core.guard_findings import Finding, Moved, Refuse
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S
+from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 
 ROOM = 256
@@ -202,7 +203,7 @@ class MotionCheck(GuardCheck):
         self._driven_s = np.zeros(robots)
         self._since_rest = MotionSinceRest(robots)
         # of robots that are seen to move in a pause: since when, and the pose where they stood
-        self._straying: dict[int, tuple[int, Pose]] = {}
+        self._straying: dict[int, TimedPose] = {}
 
     @property
     def travelled(self) -> Floats:
@@ -313,13 +314,13 @@ class MotionCheck(GuardCheck):
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
         """Note a robot that has moved for long against its commands, which are to stand."""
-        since_ns, stood = self._straying.get(robot, (now_ns, before))
-        fault = self.take_pose(robot, stood, pose)
+        stood = self._straying.get(robot, TimedPose(now_ns, before))
+        fault = self.take_pose(robot, stood.pose, pose)
         if not fault:
             self._straying.pop(robot, None)
             return
-        self._straying[robot] = (since_ns, stood)
-        if now_ns - since_ns > UNTRACKED_STOP_S * SECOND:
+        self._straying[robot] = stood
+        if now_ns - stood.exposed_ns > UNTRACKED_STOP_S * SECOND:
             yield Moved(robot, fault)
 
     def take_pose(self, i: int, before: Pose, pose: Pose) -> str:

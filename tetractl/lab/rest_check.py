@@ -28,7 +28,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
-from tetractl.lab.frames import AcceptedFrame, as_shown
+from tetractl.lab.frames import AcceptedFrame, as_shown, timed_poses
 from tetractl.lab.guard import GuardState
 from tetractl.lab.rig import Rig
 
@@ -242,10 +242,10 @@ def _rows(window: Sequence[AcceptedFrame], i: int, mm: float) -> Floats:
     at most 0 [s], position [mm] and heading, not wrapped [rad].
     """
     newest_ns = window[-1].frame.sampled_ns
-    rows = [
-        ((exposed_ns - newest_ns) / SECOND, pose.x * mm, pose.y * mm, pose.heading)
-        for exposed_ns, pose in _timed_poses(window, i).items()
-    ]
+    rows: list[tuple[float, float, float, float]] = []
+    for exposed_ns, pose in _poses_by_time(window, i).items():
+        time_s = (exposed_ns - newest_ns) / SECOND
+        rows.append((time_s, pose.x * mm, pose.y * mm, pose.heading))
     if not rows:
         return np.empty((0, 4))
     array = np.array(rows)
@@ -253,14 +253,9 @@ def _rows(window: Sequence[AcceptedFrame], i: int, mm: float) -> Floats:
     return array
 
 
-def _timed_poses(window: Sequence[AcceptedFrame], i: int) -> dict[int, Pose]:
+def _poses_by_time(window: Sequence[AcceptedFrame], i: int) -> dict[int, Pose]:
     """Return the poses of robot i in the frames of `window`, each once, by their times [ns]."""
-    poses: dict[int, Pose] = {}
-    for frame in window:
-        pose = frame.pose(i)
-        if pose is not None:
-            poses[frame.exposed(i)] = pose
-    return poses
+    return {timed.exposed_ns: timed.pose for timed in timed_poses(window, i)}
 
 
 def _jumped(rig: Rig, window: Sequence[AcceptedFrame]) -> list[str]:
@@ -278,8 +273,7 @@ def _jump_mm(rig: Rig, i: int, window: Sequence[AcceptedFrame]) -> float:
     """Return how far apart the first and the last pose of robot i within the last `REST_NS` are,
     0 without poses."""
     since_ns = window[-1].frame.sampled_ns - REST_NS
-    timed = _timed_poses(window, i)
-    poses = [pose for exposed_ns, pose in timed.items() if exposed_ns >= since_ns]
+    poses = [timed.pose for timed in timed_poses(window, i) if timed.exposed_ns >= since_ns]
     if not poses:
         return 0.0
     return math.hypot(poses[-1].x - poses[0].x, poses[-1].y - poses[0].y) * rig.mm

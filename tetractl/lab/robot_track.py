@@ -19,6 +19,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Finding
 from tetractl.core.poses import Pose
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S
+from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 
 FORGIVEN = 0.25
@@ -39,14 +40,6 @@ LIFTED_MM = 40.0
 off the camera's zero makes 35 mm of 2 m, and heights of a webcam's tags are off by up to 16 mm."""
 HEIGHT_NS = SECOND // 4
 """Time before a run begins over which a body's height is measured: robots stand then."""
-
-
-@dataclass(frozen=True, slots=True)
-class TimedPose:
-    """A pose and the time of its exposure."""
-
-    exposed_ns: int
-    pose: Pose
 
 
 @dataclass(frozen=True, slots=True)

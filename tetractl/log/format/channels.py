@@ -16,6 +16,8 @@ from mcap.records import Attachment
 from tetractl.log.format import tetractl_pb2 as pb
 
 FORMAT_VERSION = 4
+MAGIC = b"\x89MCAP0\r\n"
+"""The first and the last bytes of an MCAP file."""
 WRITER = "tetractl"
 """The first word of the library that a log's header names."""
 METADATA = ("tetractl", {"format": str(FORMAT_VERSION)})

@@ -26,12 +26,10 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Schema, Statistics
 
 from tetractl.core.errors import LogError, printable
-from tetractl.log.format.channels import NUMBERS, SUMMARY, WRITER, Entry, Record
+from tetractl.log.format.channels import MAGIC, NUMBERS, SUMMARY, WRITER, Entry, Record
 from tetractl.log.read.limits import CHUNK_MAX, file_limit, seconds_limit, too_much
 from tetractl.log.read.raw_log import RawLog, read_file
 
-MAGIC = b"\x89MCAP0\r\n"
-"""How an MCAP file begins and ends."""
 PROBLEMS_MAX = 50
 """Largest number of damaged records of a log that are listed."""
 UNSTATED = 0

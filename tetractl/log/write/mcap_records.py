@@ -1,60 +1,99 @@
-"""Writes and hashes the records of a log's MCAP file, with its channels under the numbers of the
-format.
+"""Writes a log's MCAP file (mcap.dev/spec), with its channels under the numbers of the format.
+
+    magic, header, metadata
+    chunks: messages, compressed, and behind them an index for each channel
+    attachments, between chunks
+    end of the data, then the summary: schemas, channels, statistics, indexes
+    footer, magic
+
+A channel and its schema are recorded before the channel's first message, so that viewers list no
+channel without messages.
 """
 
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from typing import Any, BinaryIO
 
-from google.protobuf.message import Message
-from mcap.records import Attachment, Channel, Schema, Statistics
+import zstandard
+from google.protobuf.message import Message as ProtobufMessage
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core import __version__
-from tetractl.log.format.channels import CHANNELS, METADATA, NUMBERS, WRITER, Record
+from tetractl.log.format.channels import (
+    CHANNELS,
+    MAGIC,
+    METADATA,
+    NUMBERS,
+    WRITER,
+    Entry,
+    Record,
+)
 from tetractl.log.format.digest import LogDigests
 
 UNNUMBERED = 0
 """MCAP's number of no schema."""
+CHUNK_BYTES = 1 << 20
+"""Size of the messages of a chunk above which it ends."""
+FOOTER_FIELDS = struct.Struct("<BQQQ")
+"""What the checksum of the summary covers of the footer: opcode, length, two offsets."""
+FOOTER_BYTES = 20
 
 
-class NumberedWriter(Writer):
-    """A writer of MCAP whose channels have numbers of their own.
-
-    `mcap.Writer` has no public way to that: `register_channel` counts them. What it does is done
-    here with its private fields, and nothing else of the package needs them.
-    """
-
-    _Writer__channels: dict[int, Channel]
-    _Writer__chunk_builder: Any
-    _Writer__statistics: Statistics
-
-    def record_channel(self, channel: Channel) -> None:
-        """Record a channel under its number, which no other one has."""
-        self._Writer__channels[channel.id] = channel
-        self._Writer__statistics.channel_count += 1
-        self._Writer__chunk_builder.add_channel(channel)
-
-
-class FileWriter(NumberedWriter):
+class FileWriter:
     """The file of a log, begun with its metadata; it hashes the records that it writes.
 
-    A channel and its schema are recorded before the channel's first message, so that viewers list
-    no channel without messages. Each topic of the format has its number, whichever others are in
-    the file.
+    Each topic of the format has its number, whichever others are in the file, which
+    `mcap.writer.Writer` does not allow.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
-        super().__init__(stream, use_summary_offsets=False, enable_data_crcs=True)
         self.digests = LogDigests()
-        self._numbers = dict[str, int]()  # of the channels so far, by topic
-        self._schemas = dict[tuple[str, bytes], int]()  # by name and data
+        self._stream = stream
+        self._size = 0  # bytes written so far
+        self._crc = 0  # of these
         self._others = dict[str, tuple[Channel, Schema | None]]()  # channels of another log
-        self.start(library=f"{WRITER} {__version__}")
+        # what is recorded so far: channels by topic, schemas by name and data
+        self._channels = dict[str, Channel]()
+        self._schemas = dict[tuple[str, bytes], Schema]()
+        # the open chunk, and the messages in it by the number of their channel
+        self._chunk = RecordBuilder()
+        self._messages = dict[int, MessageIndex]()
+        # what the summary states
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._counts = Counter[int]()  # messages, by the number of their channel
+
+        self._write(MAGIC)
+        self._write_record(Header(profile="", library=f"{WRITER} {__version__}"))
         # for other readers: some report a file without metadata as damaged
-        self.add_metadata(*METADATA)
+        name, contents = METADATA
+        begin = self._size
+        self._write_record(Metadata(name=name, metadata=contents))
+        self._metadata = MetadataIndex(offset=begin, length=self._size - begin, name=name)
 
     def allow(self, channel: Channel, schema: Schema | None) -> None:
         """Take messages of another log's channel; a topic of the format keeps its own."""
@@ -67,40 +106,169 @@ class FileWriter(NumberedWriter):
         self.digests.add(record)
         if isinstance(record, Attachment):
             self.flush()
-            self.add_attachment(0, record.log_time, record.name, record.media_type, record.data)
-            return
-        number = self._numbers.get(record.topic)
-        if number is None:
-            channel = self._channel(record.topic)
-            self.record_channel(channel)
-            number = self._numbers[record.topic] = channel.id
-        self.add_message(number, record.log_ns, record.data, record.publish_ns)
+            self._write_attachment(record)
+        else:
+            self._add_message(record)
 
-    def _channel(self, topic: str) -> Channel:
-        """Return the channel of a topic, whose schema is recorded."""
+    def flush(self) -> None:
+        """End the chunk of the messages so far, if there are any, and flush the stream."""
+        if self._messages:
+            self._write_chunk()
+        self._stream.flush()
+
+    def finish(self) -> None:
+        """Write the last chunk and the summary; the stream stays open."""
+        self.flush()
+        self._write_record(DataEnd(data_section_crc=self._crc))
+        begin = self._size
+        summary = RecordBuilder()
+        for record in self._summary():
+            record.write(summary)
+        data = summary.end()
+        self._write(data)
+        fields = FOOTER_FIELDS.pack(Opcode.FOOTER, FOOTER_BYTES, begin, 0)
+        crc = zlib.crc32(fields, zlib.crc32(data))
+        self._write_record(Footer(summary_start=begin, summary_offset_start=0, summary_crc=crc))
+        self._write(MAGIC)
+
+    # ---- a record ----
+
+    def _write(self, data: bytes) -> None:
+        self._crc = zlib.crc32(data, self._crc)
+        self._stream.write(data)
+        self._size += len(data)
+
+    def _write_record(self, record: McapRecord) -> None:
+        builder = RecordBuilder()
+        record.write(builder)
+        self._write(builder.end())
+
+    def _write_attachment(self, attachment: Attachment) -> None:
+        begin = self._size
+        written = replace(attachment, create_time=0)
+        self._write_record(written)
+        self._attachments.append(
+            AttachmentIndex(
+                offset=begin,
+                length=self._size - begin,
+                log_time=written.log_time,
+                create_time=written.create_time,
+                data_size=len(written.data),
+                name=written.name,
+                media_type=written.media_type,
+            )
+        )
+
+    # ---- the open chunk ----
+
+    def _add_message(self, entry: Entry) -> None:
+        """Add a message to the open chunk, and end the chunk if it is large."""
+        channel = self._channels.get(entry.topic) or self._record_channel(entry.topic)
+        index = self._messages.get(channel.id)
+        if index is None:
+            index = self._messages[channel.id] = MessageIndex(channel_id=channel.id, records=[])
+        index.records.append((entry.log_ns, self._chunk.count))
+        self._counts[channel.id] += 1
+        message = Message(
+            channel_id=channel.id,
+            log_time=entry.log_ns,
+            data=entry.data,
+            publish_time=entry.publish_ns,
+            sequence=0,
+        )
+        message.write(self._chunk)
+        if self._chunk.count > CHUNK_BYTES:
+            self._write_chunk()
+
+    def _record_channel(self, topic: str) -> Channel:
+        """Record the channel of a topic and its schema in the open chunk, and return it."""
         if topic in NUMBERS:
-            return Channel(
+            channel = Channel(
                 id=NUMBERS[topic],
                 topic=topic,
                 message_encoding=MessageEncoding.Protobuf,
                 metadata={},
                 schema_id=self._record_schema(protobuf_schema(CHANNELS[topic])),
             )
-        of_other_log, schema = self._others[topic]
-        schema_id = UNNUMBERED if schema is None else self._record_schema(schema)
-        number = max(*NUMBERS.values(), *self._numbers.values()) + 1
-        return replace(of_other_log, id=number, schema_id=schema_id)
+        else:
+            of_other_log, schema = self._others[topic]
+            numbers = [channel.id for channel in self._channels.values()]
+            channel = replace(
+                of_other_log,
+                id=max(*NUMBERS.values(), *numbers) + 1,
+                schema_id=UNNUMBERED if schema is None else self._record_schema(schema),
+            )
+        channel.write(self._chunk)
+        self._channels[topic] = channel
+        return channel
 
     def _record_schema(self, schema: Schema) -> int:
         """Record a schema, unless the same one is recorded, and return its number."""
         key = schema.name, schema.data
         if key not in self._schemas:
-            self._schemas[key] = self.register_schema(schema.name, schema.encoding, schema.data)
-        return self._schemas[key]
+            self._schemas[key] = replace(schema, id=len(self._schemas) + 1)
+            self._schemas[key].write(self._chunk)
+        return self._schemas[key].id
+
+    def _write_chunk(self) -> None:
+        """Write the open chunk and the indexes of its messages, and begin the next one."""
+        data = self._chunk.end()
+        times = [ns for index in self._messages.values() for ns, _ in index.records]
+        chunk = Chunk(
+            compression="zstd",
+            data=zstandard.compress(data),
+            message_start_time=min(times),
+            message_end_time=max(times),
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        begin = self._size
+        self._write_record(chunk)
+        end = self._size
+        offsets: dict[int, int] = {}
+        for number, index in self._messages.items():
+            offsets[number] = self._size
+            self._write_record(index)
+        self._messages.clear()
+        self._chunks.append(
+            ChunkIndex(
+                chunk_start_offset=begin,
+                chunk_length=end - begin,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                uncompressed_size=chunk.uncompressed_size,
+                message_start_time=chunk.message_start_time,
+                message_end_time=chunk.message_end_time,
+                message_index_offsets=offsets,
+                message_index_length=self._size - end,
+            )
+        )
+
+    # ---- the summary ----
+
+    def _summary(self) -> Iterator[McapRecord]:
+        """Yield what is repeated at the end of the file, and where chunks and attachments are."""
+        statistics = Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._chunks),
+            message_count=self._counts.total(),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            metadata_count=1,
+            schema_count=len(self._schemas),
+        )
+        yield from self._schemas.values()
+        yield from self._channels.values()
+        yield statistics
+        yield from self._chunks
+        yield from self._attachments
+        yield self._metadata
 
 
 @cache
-def protobuf_schema(message: type[Message]) -> Schema:
+def protobuf_schema(message: type[ProtobufMessage]) -> Schema:
     """Return the schema of a message, without a number of its own."""
     descriptor = message.DESCRIPTOR
     files = build_file_descriptor_set(message)

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
     from tetractl.replay.verify import Verification
     from tetractl.report.page import PlayerPage
-    from tetractl.results.contrast import BatchComparison
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.results.open_batch import Batch, Batches
     from tetractl.run.batch import Ending, RunObserver
     from tetractl.run.interrupt import Interrupt
@@ -393,8 +392,7 @@ def compare(
     """Compare the total errors of every two batches; differences are the first batch minus the
     second. Batches have the names of their folders, others those of `summarise`.
     """
-    from tetractl.results.contrast import contrast
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchStatistics, contrast
     from tetractl.results.open_batch import Batch
 
     compared = list[BatchStatistics]()
@@ -437,8 +435,7 @@ def plot(
     trials, those of a batch or its folder too. Statistics and comparisons are shown by "batch",
     whatever `kind` is. "video" is a video of one trial (.mp4, .gif or .webp).
     """
-    from tetractl.results.contrast import BatchComparison
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.draw import draw

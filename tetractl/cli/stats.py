@@ -11,8 +11,7 @@ from tetractl.tools.table.table_files import csv_text, json_text
 from tetractl.tools.table.terminal_table import TEXTS, print_tables
 
 if TYPE_CHECKING:
-    from tetractl.results.contrast import BatchComparison
-    from tetractl.results.describe import BatchStatistics
+    from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.results.open_batch import Source
 
 Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
@@ -64,7 +63,7 @@ def stats(
 
     Example: tetractl stats logs/slip
     """
-    from tetractl.results.contrast import contrast
+    from tetractl.results.describe import contrast
     from tetractl.results.open_batch import one_source, sources
 
     batches = sources(paths)

@@ -363,8 +363,7 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
     logs that cannot be described are no error: an aborted trial may leave none, or one without
     poses.
     """
-    from tetractl.results.contrast import contrast
-    from tetractl.results.describe import describe
+    from tetractl.results.describe import contrast, describe
     from tetractl.results.open_batch import open_batch
 
     try:

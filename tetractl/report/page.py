@@ -22,8 +22,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.trial_data import packed, trial_data
 from tetractl.results.as_json import comparison_items
-from tetractl.results.contrast import BatchComparison, contrast
-from tetractl.results.describe import BatchStatistics, describe
+from tetractl.results.describe import BatchComparison, BatchStatistics, contrast, describe
 from tetractl.results.flagged import SAFETY
 from tetractl.results.open_batch import Source, counts, sources
 from tetractl.results.tables import (

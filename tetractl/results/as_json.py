@@ -8,8 +8,7 @@ rounded; unknown ones are NaN or None, which JSON writes as null.
 from typing import Any
 
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.contrast import BatchComparison, Contrast
-from tetractl.results.describe import BatchStatistics, ScaledError
+from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, ScaledError
 from tetractl.results.flagged import flagged
 from tetractl.results.statistic import trial_items
 from tetractl.results.trial_tables import trials_table

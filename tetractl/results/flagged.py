@@ -1,17 +1,34 @@
 """Which logs of a batch should be examined, and why: trials that do not count, unsafe robots, lost
 robots, damage, and robots that turned otherwise than in the other trials.
+
+A pose that turns, with its course, from the start of a trial on looks like wheels that differ, and
+no check of one trial can tell the two apart. But a robot has the same wheels in every trial. With
+its rate x_k and standard error e_k in trial k of n (`lab.drift_check`), the median m of the rates
+and e of the errors, trial k differs if
+
+    |x_k - m| > z sqrt(e_k^2 + max(0, (1 + FEW / n)^2 s^2 - e^2)),   s = 1.4826 median |x_j - m|,
+
+where s is the standard deviation of the rates, whatever fewer than half of them show, and z a
+quantile of the normal distribution: of all N n rates of N robots, one is beyond it by chance in the
+fraction CHANCE of batches. The fewer trials, the less is known of s; with FEW, normal rates exceed
+the limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller ones.
 """
 
-from collections.abc import Callable
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
 
 from tetractl.core.losses import STOOD
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import Batch, counts, errors_known
-from tetractl.results.turning import turned_otherwise
 from tetractl.tools.table.table import plural
 
 ATTEMPT = "an earlier attempt, excluded"
@@ -25,6 +42,14 @@ SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
     TOUCHED_EACH_OTHER: Verdict.touched,
 }
 """What must not happen, with a function that returns which robots of a given radius did it."""
+CHANCE = 0.01
+"""Share of batches in which a rate is beyond its limit by chance."""
+LEAST = 6
+"""Least number of trials with a known rate that are compared."""
+FEW = 14.0
+"""By how much fewer trials widen the limit: see above."""
+DEVIATION_OVER_MEDIAN = 1.4826
+"""Standard deviation of normal values over the median of their distances to the median."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,3 +116,73 @@ def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
         if any(did):
             robots_by_label[label] = list(compress(names, did))
     return robots_by_label
+
+
+# ---- Robots that turned otherwise ----
+
+
+@dataclass(frozen=True, slots=True)
+class TrialTurn:
+    """How a robot turned by itself in a trial, whose log is `log` [rad/s]: `off` is by how much
+    more than in the median of its trials, and `limit` is above what no chance explains.
+    """
+
+    log: str
+    robot: str
+    off: float
+    limit: float
+
+    @property
+    def odd(self) -> bool:
+        """Whether the robot turned otherwise than in its other trials."""
+        return abs(self.off) > self.limit
+
+
+def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
+    """Yield the turns of every robot with enough trials in which its rate is known."""
+    robots = trials[0].experiment.setup.names if trials else ()
+    measured = [trial for trial in trials if trial.result.verdict.turn]
+    for i, robot in enumerate(robots):
+        compared = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
+        n = len(compared)
+        if n < LEAST:
+            continue
+        rates = np.array([trial.result.verdict.turn[i] for trial in compared])
+        errors = np.array([trial.result.verdict.turn_std[i] for trial in compared])
+        off = rates - np.median(rates)
+        deviation = (1 + FEW / n) * DEVIATION_OVER_MEDIAN * np.median(np.abs(off))
+        unexplained = max(0.0, deviation**2 - np.median(errors) ** 2)  # by the errors
+        chance_of_one_side = CHANCE / (2 * len(robots) * n)
+        z = NormalDist().inv_cdf(1 - chance_of_one_side)
+        limits = z * np.sqrt(errors**2 + unexplained)
+        for trial, trial_off, limit in zip(compared, off.tolist(), limits.tolist(), strict=True):
+            yield TrialTurn(trial.log, robot, trial_off, limit)
+
+
+def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
+    """Return a text for each robot that turned otherwise than in its other trials, by the path of
+    the trial.
+    """
+    texts = defaultdict[str, list[str]](list)
+    for turn in turns_of(trials):
+        if turn.odd:
+            text = f"{turn.robot} turned by {turn.off:+.2f} rad/s unlike in the other trials"
+            texts[turn.log].append(text)
+    return texts
+
+
+def turn_columns(trial: ResultSummary) -> dict[str, Any]:
+    """Return each robot's rate and its standard error, None if they are unknown."""
+    if trial.simulated or trial.experiment.setup.wheel_radius is None:
+        return {}
+    names = trial.experiment.setup.names
+    verdict = trial.result.verdict
+    unknown = (math.inf,) * len(names)
+    rates = verdict.turn or unknown
+    errors = verdict.turn_std or unknown
+    items = dict[str, Any]()
+    for name, rate, error in zip(names, rates, errors, strict=True):
+        is_measured = math.isfinite(error)
+        items[f"turn_{name}_rad_s"] = rate if is_measured else None
+        items[f"turn_std_{name}_rad_s"] = error if is_measured else None
+    return items

@@ -15,8 +15,7 @@ from pathlib import Path
 
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.contrast import BatchComparison, Contrast
-from tetractl.results.describe import BatchStatistics, ScaledError
+from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, ScaledError
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged, unsafe
 from tetractl.results.mean_difference import MeanDifference

@@ -19,8 +19,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
 from tetractl.replay.verify import Verification
-from tetractl.results.contrast import BatchComparison, Contrast, contrast
-from tetractl.results.describe import BatchStatistics, describe
+from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, contrast, describe
 from tetractl.results.open_batch import Batch, Batches
 from tetractl.results.tables import differences_table, summary, trials_listed
 from tetractl.tools.table.table import Column, Table, fixed, lengths

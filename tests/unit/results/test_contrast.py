@@ -13,7 +13,7 @@ from support.batches import DISTURBED, batch, experiment, group
 from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import contrast_items
-from tetractl.results.contrast import contrast
+from tetractl.results.describe import contrast
 from tetractl.results.tables import summary
 
 TRIALS = 20

@@ -6,7 +6,7 @@ from support.paths import ROOT
 
 from tetractl.api import read_batch, read_log, run_batch, to_arrays
 from tetractl.experiment.load import load_spec
-from tetractl.results.disc import DISC, discs
+from tetractl.results.built_in_statistics import DISC, discs
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]  # the trials of its fixture
 HOLD_S = 7

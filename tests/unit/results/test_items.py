@@ -8,7 +8,7 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, grou
 
 from tetractl.core.plan import Outcome
 from tetractl.results.as_json import comparison_items
-from tetractl.results.contrast import contrast
+from tetractl.results.describe import contrast
 from tetractl.tools.table.table_files import json_text
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()

@@ -4,7 +4,7 @@ import numpy as np
 from support.batches import batch
 
 from tetractl.core.plan import Outcome
-from tetractl.results import outcomes
+from tetractl.results import built_in_statistics
 from tetractl.results.estimate import distributions, proportion_interval
 from tetractl.results.statistic import count, mean_figure, share, share_figure
 
@@ -45,7 +45,7 @@ def test_outcomes_are_explained_where_there_is_room():
     trials = batch([*ERRORS, [1.0]])
     done = trials[0].outcome
     trials[4] = batch([[1.0]], outcome=Outcome.ABORTED)[0]
-    (figure,) = outcomes.OUTCOMES.of_batch(trials)
+    (figure,) = built_in_statistics.OUTCOMES.of_batch(trials)
     explained = f"4 {done.value} ({done.meaning}); 1 aborted ({Outcome.ABORTED.meaning})"
     assert figure.text == explained
     assert figure.brief == f"4 {done.value}, 1 aborted"
@@ -57,8 +57,8 @@ def test_outcomes_are_explained_where_there_is_room():
 
 def test_what_is_unknown_says_why_and_is_null_in_json():
     trials = batch(ERRORS)
-    (arrived,) = outcomes.ARRIVED.of_batch(trials)
+    (arrived,) = built_in_statistics.ARRIVED.of_batch(trials)
     assert arrived.text == "- (no arrival_tolerance)"
     assert arrived.items == {"arrived": None, "arrived_ci95": None}
-    (clearance,) = outcomes.EDGE.of_batch(trials)
+    (clearance,) = built_in_statistics.EDGE.of_batch(trials)
     assert clearance.text == "-"

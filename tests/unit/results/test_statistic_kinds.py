@@ -10,7 +10,7 @@ from support.batches import batch, group
 
 from tetractl.core.registries import STATISTICS
 from tetractl.results.as_json import comparison_items, data_table
-from tetractl.results.contrast import contrast
+from tetractl.results.describe import contrast
 from tetractl.results.statistic import number
 from tetractl.results.tables import tables
 from tetractl.tools.table.table_files import csv_text

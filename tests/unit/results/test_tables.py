@@ -12,7 +12,7 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, grou
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Verdict
-from tetractl.results.contrast import contrast
+from tetractl.results.describe import contrast
 from tetractl.results.tables import summary, tables
 from tetractl.tools.table.terminal_table import WIDTH, latex, markdown, print_tables
 

@@ -16,8 +16,8 @@ from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
+from tetractl.results.built_in_statistics import LOST
 from tetractl.results.flagged import trial_notes
-from tetractl.results.outcomes import LOST
 from tetractl.run.spec_trial import log_path, run_logged
 
 REST = """

@@ -15,7 +15,7 @@ from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
-from tetractl.results.outcomes import TIME_INSIDE
+from tetractl.results.built_in_statistics import TIME_INSIDE
 from tetractl.run.spec_trial import log_path, run_logged
 
 MPC = """{type: mpc, period: 0.2, horizon_max: 30, time_limit: 40.2, accept_error: 20,

@@ -11,10 +11,9 @@ from support.batches import batch, experiment, group
 
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import batch_items
-from tetractl.results.contrast import contrast
-from tetractl.results.flagged import flagged
+from tetractl.results.describe import contrast
+from tetractl.results.flagged import flagged, turned_otherwise
 from tetractl.results.tables import summary, texts_by_label
-from tetractl.results.turning import turned_otherwise
 from tetractl.tools.table.terminal_table import print_tables
 
 WHEELS_TURN_RAD_S = np.array([0.03, -0.17, 0.11])  # of green, blue and red

@@ -1,5 +1,6 @@
 """The built-in statistics of a batch: how its trials ended, how near robots came to obstacles, to
-the arena's edge and to one another, what must not happen, and solve times.
+the arena's edge and to one another, what must not happen, how tightly robots were held at their
+targets, and solve times.
 
 Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
 in a lab; percentiles of solve times are over all steps of all trials.
@@ -7,19 +8,30 @@ in a lab; percentiles of solve times are over all steps of all trials.
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tetractl.core.clock import MILLISECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Floats
 from tetractl.core.trial import Verdict
-from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.flagged import ENTERED, LEFT, SAFETY, TOUCHED_EACH_OTHER
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.trial_log import ResultSummary, TrialLog
+from tetractl.results.estimate import distributions
+from tetractl.results.flagged import (
+    ENTERED,
+    LEFT,
+    SAFETY,
+    TOUCHED_EACH_OTHER,
+    TrialTurn,
+    turn_columns,
+    turns_of,
+)
 from tetractl.results.open_batch import listing
-from tetractl.results.statistic import Figure, Statistic, share_figure
-from tetractl.results.turning import TrialTurn, turn_columns, turns_of
+from tetractl.results.statistic import Figure, Statistic, mean_figure, share_figure
 from tetractl.tools.table.table import NONE, digits, lengths
 
 # ---- How trials ended ----
@@ -206,6 +218,65 @@ LOST = mean_of_each(_lost, "mean number of robots", "{:.3g}".format)
 TIME_INSIDE = mean_of_each(
     _time_inside, "mean share of the hold's time within the radius", "{:.3f}".format
 )
+
+# ---- How tightly robots were held ----
+
+SHARE = 0.95
+"""Share of the time for which a robot is in its disc."""
+SETTLING_S = 5.0
+"""Time from the begin of a hold that is not counted [s]."""
+
+
+def discs(log: TrialLog) -> Floats:
+    """Return the diameter (N,) of each robot's disc [length unit]; NaN if no frame counts.
+
+    A robot is in the disc round its target for 95 % of the hold: the diameter is twice the
+    0.95-quantile of the distances to the target, by true poses where they are known, without the
+    first SETTLING_S.
+    """
+    setup = log.start.setup
+    held_ns = [s.observation.sampled_ns for s in log.steps if s.plan.leg == len(setup.legs)]
+    counts_from_ns = held_ns[0] + SETTLING_S * SECOND if held_ns else np.inf
+    poses = log.mocap if log.truth is None else log.truth
+    distances = setup.distances(poses[log.mocap_ns >= counts_from_ns, :, :2])
+    if not len(distances):
+        return np.full(distances.shape[1], np.nan)
+    return 2 * np.nanquantile(distances, SHARE, axis=0)
+
+
+@lru_cache(maxsize=1024)
+def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
+    """Return `discs` of the log with a content digest: a table of trials and its means need it."""
+    trial = read_trial(log)
+    return tuple(discs(trial).tolist())
+
+
+def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
+    """Return the diameter of each robot's disc; None without a whole log or a complete hold."""
+    hold = trial.experiment.hold
+    if hold is None or hold.time <= SETTLING_S:
+        return {}
+    names = trial.experiment.setup.names
+    diameters: Sequence[float | None] = [None] * len(names)
+    if trial.outcome.complete and not trial.brief:
+        diameters = _discs_of(Path(trial.log), trial.digest)
+    return {f"disc_{name}": diameter for name, diameter in zip(names, diameters, strict=True)}
+
+
+def _mean_discs(trials: Sequence[ResultSummary]) -> list[Figure]:
+    """Return the mean of each robot's diameter over the trials, with its 95 % interval."""
+    rows = [_disc_columns(trial) for trial in trials]
+    unit = trials[0].experiment.units.length
+    figures: list[Figure] = []
+    for key in rows[0]:
+        diameters = [row[key] for row in rows if row[key] is not None]
+        (distribution,) = distributions(np.array([diameters], dtype=float))
+        label = f"diameter of the disc of 95 % of the hold ({key}), mean [{unit}]"
+        figures.append(mean_figure(key, label, distribution, states_n=True))
+    return figures
+
+
+DISC = Statistic(_mean_discs, _disc_columns)
 
 # ---- Time for decisions ----
 

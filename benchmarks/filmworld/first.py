@@ -7,7 +7,7 @@ that wanders; a knock in the middle of the film; a field that is recorded late.
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,7 @@ UM_PX = 2.3
 CELLS = 20
 STRANGERS = 4
 BRIGHT_FIELD = 150.0  # grey level of the medium
+RIM_UM = 6.0  # width of the halo around a cell, and of what is hollow within
 LN_PULSE_HZ = math.log(0.15), math.log(3.0)  # least and greatest
 
 
@@ -57,22 +58,24 @@ class PulsingSwimmers(Swimmers):
         return PulsingSwimmers(**{name: array[which] for name, array in vars(self).items()})
 
 
-@dataclass(slots=True)
 class WidePainter(DishPainter):
-    """A painter whose cells have the share `halo` of their contrast around them, over `rim_um`, and
+    """A painter whose cells have the share `halo` of their contrast around them, over RIM_UM, and
     the share `hollow` of it missing within, both of which may be negative; `ink_shares` (N,)
     are each cell's share of the film's contrast.
     """
 
-    halo: float = 0.0
-    rim_um: float = 6.0
-    hollow: float = 0.0
-    ink_shares: np.ndarray = field(default_factory=lambda: np.ones(0))
-    _scratch: np.ndarray | None = None
+    def __init__(
+        self, look: PictureLook, seed: int, halo: float, hollow: float, ink_shares: np.ndarray
+    ) -> None:
+        super().__init__(look, seed)
+        self.halo = halo
+        self.hollow = hollow
+        self.ink_shares = ink_shares
+        self._scratch = np.zeros((look.height, look.width), np.float32)
 
     def _draw_cell(self, ink, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
         middle = moments[len(moments) // 2]
-        reach = (cells.length[i] / 2 + 4 * self.rim_um + 30) / self.look.um_px
+        reach = (cells.length[i] / 2 + 4 * RIM_UM + 30) / self.look.um_px
         patch = self._patch(middle.x[i], middle.y[i], reach)
         if patch is None:
             return
@@ -80,15 +83,13 @@ class WidePainter(DishPainter):
         cover = self._covered(where, cells, moments, i, 0.0)
         total = cover.copy()
         if self.halo:
-            total -= self.halo * (self._covered(where, cells, moments, i, self.rim_um) - cover)
+            total -= self.halo * (self._covered(where, cells, moments, i, RIM_UM) - cover)
         if self.hollow:
-            total -= self.hollow * self._covered(where, cells, moments, i, -self.rim_um)
+            total -= self.hollow * self._covered(where, cells, moments, i, -RIM_UM)
         ink[where] = ink[where] * (1 - 0.5 * cover) + self.ink_shares[i] * total
 
     def _covered(self, where, cells, moments, i: int, more: float) -> np.ndarray:
         """Return how far a body that is larger by `more` [um] on each side covers each pixel."""
-        if self._scratch is None:
-            self._scratch = np.zeros((self.look.height, self.look.width), np.float32)
         size = replace(cells, length=cells.length + 2 * more, width=cells.width + 2 * more)
         DishPainter._draw_cell(self, self._scratch, size, moments, i)
         picture = self._scratch[where].copy()
@@ -156,10 +157,9 @@ class WideFilm(SyntheticFilm):
     def pictures(self) -> Iterator[np.ndarray]:
         random = np.random.default_rng([self.seed, 7])
         # the JPEG comes later, at the quality of the whole film
-        painter = WidePainter(replace(self.look, quality=None), self.seed)
-        painter.halo = self.halo
-        painter.hollow = self.hollow
-        painter.ink_shares = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.15, 64))
+        look = replace(self.look, quality=None)
+        ink_shares = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.15, 64))
+        painter = WidePainter(look, self.seed, self.halo, self.hollow, ink_shares)
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         focus = 0.0
         knocked = False

@@ -20,7 +20,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl_emulator.faults import Fault, Injector
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.port import PluggedDevices
-from tetractl_emulator.process import PROCESS_FAULTS, PortHolder, Process
+from tetractl_emulator.process import PROCESS_FAULTS, Process
 from tetractl_emulator.script import Script, Sides
 from tetractl_emulator.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl_emulator.wires import Wires
@@ -76,8 +76,7 @@ class EmulatedLab:
         self.camera: EmulatedCamera = blind or sides.camera(
             stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
         )
-        holder = PortHolder(self, self.wires.clock())
-        self._process = holder if process_of is None else process_of(self)
+        self._process = process_of(self) if process_of else Process(self, self.wires.clock())
         self._moving = [False] * len(self.actuator.bodies)
         self._has_run = False  # whether robots were driven since they were put on their starts
         self._at_rest_since_ns: int | None = start_ns  # None while any robot moves

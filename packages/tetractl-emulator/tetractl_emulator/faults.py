@@ -10,7 +10,7 @@ is to be done when the fault ends, None for nothing.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from enum import Enum, auto
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
@@ -58,6 +58,12 @@ class Fault(Model):
     """
     duration: Positive | None = Field(default=None, alias="for")
     """Duration of the fault [s]; by default the rest of the run."""
+
+    @property
+    def subject(self) -> str | None:
+        """The name of the robot or cell that has the fault; None if it is the device's."""
+        fields = dict(self)
+        return fields.get("robot", fields.get("cell"))
 
     def names(self) -> Iterator[str]:
         """Yield the names of robots in the fault's fields."""
@@ -181,22 +187,29 @@ MARK = fault_kind(
 )
 
 
-@dataclass(slots=True)
 class Injector:
-    """Schedules the faults of a script; `device_of` returns the device of a fault.
+    """Schedules the faults of a script; `device_of` returns the device of a fault. `acting` are
+    those that act now.
 
     `report(phase, fault)` is called with the phase "start" when a fault becomes visible, and with
     the phase "end" when it ends.
     """
 
-    timeline: Timeline
-    faults: tuple[Fault, ...]
-    device_of: Callable[[Fault], Any]
-    report: Callable[[str, Fault], None]
-    acting: ActingFaults = field(default_factory=ActingFaults)
-    _newest: int = 0  # exposure
-    _pending: list[tuple[Fault, int]] = field(default_factory=list)  # and the first during each
-    _since: set[str] = field(default_factory=set)
+    def __init__(
+        self,
+        timeline: Timeline,
+        faults: Sequence[Fault],
+        device_of: Callable[[Fault], Any],
+        report: Callable[[str, Fault], None],
+    ) -> None:
+        self.acting = ActingFaults()
+        self._timeline = timeline
+        self.faults = faults
+        self.device_of = device_of
+        self._report = report
+        self._newest = 0  # exposure
+        self._pending: list[tuple[Fault, int]] = []  # and the first exposure during each
+        self._since = set[str]()
 
     def happened(self, what: str) -> None:
         """Record an event (start, client, run or stop); when it first happens, schedule the faults
@@ -207,8 +220,8 @@ class Injector:
         self._since.add(what)
         for fault in self.faults:
             if fault.since == what:
-                start = self.timeline.now_ns + round(fault.at * SECOND)
-                self.timeline.at(start, lambda fault=fault: self._begin(fault))
+                start = self._timeline.now_ns + round(fault.at * SECOND)
+                self._timeline.at(start, lambda fault=fault: self._begin(fault))
 
     def exposed(self, exposure: int) -> None:
         """Record that the exposure with this number is about to be taken."""
@@ -221,7 +234,7 @@ class Injector:
         for fault, first in list(self._pending):
             if fault.visible is Visible.SENT or exposure >= first:
                 self._pending.remove((fault, first))
-                self.report("start", fault)
+                self._report("start", fault)
 
     def act(self, fault: Fault) -> Undo:
         """Let a fault act; return what ends it."""
@@ -237,15 +250,15 @@ class Injector:
 
     def _begin(self, fault: Fault) -> None:
         if fault.visible is Visible.AT_ONCE:
-            self.report("start", fault)  # before it: a killed process reports nothing
+            self._report("start", fault)  # before it: a killed process reports nothing
         end = self.act(fault)
         if fault.visible is not Visible.AT_ONCE:
             self._pending.append((fault, self._newest + 1))
         if fault.duration is not None:
-            ends_ns = self.timeline.now_ns + round(fault.duration * SECOND)
+            ends_ns = self._timeline.now_ns + round(fault.duration * SECOND)
 
             def finish() -> None:
                 end()
-                self.report("end", fault)
+                self._report("end", fault)
 
-            self.timeline.at(ends_ns, finish)
+            self._timeline.at(ends_ns, finish)

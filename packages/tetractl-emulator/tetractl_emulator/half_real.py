@@ -171,9 +171,3 @@ class TwinActuator:
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask the real robots."""
         return self._real.poll(timeout_s)
-
-
-def refuse_cells(chosen: bool, camera: str, actuator: str) -> None:
-    """Raise AbortError for labs whose devices cannot be parted."""
-    if chosen or camera == actuator or actuator == "field":
-        raise AbortError(f"{camera} and {actuator} cannot be real and emulated one by one")

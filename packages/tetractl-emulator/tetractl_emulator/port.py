@@ -102,9 +102,9 @@ class SerialDevice(ABC):
     def hear(self, data: bytes) -> None:
         """Take bytes received over the line."""
 
-    @abstractmethod
     def _witness(self, data: bytes) -> None:
         """Record bytes read from the port, even if the device does not receive them."""
+        self._note_commands(self._splitter.feed(data))
 
     def readable(self) -> None:
         """Read the bytes that a program wrote to the port; the device receives them after the time

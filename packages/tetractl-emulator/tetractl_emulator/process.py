@@ -37,26 +37,36 @@ SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 
 class Process:
-    """The process that drives the robots of `lab`, an `EmulatedLab`, through its actuator's port,
-    which it opens with `ports`; what cannot be done to it does nothing.
+    """The process that drives the robots of `lab`, an `EmulatedLab`: it has locked the port of the
+    actuator, which it opens with `ports`. Nothing is done to it if none has.
     """
 
-    def __init__(self, lab: Any, ports: Ports, clock: Clock) -> None:
+    def __init__(self, lab: Any, clock: Clock, ports: Ports = SerialPort) -> None:
         self._lab = lab
-        self._ports = ports
         self._clock = clock
+        self._ports = ports
 
     def signal(self, name: str) -> None:
         """Send the process a signal, by its name without SIG."""
+        self._act(lambda pid: os.kill(pid, signal.Signals[f"SIG{name}"]))
 
     def stop(self, on: bool) -> None:
         """Suspend the process as SIGSTOP and a computer's sleep do, or let it continue."""
+        self._act(lambda pid: os.kill(pid, signal.SIGSTOP if on else signal.SIGCONT))
 
     def fill_disk(self) -> None:
-        """Let every further write of the log fail."""
+        """Let every write of the process to a file fail, and none be cut short: Python 3.11 keeps
+        a module's bytecode of which a part was written, and the next process may fail on it.
+        """
+        self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0)))
 
     def press_stop(self) -> None:
-        """Press the key of the emergency stop."""
+        """Do nothing: another process cannot press the key of the emergency stop."""
+
+    def _act(self, act: Callable[[int], object]) -> None:
+        with suppress(OSError):
+            if pid := holder(self._lab.port):
+                act(pid)
 
     def run_again(self) -> None:
         """Let a second run open the port; record the answer, "" if the port opens."""
@@ -72,32 +82,6 @@ class Process:
         self._lab.note("second", says=says)
 
 
-class PortHolder(Process):
-    """The process that has locked a port of this computer."""
-
-    def __init__(self, lab: Any, clock: Clock) -> None:
-        super().__init__(lab, SerialPort, clock)
-
-    def signal(self, name: str) -> None:
-        """Send the process a signal."""
-        self._act(lambda pid: os.kill(pid, signal.Signals[f"SIG{name}"]))
-
-    def stop(self, on: bool) -> None:
-        """Suspend the process, or let it continue."""
-        self._act(lambda pid: os.kill(pid, signal.SIGSTOP if on else signal.SIGCONT))
-
-    def fill_disk(self) -> None:
-        """Let every write of the process to a file fail, and none be cut short: Python 3.11 keeps
-        a module's bytecode of which a part was written, and the next process may fail on it.
-        """
-        self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0)))
-
-    def _act(self, act: Callable[[int], object]) -> None:
-        with suppress(OSError):
-            if pid := holder(self._lab.port):
-                act(pid)
-
-
 class ThisProcess(Process):
     """This process, in virtual time on `clock`; `supervision` is that of its trial, and `outlive`
     lets the emulated lab go on alone, and closes it.
@@ -111,7 +95,7 @@ class ThisProcess(Process):
         supervision: LabSupervision,
         outlive: Callable[[], None],
     ) -> None:
-        super().__init__(lab, ports, clock)
+        super().__init__(lab, clock, ports)
         self._supervision = supervision
         self._outlive = outlive
 
@@ -122,6 +106,9 @@ class ThisProcess(Process):
             return
         self._outlive()
         os.kill(os.getpid(), signal.SIGKILL)
+
+    def stop(self, on: bool) -> None:
+        """Do nothing: the clock stands still while the fault acts."""
 
     def fill_disk(self) -> None:
         """Let the log's next write fail."""

@@ -91,13 +91,10 @@ class LabClock(VirtualClock):
         self._read_wires()
         for act in (*self.receivers, *self.steps):
             act()
-        self._watch()
+        self.watch()
 
-    def note_action(self) -> None:
-        """Let the watchers see what an action has changed, which may end within the same step."""
-        self._watch()
-
-    def _watch(self) -> None:
+    def watch(self) -> None:
+        """Let the watchers look: what an action has changed may end within the same step."""
         for look in self.watchers:
             look()
 
@@ -121,9 +118,6 @@ class LiveClock(LabClock):
     def sleep_until(self, when: int) -> None:
         """Wait until `when` [ns]."""
         self._host.sleep_until(when)
-
-    def note_action(self) -> None:
-        """Do nothing: the watchers look from the thread that makes the steps."""
 
     def start(self) -> Callable[[], None]:
         """Begin to make steps; return what ends it."""

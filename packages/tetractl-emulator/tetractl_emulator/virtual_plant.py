@@ -16,7 +16,7 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Action, Command
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import EMULATED_DEVICES, REAL_DEVICE, PlantInfo
@@ -104,7 +104,7 @@ class EmulatedPlantSection(RigSection):
         """Return the rig of a new emulated lab. Trials with the same root seed have the same cells
         in the dish; the trial's `seed` gives everything else.
         """
-        from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator, refuse_cells
+        from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
         from tetractl_emulator.script import NOTHING, script_of
         from tetractl_emulator.sides import Options
         from tetractl_emulator.virtual_lab import LabClock, LiveClock, outlive, started
@@ -123,8 +123,10 @@ class EmulatedPlantSection(RigSection):
         faults = self.with_files(Path()).faults
         types = self.camera.type, self.actuator.type
         script = script_of(faults, *types) if isinstance(faults, dict) else NOTHING
-        if self.real:
-            refuse_cells(chosen, *types)
+        has_cells = chosen or self.actuator.type == "field"
+        if self.real and (has_cells or self.camera.type == self.actuator.type):
+            names = " and ".join(types)
+            raise AbortError(f"{names} cannot be real and emulated one by one")
         blind = Blind() if self.real == "camera" else None
         wake = threading.Event()
         emulation = started(self, setup, clock, options, script, watched, blind)
@@ -194,5 +196,6 @@ class BusyPlant(LabPlant):
             if self._observed_ns is not None and self._plans % busy.every == 0:
                 self.clock.sleep_until(self.clock.now() + round(busy.seconds * SECOND))
         command = super().send(action)
-        self.clock.note_action()
+        if not self._halves:  # else they look from the thread that makes the steps
+            self.clock.watch()
         return command

@@ -187,11 +187,15 @@ def track_record(
         note = f"at fewer than {math.ceil(RATE_MIN)} pictures/s, cells have no speed along a helix"
     notes = [note]
     items = [cell_items(cell, path) for cell, path in zip(summaries, cells.paths, strict=True)]
-    turning = [item for item in items if _is_slower_than_its_way(item)]
-    for item in turning:
-        item.update(dict.fromkeys(OF_THE_HELIX))
+    turning: list[str] = []
+    for item in items:
+        speed = item["speed_um_s"]
+        # along a helix it is below the velocity along its way
+        if speed is not None and speed["ci95"][1] < STRAIGHTER * item["vsl_um_s"]:
+            item.update(dict.fromkeys(OF_THE_HELIX))
+            turning.append(str(item["cell"]))
     if turning:
-        names = _cells([str(item["cell"]) for item in turning])
+        names = _cells(turning)
         notes.append(f"without speed and a, as they turn by themselves, as no helix does: {names}")
     return plain(
         {
@@ -203,9 +207,3 @@ def track_record(
             "field": field and {"time_s": field.times, "x": field.acts.real, "y": field.acts.imag},
         }
     )
-
-
-def _is_slower_than_its_way(item: dict) -> bool:
-    """Return whether the speed of a cell along a helix is below the velocity along its way."""
-    speed = item["speed_um_s"]
-    return speed is not None and speed["ci95"][1] < STRAIGHTER * item["vsl_um_s"]

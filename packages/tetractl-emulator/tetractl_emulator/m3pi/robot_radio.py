@@ -5,7 +5,6 @@ of robots are its own affair.
 """
 
 import random
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -62,10 +61,12 @@ class RobotRadio(SerialDevice):
                 for _ in range(self.times):
                     self._timeline.at(arrives_ns + robot.late_ns, hear)
 
-    @abstractmethod
     def stop_elsewhere(self, sequence: int) -> None:
-        """Let the robots hear an emergency stop of another sender, with its own sequence number."""
+        """Let the robots hear an emergency stop of another sender, with its own sequence number;
+        none if it cannot reach them."""
 
-    @abstractmethod
     def poll_answers(self) -> None:
         """Send the answers that robots have ready; to be called about every millisecond."""
+        for robot in self.robots:
+            if answer := robot.answer():
+                self._answer(answer)

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import SECOND
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
 from tetractl_emulator.fault_rows import (
@@ -93,11 +92,6 @@ class OptitrackSettings(Model):
 
 SENT = Visible.SENT
 EXPOSED = Visible.EXPOSED
-
-
-def _set_clock(fault: Any, device: Any) -> Undo:
-    ahead_ns = round(fault.by * SECOND)
-    return adding(device.clock_errors, lambda when_ns: ahead_ns)
 
 
 def _run_clock(fault: Any, device: Any) -> Undo:
@@ -316,7 +310,6 @@ FAULTS = (
         "The server's clock is set forward by a time [s].",
         fields={"by": Finite},
         rows=[FaultRow("camera's clock jumps", LATE, {"by": signed(5e-4, 5)})],
-        begin=_set_clock,
     ),
     fault_kind(
         "clock_rate",

@@ -90,7 +90,7 @@ class EmulatedOptitrack(PoseCamera):
     """An emulated Motive server, and the rigid bodies on the robots; `names` are the names and
     numbers of bodies that it reports. It serves `clients` by unicast, and has `greeted` addresses.
     It `counts` what is RECORDED, and how often it was asked for its models. `clock_errors`, of
-    faults, say what its clock has gained [ns] by a time on the host's clock [ns].
+    clocks that drift, say what its clock has gained [ns] by a time on the host's clock [ns].
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -150,6 +150,7 @@ class EmulatedOptitrack(PoseCamera):
     def ticks(self, when_ns: int) -> int:
         """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
         gained_ns = sum(gained_ns(when_ns) for gained_ns in self.clock_errors)
+        gained_ns += sum(round(jump.by * SECOND) for jump in self.acting.of("clock_jump"))
         return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
     def _readable(self, catch_up: Callable[[], None]) -> None:

@@ -119,9 +119,6 @@ class CurrentDriver(SerialDevice):
         if on:
             self._core = DriverCore(self._limits, self._now_ms)
 
-    def _witness(self, data: bytes) -> None:
-        self._note_commands(self._splitter.feed(data))
-
     def _command(self, sealed: bytes) -> dict[str, Any]:
         command = decode_command(sealed)
         flags = int(command.flags)

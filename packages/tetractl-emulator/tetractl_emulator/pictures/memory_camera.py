@@ -82,14 +82,14 @@ class MemoryCamera:
 
     def _expose(self, now_ns: int) -> None:
         """Put the next picture on the wire, if its exposure has ended."""
-        timing = self._stream.timing
-        exposed_ns = self._start_ns + timing.middle_ns(self._next)
-        if now_ns < exposed_ns + timing.half_ns:
+        stream = self._stream
+        exposed_ns = self._start_ns + stream.middle_ns(self._next)
+        if now_ns < exposed_ns + stream.half_ns:
             return
         self._next += 1
-        if self.watched and not self._stream.withholds(self._next):
-            drawn = self._stream.drawn_part(exposed_ns)
-            self._wire.append(DuePart(exposed_ns + self._stream.latency_ns, exposed_ns, drawn))
+        if self.watched and not stream.withholds(self._next):
+            drawn = stream.drawn_part(exposed_ns)
+            self._wire.append(DuePart(exposed_ns + stream.latency_ns, exposed_ns, drawn))
 
     def _deliver(self, due: DuePart) -> None:
         """Pass a part to the program that watches, if any, as faults change it."""

@@ -2,7 +2,7 @@
 
 The stream is multipart MJPEG: part after part, each with a boundary, a header, and a JPEG file.
 
-    stream = PictureStream(draw, PictureTiming(rate_hz=30.0))
+    stream = PictureStream(draw, rate_hz=30.0)
     with EmulatedNetworkCamera(stream, MonotonicClock()) as camera:
         print(camera.url)                                 for any program that reads such streams
 
@@ -32,57 +32,41 @@ WAITING_MAX = 32
 """Most pictures that wait on the way to a client."""
 
 
-@dataclass(frozen=True, slots=True)
-class PictureTiming:
-    """When pictures are exposed and sent: the middle of picture k's exposure, which lasts
-    `exposure_s`, is k / `rate_hz` after the camera was entered, and the picture is sent `latency_s`
-    after the middle.
+class PictureStream:
+    """The pictures of an emulated camera, as parts of a multipart stream, with the faults that act.
+
+    The middle of picture k's exposure, which lasts `exposure_s`, is k / `rate_hz` after the camera
+    was entered, and the picture is sent `latency_s` after the middle; `half_ns` is half the time of
+    an exposure. `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on
+    the camera's clock. `seed` draws which parts the fault `bad_pictures` spoils.
     """
 
-    rate_hz: float = 30.0
-    exposure_s: float = 0.0
-    latency_s: float = 0.0
+    def __init__(
+        self,
+        draw: Callable[[int], Grey],
+        rate_hz: float = 30.0,
+        exposure_s: float = 0.0,
+        latency_s: float = 0.0,
+        acting: ActingFaults | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.rate_hz = rate_hz
+        self.half_ns = round(exposure_s * SECOND / 2)
+        self._latency_s = latency_s
+        self._draw = draw
+        self._acting = acting or ActingFaults()
+        self._chance = random.Random(seed)
+        self._newest = b""  # the last part, before faults spoil it
 
     def middle_ns(self, number: int) -> int:
         """Return the middle of a picture's exposure, after the camera was entered [ns]."""
         return round(number * SECOND / self.rate_hz)
 
     @property
-    def half_ns(self) -> int:
-        """Half the time of an exposure [ns]."""
-        return round(self.exposure_s * SECOND / 2)
-
-    @property
-    def latency_ns(self) -> int:
-        """Time from the middle of an exposure to the sending of its picture [ns]."""
-        return round(self.latency_s * SECOND)
-
-
-class PictureStream:
-    """The pictures of an emulated camera, as parts of a multipart stream, with the faults that act.
-
-    `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on the camera's
-    clock. `seed` draws which parts the fault `bad_pictures` spoils.
-    """
-
-    def __init__(
-        self,
-        draw: Callable[[int], Grey],
-        timing: PictureTiming,
-        acting: ActingFaults | None = None,
-        seed: int = 0,
-    ) -> None:
-        self.timing = timing
-        self._draw = draw
-        self._acting = acting or ActingFaults()
-        self._chance = random.Random(seed)
-        self._newest = b""  # the last part, before faults spoil it
-
-    @property
     def latency_ns(self) -> int:
         """Time from the middle of an exposure to the sending of its picture, at present [ns]."""
         late_s = self._acting.total_by("late_pictures")
-        return self.timing.latency_ns + round(late_s * SECOND)
+        return round(self._latency_s * SECOND) + round(late_s * SECOND)
 
     def withholds(self, number: int) -> bool:
         """Return whether the picture with this number is not exposed or not sent."""
@@ -185,15 +169,15 @@ class EmulatedNetworkCamera:
 
     def _expose(self) -> None:
         """Expose picture after picture until the camera closes."""
-        timing = self._stream.timing
+        stream = self._stream
         start_ns = self._clock.now()
         number = 0
         while not self._closing.is_set():
-            past_ns = self._clock.now() - start_ns - timing.half_ns
-            number = max(number + 1, int(past_ns * timing.rate_hz / SECOND))
-            exposed_ns = start_ns + timing.middle_ns(number)
-            self._clock.sleep_until(exposed_ns + timing.half_ns)
-            if self.watched and not self._stream.withholds(number):
+            past_ns = self._clock.now() - start_ns - stream.half_ns
+            number = max(number + 1, int(past_ns * stream.rate_hz / SECOND))
+            exposed_ns = start_ns + stream.middle_ns(number)
+            self._clock.sleep_until(exposed_ns + stream.half_ns)
+            if self.watched and not stream.withholds(number):
                 self._queue(exposed_ns)
 
     def _queue(self, exposed_ns: int) -> None:

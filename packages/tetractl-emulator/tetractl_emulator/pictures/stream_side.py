@@ -36,7 +36,6 @@ from tetractl_emulator.pictures.memory_camera import MemoryCamera
 from tetractl_emulator.pictures.network_camera import (
     EmulatedNetworkCamera,
     PictureStream,
-    PictureTiming,
 )
 from tetractl_emulator.sides import Body, Facts, Stage
 from tetractl_emulator.virtual_lab import LabClock
@@ -189,8 +188,14 @@ class StreamedCamera(ABC):
         self._bodies = bodies
         self._port = named if port is None else port
         self._drips = settings.drips
-        timing = PictureTiming(settings.rate, settings.exposure, section.latency)
-        self.pictures = PictureStream(self._taken, timing, stage.acting, self.seed)
+        self.pictures = PictureStream(
+            self._taken,
+            settings.rate,
+            settings.exposure,
+            section.latency,
+            stage.acting,
+            self.seed,
+        )
         self._history = SceneHistory()
         self._shown: ShownBodies | None = None  # over HTTP, where it is not known what has come
         self._watched = False
@@ -215,13 +220,9 @@ class StreamedCamera(ABC):
 
     def _visible_now(self) -> Sequence[bool]:
         """Return which bodies are neither carried nor covered."""
-        covered = self._covered()
+        covered = {fault.subject for fault in self._stage.acting.of("untracked")}
         carried = self._stage.acting.carried
         return [not carried and body.name not in covered for body in self._bodies]
-
-    @abstractmethod
-    def _covered(self) -> set[str]:
-        """Return the names of the bodies that faults cover."""
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
@@ -286,4 +287,4 @@ class StreamedCamera(ABC):
             self._joined()
             self._stage.client(self.camera.url)
         self._watched = self.camera.watched
-        self._stage.timeline.at(now + self.pictures.timing.middle_ns(1), self._expose)
+        self._stage.timeline.at(now + self.pictures.middle_ns(1), self._expose)

@@ -258,7 +258,10 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
     os.close(ends)
     code, seconds = wait_for_child(pid, ended)
     os.close(ended)
-    _load_ahead(folder / "modules.txt")
+    modules = folder / "modules.txt"
+    for name in modules.read_text().split() if modules.exists() else ():
+        with suppress(ImportError):
+            importlib.import_module(name)  # so that the next days need not
     record = folder / "truth-000.jsonl"
     lines = record.read_text().splitlines() if record.exists() else []
     logs = sorted((folder / "log").glob("*.mcap*"))
@@ -320,13 +323,6 @@ def _run(words: list[str], folder: Path) -> None:
             traceback.print_exception(error, file=out)
     finally:
         os._exit(code & 0xFF)
-
-
-def _load_ahead(modules: Path) -> None:
-    """Import what a day has imported, so that the next ones need not."""
-    for name in modules.read_text().split() if modules.exists() else ():
-        with suppress(ImportError):
-            importlib.import_module(name)
 
 
 def _open_files() -> set[str]:

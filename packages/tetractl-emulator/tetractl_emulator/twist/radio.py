@@ -59,9 +59,3 @@ class LineRadio(RobotRadio):
     def _witness(self, data: bytes) -> None:
         *lines, self._witnessed = self._split(self._witnessed + data)
         self._note_commands(lines)
-
-    def poll_answers(self) -> None:
-        """Send the replies that robots have ready; to be called about every millisecond."""
-        for robot in self.robots:
-            if answer := robot.answer():
-                self._answer(answer)

@@ -151,9 +151,10 @@ def _findings(
         elif sizes:
             ratio = statistics.median(sizes)
             if _is_odd(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
+                off = f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
                 yield (
                     abs(ratio - 1) >= ODD_SIZE,
-                    f"{robot.name}: its tag looks {_larger(ratio)} than it should: are size_mm and "
+                    f"{robot.name}: its tag looks {off} than it should: are size_mm and "
                     "height_mm right, and were all tags printed at 100 %?",
                 )
 
@@ -182,10 +183,6 @@ def _is_odd(ratio: float, side_px: float, size_mm: float, distance_mm: float) ->
     """
     noise = CORNER_PX / math.sqrt(2) / side_px  # of a side that is fitted to four corners
     return abs(ratio - 1) > SURE * noise + RULER_MM / size_mm + HEIGHT_MM / distance_mm
-
-
-def _larger(ratio: float) -> str:
-    return f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
 
 
 def _tags(numbers: Sequence[int]) -> str:

@@ -22,7 +22,7 @@ from tetractl_microscope.cells.field_signals import FieldSignals
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
-from tetractl_microscope.cells.robot_cells import RobotCells
+from tetractl_microscope.cells.robot_cells import RobotCell, RobotCells
 from tetractl_microscope.cells.section import CellsSection, Lengths
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.choice.candidate import RobotCandidate
@@ -219,7 +219,10 @@ class CellCamera(PictureCamera[SeenDish]):
         """From now on, track the cell with this number as the robot with the index `robot`."""
         robots = self._robots
         assert robots.cells, "only a robot that was seen can be replaced"
-        self._robots = robots.with_replaced(robot, number)
+        # the other robots' cells are the same objects: what is noted of them meanwhile is not lost
+        cells = list(robots.cells)
+        cells[robot] = RobotCell(number)
+        self._robots = RobotCells(robots.setup, cells)
 
     def _is_current(self, result: SeenDish) -> bool:
         """Return whether the robots were those of now when a picture was searched."""
@@ -288,7 +291,10 @@ class CellCamera(PictureCamera[SeenDish]):
         robots = self._robots
         if not robots.cells:
             robots.bind(self._nearest_to_starts(view, robots.setup))
-        robots.note_divisions({born.divided for born in self._tracker.born})
+        mothers = {born.divided for born in self._tracker.born}
+        for cell in robots.cells:
+            if cell.number in mothers:
+                cell.divided = True
         return robots
 
     def _nearest_to_starts(self, view: CellsInView, setup: Setup) -> Sequence[int]:

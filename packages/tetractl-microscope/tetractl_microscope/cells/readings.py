@@ -72,11 +72,6 @@ def note_own_reading(reading: BlobReading) -> None:
         )
 
 
-def _is_small(cells: Sequence[CellTrack], place: Floats) -> bool:
-    """Return whether a shared blob is only as large as one of its cells."""
-    return bool(place[3] * place[4] < LARGE * max(cell.size.area_um2 for cell in cells))
-
-
 def _is_odd(cell: CellTrack, newest: TrackBlob) -> bool:
     """Return whether a cell's own blob is too large or too small for it, or cut off."""
     _, _, _, long, wide = newest.place.tolist()
@@ -124,7 +119,9 @@ def shared_readings(
     body_um: float,
 ) -> list[BlobReading]:
     """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there."""
-    length_sd, axis_sd = HIDDEN if _is_small(cells, newest.place) else MERGED
+    long, wide = newest.place[3:]
+    is_as_one_cell = long * wide < LARGE * max(cell.size.area_um2 for cell in cells)
+    length_sd, axis_sd = HIDDEN if is_as_one_cell else MERGED
     sd_um = length_sd * body_um
     points = now.points_of(newest.blob)
     middles = match.parted(cells, expected, points).tolist()

@@ -7,7 +7,7 @@ first, and which of them have divided. What is written to an object that was rep
 concerns robots that there are no more.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tetractl.core.setup import Setup
@@ -42,18 +42,3 @@ class RobotCells:
     def bind(self, numbers: Sequence[int]) -> None:
         """Let the cells with these numbers be the robots."""
         self.cells = [RobotCell(number) for number in numbers]
-
-    def note_divisions(self, mothers: Collection[int | None]) -> None:
-        """Note the robots whose cells' numbers are those of cells that have divided."""
-        for cell in self.cells:
-            if cell.number in mothers:
-                cell.divided = True
-
-    def with_replaced(self, robot: int, number: int) -> "RobotCells":
-        """Return the same robots, but another cell as the robot with the index `robot`.
-
-        The other robots' cells are the same objects: what is noted of them meanwhile is not lost.
-        """
-        cells = list(self.cells)
-        cells[robot] = RobotCell(number)
-        return RobotCells(self.setup, cells)

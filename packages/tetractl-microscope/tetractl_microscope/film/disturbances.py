@@ -1,7 +1,6 @@
 """Notices light that wanders, large bodies such as bubbles, and a stage that drifts in a film."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -23,19 +22,19 @@ PAIRS = 3
 ALIKE = 0.65
 
 
-@dataclass(slots=True)
 class Disturbances:
     """Examines some pictures of a film with cells `body_um` long [um], at `um_px` [um/px]."""
 
-    um_px: float
-    body_um: float
-    _last_s: float = -np.inf
-    _lights: list[Floats] = field(default_factory=list)  # of each tile, as shares of the picture's
-    _turn: list[tuple[float, float]] = field(default_factory=list)  # times, widths of a large body
-    _wide: list[tuple[float, float]] = field(default_factory=list)  # the most of these in turn
-    _small: list[Grey] = field(default_factory=list)
-    _stills: list[tuple[float, Grey]] = field(default_factory=list)
-    _drifts: list[Floats] = field(default_factory=list)  # velocities of what does not swim [um/s]
+    def __init__(self, um_px: float, body_um: float) -> None:
+        self._um_px = um_px
+        self._body_um = body_um
+        self._last_s = -np.inf
+        self._lights: list[Floats] = []  # of each tile, as shares of the picture's
+        self._turn: list[tuple[float, float]] = []  # times, widths of a large body
+        self._wide: list[tuple[float, float]] = []  # the most of these in turn
+        self._small: list[Grey] = []
+        self._stills: list[tuple[float, Grey]] = []
+        self._drifts: list[Floats] = []  # velocities of what does not swim [um/s]
 
     def examine(self, picture: Grey, seconds: float, finder: BlobFinder) -> None:
         """Examine a picture taken at a time [s], of which a finder has just found the blobs."""
@@ -48,8 +47,8 @@ class Disturbances:
         level = light.mean()
         self._lights.append(light / level if level >= 1 else np.ones(TILES))
         sides = (min(cv2.boundingRect(region)[2:]) for region in finder.regions())
-        wide = max(sides, default=0) * self.um_px
-        large = wide > LARGE * self.body_um and not finder.light.lost
+        wide = max(sides, default=0) * self._um_px
+        large = wide > LARGE * self._body_um and not finder.light.lost
         if large:
             self._turn.append((seconds, wide))
             self._wide = max(self._wide, self._turn, key=len)
@@ -59,7 +58,7 @@ class Disturbances:
         if len(self._lights) % EVERY == 3:  # the median of three pictures lacks what swims
             still = np.median(self._small, axis=0).astype(np.uint8)
             for before_s, before in self._stills:
-                shift = np.array(shift_of(before, still)) * self.um_px / scale
+                shift = np.array(shift_of(before, still)) * self._um_px / scale
                 self._drifts.append(shift / (seconds - before_s))
             self._stills = [(seconds, still)]
 
@@ -79,7 +78,7 @@ class Disturbances:
                 f"for {np.ptp(times):.0f} s: cells near it may be missed, or change "
                 "their numbers. Film without it"
             )
-        slow = [drift for drift in self._drifts if np.hypot(*drift) < FAST * self.body_um]
+        slow = [drift for drift in self._drifts if np.hypot(*drift) < FAST * self._body_um]
         drift = np.median(slow or [(0.0, 0.0)], axis=0)
         speed = float(np.hypot(*drift))
         near = sum(np.hypot(*(other_drift - drift)) < speed / 2 for other_drift in slow)

@@ -89,7 +89,8 @@ def folder_film(folder: Path) -> FilmSource:
                     _add_tags(tif, 0, source)
                 count = len(tif.pages)
                 first: Any = tif.pages[0]
-                by_opencv = _opencv_reads(first)
+                is_palette = first.keyframe.photometric == PHOTOMETRIC.PALETTE  # it gives colours
+                by_opencv = first.keyframe.compression in OF_OPENCV and not is_palette
                 times += [
                     source.seconds(stated.get("ElapsedTime-ms"), "ms")
                     for stated in map(_micro_manager, tif.pages)
@@ -146,12 +147,6 @@ def _pixels(page: Any) -> Raw:
             raise _codec_missing(page) from error
         raise
     return np.moveaxis(pixels, 0, -1) if page.keyframe.axes == "SYX" else pixels
-
-
-def _opencv_reads(page: Any) -> bool:
-    """Return whether OpenCV reads a page as it is: of a palette, it gives colours."""
-    is_palette = page.keyframe.photometric == PHOTOMETRIC.PALETTE
-    return page.keyframe.compression in OF_OPENCV and not is_palette
 
 
 def _axis_of_time(ome: Mapping[str, str]) -> str:

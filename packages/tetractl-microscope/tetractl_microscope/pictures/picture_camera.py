@@ -207,9 +207,14 @@ class PictureCamera(ABC, Generic[R]):
         """Return problems, warnings and facts of what was found in some pictures."""
 
     def check(self) -> Health:
-        """Examine some pictures; return problems, warnings and facts of their stream and of what
-        they show."""
-        searches = self._next_searches()
+        """Wait for KEPT_SEARCHES more pictures, or the source's end, up to `connect`; return
+        problems, warnings and facts of the last ones' stream and of what they show."""
+        enough = self._searches.newest_number() + KEPT_SEARCHES
+        self._wait(
+            lambda: self._searches.newest_number() >= enough or bool(self._searches.ended),
+            self._source.connect,
+        )
+        searches = self._searches.last()
         problems, warnings = stream_lines(
             searches,
             self._source.source_name,
@@ -291,17 +296,6 @@ class PictureCamera(ABC, Generic[R]):
             self._feed.interrupt()
         for thread in self._threads:
             thread.join(ENDS_WITHIN_S)
-
-    def _next_searches(self) -> tuple[PictureSearch[R], ...]:
-        """Wait until KEPT_SEARCHES more pictures have come or the source has ended, up to
-        `connect`; return the searches of the last pictures, oldest first.
-        """
-        enough = self._searches.newest_number() + KEPT_SEARCHES
-        self._wait(
-            lambda: self._searches.newest_number() >= enough or bool(self._searches.ended),
-            self._source.connect,
-        )
-        return self._searches.last()
 
     def _stream_facts(self, searches: Sequence[PictureSearch[R]]) -> dict[str, str]:
         """Return resolution, rate of pictures and duration of the search, as far as known."""

@@ -191,7 +191,9 @@ class MjpegFeed(Feed):
                 "is the camera on, and is lab.camera.source.url its address?",
             ) from error
         kind = self._answer.headers.get_content_type()
-        boundary = self._boundary()
+        boundary = self._answer.headers.get_param("boundary", "")
+        if not isinstance(boundary, str):
+            boundary = boundary[2]  # of charset, language and value
         if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
             self.close()
             raise AbortError(
@@ -229,7 +231,3 @@ class MjpegFeed(Feed):
         """Close the connection."""
         self._answer.close()
         self._connection.close()
-
-    def _boundary(self) -> str:
-        boundary = self._answer.headers.get_param("boundary", "")
-        return boundary if isinstance(boundary, str) else boundary[2]

@@ -1,7 +1,5 @@
 """The pictures of a run that its log has, as JPEG: one a second, and the background at times."""
 
-from dataclasses import dataclass
-
 import cv2
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
@@ -21,12 +19,12 @@ def _jpeg_image(picture: Grey) -> bytes:
     return CompressedImage(frame_id=LENS, data=coded, format="jpeg").SerializeToString()
 
 
-@dataclass(slots=True)
 class PictureLog:
     """Makes the messages of whole pictures of one run."""
 
-    _whole_ns: int = -WHOLE_NS
-    _background_ns: int = -BACKGROUND_NS
+    def __init__(self) -> None:
+        self._whole_ns = -WHOLE_NS
+        self._background_ns = -BACKGROUND_NS
 
     def messages(
         self, picture: Grey, exposed_ns: int, background: Grey | None

@@ -139,9 +139,6 @@ class Connection(RobotRadio):
         newest that is not lost."""
         self._noted.append((message, passed))
 
-    def stop_elsewhere(self, sequence: int) -> None:
-        """Do nothing: a cube takes one connection."""
-
     def poll_answers(self) -> None:
         """Do nothing: answers are sent at the connection's events."""
 

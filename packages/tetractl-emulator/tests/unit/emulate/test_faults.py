@@ -158,7 +158,7 @@ def test_pictures_are_late_lost_or_doubled_and_what_is_shown_is_known(tmp_path):
     received_s = []
     with virtual_lab(tmp_path, spec=APRILTAG_SPEC, script=f"faults: [{late}, {lost}]") as lab:
         camera = lab.emulation.camera
-        latency_s = camera.pictures.timing.latency_s
+        latency_s = camera.pictures.latency_ns / SECOND
         camera.join(lambda jpeg: received_s.append(lab.clock.now() / SECOND))
 
         def age_shown_at(time_s):

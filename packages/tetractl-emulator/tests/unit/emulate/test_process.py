@@ -5,7 +5,7 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
-from tetractl_emulator.process import PortHolder
+from tetractl_emulator.process import Process
 
 from tetractl.core.clock import MonotonicClock
 
@@ -33,7 +33,7 @@ def test_a_full_disk_leaves_no_bytecode_of_a_module_that_is_cut_short(tmp_path):
     with subprocess.Popen(command, cwd=tmp_path, env=writing, **pipes) as driver:
         assert driver.stdout.readline() == "locked\n"
         lab = SimpleNamespace(port=tmp_path / "port")
-        PortHolder(lab, MonotonicClock()).fill_disk()
+        Process(lab, MonotonicClock()).fill_disk()
         said, _ = driver.communicate("\n")
     assert said == "full 7\n"
     assert list(tmp_path.glob("__pycache__/*.pyc")) == []

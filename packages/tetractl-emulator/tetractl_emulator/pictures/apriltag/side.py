@@ -6,7 +6,7 @@ its pictures can be compared with the truth.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import ClassVar, Self
 
@@ -129,22 +129,29 @@ SUB_EXPOSURES = 6
 Shades = NDArray[np.float32]
 
 
-@dataclass
 class Renderer:
     """Draws the robots' tags and the floor tags as seen through the optics; the same seed gives the
     same pictures. `metres` is the spec's length unit [m]. Tags whose numbers are in `hidden` are
     not drawn; the tags in `strays` are also drawn on the floor.
     """
 
-    robots: Sequence[RobotTag]
-    floor: Sequence[FloorTag]
-    metres: float
-    optics: Optics
-    seed: int = 0
-    hidden: set[int] = field(default_factory=set)
-    strays: list[FloorTag] = field(default_factory=list)
-    _empty: tuple[frozenset[int], Shades] | None = None
-    _pictures: int = 0
+    def __init__(
+        self,
+        robots: Sequence[RobotTag],
+        floor: Sequence[FloorTag],
+        metres: float,
+        optics: Optics,
+        seed: int = 0,
+    ) -> None:
+        self.robots = robots
+        self.floor = floor
+        self.metres = metres
+        self.optics = optics
+        self.seed = seed
+        self.hidden = set[int]()
+        self.strays: list[FloorTag] = []
+        self._empty: tuple[frozenset[int], Shades] | None = None
+        self._pictures = 0
 
     def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> Grey:
         """Return the picture (height, width) whose exposure has its middle at `exposed_ns`.
@@ -306,9 +313,6 @@ class EmulatedAprilTag(StreamedCamera):
     def _scene(self) -> Floats:
         mm = self._stage.mm
         return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
-
-    def _covered(self) -> set[str]:
-        return {fault.robot for fault in self._stage.acting.of("untracked")}
 
     def _draw(self, exposed_ns: int) -> Grey:
         tags = zip(self.renderer.robots, self._visible_now(), strict=True)

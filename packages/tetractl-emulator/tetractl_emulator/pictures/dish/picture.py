@@ -7,7 +7,7 @@ up.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import cv2
@@ -79,7 +79,23 @@ class PictureLook:
         scale = float(random.uniform(2.0, 5.0)) if um_px is None else um_px
         bright = bool(random.random() < 0.5)
         span = side_px * scale
-        specks = [_speck(random, span) for _ in range(random.integers(5, 51))]
+        specks: list[RenderedSpeck] = []
+        for _ in range(random.integers(5, 51)):
+            x, y = random.uniform(0, span, 2).tolist()
+            drift = (0.0, 0.0)
+            if random.random() < 0.3:
+                drift_x, drift_y = random.uniform(-8, 8, 2).tolist()
+                drift = (drift_x, drift_y)
+            speck = RenderedSpeck(
+                x,
+                y,
+                size_um=float(random.uniform(5, 60)),
+                stretch=float(random.uniform(1, 2.5)),
+                turn=float(random.uniform(0, math.pi)),
+                shade=float(random.uniform(0.3, 1.2)),
+                drift=drift,
+            )
+            specks.append(speck)
         x, y = random.uniform(0, span, 2).tolist()
         bubble = RenderedSpeck(x, y, float(random.uniform(100, 250)), 1.0, 0.0, 0.1, rim=True)
         return cls(
@@ -99,33 +115,15 @@ class PictureLook:
         )
 
 
-def _speck(random: np.random.Generator, span: float) -> RenderedSpeck:
-    x, y = random.uniform(0, span, 2).tolist()
-    drift = random.uniform(-8, 8, 2).tolist() if random.random() < 0.3 else (0.0, 0.0)
-    return RenderedSpeck(
-        x,
-        y,
-        size_um=float(random.uniform(5, 60)),
-        stretch=float(random.uniform(1, 2.5)),
-        turn=float(random.uniform(0, math.pi)),
-        shade=float(random.uniform(0.3, 1.2)),
-        drift=(drift[0], drift[1]),
-    )
-
-
-@dataclass(slots=True)
 class DishPainter:
     """Draws pictures with the properties `look`; the same seed gives the same pictures."""
 
-    look: PictureLook
-    seed: int = 0
-    _still: Shades | None = None
-    _noise: Shades | None = None
-    _shade: Shades | None = None
-    _random: np.random.Generator = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._random = np.random.default_rng(self.seed)
+    def __init__(self, look: PictureLook, seed: int = 0) -> None:
+        self.look = look
+        self._random = np.random.default_rng(seed)
+        self._still: Shades | None = None
+        self._noise: Shades | None = None
+        self._shade: Shades | None = None
 
     def change(self, look: PictureLook) -> None:
         """Draw pictures with these properties from now on."""
@@ -160,7 +158,10 @@ class DishPainter:
         shades = self._vignette() * ((look.light + sign * ink) * light)
         shades += self._grain() * np.sqrt(np.maximum(shades, 1.0) / look.light)
         grey = np.clip(shades + 0.5, 0, 255).astype(np.uint8)
-        return grey if look.quality is None else recoded(grey, look.quality)
+        if look.quality is None:
+            return grey
+        coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, look.quality])[1]
+        return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)
 
     def _vignette(self) -> Shades:
         if self._shade is None:
@@ -255,9 +256,3 @@ class DishPainter:
         cover = (drawn / len(moments)).astype(np.float32)
         # two overlapping bodies are not twice as dark
         ink[where] = ink[where] * (1 - 0.5 * cover) + cover
-
-
-def recoded(picture: Grey, quality: int) -> Grey:
-    """Return a picture as it is after JPEG compression with a quality from 0 to 100."""
-    coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)

@@ -181,9 +181,6 @@ class EmulatedMicroscope(StreamedCamera):
             look = replace(look, specks=(*look.specks, rim))
         return look
 
-    def _covered(self) -> set[str]:
-        return {fault.cell for fault in self._stage.acting.of("untracked")}
-
     def _draw(self, exposed_ns: int) -> Grey:
         self.painter.change(self._look())
         span = self.painter.look.exposure_s * SECOND

@@ -15,7 +15,6 @@ from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_emulator.pictures.network_camera import (
     EmulatedNetworkCamera,
     PictureStream,
-    PictureTiming,
 )
 from tetractl_microscope.apriltag.camera import AprilTagCamera
 from tetractl_microscope.apriltag.section import FloorTag
@@ -211,7 +210,7 @@ class Served:
         clock = MonotonicClock()
         draw = partial(rendered().picture, standing)
         self.acting = ActingFaults()
-        stream = PictureStream(draw, PictureTiming(rate_hz, latency_s=0.02), self.acting)
+        stream = PictureStream(draw, rate_hz, latency_s=0.02, acting=self.acting)
         self.server = EmulatedNetworkCamera(stream, clock)
         source = {"type": "mjpeg", "url": self.server.url}
         self.camera, self.woken = built(source, clock, **{"latency": 0.02, **changes})
@@ -236,7 +235,7 @@ def test_exposure_times_are_right_to_a_few_milliseconds():
         return Poses(STANDING.x + 1e-9 * t_ns * speed, STANDING.y, np.zeros(3))
 
     draw = partial(rendered().picture, driving)
-    stream = PictureStream(draw, PictureTiming(latency_s=0.04))
+    stream = PictureStream(draw, latency_s=0.04)
     with EmulatedNetworkCamera(stream, clock) as server:
         source = {"type": "mjpeg", "url": server.url}
         camera, woken = built(source, clock, latency=0.04)
@@ -262,7 +261,7 @@ def test_a_camera_without_pictures_is_no_camera():
     clock = MonotonicClock()
     acting = ActingFaults()
     act(acting, "no_frames")
-    stream = PictureStream(partial(rendered().picture, standing), PictureTiming(), acting)
+    stream = PictureStream(partial(rendered().picture, standing), acting=acting)
     with EmulatedNetworkCamera(stream, clock) as server:
         camera, _ = built({"type": "mjpeg", "url": server.url}, clock, connect=0.3)
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):

@@ -135,16 +135,16 @@ def _noise(analysis: Analysis) -> str:
     """Return the noise that is assumed as text."""
     noise = analysis.noise
     texts: list[str] = []
-    if noise.a:
-        texts.append(f"a {100 * noise.a:.2g} %")
-    if noise.speed:
-        texts.append(f"speed {100 * noise.speed:.2g} %")
-    if noise.walk:
-        texts.append(f"heading {noise.walk:.3g} rad/sqrt(s)")
-    if noise.position:
-        texts.append(f"measured position {noise.position:.3g} {analysis.setup.unit}")
-    if noise.heading:
-        texts.append(f"measured heading {noise.heading:.3g} rad")
+    if noise.a_std:
+        texts.append(f"a {100 * noise.a_std:.2g} %")
+    if noise.speed_std:
+        texts.append(f"speed {100 * noise.speed_std:.2g} %")
+    if noise.heading_walk:
+        texts.append(f"heading {noise.heading_walk:.3g} rad/sqrt(s)")
+    if noise.position_std:
+        texts.append(f"measured position {noise.position_std:.3g} {analysis.setup.unit}")
+    if noise.heading_std:
+        texts.append(f"measured heading {noise.heading_std:.3g} rad")
     text = ", ".join(texts) or "none"
     if analysis.left_out:
         text += f" (without {', '.join(analysis.left_out)}, which the plant also has)"
@@ -161,18 +161,11 @@ def _shortest(analysis: Analysis) -> str:
 def as_json(analysis: Analysis) -> dict[str, Any]:
     """Return an analysis as the items of a JSON object; unknown values are None."""
     steering = analysis.steering
-    noise = analysis.noise
     return {
         "name": analysis.setup.name,
         "unit": analysis.setup.unit,
         "prediction": PREDICTED,
-        "noise": {
-            "a_std": noise.a,
-            "speed_std": noise.speed,
-            "heading_walk": noise.walk,
-            "position_std": noise.position,
-            "heading_std": noise.heading,
-        },
+        "noise": analysis.noise,
         "not_in_the_prediction": list(analysis.left_out),
         "reach": analysis.reach and analysis.reach.fields,
         "plans": analysis.plans,
@@ -191,7 +184,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
         "most_alike": list(analysis.alike or ()),
         "by_gap": [{"gap": gap, "mean_total_error": error} for gap, error in analysis.by_gap],
         "by_robots": [{"robots": n, "mean_total_error": error} for n, error in analysis.by_count],
-        "change": _change(analysis),
+        "change": analysis.change,
     }
 
 
@@ -208,19 +201,6 @@ def _robot(analysis: Analysis, i: int) -> dict[str, Any]:
     return items
 
 
-def _change(analysis: Analysis) -> dict[str, Any] | None:
-    """Return the items of the advised change, None if none is advised."""
-    change = analysis.change
-    if change is None:
-        return None
-    return {
-        "robot": change.robot,
-        "a": change.old,
-        "a_advised": change.new,
-        "mean_total_error": change.error,
-    }
-
-
 def advice(analysis: Analysis) -> str:
     """Return the advice on the spec, in one line."""
     steering = analysis.steering
@@ -234,7 +214,8 @@ def advice(analysis: Analysis) -> str:
         now = NO_PLAN if steering is None else f"{steering.error:.4g}"
         return (
             f"advice: {low} and {high} are too alike; change a of {change.robot} from "
-            f"{change.old:g} to {change.new:g}: predicted mean total error {change.error:.4g} "
+            f"{change.a:g} to {change.a_advised:g}: predicted mean total error "
+            f"{change.mean_total_error:.4g} "
             f"{analysis.setup.unit} in place of {now}"
         )
     if analysis.looked:

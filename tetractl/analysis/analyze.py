@@ -45,12 +45,13 @@ AS_GOOD = 1.1
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A proposed turning rate a [rad/s] of a robot, and the mean total error predicted with it."""
+    """A proposed turning rate [rad/s] of a robot, `a_advised` in place of `a`, and the mean total
+    error predicted with it."""
 
     robot: str
-    old: float
-    new: float
-    error: float
+    a: float
+    a_advised: float
+    mean_total_error: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,9 +213,9 @@ def best_change(changes: list[Change], error: float) -> Change | None:
     `error` is the error without a change; an error is NaN if no plan was found.
     """
     most = math.inf if math.isnan(error) else WORTH * error
-    helpful = [change for change in changes if change.error <= most]
+    helpful = [change for change in changes if change.mean_total_error <= most]
     if not helpful:
         return None
-    least = min(change.error for change in helpful)
-    as_good = [change for change in helpful if change.error <= AS_GOOD * least]
-    return min(as_good, key=lambda change: abs(np.log(change.new / change.old)))
+    least = min(change.mean_total_error for change in helpful)
+    as_good = [change for change in helpful if change.mean_total_error <= AS_GOOD * least]
+    return min(as_good, key=lambda change: abs(np.log(change.a_advised / change.a)))

@@ -147,15 +147,16 @@ REGULAR_MIN = 1e-30
 class Noise:
     """Standard deviations of a simulated plant's disturbances.
 
-    `a` and `speed` are relative errors; `position` [length unit] and `heading` [rad] are errors of
-    one measurement, `walk` [rad/sqrt(s)] is the random walk of the heading.
+    `a_std` and `speed_std` are relative errors; `position_std` [length unit] and `heading_std`
+    [rad] are errors of one measurement, `heading_walk` [rad/sqrt(s)] is the random walk of the
+    heading.
     """
 
-    a: float
-    speed: float
-    walk: float
-    position: float
-    heading: float
+    a_std: float = 0.0
+    speed_std: float = 0.0
+    heading_walk: float = 0.0
+    position_std: float = 0.0
+    heading_std: float = 0.0
 
     @classmethod
     def of(cls, plant: PlantSection) -> "Noise":
@@ -164,20 +165,15 @@ class Noise:
         An error uniform in [-e, e] has the standard deviation e / sqrt(3).
         """
         if not isinstance(plant, Noisy):
-            return cls(a=0.0, speed=0.0, walk=0.0, position=0.0, heading=0.0)
+            return cls()
         measured = plant.measurement_noise
         return cls(
-            a=plant.a_error / np.sqrt(3),
-            speed=plant.speed_error / np.sqrt(3),
-            walk=plant.heading_noise,
-            position=measured.position,
-            heading=measured.heading,
+            a_std=plant.a_error / np.sqrt(3),
+            speed_std=plant.speed_error / np.sqrt(3),
+            heading_walk=plant.heading_noise,
+            position_std=measured.position,
+            heading_std=measured.heading,
         )
-
-    @property
-    def any(self) -> bool:
-        """Whether any standard deviation is above 0."""
-        return any((self.a, self.speed, self.walk, self.position, self.heading))
 
 
 def left_out(plant: PlantSection) -> tuple[str, ...]:
@@ -210,7 +206,7 @@ def end_covariance(
     """
     robots = len(plan.miss)
     none = np.zeros((2 * robots, 2 * robots))
-    of_parameters = np.repeat([noise.a**2, noise.speed**2], robots)
+    of_parameters = np.repeat([noise.a_std**2, noise.speed_std**2], robots)
     now = Uncertainty(ends=none, cross=none, parameters=of_parameters)
     for k in range(len(plan.seconds)):
         if corrects:
@@ -227,7 +223,7 @@ def _corrected(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncer
     eye = np.eye(len(p))
     ways_to_correct = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
     r = ways_to_correct @ ways_to_correct.T
-    m = noise.position**2 * eye + noise.heading**2 * _blocks(plan.by_heading[k])
+    m = noise.position_std**2 * eye + noise.heading_std**2 * _blocks(plan.by_heading[k])
     size = np.trace(r) + np.trace(p) + np.trace(m)
     regular = max(REGULAR * size, REGULAR_MIN) * eye
     remains = eye - np.linalg.solve(r + p + m + regular, r).T  # 1 - C
@@ -245,7 +241,7 @@ def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertain
     variances = before.parameters
     ends = before.ends + d @ (variances[:, None] * d.T) + d @ before.cross.T + before.cross @ d.T
     middle = (plan.by_heading[k] + plan.by_heading[k + 1]) / 2
-    walk = noise.walk**2 * plan.seconds[k] * _blocks(middle)
+    walk = noise.heading_walk**2 * plan.seconds[k] * _blocks(middle)
     return Uncertainty(ends + walk, before.cross + d * variances, variances)
 
 
@@ -259,10 +255,10 @@ def information(plan: Linear, noise: Noise, k: int) -> Floats:
     """Return 1/variance of ln a, then of ln speed, (2N,), as estimated from the headings and
     positions measured before and after signal k.
     """
-    turn_variance = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
+    turn_variance = 2 * noise.heading_std**2 + noise.heading_walk**2 * plan.seconds[k] + SURE
     of_a = plan.turn_by_a[k] ** 2 / turn_variance
     path_squared = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
-    path_variance = np.maximum(2 * noise.position**2, SURE * path_squared)
+    path_variance = np.maximum(2 * noise.position_std**2, SURE * path_squared)
     of_speed = np.zeros_like(path_squared)
     np.divide(path_squared, path_variance, out=of_speed, where=path_variance > 0)
     return np.concatenate([of_a, of_speed])

@@ -12,7 +12,7 @@ on the targets.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -54,7 +54,7 @@ class PartedRobot:
     """A robot of turning rate `a` [rad/s] that would not move like the others of its group at
     `a_advised`."""
 
-    name: str
+    robot: str
     a: float
     a_advised: float
 
@@ -86,32 +86,28 @@ class Reach:
     @property
     def fields(self) -> dict[str, Any]:
         """The items of a JSON object."""
-        parted = [
-            {"robot": robot.name, "a": robot.a, "a_advised": robot.a_advised}
-            for robot in self.parted
-        ]
         return {
             "rank": self.rank,
             "of": len(self.spread),
             "barely": self.barely,
             "alike": list(self.alike),
             "still": list(self.still),
-            "parted": parted,
+            "parted": list(map(asdict, self.parted)),
             "spread": self.spread.tolist(),
         }
 
     def __str__(self) -> str:
         barely = f", {self.barely} of them barely" if self.barely else ""
         texts = [f"{self.rank} of {len(self.spread)}{barely}"]
-        parted = {robot.name for robot in self.parted}
+        parted = {parting.robot for parting in self.parted}
         for group in self.alike:
             text = f"{', '.join(group[:-1])} and {group[-1]} move alike"
             if parted.isdisjoint(group):
                 text += f" and would at an a that differs by {100 * STEPS[-1]:g} %"
             texts.append(text)
-        for robot in self.parted:
-            change = f"from {robot.a:.4g} to {robot.a_advised:.4g}"
-            texts.append(f"a of {robot.name} changed {change} would part them")
+        for parting in self.parted:
+            change = f"from {parting.a:.4g} to {parting.a_advised:.4g}"
+            texts.append(f"a of {parting.robot} changed {change} would part them")
         texts += [f"{name} has speed 0" for name in self.still]
         return "; ".join(texts)
 

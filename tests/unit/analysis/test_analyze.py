@@ -62,7 +62,7 @@ def test_robots_spaced_anew_keep_their_order_and_their_mean():
 
 def change_to(a, error):
     """A change of the a of one robot from 4 [rad/s] that leaves this error [mm]."""
-    return Change(robot="r", old=4, new=a, error=error)
+    return Change(robot="r", a=4, a_advised=a, mean_total_error=error)
 
 
 SMALL_CHANGE = change_to(4.6, error=10.5)
@@ -82,8 +82,10 @@ def test_alike_robots_are_found_and_a_better_a_is_advised():
     change = analysis.change
     assert change is not None
     assert change.robot in analysis.alike
-    assert change.error < 0.8 * analysis.steering.error
-    assert f"change a of {change.robot} from {change.old:g} to {change.new:g}" in advice(analysis)
+    assert change.mean_total_error < 0.8 * analysis.steering.error
+    assert f"change a of {change.robot} from {change.a:g} to {change.a_advised:g}" in advice(
+        analysis
+    )
 
 
 def test_robots_that_differ_are_advised_no_change(analysis_of_three):

@@ -22,7 +22,7 @@ from tetractl.model.motion.exact import step
 
 ROBOTS = 3
 FINE = 10  # steps of the simulation in a control period
-QUIET = Noise(a=0.0, speed=0.0, walk=0.0, position=0.0, heading=0.0)
+QUIET = Noise()
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,15 @@ def simulated_ends(plan, rng, a_factor=1.0, speed_factor=1.0, walk=0.0):
     return np.stack([x, y], axis=-1).reshape(len(a), -1)
 
 
-@pytest.mark.parametrize("noisy", ["a", "speed", "walk"])
+@pytest.mark.parametrize("noisy", ["a_std", "speed_std", "heading_walk"])
 def test_errors_without_feedback_are_those_of_simulated_robots(plan, noisy):
     rng = np.random.default_rng(1)
     factor = 1 + 0.01 * rng.standard_normal((4000, ROBOTS))
-    changes = {"walk": 0.01} if noisy == "walk" else {f"{noisy}_factor": factor}
+    changes = {
+        "a_std": {"a_factor": factor},
+        "speed_std": {"speed_factor": factor},
+        "heading_walk": {"walk": 0.01},
+    }[noisy]
     ends = simulated_ends(plan, rng, **changes)
     covariance = end_covariance(plan.linear, replace(QUIET, **{noisy: 0.01}), corrects=False)
     deviations = np.sqrt(np.diag(covariance))
@@ -74,7 +78,9 @@ def test_errors_without_feedback_are_those_of_simulated_robots(plan, noisy):
 
 
 def test_feedback_and_identification_lower_the_error(plan):
-    noise = Noise(a=0.05, speed=0.05, walk=0.05, position=0.5, heading=0.005)
+    noise = Noise(
+        a_std=0.05, speed_std=0.05, heading_walk=0.05, position_std=0.5, heading_std=0.005
+    )
 
     def error(corrects, identifies):
         covariance = end_covariance(plan.linear, noise, corrects, identifies)
@@ -107,9 +113,9 @@ def test_the_noise_is_the_plants():
     spec = experiment(plant=plant)
     noise = Noise.of(spec.plant)
     relative_errors = [sim(spec, seed).a / spec.setup.a - 1 for seed in range(400)]
-    assert noise.a == pytest.approx(np.std(relative_errors), rel=0.1)
-    assert noise.speed == 0
-    assert noise.walk == 0.1
-    assert noise.position == 2
-    assert noise.heading == 0.02
+    assert noise.a_std == pytest.approx(np.std(relative_errors), rel=0.1)
+    assert noise.speed_std == 0
+    assert noise.heading_walk == 0.1
+    assert noise.position_std == 2
+    assert noise.heading_std == 0.02
     assert left_out(spec.plant) == ("dead_time", "disturbances")

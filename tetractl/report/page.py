@@ -46,6 +46,11 @@ CARRIED = 61
 tables have all."""
 CARRIED_MIN = 3
 """Least number of trials that it carries of a batch."""
+LEFT_OUT = (
+    "<p>The page carries {} of {} trials, without plans and searches: of each batch those at evenly"
+    " spaced ranks of the total error, from the best to the worst, and some that do not count. The"
+    " tables hold all trials.</p>"
+)
 NOT_COUNTED = 3
 """One in so many of them, at most, is one that does not count."""
 COMPARED_MOST = 10
@@ -80,7 +85,8 @@ def report(
     of a batch belong to several experiments, LogError if no log can be read.
     """
     groups, unread = _batches(paths, progress)
-    complete = sum(len(group.batch.logs) for group in groups) <= MANY
+    count = sum(len(group.batch.logs) for group in groups)
+    complete = count <= MANY
     trials, errors, first, unread_trials = _carried(groups, complete)
     numbers = {trial.path: number for number, trial in enumerate(trials, 1)}
     experiments = dict.fromkeys(group.experiment.name for group in groups)
@@ -89,7 +95,7 @@ def report(
     compared = contrast(groups)
     parts = [_header(name, compared, numbers)]
     if first is not None:
-        note = "" if complete else _left_out(groups, len(trials))
+        note = "" if complete else LEFT_OUT.format(len(trials), count)
         parts.append(_player(trials, groups[0].unit, note))
     if errors:
         parts.append(f"<section><h2>Errors</h2>{errors}</section>")
@@ -293,16 +299,6 @@ def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
     frame = _asset("player.html").replace("@UNIT@", unit_of(unit))
     frame = frame.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
     return frame + "".join(data)
-
-
-def _left_out(groups: Sequence[BatchStatistics], carried: int) -> str:
-    """Return which trials a page does not carry that carries some number of them."""
-    count = sum(len(group.batch.logs) for group in groups)
-    return (
-        f"<p>The page carries {carried} of {count} trials, without plans"
-        " and searches: of each batch those at evenly spaced ranks of the total error, from the"
-        " best to the worst, and some that do not count. The tables hold all trials.</p>"
-    )
 
 
 def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:

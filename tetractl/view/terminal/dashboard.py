@@ -92,14 +92,6 @@ def _width_of_hints(hints: list[str]) -> int:
     return sum(len(hint) + GAP for hint in hints)
 
 
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """Lines that are shown together or not at all; those of the greatest `rank` go first."""
-
-    rank: int
-    lines: list[Text]
-
-
 def _is_given(step: Step) -> bool:
     """Return whether robots follow a direction that was given: nothing was searched."""
     return not step.plan.pauses and step.plan.search.stopped == StopReason.FIXED
@@ -168,24 +160,24 @@ class Dashboard:
         """Return the numbers in at most `height` lines: the blocks that fit, with an empty line
         between them as far as lines are left.
         """
-        blocks = [
-            _Block(0, self._head()),
-            _Block(3, self._robots(width, height)),
-            _Block(2, self._total(width)),
-            _Block(4, self._plan(width)),
-            _Block(5, self._effort()),
-            _Block(1, self._warnings_and_end(width)),
-        ]
-        blocks = [block for block in blocks if block.lines]
-        while _height_of(blocks) > height and len(blocks) > 1:
-            blocks.remove(max(blocks, key=lambda block: block.rank))
-        spare = height - _height_of(blocks)
+        by_rank = {  # from top to bottom; where space is short, the greatest rank goes first
+            0: self._head(),
+            3: self._robots(width, height),
+            2: self._total(width),
+            4: self._plan(width),
+            5: self._effort(),
+            1: self._warnings_and_end(width),
+        }
+        blocks = {rank: block for rank, block in by_rank.items() if block}
+        while sum(map(len, blocks.values())) > height and len(blocks) > 1:
+            del blocks[max(blocks)]
+        spare = height - sum(map(len, blocks.values()))
         lines: list[Text] = []
-        for index, block in enumerate(blocks):
+        for index, block in enumerate(blocks.values()):
             if lines and spare >= len(blocks) - index:  # enough for each gap that follows
                 lines.append(Text())
                 spare -= 1
-            lines += block.lines
+            lines += block
         return lines[:height]
 
     def _head(self) -> list[Text]:
@@ -360,10 +352,6 @@ def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
         if number:
             yield Segment.line()
         yield from Segment.adjust_line_length(row, width)
-
-
-def _height_of(blocks: list[_Block]) -> int:
-    return sum(len(block.lines) for block in blocks)
 
 
 def _end_lines(result: Result, width: int) -> list[Text]:

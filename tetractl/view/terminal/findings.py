@@ -10,45 +10,34 @@ from tetractl.tools.table.terminal_table import open_console, print_tables
 ANSWERS = {True: "yes", False: "no", None: "n/a"}
 
 
-def robots_table(preflight: Preflight) -> Table:
-    """Return a table with one row per robot: its distance and turn from the start in the spec
-    (none if the robot is not tracked), its battery, and whether it answers.
-    """
-    robots = preflight.robots
-    return Table(
-        "Robots",
-        (
-            Column("robot", [robot.name for robot in robots]),
-            Column(
-                "off its start",
-                [robot.off_mm for robot in robots],
-                "mm",
-                _or("not tracked", "{:.0f}"),
-            ),
-            Column(
-                "off its heading",
-                [robot.off_heading for robot in robots],
-                "rad",
-                _or(NONE, "{:+.2f}"),
-            ),
-            Column("battery", [robot.status.battery for robot in robots], format=_or(NONE, "{}")),
-            Column("answers", [ANSWERS[robot.status.answers] for robot in robots]),
-        ),
-    )
-
-
 def _or(unknown: str, form: str) -> Callable[[Any], str]:
     return lambda value: unknown if value is None else form.format(value)
 
 
 def print_findings(preflight: Preflight, latency_stated: bool) -> None:
-    """Print a table of the robots, the camera's rates and delays, warnings and problems.
+    """Print a table of the robots (how far they are off their starts, if they are tracked, their
+    batteries, and whether they answer), the camera's rates and delays, warnings and problems.
 
     With `latency_stated`, the age of frames follows from the spec's lab.camera.latency, and is not
     measured.
     """
     console = open_console()
-    print_tables([robots_table(preflight)], console)
+    robots = preflight.robots
+    columns = (
+        Column("robot", [robot.name for robot in robots]),
+        Column(
+            "off its start",
+            [robot.off_mm for robot in robots],
+            "mm",
+            _or("not tracked", "{:.0f}"),
+        ),
+        Column(
+            "off its heading", [robot.off_heading for robot in robots], "rad", _or(NONE, "{:+.2f}")
+        ),
+        Column("battery", [robot.status.battery for robot in robots], format=_or(NONE, "{}")),
+        Column("answers", [ANSWERS[robot.status.answers] for robot in robots]),
+    )
+    print_tables([Table("Robots", columns)], console)
     rate = "unknown" if preflight.camera_rate_hz is None else f"{preflight.camera_rate_hz:.1f} Hz"
     lines = [f"camera: {rate}"]
     if preflight.latency_ms is not None:

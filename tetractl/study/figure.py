@@ -20,37 +20,38 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write error-arms.png, and error-FIELD.png for every swept field, and return their paths; none
     if no trial has an error. The same results give the same bytes.
     """
-    drawings = {"arms": figure_by_arm(loaded, store)}
-    for field in loaded.paths:
-        drawings[field] = figure_by_field(loaded, store, field)
     paths: list[Path] = []
-    for name, drawing in drawings.items():
+    for field in ("", *loaded.paths):
+        drawing = study_figure(loaded, store, field)
         if drawing is not None:
-            path = store.folder / f"error-{re.sub(r'[^A-Za-z0-9._+-]+', '_', name)}.png"
+            name = re.sub(r"[^A-Za-z0-9._+-]+", "_", field or "arms")
+            path = store.folder / f"error-{name}.png"
             style.save(drawing, path)
             paths.append(path)
     return paths
 
 
-def figure_by_arm(loaded: LoadedStudy, store: Store) -> Figure | None:
+def study_figure(loaded: LoadedStudy, store: Store, field: str = "") -> Figure | None:
     """Draw the total error of each trial, and the mean with its 95 % interval, of at most LISTED
-    arms; None if no trial has an error."""
-    arms = loaded.arms[:LISTED]
-    curves = {
-        controller: [group_of(store, arm.name, [arm]) for arm in of_controller]
-        for controller, of_controller in _by_controller(arms).items()
-    }
-    return _figure(loaded, arms, curves, label="")
+    arms or, of all arms, against the values of a swept field; None if no trial has an error.
 
-
-def figure_by_field(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
-    """Draw the same against the values of a swept field, of all arms. If several arms share a
-    value, each trial is represented by its mean over these arms."""
-    curves = {
-        controller: field_values(store, field, of_controller)
-        for controller, of_controller in _by_controller(loaded.arms).items()
-    }
-    return _figure(loaded, loaded.arms, curves, label=field)
+    If several arms share a value, each trial is represented by its mean over these arms.
+    """
+    arms = loaded.arms if field else loaded.arms[:LISTED]
+    drawn: dict[str, list[ArmErrors]] = {}
+    for controller, of_controller in _by_controller(arms).items():
+        if field:
+            groups = field_values(store, field, of_controller)
+        else:
+            groups = [group_of(store, arm.name, [arm]) for arm in of_controller]
+        drawn[controller] = [group for group in groups if group.error.n > 0]
+    all_groups = [group for groups in drawn.values() for group in groups]
+    if not all_groups:
+        return None
+    figure = errors_by(drawn, field, loaded.unit, len(loaded.paths) == 1)
+    title = [_headline(loaded, all_groups), given_note(arms)]
+    style.headline(figure, "; ".join(text for text in title if text))
+    return figure
 
 
 def _by_controller(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
@@ -59,23 +60,6 @@ def _by_controller(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
     for arm in arms:
         arms_of.setdefault(arm.controller, []).append(arm)
     return arms_of
-
-
-def _figure(
-    loaded: LoadedStudy, arms: Sequence[Arm], curves: dict[str, list[ArmErrors]], label: str
-) -> Figure | None:
-    """Draw the errors of each controller along an axis with a label."""
-    drawn = {
-        controller: [group for group in groups if group.error.n > 0]
-        for controller, groups in curves.items()
-    }
-    all_groups = [group for groups in drawn.values() for group in groups]
-    if not all_groups:
-        return None
-    figure = errors_by(drawn, label, loaded.unit, len(loaded.paths) == 1)
-    title = [_headline(loaded, all_groups), given_note(arms)]
-    style.headline(figure, "; ".join(text for text in title if text))
-    return figure
 
 
 def _headline(loaded: LoadedStudy, groups: Sequence[ArmErrors]) -> str:

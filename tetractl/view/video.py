@@ -224,7 +224,6 @@ class _Scene:
         setup = log.start.setup
         arena = setup.arena
         draw_scene(axes, [setup], colors, [tracked(log.mocap, log.valid)])
-        axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
         visible = BODY_LEAST * max(arena.width, arena.height)
         self._half_length = max(setup.wheel_radius or 0.0, visible)
         self._plans: list[Line2D] = []

@@ -9,7 +9,7 @@ from support.studies import STUDY, run
 
 from tetractl.results.estimate import distributions
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
-from tetractl.study.figure import figure_by_arm, figure_by_field, write_figures
+from tetractl.study.figure import study_figure, write_figures
 from tetractl.study.load_study import arm_name
 
 TRIALS = 5  # of each of the eight arms of STUDY
@@ -106,7 +106,7 @@ def test_there_is_a_figure_for_each_field_and_it_repeats(ran):
 
 
 def test_a_figure_has_a_line_for_each_controller(ran):
-    figure = figure_by_field(ran.loaded, ran.store, "plant.dead_time")
+    figure = study_figure(ran.loaded, ran.store, "plant.dead_time")
     many, few = [line for line in figure.axes[0].get_lines() if line.get_gid() != "trials"]
     assert many.get_label() == "many"
     assert few.get_label() == "few"
@@ -127,7 +127,7 @@ def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
     ran = run(tmp_path, study)
     (path,) = write_figures(ran.loaded, ran.store)
     assert path.name == "error-arms.png"
-    (axes,) = figure_by_arm(ran.loaded, ran.store).axes
+    (axes,) = study_figure(ran.loaded, ran.store).axes
     assert [label.get_text() for label in axes.get_xticklabels()] == ["ours", "theirs"]
     mean_ours, mean_theirs = [
         list(line.get_ydata()) for line in axes.get_lines() if line.get_gid() != "trials"

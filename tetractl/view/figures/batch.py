@@ -76,19 +76,14 @@ class BatchErrors:
 
 def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
     """Draw the final total errors of each folder's trials; only complete trials count."""
-    batches = [_of_folder(name, trials) for name, trials in by_folder(logs).items()]
+    batches: list[BatchErrors] = []
+    for name, trials in by_folder(logs).items():
+        errors = [(log.log, log.result.total_error) for log in trials if log.result is not None]
+        known = [(path, error) for path, error in errors if math.isfinite(error)]
+        totals = np.array([error for _, error in known])
+        paths = [path for path, _ in known]
+        batches.append(BatchErrors(name, totals, paths, directions_given(trials[0].experiment)))
     return _drawn(batches, logs[0].experiment, {}, narrow=False)
-
-
-def _of_folder(name: str, logs: Sequence[TrialLog]) -> BatchErrors:
-    """Return the errors of a folder's trials."""
-    totals: list[float] = []
-    paths: list[str] = []
-    for log in logs:
-        if log.result is not None and math.isfinite(log.result.total_error):
-            totals.append(log.result.total_error)
-            paths.append(log.log)
-    return BatchErrors(name, np.array(totals), paths, directions_given(logs[0].experiment))
 
 
 def batch_figure(

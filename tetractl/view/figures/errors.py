@@ -56,12 +56,37 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     return errors
 
 
-def errors_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the total error and each robot's error over time, of one trial or of several."""
-    return _of_trial(logs[0]) if len(logs) == 1 else _of_trials(logs)
-
-
 @style.styled()
+def errors_figure(logs: Sequence[TrialLog]) -> Figure:
+    """Draw the total error of every trial over time, and the median of each robot's error, in two
+    panels for each folder; of one trial, the error of each robot.
+
+    Bands contain the middle half of the trials. After its end, a trial keeps its final error.
+    Incomplete trials are drawn, but not counted in medians and bands.
+    """
+    if len(logs) == 1:
+        return _of_trial(logs[0])
+    arms = _by_panel(logs)
+    time_s = np.linspace(0, max(map(end_s, logs)), TIMES)  # until the end of the longest trial
+    setups = [of_arm[0].start.setup for of_arm in arms.values()]
+    figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
+    signs: dict[str, Artist] = {}
+    letters = iter("abcdefghijklmnopqrstuvwxyz")
+    for (name, of_arm), (of_total, of_robots) in zip(arms.items(), panels, strict=True):
+        _draw_errors(of_total, of_robots, of_arm, time_s)
+        signs |= {str(sign.get_label()): sign for sign in _draw_signs(of_total, of_arm)}
+        start = f"{name}: " if name else ""
+        trials = f"{len(of_arm)} {plural('trial', len(of_arm))}"
+        total = f"total error of {trials}, the sum over the robots"
+        robots = "distance of each robot to its target, median of the trials"
+        of_total.set_title(f"({next(letters)}) {start}{total}", loc="left")
+        of_robots.set_title(f"({next(letters)}) {start}{robots}", loc="left")
+        of_total.set_ylim(bottom=0)
+        of_robots.set_ylim(bottom=0)
+    style.legend(figure, list(signs.values()), 5)
+    return figure
+
+
 def _of_trial(log: TrialLog) -> Figure:
     """Draw the total error, and below it the distance of each robot to its target, over time."""
     time_s = _since(log)
@@ -98,35 +123,6 @@ def _draw_from_zero(axes: Axes, time_s: Floats, curves: Sequence[Curve], values:
     after_start = time_s >= 0
     greatest = float(np.nanmax(values[:-1][after_start], initial=LEAST))
     axes.set_ylim(0, greatest * HEADROOM)
-
-
-@style.styled()
-def _of_trials(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the total error of every trial over time, and the median of each robot's error, in two
-    panels for each folder.
-
-    Bands contain the middle half of the trials. After its end, a trial keeps its final error.
-    Incomplete trials are drawn, but not counted in medians and bands.
-    """
-    arms = _by_panel(logs)
-    time_s = np.linspace(0, max(map(end_s, logs)), TIMES)  # until the end of the longest trial
-    setups = [of_arm[0].start.setup for of_arm in arms.values()]
-    figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
-    signs: dict[str, Artist] = {}
-    letters = iter("abcdefghijklmnopqrstuvwxyz")
-    for (name, of_arm), (of_total, of_robots) in zip(arms.items(), panels, strict=True):
-        _draw_errors(of_total, of_robots, of_arm, time_s)
-        signs |= {str(sign.get_label()): sign for sign in _draw_signs(of_total, of_arm)}
-        start = f"{name}: " if name else ""
-        trials = f"{len(of_arm)} {plural('trial', len(of_arm))}"
-        total = f"total error of {trials}, the sum over the robots"
-        robots = "distance of each robot to its target, median of the trials"
-        of_total.set_title(f"({next(letters)}) {start}{total}", loc="left")
-        of_robots.set_title(f"({next(letters)}) {start}{robots}", loc="left")
-        of_total.set_ylim(bottom=0)
-        of_robots.set_ylim(bottom=0)
-    style.legend(figure, list(signs.values()), 5)
-    return figure
 
 
 def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:

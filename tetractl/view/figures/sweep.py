@@ -1,7 +1,6 @@
 """Total errors against a swept field: the mean with its 95 % interval, a dot for each trial."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,17 +29,6 @@ TICKS_MAX = 8
 """Largest number of values for which each value has a tick."""
 
 
-@dataclass(frozen=True, slots=True)
-class SweptCurve:
-    """The errors of a controller's arms, and how their means are drawn: at `x` of each arm, with
-    the marker, and the line between them, of `line`."""
-
-    name: str
-    arms: Sequence[ArmErrors]
-    x: list[float]
-    line: str
-
-
 @style.styled()
 def errors_by(
     curves: Mapping[str, Sequence[ArmErrors]], field: str, unit: str, only: bool = True
@@ -64,13 +52,16 @@ def errors_by(
         pooled = {arm.arms for arm in arms}
         comparable = len(pooled) == 1 and (only or arms[0].arms > 1)
         x = [places[repr(arm.value)] for arm in arms]
-        curve = SweptCurve(name, arms, x, "-o" if numbers and comparable else "o")
+        line = "-o" if numbers and comparable else "o"
         rank = number - (len(curves) - 1) / 2
         aside_in = CURVES_ASIDE_IN * rank if field else 0
         color = style.batch_look(number)["color"]
-        _means(axes, curve, _look(axes, color, aside_in))
-        _trials(axes, curve, _look(axes, color, aside_in - TRIALS_ASIDE_IN))
-        _show_all(axes, curve)
+        look = _look(axes, color, aside_in)
+        means = [arm.error.mean for arm in arms]
+        axes.plot(x, means, line, markersize=3.5, label=name or None, zorder=3, **look)
+        _draw_intervals(axes, x, arms, look)
+        _draw_trials(axes, x, arms, _look(axes, color, aside_in - TRIALS_ASIDE_IN))
+        _show_all(axes, x, arms)
     if not field:
         name_categories(axes, [arm.label for arm in all_arms], 0.9 * style.PAGE_IN)
     axes.set_xlabel(field)
@@ -109,36 +100,36 @@ def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
     return {repr(arm.value): float(arm.value) for arm in arms}
 
 
-def _means(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
-    """Draw means with their 95 % intervals."""
-    means = [arm.error.mean for arm in curve.arms]
-    axes.plot(
-        curve.x, means, curve.line, markersize=3.5, label=curve.name or None, zorder=3, **look
-    )
-    x: list[float] = []
+def _draw_intervals(
+    axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
+) -> None:
+    """Draw the 95 % intervals of the means."""
+    places: list[float] = []
     intervals: list[Interval] = []
-    for place, arm in zip(curve.x, curve.arms, strict=True):
+    for place, arm in zip(x, arms, strict=True):
         if arm.error.ci95.known:
-            x.append(place)
+            places.append(place)
             intervals.append(arm.error.ci95)
     low = [interval.low for interval in intervals]
     if axes.get_yscale() == "log":
         low = [max(end, axes.get_ylim()[0]) for end in low]  # a bound may be 0 or less
     high = [interval.high for interval in intervals]
-    axes.vlines(x, low, high, linewidth=2.5, alpha=0.45, **look)
+    axes.vlines(places, low, high, linewidth=2.5, alpha=0.45, **look)
 
 
-def _trials(axes: Axes, curve: SweptCurve, look: dict[str, Any]) -> None:
+def _draw_trials(
+    axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
+) -> None:
     """Draw a dot for each trial."""
-    errors = np.concatenate([arm.errors for arm in curve.arms])
-    places = np.repeat(curve.x, [len(arm.errors) for arm in curve.arms])
+    errors = np.concatenate([arm.errors for arm in arms])
+    places = np.repeat(x, [len(arm.errors) for arm in arms])
     axes.plot(places, errors, "o", markersize=2.5, mew=0, alpha=0.5, gid="trials", **look)
 
 
-def _show_all(axes: Axes, curve: SweptCurve) -> None:
+def _show_all(axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors]) -> None:
     """Set the limits to hold a curve: what is shifted does not determine them by itself."""
     points: list[tuple[float, float]] = []
-    for place, arm in zip(curve.x, curve.arms, strict=True):
+    for place, arm in zip(x, arms, strict=True):
         points += [(place, error) for error in arm.errors]
         if arm.error.ci95.known:
             points += [(place, arm.error.ci95.low), (place, arm.error.ci95.high)]

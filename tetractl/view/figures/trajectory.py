@@ -132,13 +132,16 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
 def draw_scene(
     axes: Axes, setups: Sequence[Setup], colors: list[str], trails: Sequence[Floats]
 ) -> None:
-    """Draw obstacles, the measured starts of one or several trails (M, N, 2), and targets, in grey
-    if trials assigned them differently; NUMBERED or more robots have numbered starts and targets.
+    """Draw the arena with obstacles, the measured starts of one or several trails (M, N, 2), and
+    targets, in grey if trials assigned them differently; NUMBERED or more robots have numbered
+    starts and targets.
     """
     setup = setups[0]
     unit = unit_of(setup.unit)
+    arena = setup.arena
     axes.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
-    ticks = _nice_step(_longer_side(setup.arena), PARTS_OF_ARENA)
+    axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
+    ticks = _nice_step(_longer_side(arena), PARTS_OF_ARENA)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(ticks))
     for side in ("top", "right"):
@@ -420,7 +423,6 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
     axes = figure.add_subplot()
     colors = robot_colors(setup.names, setup.colors)
     draw_scene(axes, [setup], colors, [ways])
-    axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
     for robot, color in enumerate(colors):
         axes.plot(*ways[:, robot].T, color=color, lw=1.3)
         axes.plot(*ways[-1, robot], "o", color=color, ms=6)

@@ -50,179 +50,6 @@ AFTER_EVERY_DEADLINE_NS = 1 << 62
 """A time that no deadline of a controller is after."""
 
 
-class NoSearchError(Exception):
-    """The controller searches at a point where the log has no search."""
-
-
-@dataclass(frozen=True, slots=True)
-class SearchRequest:
-    """An optimiser, and what a controller wants of it: the arguments of `Optimizer.search`."""
-
-    optimizer: OptimizerSection
-    problem: Problem
-    length: int
-    warm: Floats | None
-    key: int
-    limits: Limits
-
-
-# ---- The searches of a step ----
-
-
-class StepSearches:
-    """Answers the searches of a controller by those that were logged of the present step: runs them
-    again if `search_again`, or else evaluates their results.
-
-    Call `begin` before each step. Then `requests` are what the controller wanted of the step's
-    searches, by their index in the log, and `contradiction` is how the first result contradicts its
-    problem or its optimiser. The processor time, read from `cpu` [s], is limited to
-    `seconds_limit`; of searches that are run again it counts from the first one, which compiles.
-    """
-
-    def __init__(self, search_again: bool, cpu: Callable[[], float] = time.thread_time) -> None:
-        self.requests: dict[int, SearchRequest] = {}
-        self.contradiction: Difference | None = None
-        self._to_come: list[tuple[int, Search]] = []
-        self._search_again = search_again
-        self._is_compiled = False
-        self._cpu = cpu
-        self._until_s = math.inf if search_again else cpu() + seconds_limit()
-
-    def controller(self, log: TrialLog, key: int) -> Controller:
-        """Return the controller of a log, whose searches come here, with the random key `key`."""
-        host = Host(lambda optimizer: _Repeated(optimizer, self), self._time_ns)
-        return CheckedController(log.experiment.controller, log.start.setup, key, host)
-
-    def begin(self, searches: Sequence[Search]) -> None:
-        """Continue with the logged searches of a step; given signals need no search."""
-        self._to_come = [
-            (index, search)
-            for index, search in enumerate(searches)
-            if search.stopped != StopReason.FIXED
-        ]
-        self.contradiction = None
-        self.requests = {}
-
-    def search(self, request: SearchRequest) -> Search:
-        """Answer a search of the controller; NoSearchError if the log has no other one,
-        TooLongError beyond the limits."""
-        if not self._to_come:
-            raise NoSearchError
-        index, logged = self._to_come.pop(0)
-        self.requests[index] = request
-        if self._search_again:
-            return self._run_again(request, logged)
-        name = f"searches.{index}"
-        if logged.length != request.length or len(logged.signals) != request.length:
-            text = f"{logged.length}, not {request.length}"
-            contradiction = Difference(None, f"{name}.length", text)
-            self.contradiction = self.contradiction or contradiction
-            raise NoSearchError
-        self.contradiction = self.contradiction or next(
-            _contradictions(request, logged, name), None
-        )
-        return logged
-
-    def _run_again(self, request: SearchRequest, logged: Search) -> Search:
-        """Run a logged search again; one that the deadline ended is ended after its logged number
-        of evaluations."""
-        if not self._is_compiled:
-            least = Limits(request.optimizer.evaluations_min)
-            request.optimizer.search(request.problem, 1, np.zeros(1), request.key, least)
-            self._is_compiled = True
-            self._until_s = self._cpu() + seconds_limit()
-        most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
-        limited = replace(request.limits, expired=lambda spent: self.expired() or spent >= most)
-        search = request.optimizer.search(
-            request.problem, request.length, request.warm, request.key, limited
-        )
-        self.require_time()
-        return search
-
-    def expired(self) -> bool:
-        """Return whether the time limit is exceeded."""
-        return self._cpu() > self._until_s
-
-    def require_time(self) -> None:
-        """Raise TooLongError if the time limit is exceeded."""
-        if self.expired():
-            raise TooLongError
-
-    def _time_ns(self) -> int:
-        """Return the time for the controller's deadline: as the searches were logged before it or
-        cut short by it, no time passes until the last of them, and then every deadline has passed.
-        """
-        return 0 if self._to_come else AFTER_EVERY_DEADLINE_NS
-
-
-@dataclass(frozen=True, slots=True)
-class _Repeated:
-    """An `Optimizer` whose searches `searches` answers."""
-
-    optimizer: OptimizerSection
-    searches: StepSearches
-
-    def search(
-        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
-    ) -> Search:
-        """Return the answer to a search; `warm` is copied, as the controller goes on using it."""
-        start = None if warm is None else warm.copy()
-        return self.searches.search(
-            SearchRequest(self.optimizer, problem, length, start, key, limits)
-        )
-
-
-def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterator[Difference]:
-    """Yield each way in which a logged search contradicts its problem or its optimiser."""
-    problem = request.problem
-    cost = float(evaluate(problem, logged.signals[None]).total[0])
-    tolerance = _tolerance(problem.poses.xy, problem.targets)
-    difference = first_difference(cost, logged.cost, tolerance, f"{name}.cost")
-    if difference is not None:
-        yield difference
-    history = logged.history
-    if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
-        yield Difference(None, f"{name}.history", "does not decrease to the stated cost")
-    for field in _impossible_fields(request, logged):
-        text = (
-            f"logged {getattr(logged, field)}, which contradicts its history and the spec's limits"
-        )
-        yield Difference(None, f"{name}.{field}", text)
-
-
-def _impossible_fields(request: SearchRequest, logged: Search) -> Iterator[str]:
-    """Yield the fields of a logged search that its optimiser cannot have produced: the history of a
-    swarm fixes the number of evaluations and the reason for its end."""
-    swarm = request.optimizer
-    if not isinstance(swarm, Pso):
-        if logged.evaluations < 1:
-            yield "evaluations"
-    elif len(logged.history):  # a search without a history is reported above
-        warm_starts = 0 if request.warm is None else 1
-        if logged.evaluations != swarm.particles * len(logged.history) + warm_starts:
-            yield "evaluations"
-        if logged.stopped not in _possible_ends(swarm, logged.history, request.limits):
-            yield "stopped"
-
-
-def _possible_ends(swarm: Pso, history: Floats, limits: Limits) -> set[StopReason]:
-    """Return the reasons for which a search by a swarm with this history may have ended: more than
-    one only if a limit cut it short."""
-    if len(history) > 1:
-        with np.errstate(invalid="ignore"):  # logarithms fail if a logged history rises
-            reason = reason_to_stop(history, swarm.stop)
-        if reason is not None:
-            return {reason}
-    if len(history) > swarm.iterations:
-        return {StopReason.ITERATIONS}
-    cut_short = set[StopReason]()
-    if limits.evaluations is not None:
-        cut_short.add(StopReason.EVALUATIONS)
-    if limits.timed:
-        cut_short.add(StopReason.DEADLINE)
-    return cut_short
-
-
 # ---- The decisions of a trial ----
 
 
@@ -270,7 +97,7 @@ def recompute(
 
 def _step_difference(
     controller: Controller,
-    searches: StepSearches,
+    searches: "StepSearches",
     tolerance: Tolerance,
     log: TrialLog,
     last: Step | None,
@@ -436,6 +263,178 @@ def _decide_last(
 def _outcome_of(decision: Outcome | End) -> Outcome:
     """Return the outcome with which a controller ends a trial."""
     return decision.outcome if isinstance(decision, End) else decision
+
+
+# ---- The searches of a step ----
+
+
+class NoSearchError(Exception):
+    """The controller searches at a point where the log has no search."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchRequest:
+    """An optimiser, and what a controller wants of it: the arguments of `Optimizer.search`."""
+
+    optimizer: OptimizerSection
+    problem: Problem
+    length: int
+    warm: Floats | None
+    key: int
+    limits: Limits
+
+
+class StepSearches:
+    """Answers the searches of a controller by those that were logged of the present step: runs them
+    again if `search_again`, or else evaluates their results.
+
+    Call `begin` before each step. Then `requests` are what the controller wanted of the step's
+    searches, by their index in the log, and `contradiction` is how the first result contradicts its
+    problem or its optimiser. The processor time, read from `cpu` [s], is limited to
+    `seconds_limit`; of searches that are run again it counts from the first one, which compiles.
+    """
+
+    def __init__(self, search_again: bool, cpu: Callable[[], float] = time.thread_time) -> None:
+        self.requests: dict[int, SearchRequest] = {}
+        self.contradiction: Difference | None = None
+        self._to_come: list[tuple[int, Search]] = []
+        self._search_again = search_again
+        self._is_compiled = False
+        self._cpu = cpu
+        self._until_s = math.inf if search_again else cpu() + seconds_limit()
+
+    def controller(self, log: TrialLog, key: int) -> Controller:
+        """Return the controller of a log, whose searches come here, with the random key `key`."""
+        host = Host(lambda optimizer: _Repeated(optimizer, self), self._time_ns)
+        return CheckedController(log.experiment.controller, log.start.setup, key, host)
+
+    def begin(self, searches: Sequence[Search]) -> None:
+        """Continue with the logged searches of a step; given signals need no search."""
+        self._to_come = [
+            (index, search)
+            for index, search in enumerate(searches)
+            if search.stopped != StopReason.FIXED
+        ]
+        self.contradiction = None
+        self.requests = {}
+
+    def search(self, request: SearchRequest) -> Search:
+        """Answer a search of the controller; NoSearchError if the log has no other one,
+        TooLongError beyond the limits."""
+        if not self._to_come:
+            raise NoSearchError
+        index, logged = self._to_come.pop(0)
+        self.requests[index] = request
+        if self._search_again:
+            return self._run_again(request, logged)
+        if self.contradiction is None:
+            name = f"searches.{index}"
+            self.contradiction = next(_contradictions(request, logged, name), None)
+        if logged.length != request.length:
+            raise NoSearchError
+        return logged
+
+    def _run_again(self, request: SearchRequest, logged: Search) -> Search:
+        """Run a logged search again; one that the deadline ended is ended after its logged number
+        of evaluations."""
+        if not self._is_compiled:
+            least = Limits(request.optimizer.evaluations_min)
+            request.optimizer.search(request.problem, 1, np.zeros(1), request.key, least)
+            self._is_compiled = True
+            self._until_s = self._cpu() + seconds_limit()
+        most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
+        limited = replace(request.limits, expired=lambda spent: self.expired() or spent >= most)
+        search = request.optimizer.search(
+            request.problem, request.length, request.warm, request.key, limited
+        )
+        self.require_time()
+        return search
+
+    def expired(self) -> bool:
+        """Return whether the time limit is exceeded."""
+        return self._cpu() > self._until_s
+
+    def require_time(self) -> None:
+        """Raise TooLongError if the time limit is exceeded."""
+        if self.expired():
+            raise TooLongError
+
+    def _time_ns(self) -> int:
+        """Return the time for the controller's deadline: as the searches were logged before it or
+        cut short by it, no time passes until the last of them, and then every deadline has passed.
+        """
+        return 0 if self._to_come else AFTER_EVERY_DEADLINE_NS
+
+
+@dataclass(frozen=True, slots=True)
+class _Repeated:
+    """An `Optimizer` whose searches `searches` answers."""
+
+    optimizer: OptimizerSection
+    searches: StepSearches
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Return the answer to a search; `warm` is copied, as the controller goes on using it."""
+        start = None if warm is None else warm.copy()
+        return self.searches.search(
+            SearchRequest(self.optimizer, problem, length, start, key, limits)
+        )
+
+
+def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterator[Difference]:
+    """Yield each way in which a logged search contradicts its problem or its optimiser."""
+    if logged.length != request.length:
+        yield Difference(None, f"{name}.length", f"{logged.length}, not {request.length}")
+        return
+    problem = request.problem
+    cost = float(evaluate(problem, logged.signals[None]).total[0])
+    tolerance = _tolerance(problem.poses.xy, problem.targets)
+    difference = first_difference(cost, logged.cost, tolerance, f"{name}.cost")
+    if difference is not None:
+        yield difference
+    history = logged.history
+    if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
+        yield Difference(None, f"{name}.history", "does not decrease to the stated cost")
+    for field in _impossible_fields(request, logged):
+        text = (
+            f"logged {getattr(logged, field)}, which contradicts its history and the spec's limits"
+        )
+        yield Difference(None, f"{name}.{field}", text)
+
+
+def _impossible_fields(request: SearchRequest, logged: Search) -> Iterator[str]:
+    """Yield the fields of a logged search that its optimiser cannot have produced: the history of a
+    swarm fixes the number of evaluations and the reason for its end."""
+    swarm = request.optimizer
+    if not isinstance(swarm, Pso):
+        if logged.evaluations < 1:
+            yield "evaluations"
+    elif len(logged.history):  # a search without a history is reported above
+        warm_starts = 0 if request.warm is None else 1
+        if logged.evaluations != swarm.particles * len(logged.history) + warm_starts:
+            yield "evaluations"
+        if logged.stopped not in _possible_ends(swarm, logged.history, request.limits):
+            yield "stopped"
+
+
+def _possible_ends(swarm: Pso, history: Floats, limits: Limits) -> set[StopReason]:
+    """Return the reasons for which a search by a swarm with this history may have ended: more than
+    one only if a limit cut it short."""
+    if len(history) > 1:
+        with np.errstate(invalid="ignore"):  # logarithms fail if a logged history rises
+            reason = reason_to_stop(history, swarm.stop)
+        if reason is not None:
+            return {reason}
+    if len(history) > swarm.iterations:
+        return {StopReason.ITERATIONS}
+    cut_short = set[StopReason]()
+    if limits.evaluations is not None:
+        cut_short.add(StopReason.EVALUATIONS)
+    if limits.timed:
+        cut_short.add(StopReason.DEADLINE)
+    return cut_short
 
 
 def _tolerance(xy: Floats, targets: Floats) -> Tolerance:

@@ -16,7 +16,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.rig import Rig
-from tetractl.replay.identification.explained import EXPLAINED
+from tetractl.replay.identification.one_recording import EXPLAINED
 from tetractl.replay.identification.sent_directions import FieldAt, courses, turning_fit
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.dish_abilities import tracker_of

@@ -13,9 +13,9 @@ import numpy as np
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, turn_problem, wrap
-from tetractl.replay.identification.clocks import Span, clock_remark, refuse_sparse
 from tetractl.replay.identification.measured_poses import jumps_of, measured
 from tetractl.replay.identification.motion_angle import PoseSteps, check_angle
+from tetractl.replay.identification.one_recording import Span, clock_remark, refuse_sparse
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
     SentDirections,
@@ -196,28 +196,22 @@ def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
 
 
 def _add_speeds(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
-    """Add the speed and turning rate in a row."""
+    """Add the speed and turning rate in a row, or those that the speeds of a robot's wheels are; if
+    a number is missing, nothing was sent at this step."""
     trial.commands_path = columns.path
-    _add_twist(trial, columns, row, columns.number(row, "v"), columns.number(row, "w"))
-
-
-def _add_speeds_of_wheels(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
-    """Add the speed and turning rate of a robot from those of its wheels."""
-    trial.commands_path = columns.path
-    left = columns.number(row, "left")
-    right = columns.number(row, "right")
-    if math.isnan(left) or math.isnan(right):
-        return
-    radius = columns.by_name["radius"].number(columns.path, row)
-    if radius <= 0:
-        raise columns.wrong(row, "radius", "must be above 0")
-    _add_twist(trial, columns, row, (left + right) / 2, (right - left) / (2 * radius))
-
-
-def _add_twist(
-    trial: _Numbers, columns: _Columns, row: CsvRow, speed: float, turning_rate: float
-) -> None:
-    """Add what a robot was sent; if a number is missing, nothing was sent at this step."""
+    if columns.form == OF_WHEELS:
+        left = columns.number(row, "left")
+        right = columns.number(row, "right")
+        if math.isnan(left) or math.isnan(right):
+            return
+        radius = columns.by_name["radius"].number(columns.path, row)
+        if radius <= 0:
+            raise columns.wrong(row, "radius", "must be above 0")
+        speed = (left + right) / 2
+        turning_rate = (right - left) / (2 * radius)
+    else:
+        speed = columns.number(row, "v")
+        turning_rate = columns.number(row, "w")
     if math.isnan(speed) or math.isnan(turning_rate):
         return
     robot = row.cells.get("robot", "")
@@ -228,7 +222,7 @@ def _add_twist(
 ADD = {
     DIRECTIONS: _add_direction,
     SPEEDS: _add_speeds,
-    OF_WHEELS: _add_speeds_of_wheels,
+    OF_WHEELS: _add_speeds,
     POSES: _add_pose,
 }
 """What adds a row of each kind of table to the numbers of its trial."""

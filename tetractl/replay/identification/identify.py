@@ -192,27 +192,17 @@ def _bare(interval: SampleInterval) -> SampleInterval:
 def identified(result: IdentifiedRobots, when: str) -> Identified:
     """Return the section `identified` of a spec; `when` is its date and time as text. There, a dead
     time is not below 0."""
-    dead_time = result.dead_time
+    ends = (result.dead_time.value, result.dead_time.low, result.dead_time.high)
     robots: dict[str, IdentifiedRobot] = {}
     for robot in result.robots:
-        robots[robot.name] = IdentifiedRobot(
-            a=_value(robot.a),
-            speed=_value(robot.speed),
-            heading_bias=_value(robot.heading_bias),
-            position_noise=_value(robot.position_noise),
-            heading_noise=_value(robot.heading_noise),
-            heading_walk=_value(robot.heading_walk),
-        )
+        values = {name: _value(getattr(robot, name)) for name in QUANTITIES}
+        robots[robot.name] = IdentifiedRobot(**values)
     return Identified(
         identified=when,
         origin=result.origin,
         sources=result.sources,
         unit=result.unit,
-        dead_time=_value(
-            SampleInterval(
-                max(dead_time.value, 0.0), max(dead_time.low, 0.0), max(dead_time.high, 0.0)
-            )
-        ),
+        dead_time=_value(SampleInterval(*np.maximum(ends, 0.0).tolist())),
         frame_age=result.frame_age or 0.0,
         strength=result.strength,
         robots=robots,

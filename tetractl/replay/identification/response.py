@@ -40,13 +40,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
-from tetractl.replay.identification.clocks import refuse_drift
-from tetractl.replay.identification.explained import (
-    EXPLAINED,
-    SURELY_MORE,
-    Reading,
-    check_explained,
-)
 from tetractl.replay.identification.fit import (
     NORMAL,
     UNLIKELY,
@@ -57,6 +50,13 @@ from tetractl.replay.identification.fit import (
 )
 from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt
 from tetractl.replay.identification.motion_angle import PoseSteps, check_angle, robust_gains
+from tetractl.replay.identification.one_recording import (
+    EXPLAINED,
+    SURELY_MORE,
+    Reading,
+    check_explained,
+    refuse_drift,
+)
 from tetractl.replay.identification.standing import Stood, stands_of
 from tetractl.replay.identification.tracks import Track, integrals_of_sent, rows_apart
 from tetractl.tools.table.table import Column, Table
@@ -183,18 +183,7 @@ class RobotResponse:
     @property
     def quantities(self) -> dict[str, SampleInterval]:
         """The values by name, in the order of a table's rows."""
-        return {
-            "dead_time": self.dead_time,
-            "turning_lag": self.turning_lag,
-            "speed_lag": self.speed_lag,
-            "turning_gain": self.turning_gain,
-            "speed_gain": self.speed_gain,
-            "veer": self.veer,
-            "heading_walk": self.heading_walk,
-            "heading_noise": self.heading_noise,
-            "way_walk": self.way_walk,
-            "position_noise": self.position_noise,
-        }
+        return {name: getattr(self, name) for name in UNITS}
 
 
 UNITS = {

@@ -13,13 +13,18 @@ for the directions that acted, and near 0 for others, unless these hardly change
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.poses import Bools, Floats
-from tetractl.replay.identification.clocks import refuse_drift
-from tetractl.replay.identification.explained import EXPLAINED, Reading, check_explained
+from tetractl.replay.identification.one_recording import (
+    EXPLAINED,
+    Reading,
+    check_explained,
+    refuse_drift,
+)
 
 GRID_S = 0.05  # time step of the analysis
 SMOOTH = 8  # steps over which a course is measured: a turn of a cell's helix takes about as long
@@ -102,14 +107,31 @@ class DirectionReading:
 
 
 def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
-    """Return the courses along paths (K, 3) of times [s] and positions x, y."""
-    return [_of_places(piece) for path in paths for piece in _pieces(path)]
+    """Return the courses along paths (K, 3) of times [s] and positions x, y: by the direction from
+    each place to that SMOOTH steps later."""
+    turned: list[TurnedCourse] = []
+    for piece in chain.from_iterable(map(_pieces, paths)):
+        times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
+        x, y = (np.interp(times, piece[:, 0], piece[:, k]) for k in (1, 2))
+        places = x + 1j * y
+        turned.append(_course(times, np.unwrap(np.angle(places[SMOOTH:] - places[:-SMOOTH]))))
+    return turned
 
 
 def courses_of_headings(times: Floats, headings: Floats) -> list[TurnedCourse]:
-    """Return the courses of a robot from its headings (K,) [rad] at times (K,) [s]."""
-    path = np.column_stack([times, np.unwrap(headings)])
-    return [_of_headings(piece) for piece in _pieces(path)]
+    """Return the courses of a robot from its headings (K,) [rad] at times (K,) [s]: by their means
+    over SMOOTH steps."""
+    turned: list[TurnedCourse] = []
+    for piece in _pieces(np.column_stack([times, np.unwrap(headings)])):
+        times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
+        angle = np.interp(times, piece[:, 0], piece[:, 1])
+        turned.append(_course(times, np.convolve(angle, np.ones(SMOOTH) / SMOOTH, "valid")))
+    return turned
+
+
+def _course(times: Floats, angle: Floats) -> TurnedCourse:
+    """Return the course of angles (K - SMOOTH,) that are each of SMOOTH steps between times."""
+    return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(angle)], angle)
 
 
 def check_directions(
@@ -261,23 +283,6 @@ def _pieces(path: Floats) -> list[Floats]:
         return []
     cuts = np.flatnonzero(np.diff(path[:, 0]) > LONGEST_GAP_S) + 1
     return [piece for piece in np.split(path, cuts) if np.ptp(piece[:, 0]) > SHORTEST_S]
-
-
-def _of_places(piece: Floats) -> TurnedCourse:
-    """Return the course along a piece (K, 3) of a path."""
-    times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
-    x, y = (np.interp(times, piece[:, 0], piece[:, k]) for k in (1, 2))
-    places = x + 1j * y
-    angle = np.unwrap(np.angle(places[SMOOTH:] - places[:-SMOOTH]))
-    return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(angle)], angle)
-
-
-def _of_headings(piece: Floats) -> TurnedCourse:
-    """Return the mean headings over SMOOTH steps along a piece (K, 2) of times and headings."""
-    times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
-    angle = np.interp(times, piece[:, 0], piece[:, 1])
-    mean = np.convolve(angle, np.ones(SMOOTH) / SMOOTH, "valid")
-    return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(mean)], mean)
 
 
 def _rates(course: TurnedCourse, field: FieldAt) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.clocks import Span, clock_remark
+from tetractl.replay.identification.one_recording import Span, clock_remark
 from tetractl.replay.identification.sent_directions import SentDirections
 from tetractl.tools.table.csv_rows import columns_of, read_csv
 from tetractl.tools.table.quantities import (

@@ -63,6 +63,7 @@ LATCHED = (
     "only an emergency stop held the robots: end the program that drives them, and switch them off "
     "and on"
 )
+TOO_SHORT = "has not been watched long enough"
 ALIKE = "all robots are seen to move alike ({}), though stopped: do the camera or its origin move?"
 
 
@@ -124,22 +125,24 @@ def moving_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
     """Return one line for each robot that did not stand still during the last `REST_NS`, or the
     multiples `longer` of it; or one line for all, if they move in the same way.
     """
-    window = rig.loop.frames.last(longer[-1] * REST_NS)
-    if not window:
-        return [f"{name} has not been watched long enough" for name in rig.setup.names]
-    findings = [_at_rest(rig, i, window, longer) for i in rig.left]
-    lines = [finding.text for finding in findings if finding.text]
-    return _moving_alike(findings) or lines or _jumped(rig, window)
+    return [finding.text for finding in _not_at_rest(rig, longer)]
 
 
 def drifting_robots(rig: Rig, longer: Sequence[int] = LONGER) -> list[str]:
     """Return the lines of `moving_robots` of robots that are seen to move, not of unseen ones."""
+    return [f.text for f in _not_at_rest(rig, longer) if f.motion is not None]
+
+
+def _not_at_rest(rig: Rig, longer: Sequence[int]) -> list[RestFinding]:
+    """Return the findings of `moving_robots`."""
     window = rig.loop.frames.last(longer[-1] * REST_NS)
     if not window:
-        return []
+        return [RestFinding(f"{name} {TOO_SHORT}") for name in rig.setup.names]
     findings = [_at_rest(rig, i, window, longer) for i in rig.left]
-    lines = [finding.text for finding in findings if finding.motion is not None]
-    return _moving_alike(findings) or lines
+    alike = _moving_alike(findings)
+    if alike is not None:
+        return [alike]
+    return [finding for finding in findings if finding.text] or _jumped(rig, window)
 
 
 def wait_for_rest(rig: Rig, hurried: Callable[[], bool] = lambda: False) -> Rest:
@@ -197,7 +200,7 @@ def _restless(rig: Rig) -> tuple[list[str], list[str]]:
             moving.append(rig.setup.names[i])
         elif finding.text:
             unseen.append(rig.setup.names[i])
-    return [] if _moving_alike(findings) else moving, unseen
+    return [] if _moving_alike(findings) is not None else moving, unseen
 
 
 def _stream_lost(rig: Rig) -> list[str]:
@@ -225,7 +228,7 @@ def _at_rest(
         span_s = REST_NS / SECOND * times
         part = rows[rows[:, 0] >= -span_s]
         if len(part) < 3 or part[-1, 0] - part[0, 0] < COVERED * span_s:
-            return RestFinding(f"{name} has not been watched long enough")
+            return RestFinding(f"{name} {TOO_SHORT}")
         # straight lines through the values over time, and the variances of their slopes
         (slope, _), covariance = np.polyfit(part[:, 0], part[:, 1:], 1, cov=True)
         noise = stdtrit(len(part) - 2, 1 - DOUBT) * np.sqrt(covariance[0, 0])
@@ -258,15 +261,15 @@ def _poses_by_time(window: Sequence[AcceptedFrame], i: int) -> dict[int, Pose]:
     return {timed.exposed_ns: timed.pose for timed in timed_poses(window, i)}
 
 
-def _jumped(rig: Rig, window: Sequence[AcceptedFrame]) -> list[str]:
-    """Return one line for each robot whose pose has jumped within the last `REST_NS`."""
-    lines: list[str] = []
+def _jumped(rig: Rig, window: Sequence[AcceptedFrame]) -> list[RestFinding]:
+    """Return a finding for each robot whose pose has jumped within the last `REST_NS`."""
+    findings: list[RestFinding] = []
     for i in rig.left:
         jump_mm = _jump_mm(rig, i, window)
         if jump_mm > JUMP_MM:
-            name = rig.setup.names[i]
-            lines.append(f"{name} still moves (by {jump_mm:.0f} mm in a quarter second)")
-    return lines
+            by = f"by {jump_mm:.0f} mm in a quarter second"
+            findings.append(RestFinding(f"{rig.setup.names[i]} still moves ({by})"))
+    return findings
 
 
 def _jump_mm(rig: Rig, i: int, window: Sequence[AcceptedFrame]) -> float:
@@ -279,16 +282,17 @@ def _jump_mm(rig: Rig, i: int, window: Sequence[AcceptedFrame]) -> float:
     return math.hypot(poses[-1].x - poses[0].x, poses[-1].y - poses[0].y) * rig.mm
 
 
-def _moving_alike(findings: Sequence[RestFinding]) -> list[str]:
-    """Return a line that all robots move in the same way; [] if they do not, or if all turn on the
-    spot: a picture that turned would move them differently."""
+def _moving_alike(findings: Sequence[RestFinding]) -> RestFinding | None:
+    """Return that all robots move in the same way; None if they do not, or if all turn on the spot:
+    a picture that turned would move them differently."""
     motions = [finding.motion for finding in findings if finding.motion is not None]
     if len(motions) < len(findings) or len(findings) < 2:
-        return []
+        return None
     array = np.array(motions)
     if np.any(np.ptp(array, axis=0) > 2 * STILL) or np.all(abs(array[:, 2]) > 2 * STILL[2]):
-        return []
-    return [ALIKE.format(_rates(array.mean(axis=0)))]
+        return None
+    mean = array.mean(axis=0)
+    return RestFinding(ALIKE.format(_rates(mean)), mean)
 
 
 def _rates(motion: Floats) -> str:

@@ -8,7 +8,7 @@ rules by which a spec is refused.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import BaseModel
@@ -22,7 +22,6 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.experiment.section_abilities import (
     Accepting,
-    Clearance,
     CountsSteps,
     Delaying,
     Estimating,
@@ -32,7 +31,7 @@ from tetractl.experiment.section_abilities import (
     PlansSignals,
 )
 from tetractl.experiment.yaml.document import Document
-from tetractl.experiment.yaml.problems import Loc, SpecProblem
+from tetractl.experiment.yaml.problems import Loc, SpecProblem, dotted
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
@@ -65,57 +64,33 @@ NAMED_MAX = 2
 """Of more than four robots alike, so many are named besides the first."""
 
 
-@dataclass(frozen=True, slots=True)
 class CheckContext:
-    """An experiment, and the numbers of its controller that the rules read.
+    """An experiment, and the numbers of its controller that the rules read."""
 
-    tolerance   distance to its target within which a robot has arrived [length unit]
-    signal_s    time for which a signal of a plan is held [s]
-    plan_s      longest time of a plan [s], inf if it is not limited
-    longest_s   longest time for which robots move [s], the lesser one of two limits
-    motion      the controller's model of the motion, "" if it has none
-    estimates   whether the controller identifies the plant's dead time
-    collision   what plans keep clear of, None if they keep clear of nothing
-    margin      distance that plans keep to obstacles, including a robot's radius [length unit]
-    walls       whether plans keep that distance to the arena's edge too
-    """
-
-    experiment: Experiment
-    setup: Setup
-    unit: str
-    tolerance: float
-    signal_s: float
-    plan_s: float
-    longest_s: float
-    motion: str
-    estimates: bool
-    collision: Clearance | None
-    margin: float
-    walls: bool
-
-    @classmethod
-    def of(cls, experiment: Experiment) -> "CheckContext":
-        """Return the numbers of an experiment."""
-        setup = experiment.setup
+    def __init__(self, experiment: Experiment) -> None:
         control = experiment.controller
+        self.experiment = experiment
+        self.setup = experiment.setup
+        self.unit = self.setup.unit
+        self.tolerance = control.arrival_tolerance
+        """Distance to its target within which a robot has arrived [length unit]."""
         periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
-        signal_s = control.period * periods
+        self.signal_s = control.period * periods
+        """Time for which a signal of a plan is held [s]."""
         signals_max = control.horizon_max if isinstance(control, PlansSignals) else math.inf
-        collision = control.collision if isinstance(control, KeepsClear) else None
-        return cls(
-            experiment,
-            setup,
-            setup.unit,
-            tolerance=control.arrival_tolerance,
-            signal_s=signal_s,
-            plan_s=signals_max * signal_s,
-            longest_s=setup.time_limit_s,
-            motion=control.motion if isinstance(control, Modelled) else "",
-            estimates=isinstance(control, Estimating) and control.estimate,
-            collision=collision,
-            margin=collision.margin + collision.radius if collision else 0.0,
-            walls=collision is not None and collision.walls,
-        )
+        self.plan_s = signals_max * self.signal_s
+        """Longest time of a plan [s], inf if it is not limited."""
+        self.longest_s = self.setup.time_limit_s
+        """Longest time for which robots move [s], the lesser one of two limits."""
+        self.collision = control.collision if isinstance(control, KeepsClear) else None
+        """What plans keep clear of, None if they keep clear of nothing."""
+        self.margin = 0.0
+        """Distance that plans keep to obstacles, including a robot's radius [length unit]."""
+        self.walls = False
+        """Whether plans keep that distance to the arena's edge too."""
+        if self.collision is not None:
+            self.margin = self.collision.margin + self.collision.radius
+            self.walls = self.collision.walls
 
     @property
     def limit(self) -> str:
@@ -213,7 +188,8 @@ def coarse_period(context: CheckContext) -> Findings:
     """
     rates = context.setup.a * context.signal_s  # a T of each robot
     coarse = rates[rates > COARSE]
-    overshoots = context.motion in OVERSHOOTING
+    control = context.experiment.controller
+    overshoots = isinstance(control, Modelled) and control.motion in OVERSHOOTING
     if not coarse.size or (coarse.size == 1 and not overshoots):
         return
     if overshoots:
@@ -236,9 +212,11 @@ def unknown_dead_time(context: CheckContext) -> Findings:
     the controller identifies it.
     """
     plant = context.experiment.plant
-    if not isinstance(plant, Delaying) or context.estimates:
+    control = context.experiment.controller
+    is_identified = isinstance(control, Estimating) and control.estimate
+    if not isinstance(plant, Delaying) or is_identified:
         return
-    assumed_s = context.experiment.controller.dead_time
+    assumed_s = control.dead_time
     late_periods = (plant.dead_time - assumed_s) / context.setup.period_s
     if abs(late_periods) <= 1:
         return
@@ -534,12 +512,20 @@ def find_warnings(loaded: LoadedSpec) -> tuple[PlacedWarning, ...]:
     """Return the warnings of a spec, in the order of its lines."""
     if loaded.experiment.open:  # its robots are placeholders
         return ()
-    context = CheckContext.of(loaded.experiment)
+    context = CheckContext(loaded.experiment)
     document = loaded.document or Document(loaded.name)
     warnings: list[PlacedWarning] = []
     for rule in RULES:
         for finding in rule(context):
             place = document.place(finding.where)
-            problem = place.problem(finding.where, finding.text, place.text)
-            warnings.append(PlacedWarning(**asdict(problem), hint=finding.hint))
+            warning = PlacedWarning(
+                origin=place.origin,
+                message=finding.text,
+                line=place.line,
+                column=place.column,
+                field=dotted(finding.where),
+                value=place.text,
+                hint=finding.hint,
+            )
+            warnings.append(warning)
     return tuple(sorted(warnings, key=lambda w: (w.line is None, w.line or 0, w.column or 0)))

@@ -297,7 +297,7 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     for seed in range(24):
         rng = np.random.default_rng(seed)
         experiment = spec(rng, robots=2, signals=int(rng.integers(10, 40)), kind="apart")
-        case = CheckContext.of(experiment)
+        case = CheckContext(experiment)
         if [*out_of_reach(case), *beyond_the_plan(case)]:
             warned.add(seed)
         if best_plan(experiment) < 1:

@@ -295,8 +295,10 @@ class Trial:
     def _loop(self, virtual: bool) -> LoopEnd:
         """Run the control loop of Algorithm 2. In `virtual` time, planning takes none."""
         observation = self._plant.observe()
-        first_plan = self._plan if virtual else self._plan_meanwhile
-        decision, solve_ns = first_plan(observation, None, ())
+        if virtual:
+            decision, solve_ns = self._plan(observation, None, ())
+        else:
+            decision, solve_ns = self._plan_meanwhile(observation)
         self._pacing.start()
         for k in itertools.count():
             if isinstance(decision, Outcome):
@@ -362,14 +364,12 @@ class Trial:
         with self._interrupt.breakable():
             return self._timed_plan(observation, last, between)
 
-    def _plan_meanwhile(
-        self, observation: Observation, last: Command | None, between: Sequence[Observation]
-    ) -> TimedDecision:
-        """Return the decision as `_plan` does, computed in real time by a thread of its own:
-        meanwhile the robots stand, and frames are reported."""
+    def _plan_meanwhile(self, observation: Observation) -> TimedDecision:
+        """Return the first decision, computed in real time by a thread of its own: meanwhile the
+        robots stand, and frames are reported."""
         pool = ThreadPoolExecutor(1)
         try:
-            planning = pool.submit(self._timed_plan, observation, last, between)
+            planning = pool.submit(self._timed_plan, observation, None, ())
             while not planning.done():
                 with self._interrupt.breakable():
                     wait([planning], timeout=self._start.setup.period_s)

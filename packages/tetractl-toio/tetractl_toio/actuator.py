@@ -10,8 +10,7 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
-from tetractl.lab.actuators.twist.actuator import drivetrains
-from tetractl.lab.actuators.wheel_commands import WheeledActuator
+from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
 from tetractl.lab.serial_port import PortGroup, Ports, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl_toio.cubes import HINT, SPEED, CubesLink, make_port
@@ -51,7 +50,7 @@ class ToioActuator(WheeledActuator):
             clock,
             link=self.link,
             stated_radii_mm=[robot.radius_mm for robot in robots],
-            drivetrains=drivetrains(self._gain, limit),
+            drivetrains=wheels_by_speed(self._gain, limit),
             delay_ns=round(section.delay * SECOND),
             rate=section.rate,
         )

@@ -9,8 +9,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.own_section import OwnSection
-from tetractl.lab.actuators.twist.actuator import drivetrains
-from tetractl.lab.actuators.wheel_commands import WheeledActuator
+from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
 from tetractl.lab.serial_port import PortGroup, Ports
 from tetractl.lab.udp_port import open_port
 from tetractl.model.wheels import CountArray
@@ -43,7 +42,7 @@ class OwnRobots(WheeledActuator):
             clock,
             link=self.links,
             stated_radii_mm=[robot.radius_mm for robot in self.robots],
-            drivetrains=drivetrains(self._gain, section.speed_max_mm_s / section.unit_mm),
+            drivetrains=wheels_by_speed(self._gain, section.speed_max_mm_s / section.unit_mm),
             delay_ns=round(section.delay * SECOND),
             rate=section.rate,
         )

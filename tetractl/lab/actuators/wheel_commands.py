@@ -104,6 +104,17 @@ def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
     return np.array([radius if stated is None else stated for stated in stated_mm])
 
 
+def wheels_by_speed(gain: Floats, speed_max: float) -> Drivetrains:
+    """Return wheels whose counts are the speeds that robots are sent, for their gains (2, N)."""
+    count = gain.shape[1]
+    return Drivetrains(
+        gain=gain,
+        dead_zone=np.zeros((2, count), dtype=np.int64),
+        limit=np.full(count, int(speed_max), dtype=np.int64),
+        swap=np.zeros(count, dtype=np.bool_),
+    )
+
+
 class RobotLink(Protocol):
     """The connection to robots."""
 

@@ -16,8 +16,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, LabSection, entry
-from tetractl.lab.actuators.twist.actuator import drivetrains
-from tetractl.lab.actuators.wheel_commands import radii_mm
+from tetractl.lab.actuators.wheel_commands import radii_mm, wheels_by_speed
 from tetractl_emulator.fault_rows import (
     LINK,
     MOVED,
@@ -192,7 +191,7 @@ class PortedSide(WheeledSide):
             self.make_robot(row, true.name, true.battery_mv, stage.acting)
             for row, true in enumerate(trues)
         ]
-        wheels = drivetrains(np.array(gains).T * limit[1], limit[0])
+        wheels = wheels_by_speed(np.array(gains).T * limit[1], limit[0])
         lags = np.array([true.lag for true in trues])
         self.timeline = stage.timeline
         self.wheels = EmulatedRobots(self.robots, wheels, self.radii, lags, stage.timeline.now_ns)

@@ -9,9 +9,9 @@ from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import SPEED_MAX, TURN_MAX
 from tetractl.lab.actuators.twist.section import TwistSection
-from tetractl.lab.actuators.wheel_commands import WheeledActuator
+from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
 from tetractl.lab.serial_port import Ports
-from tetractl.model.wheels import CountArray, Drivetrains
+from tetractl.model.wheels import CountArray
 
 
 class TwistActuator(WheeledActuator):
@@ -30,7 +30,7 @@ class TwistActuator(WheeledActuator):
             clock,
             link=self.link,
             stated_radii_mm=[robot.radius_mm for robot in robots],
-            drivetrains=drivetrains(self._gain, section.speed_max_mm_s),
+            drivetrains=wheels_by_speed(self._gain, section.speed_max_mm_s),
             delay_ns=round(section.delay * SECOND),
             rate=section.rate,
             ask=self.link.poll,
@@ -61,14 +61,3 @@ class TwistActuator(WheeledActuator):
         """Return the wheel speeds (2, N) [mm/s] of what was sent."""
         rim = twists[1] * self.radii / 1000
         return np.array([twists[0] - rim, twists[0] + rim])
-
-
-def drivetrains(gain: Floats, speed_max_mm_s: float) -> Drivetrains:
-    """Return wheels whose counts are the speeds sent [mm/s], for their gains (2, N)."""
-    count = gain.shape[1]
-    return Drivetrains(
-        gain=gain,
-        dead_zone=np.zeros((2, count), dtype=np.int64),
-        limit=np.full(count, int(speed_max_mm_s), dtype=np.int64),
-        swap=np.zeros(count, dtype=np.bool_),
-    )

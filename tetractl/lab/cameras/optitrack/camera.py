@@ -63,7 +63,7 @@ class OptitrackCamera:
             natnet.Version.of(section.version) if section.version and self._unicast else None
         )
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
-        placement = Placement.of(section, setup.metres)
+        placement = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
         self.stream = Stream(robots, placement, self._pinned, up)
         self._fresh: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
         self._closing = threading.Event()

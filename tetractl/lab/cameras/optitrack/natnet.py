@@ -7,7 +7,6 @@ from enum import IntEnum
 from typing import NamedTuple, Self
 
 from tetractl.core.poses import Pose
-from tetractl.lab.cameras.optitrack.section import OptitrackSection
 
 Vec3 = tuple[float, float, float]
 NORM_TOLERANCE = 1e-3  # largest deviation of a quaternion's norm from 1: its numbers are float32
@@ -226,11 +225,6 @@ class Placement:
     y: float
     rotation: float
     scale: float
-
-    @classmethod
-    def of(cls, section: OptitrackSection, metres: float) -> "Placement":
-        """Return the placement given by a section of a spec with the length unit `metres` [m]."""
-        return cls(*section.origin, section.rotation, 1.0 / metres)
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
         """Return a body's pose in the spec's coordinates, None if the body is not tracked."""

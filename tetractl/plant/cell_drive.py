@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from tetractl.core.clock import NEVER
 from tetractl.core.commands import Steer, Stop
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
@@ -31,7 +30,6 @@ class CellDrive:
 
     host = None  # no host computes wheel speeds
     sampled = True  # the path is integrated in time steps, not known in closed form
-    repeats_ns = NEVER  # a field holds until the next command
     rest_s = 0.0  # a cell stands as soon as it is stopped
 
     def __init__(

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
@@ -44,6 +44,11 @@ class CommandSender:
         # a stop to robots without wheels can be lost only by a disturbance
         self._repeats_stops = host is not None or bool(overriding(disturbances, Disturbance.sent))
         self._held: Steer | Turn | FieldOff = FieldOff()
+
+    @property
+    def repeats_ns(self) -> int:
+        """When the host transmits the held action again [ns], NEVER if it does not."""
+        return NEVER if self._host is None else self._host.repeats_ns
 
     def send(
         self, now_ns: int, answered: Observation, action: Steer | Turn | FieldOff | None = None

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.experiment.disturbance import DelayedCommand
@@ -29,7 +29,6 @@ class DirectDrive:
 
     host = None  # robots are sent the direction itself
     sampled = False  # the path is known in closed form between samples too
-    repeats_ns = NEVER  # a direction is held until the next one: it is not sent repeatedly
     rest_s = 0.0  # robots stand as soon as they are stopped
 
     def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:

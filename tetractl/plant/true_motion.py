@@ -53,11 +53,6 @@ class Drive(Protocol):
         ...
 
     @property
-    def repeats_ns(self) -> int:
-        """When the host transmits the held direction again [ns], NEVER if it does not."""
-        ...
-
-    @property
     def rest_s(self) -> float:
         """Time after a stop until the robots stand [s]."""
         ...
@@ -245,7 +240,7 @@ class TrueMotion:
         Of what is due at the same time, a command comes first, then a watchdog, then the host.
         """
         frame_ns = self.timetable.next_frame_ns
-        end_ns = min(until_ns, self.drive.repeats_ns, self._watchdogs.next_ns)
+        end_ns = min(until_ns, self._sender.repeats_ns, self._watchdogs.next_ns)
         if self._frames_are_events:
             end_ns = min(end_ns, frame_ns)
         command = None
@@ -260,7 +255,7 @@ class TrueMotion:
             disturbed=self.disturbances.any and (at_frame or command is not None),
             at_frame=at_frame,
             command=command,
-            repeats=command is None and end_ns == self.drive.repeats_ns,
+            repeats=command is None and end_ns == self._sender.repeats_ns,
         )
 
     def _move(self, step: MotionStep) -> None:

@@ -60,11 +60,6 @@ class WheelDrive(WheeledRobots):
         self.vary(a, speed)
 
     @property
-    def repeats_ns(self) -> int:
-        """The time of the next transmission [ns]."""
-        return self.host.repeats_ns
-
-    @property
     def commanded(self) -> Floats:
         """1 for robots whose last command moves them, 0 for others, (N,)."""
         return np.where(self.targets.any(axis=0), 1.0, 0.0)

@@ -11,7 +11,7 @@ place in the first half is compared with that in the second.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -111,8 +111,13 @@ def turning(estimate: Estimate, i: int) -> str:
     return ", ".join(parts)
 
 
-def differs(value: float, std: float, value_before: float, std_before: float) -> bool:
-    """Return whether two numbers differ by more than their standard deviations explain."""
+def differs(
+    value: float | None, std: float | None, value_before: float | None, std_before: float | None
+) -> bool:
+    """Return whether two numbers differ by more than their standard deviations explain; those that
+    are not known, None, do not."""
+    if value is None or std is None or value_before is None or std_before is None:
+        return False
     return abs(value - value_before) > SURE_STDS * math.hypot(std, std_before)
 
 
@@ -120,16 +125,8 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     """Yield in words what is estimated otherwise than `before`, by more than standard deviations
     explain."""
     time_s = estimate.dead_time
-    std_s = estimate.dead_time_std
     before_s = before.dead_time
-    before_std_s = before.dead_time_std
-    if (
-        time_s is not None
-        and std_s is not None
-        and before_s is not None
-        and before_std_s is not None
-        and differs(time_s, std_s, before_s, before_std_s)
-    ):
+    if differs(time_s, estimate.dead_time_std, before_s, before.dead_time_std):
         yield f"commands act {time_s:.3f} s after they are sent, not {before_s:.3f} s"
     for i, name in enumerate(setup.names):
         if differs(estimate.a[i], estimate.a_std[i], before.a[i], before.a_std[i]):
@@ -157,18 +154,18 @@ def later(estimate: Estimate, names: Sequence[str]) -> Iterator[tuple[str, str]]
             yield name, f"{text}{names[quickest]}, or more: its radio or its wheels are slow"
 
 
-@dataclass(slots=True)
 class ModelNews:
     """Tells what is new about a controller's model, once a trial each (`_once`): that it does not
     fit, which robots stand or receive commands late, and that commands act at another time than
     `stated`. Only a misfit is reported again, once all have fitted for FITS_S since."""
 
-    stated: StatedModel | None = None
-    _said: set[str] = field(default_factory=set)  # keys of what was said in this trial
-    _later_since_ns: dict[str, int] = field(default_factory=dict)  # of robots that are later now
-    _unfit: set[str] = field(default_factory=set)  # what was said not to fit
-    _unfit_ns: int = 0  # time at which something last did not fit
-    _before: Estimate | None = None  # the estimate when that began, None while all fit
+    def __init__(self, stated: StatedModel | None = None) -> None:
+        self._stated = stated
+        self._said: set[str] = set()  # keys of what was said in this trial
+        self._later_since_ns: dict[str, int] = {}  # of robots that are later now
+        self._unfit: set[str] = set()  # what was said not to fit
+        self._unfit_ns = 0  # time at which something last did not fit
+        self._before: Estimate | None = None  # the estimate when that began, None while all fit
 
     def of(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield level and text of what is news in an estimate, and note that it is said."""
@@ -178,7 +175,7 @@ class ModelNews:
             yield from self._once("info", f"{part} is not as predicted, which says nothing of a")
         yield from self._later(estimate, setup, now_ns)
         unfit = estimate.unexplained(setup.names, OF_TURNING)
-        if self.stated is not None and self.stated.lacks_noise:
+        if self._stated is not None and self._stated.lacks_noise:
             if unfit:
                 yield from self._once("warning", NOISE_UNSTATED)
         else:
@@ -211,7 +208,7 @@ class ModelNews:
             if new:
                 self._unfit |= new
                 yield "warning", f"the model does not fit: {', '.join(sorted(new))}"
-            question = other_delay(estimate, self.stated) if self.stated is not None else ""
+            question = other_delay(estimate, self._stated) if self._stated is not None else ""
             if question:  # of the spec, which a trial does not change
                 yield from self._once("warning", question, key="dead time")
         elif self._before and now_ns - self._unfit_ns >= FITS_S * SECOND:

@@ -72,6 +72,8 @@ class CheckContext:
         self.experiment = experiment
         self.setup = experiment.setup
         self.unit = self.setup.unit
+        self.ends = {"start": self.setup.starts.xy, "target": self.setup.targets}
+        """The points (N, 2) at which robots start and end, by their fields."""
         self.tolerance = control.arrival_tolerance
         """Distance to its target within which a robot has arrived [length unit]."""
         periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
@@ -362,7 +364,7 @@ def inside_margin(context: CheckContext) -> Findings:
     """Starts and targets that are nearer to an obstacle than the planner's fixed margin."""
     if not context.margin or not context.collision or context.collision.adaptive:
         return
-    for field, points in (("start", context.setup.starts.xy), ("target", context.setup.targets)):
+    for field, points in context.ends.items():
         gaps = context.clearances(points)
         for i in np.flatnonzero(gaps <= context.margin).tolist():
             yield SpecFinding(
@@ -413,7 +415,7 @@ def too_close(context: CheckContext) -> Findings:
         if not isinstance(part, LabSection):
             continue
         least_mm = part.limits.separation_mm
-        for field, points in _ends(context.setup):
+        for field, points in context.ends.items():
             for i, neighbour, distance in nearest(context.setup, points):
                 if distance < least_mm * per_mm:
                     yield SpecFinding(
@@ -425,14 +427,9 @@ def too_close(context: CheckContext) -> Findings:
                     )
 
 
-def _ends(setup: Setup) -> tuple[tuple[str, Floats], ...]:
-    """Return the names of the fields of starts and of targets, and the points (N, 2)."""
-    return ("start", setup.starts.xy), ("target", setup.targets)
-
-
 def same_place(context: CheckContext) -> Findings:
     """The first two equal starts, and the first two equal targets."""
-    for field, points in _ends(context.setup):
+    for field, points in context.ends.items():
         for i, neighbour, distance in nearest(context.setup, points):
             if distance == 0:
                 gap = context.length_text(0.0)

@@ -14,7 +14,7 @@ from tetractl.core.poses import Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import chord
+from tetractl.model.motion.rolling import rolled
 
 
 class Keeps(GuardCheck):
@@ -65,16 +65,12 @@ class Keeps(GuardCheck):
         least = self._least[i] = min(depth, self._least.get(i, depth))
         if least > -noise:
             return depth > max(least, 0.0) + noise
-        return depth > 0.0 or self._depth(*self._ahead(i, pose)) > 0.0
-
-    def _ahead(self, i: int, pose: Pose) -> tuple[float, float]:
-        """Return where robot i will be after its reaction."""
+        if depth > 0.0:
+            return True
         reaction_s = self._rules.limits.reaction
-        way = self._speeds[i] * reaction_s
         turned = self._turning[i] * reaction_s
-        chord_length = way * chord(turned)
-        course = pose.heading + turned / 2
-        return pose.x + chord_length * math.cos(course), pose.y + chord_length * math.sin(course)
+        dx, dy = rolled(pose.heading, turned, self._speeds[i] * reaction_s)
+        return self._depth(pose.x + dx, pose.y + dy) > 0.0
 
     def _depth(self, x: float, y: float) -> float:
         """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats, Pose
+from tetractl.core.poses import Floats
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
 from tetractl.lab.frames import AcceptedFrame, as_shown, timed_poses
 from tetractl.lab.guard import GuardState
@@ -246,7 +246,9 @@ def _rows(window: Sequence[AcceptedFrame], i: int, mm: float) -> Floats:
     """
     newest_ns = window[-1].frame.sampled_ns
     rows: list[tuple[float, float, float, float]] = []
-    for exposed_ns, pose in _poses_by_time(window, i).items():
+    # a pose that a later frame shows again counts once
+    by_time = {timed.exposed_ns: timed.pose for timed in timed_poses(window, i)}
+    for exposed_ns, pose in by_time.items():
         time_s = (exposed_ns - newest_ns) / SECOND
         rows.append((time_s, pose.x * mm, pose.y * mm, pose.heading))
     if not rows:
@@ -254,11 +256,6 @@ def _rows(window: Sequence[AcceptedFrame], i: int, mm: float) -> Floats:
     array = np.array(rows)
     array[:, 3] = np.unwrap(array[:, 3])
     return array
-
-
-def _poses_by_time(window: Sequence[AcceptedFrame], i: int) -> dict[int, Pose]:
-    """Return the poses of robot i in the frames of `window`, each once, by their times [ns]."""
-    return {timed.exposed_ns: timed.pose for timed in timed_poses(window, i)}
 
 
 def _jumped(rig: Rig, window: Sequence[AcceptedFrame]) -> list[RestFinding]:

@@ -4,7 +4,7 @@ Tracking and Imaris, and GEFF graphs.
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -141,31 +141,25 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
         raise UsageError(f"{path}: has no spot of a track")
     table = np.reshape(numbers, (-1, len(columns)))
     values = dict(zip(columns, table.T, strict=True))
-    frames = values.get("frame")
-    times = values.get("time")
-    if frames is not None and times is None:
-        _require_whole(path, headers["frame"], frames)
-        _note_sparse(path, headers["frame"], frames, remarks)
-    if frames is not None and (times is None or rate_hz is not None):
-        frames = _from_first_picture(path, frames, remarks)
+    if "time" in values and ("frame" not in values or rate_hz is None):
+        when = values["time"]
+        time = AxisStep(1.0, False)
+    else:
+        if "time" not in values:
+            _require_whole(path, headers["frame"], values["frame"])
+            _note_sparse(path, headers["frame"], values["frame"], remarks)
+        when = _from_first_picture(path, values["frame"], remarks)
+        time = AxisStep()
+        if "time" in values and rate_hz is not None:
+            _note_other_times(path, values["time"], when / rate_hz, rate_hz, remarks)
     um_across = factor(units["x"], MICROMETRES)
     um_up = factor(units["y"], MICROMETRES)
-    spots = SpotTable(
-        np.column_stack(
-            [
-                values["track"],
-                values["time"] if frames is None else frames,
-                values["x"],
-                values["y"],
-            ]
-        ),
+    return SpotTable(
+        np.column_stack([values["track"], when, values["x"], values["y"]]),
         across=AxisStep(um_across, um_across is None),
-        time=AxisStep(1.0, False) if frames is None else AxisStep(),
+        time=time,
         tall=um_up / um_across if um_across and um_up else 1.0,
     )
-    if frames is None or times is None:
-        return spots
-    return _timed(path, spots, times, rate_hz, remarks)
 
 
 def _name_and_unit(header: str) -> tuple[str, str]:
@@ -238,22 +232,15 @@ def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) ->
         )
 
 
-def _timed(
-    path: Path, counted: SpotTable, times: Floats, rate_hz: float | None, remarks: list[str]
-) -> SpotTable:
-    """Return spots at the times (R,) [s] that their table states, or in pictures if a rate is
-    given, and say if these differ."""
-    rows = counted.rows
-    if rate_hz is None:
-        timed = np.column_stack([rows[:, 0], times, rows[:, 2:]])
-        return replace(counted, rows=timed, time=AxisStep(1.0, False))
-    off = (times - times[0]) - (rows[:, 1] - rows[0, 1]) / rate_hz
-    most = float(np.abs(off).max())
+def _note_other_times(
+    path: Path, stated: Floats, times: Floats, rate_hz: float, remarks: list[str]
+) -> None:
+    """Say if the times (R,) [s] by a rate that is given are not those that a table states."""
+    most = float(np.abs((stated - stated[0]) - (times - times[0])).max())
     if most > 0.5 / rate_hz:
         remarks.append(
             f"warning: {path}: --rate {rate_hz:g} replaces its times, up to {most:.3g} s off"
         )
-    return counted
 
 
 def _scaled_tracks(
@@ -376,16 +363,13 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
         SimpleNamespace(name=name, unit="", scale=None, scaled_unit="") for name in names
     ]
     by_name = {axis.name.lower(): axis for axis in named_axes}
-    by_place = [_first_of(by_name, names_of_place) for names_of_place in AXES]
-    if None in by_place:
+    by_place: list[Any] = []
+    for names_of_place in AXES:
+        by_place += [by_name[name] for name in names_of_place if name in by_name][:1]
+    if len(by_place) < len(AXES):
         said = ", ".join(axis.name for axis in named_axes)
         raise ValueError(f"no axis has a type, and their names are {said}")
     return by_place
-
-
-def _first_of(by_name: Mapping[str, Any], names: Iterable[str]) -> Any:
-    """Return the axis with the first of some names that one has; None if none has one."""
-    return next((by_name[name] for name in names if name in by_name), None)
 
 
 def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:

@@ -31,6 +31,7 @@ from tetractl_emulator.rehearsal.truth import (
     EMERGENCY,
     RUN,
     TRANSIT_S,
+    UNKNOWN,
     Event,
     Truth,
     Violation,
@@ -83,18 +84,11 @@ class DishTruth(Truth):
         return super().ended_s if has_begun else self.abort_s
 
     @cached_property
-    def logged_exposures(self) -> Integers:
-        """The exposures of the logged frames (F,), without those that are not known."""
-        return np.array([row for row in self.exposure_of_frame if row is not None], int)
-
-    @cached_property
     def accepted(self) -> Floats:
         """Poses that our side accepted in these frames (F, N, 2) [mm]; NaN if not tracked."""
         assert isinstance(self.log, TrialLog), "a log was read"
-        has_exposure = np.array([row is not None for row in self.exposure_of_frame], bool)
-        unit_mm = self.log.start.setup.metres * 1000
-        positions = self.log.mocap[has_exposure, :, :2] * unit_mm
-        is_tracked = self.log.valid[has_exposure][..., None]
+        positions = self.log.mocap[self.has_exposure, :, :2] * self.unit_mm
+        is_tracked = self.log.valid[self.has_exposure][..., None]
         return np.where(is_tracked, positions, np.nan)
 
     @cached_property
@@ -165,7 +159,7 @@ def cell_violations(truth: DishTruth, lab: LabSection) -> list[Violation]:
 def _commands(truth: DishTruth, limits: LabLimits) -> Iterator[Violation]:
     """A field needs a new picture; after a stop only stops are sent."""
     turning_s = limits.stream_lost + limits.latency + PERIOD_S + TRANSIT_S
-    emergency_s = truth.first_s("fault", name="emergency", phase="start") + TRANSIT_S
+    emergency_s = truth.pressed_s + TRANSIT_S
     for command in truth.commands:
         at_s = time_s(command)
         flags = command["flags"]
@@ -188,12 +182,11 @@ def _field(truth: DishTruth, off_s: float, off_a: float) -> Iterator[Violation]:
     """The field is off within a time after the stop, and after the last command."""
     if not len(truth.times_s):
         return
-    killed_s = [fault.span.began_s for fault in truth.faults if fault.is_kill]
     steered_s = [time_s(command) for command in truth.commands if command["flags"] & RUN]
     last_command = np.searchsorted(steered_s, truth.times_s, "right")
     last_steered_s = np.array([-np.inf, *steered_s])[last_command]
     is_on = truth.currents > off_a
-    after = is_on & (truth.times_s > min([truth.ended_s, *killed_s]) + off_s)
+    after = is_on & (truth.times_s > truth.left_s + off_s)
     unattended = is_on & (truth.times_s - last_steered_s > off_s)
     for text, wrong in (("after a stop", after), ("unattended", unattended)):
         if wrong.any():
@@ -258,7 +251,7 @@ def errors_are_true(truth: DishTruth) -> Iterator[Violation]:
     unit_um = setup.metres * 1e6
     stop_frame = int(np.abs(log.mocap_ns - log.stop.sent_ns).argmin())
     row = truth.exposure_of_frame[stop_frame]
-    if row is None:
+    if row == UNKNOWN:
         return
     targets_um = setup.targets.reshape(-1, 2) * unit_um
     apart = truth.poses[row, truth.steered, :2] * 1000 - targets_um

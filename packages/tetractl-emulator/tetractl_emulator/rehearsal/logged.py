@@ -27,7 +27,7 @@ def logged(truth: Truth) -> Iterator[Violation]:
     if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
         yield Violation("log", 0.0, "a frame comes twice, or late")
     if not truth.met(*STREAM, *FAULTY):
-        yield from _whole(truth, [row for row in truth.exposure_of_frame if row is not None])
+        yield from _whole(truth, truth.logged_exposures.tolist())
 
 
 def _commands(truth: Truth) -> Iterator[Violation]:

@@ -118,7 +118,7 @@ def _counts(truth: Truth) -> Iterator[Violation]:
     Other limits of the spec are not checked here.
     """
     end_s = truth.alive_s
-    pressed_s = truth.first_s("fault", name="emergency", phase="start")
+    pressed_s = truth.pressed_s
     if truth.first_s("run") < pressed_s < end_s - TRANSIT_S:
         yield _wrong_end("a trial counts though an emergency stop was pressed", pressed_s)
     is_before_end = truth.times_s <= end_s

@@ -239,11 +239,10 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
     elsewhere = truth.faults_of(*ELSEWHERE)
     if elsewhere and (len(truth.faults) > 1 or elsewhere[0].span.began_s > truth.ended_s):
         return
-    killed_s = [fault.span.began_s for fault in truth.faults if fault.is_kill]
     bound_s = TRANSIT_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
     if elsewhere:
         bound_s += WATCHED_S
-    must_rest = truth.times_s > min([truth.ended_s, *killed_s]) + bound_s
+    must_rest = truth.times_s > truth.left_s + bound_s
     rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
     if rolls.any():
         row, i = np.argwhere(rolls)[0]
@@ -265,7 +264,7 @@ def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
 
     Not checked on a day on which nothing could be sent, or if our process ended within that time.
     """
-    pressed_s = truth.first_s("fault", name="emergency", phase="start")
+    pressed_s = truth.pressed_s
     is_in_run = truth.first_s("run") < pressed_s < truth.alive_s - TRANSIT_S
     if not is_in_run or truth.met(*MUTE):
         return
@@ -314,10 +313,9 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
 
     Nothing is checked if our process ended within that time.
     """
-    halts_s = [time_s(c) for c in truth.commands if not any(truth.drives(c))]
     for span in truth.driven_spans:
         until_s = span.ended_s + truth.watchdog_s
-        sent = [at_s for at_s in halts_s if span.ended_s - TRANSIT_S < at_s < until_s]
+        sent = [at_s for at_s in truth.halts_s if span.ended_s - TRANSIT_S < at_s < until_s]
         if len(sent) < STOPS_MIN and until_s < truth.alive_s:
             yield _unrest(span.ended_s, f"{len(sent)} stops are sent")
             return
@@ -330,7 +328,7 @@ def _stops_go_on(truth: Truth) -> Iterator[Violation]:
     It is not while it moves and is shown, while a fault shows motion, and while it was shown later
     than another by more than a watchdog.
     """
-    stops_s = np.array([-np.inf, *[time_s(c) for c in truth.commands if not any(truth.drives(c))]])
+    stops_s = np.array([-np.inf, *truth.halts_s])
     times_s = truth.times_s
     unseen_s = truth.unseen_s
     restless = ((truth.wheel_speed_mm_s > DRIVEN_MM_S) & (unseen_s < SHOWN_S)).any(axis=1)
@@ -500,7 +498,7 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
     """
     if truth.setup.sight.coarse or truth.trial is None:
         return
-    rows = sorted({row for row in truth.exposure_of_frame if row is not None})
+    rows = np.unique(truth.logged_exposures).tolist()
     ready_s = [time_s(event) for event in truth.events("guard", state="ready")]
     for fault in truth.faults_of("ghost", "repeat"):
         others = [other.span for other in truth.faults if other is not fault]
@@ -560,12 +558,11 @@ def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
     last `stale` before the last frame: a robot that is put elsewhere at the end is known by its
     pose before.
     """
-    unit_mm = truth.setup.metres * 1000
     final_s = truth.times_s[truth.final_exposure]
     is_recent = (truth.times_s > final_s - truth.limits.stale) & (truth.times_s <= final_s)
-    to_targets = truth.poses[is_recent, :, :2] / unit_mm - truth.setup.targets.reshape(-1, 2)
+    to_targets = truth.poses[is_recent, :, :2] / truth.unit_mm - truth.setup.targets.reshape(-1, 2)
     off = np.hypot(to_targets[..., 0], to_targets[..., 1]) - robot_errors
-    return np.abs(off).min(axis=0) * unit_mm
+    return np.abs(off).min(axis=0) * truth.unit_mm
 
 
 # When no camera can show a robot

@@ -28,7 +28,7 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S
-from tetractl.core.poses import Bools, Floats
+from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
 from tetractl.experiment.lab_section import LabLimits
@@ -72,6 +72,8 @@ NOISE_MM_S = 5.0
 WHEEL_RADIUS = 0.04
 """Distance from a wheel to the centre of robots whose spec has no wheels [length unit], in metres
 that of an m3pi."""
+UNKNOWN = -1
+"""Stands for the exposure of a frame that has none."""
 NEAR_S = 0.02
 """Greatest difference between the times of a picture and of the exposure that it shows [s]."""
 
@@ -134,8 +136,8 @@ def time_s(event: Event) -> float:
 
 def nearest_exposures(
     stamps_s: Floats, exposures_s: Floats, suspended: Sequence[TimeSpan]
-) -> list[int | None]:
-    """Return the exposure next to the time of each picture (F,) [s]; None if none is near.
+) -> Integers:
+    """Return the exposure next to the time of each picture (F,) [s]; UNKNOWN if none is near.
 
     A picture that comes while our program is suspended waits, and gets its time from when it was
     taken at last: which exposure it shows is not known.
@@ -144,9 +146,7 @@ def nearest_exposures(
     is_certain = apart_s.min(axis=0) < NEAR_S
     for span in suspended:
         is_certain &= (stamps_s < span.began_s) | (stamps_s > span.ended_s)
-    nearest = apart_s.argmin(axis=0).tolist()
-    certain = is_certain.tolist()
-    return [row if sure else None for row, sure in zip(nearest, certain, strict=True)]
+    return np.where(is_certain, apart_s.argmin(axis=0), UNKNOWN)
 
 
 @dataclass
@@ -160,6 +160,11 @@ class Truth:
     setup: Setup
     limits: LabLimits
     watchdog_s: float
+
+    @property
+    def unit_mm(self) -> float:
+        """The length unit of the spec [mm]."""
+        return self.setup.metres * 1000
 
     # What was recorded
 
@@ -189,7 +194,7 @@ class Truth:
     @cached_property
     def times_s(self) -> Floats:
         """Times of the exposures (T,)."""
-        return np.array([exposure["t_ns"] for exposure in self.exposures]) / SECOND
+        return np.array([*map(time_s, self.exposures)])
 
     @cached_property
     def poses(self) -> Floats:
@@ -242,7 +247,7 @@ class Truth:
     @cached_property
     def commanded_s(self) -> Floats:
         """Times of the commands (C,)."""
-        return np.array([command["t_ns"] for command in self.commands]) / SECOND
+        return np.array([*map(time_s, self.commands)])
 
     def drives(self, command: Event) -> list[bool]:
         """Return which robots a command drives: as it says, or those whose wheels it turns."""
@@ -250,6 +255,11 @@ class Truth:
             return command["drives"]
         may_run = bool(command["flags"] & RUN)
         return [may_run and any(wheels) for wheels in command.get("wheels", ())]
+
+    @cached_property
+    def halts_s(self) -> list[float]:
+        """Times of the commands that drive no robot."""
+        return [time_s(command) for command in self.commands if not any(self.drives(command))]
 
     @cached_property
     def acting_s(self) -> Floats:
@@ -322,6 +332,16 @@ class Truth:
                 left_run_s = time_s(event)
         return min(self.abort_s, left_run_s)
 
+    @property
+    def pressed_s(self) -> float:
+        """Time of the first emergency stop that is pressed; infinite without one."""
+        return self.first_s("fault", name="emergency", phase="start")
+
+    @cached_property
+    def left_s(self) -> float:
+        """Time from which nobody drives: of the end or a kill, whichever was first."""
+        return min([self.ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)])
+
     # Faults
 
     @cached_property
@@ -378,9 +398,8 @@ class Truth:
         all poses of which are measured in the picture that had.
         """
         setup = self.setup
-        unit_mm = setup.metres * 1000
-        off_mm_s = self.limits.wheel_error * float(setup.speed.max()) * unit_mm
-        off_rad_s = off_mm_s / ((setup.wheel_radius or WHEEL_RADIUS) * unit_mm)
+        off_mm_s = self.limits.wheel_error * float(setup.speed.max()) * self.unit_mm
+        off_rad_s = off_mm_s / ((setup.wheel_radius or WHEEL_RADIUS) * self.unit_mm)
         for fault in self.creeping:
             is_slow = fault.speed_mm_s <= off_mm_s + NOISE_MM_S and fault.rate_rad_s <= off_rad_s
             was_before = fault.name == "picture" and fault.span.ended_s <= self.began_s
@@ -455,9 +474,9 @@ class Truth:
     # The log against the truth
 
     @cached_property
-    def exposure_of_frame(self) -> list[int | None]:
+    def exposure_of_frame(self) -> Integers:
         """The exposure of each frame in the log (F,): by its number or, as pictures have none, by
-        its time on the host's clock; None if there is no such exposure.
+        its time on the host's clock; UNKNOWN if there is no such exposure.
         """
         assert self.trial is not None, "a log was read"
         if self.numbered:
@@ -469,27 +488,32 @@ class Truth:
         suspended = [fault.span for fault in self.faults_of("stopped")]
         return nearest_exposures(self.trial.mocap_ns / SECOND, host_s, suspended)
 
-    def _exposures_by_number(self, trial: TrialLog) -> list[int | None]:
-        rows_of_number = dict[int, list[int]]()
-        for row, exposure in enumerate(self.exposures):
-            rows_of_number.setdefault(int(exposure["frame"]), []).append(row)
+    def _exposures_by_number(self, trial: TrialLog) -> Integers:
+        numbers = np.array([exposure["frame"] for exposure in self.exposures])
         times_ns = self.times_s * SECOND
-        row_of_frame = list[int | None]()
-        for number, frame_ns in zip(trial.frames.tolist(), trial.mocap_ns.tolist(), strict=True):
-            # a counter that goes back repeats numbers: the nearest in time is meant
-            rows = np.array(rows_of_number.get(number, ()), int)
-            if len(rows):
-                nearest = np.abs(times_ns[rows] - frame_ns).argmin()
-                row_of_frame.append(int(rows[nearest]))
-            else:
-                row_of_frame.append(None)
+        row_of_frame = np.full(len(trial.frames), UNKNOWN)
+        for k, number in enumerate(trial.frames):
+            rows = np.flatnonzero(numbers == number)
+            if len(rows):  # a counter that goes back repeats numbers: the nearest in time is meant
+                row_of_frame[k] = rows[np.abs(times_ns[rows] - trial.mocap_ns[k]).argmin()]
         return row_of_frame
 
     @property
+    def has_exposure(self) -> Bools:
+        """Whether the exposure of a frame in the log is known (F,)."""
+        return self.exposure_of_frame != UNKNOWN
+
+    @cached_property
+    def logged_exposures(self) -> Integers:
+        """The exposures of the frames in the log of which they are known."""
+        return self.exposure_of_frame[self.has_exposure]
+
+    @property
     def final_exposure(self) -> int:
-        """The exposure of the last frame in the log, after which people may move robots."""
-        certain = [row for row in self.exposure_of_frame if row is not None]
-        return certain[-1] if certain else -1
+        """The exposure of the last frame in the log, after which people may move robots; without
+        one, the last of all.
+        """
+        return int(self.logged_exposures[-1]) if len(self.logged_exposures) else -1
 
     @cached_property
     def accepted(self) -> Floats:
@@ -499,10 +523,9 @@ class Truth:
         poses = np.full((len(self.times_s), len(self.setup.names), 3), np.nan)
         if self.trial is None or not len(self.trial.frames):
             return poses
-        unit_mm = self.setup.metres * 1000
-        for row, logged in zip(self.exposure_of_frame, self.trial.mocap, strict=True):
-            if row is not None:
-                poses[row] = logged * (unit_mm, unit_mm, 1.0)
+        unit_mm = self.unit_mm
+        logged = self.trial.mocap[self.has_exposure]
+        poses[self.logged_exposures] = logged * (unit_mm, unit_mm, 1.0)
         end = len(poses)
         if self.trial.result is None:
             logged_rows = np.flatnonzero(~np.isnan(poses).all(axis=(1, 2)))
@@ -519,9 +542,7 @@ class Truth:
             return fresh
         is_of_frame = self.trial.exposed_ns == self.trial.mocap_ns[:, None]
         is_fresh = self.trial.valid & is_of_frame
-        for row, robots in zip(self.exposure_of_frame, is_fresh, strict=True):
-            if row is not None:
-                fresh[row] = robots
+        fresh[self.logged_exposures] = is_fresh[self.has_exposure]
         return fresh
 
     @cached_property
@@ -543,16 +564,15 @@ class Truth:
 
         The rim is for centres, as in the spec; obstacles are grown by the body's radius.
         """
-        unit_mm = self.setup.metres * 1000
         arena = self.setup.arena
-        x = self.poses[..., 0] / unit_mm
-        y = self.poses[..., 1] / unit_mm
+        x = self.poses[..., 0] / self.unit_mm
+        y = self.poses[..., 1] / self.unit_mm
         beyond_rim = [arena.left - x, x - arena.right, arena.bottom - y, y - arena.top]
         inside = [
             self.setup.body_radius - distances_to_shape(obstacle, x, y)
             for obstacle in self.setup.obstacles
         ]
-        return np.maximum(np.max(beyond_rim + inside, axis=0), 0.0) * unit_mm
+        return np.maximum(np.max(beyond_rim + inside, axis=0), 0.0) * self.unit_mm
 
 
 def distances_to_shape(shape: Shape, x: Floats, y: Floats) -> Floats:

@@ -28,7 +28,7 @@ def truth(commands=(), sent=(), began_s=0.0):
         commanded_s=np.array([message["t_ns"] for message in messages]) / 1e9,
         drives=lambda message: message["drives"],
         began_s=began_s,
-        exposure_of_frame=(),
+        logged_exposures=np.array([], int),
         faults=(),
     )
 

@@ -204,6 +204,6 @@ def track_record(
             "organism": organism.name,
             "cells": items,
             "notes": notes,
-            "field": field and {"time_s": field.times, "x": field.acts.real, "y": field.acts.imag},
+            "field": field and field.items(),
         }
     )

@@ -32,47 +32,34 @@ NEVER = -1  # time of a report that a cube has not sent
 ASK_NS = SECOND // 10  # time of silence after which a cube is asked, and again
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class CubeReport:
     """What a cube has reported last: its pose, None if it sees no mat, at the time `read_ns` [ns],
-    less than 0 before the first report; and whether it has taken the settings.
+    less than 0 before the first report.
     """
 
     pose: Pose | None = None
     read_ns: int = NEVER
-    has_settings: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class ReportsNow:
-    """The last poses and their times (N,) [ns] of all cubes, and the `number` of reports so far."""
-
-    number: int
-    poses: tuple[Pose | None, ...]
-    times: tuple[int, ...]
 
 
 class CubeReports:
-    """What N cubes have reported, `of_cubes`; a thread notes poses while another one reads all."""
+    """The last report of each of N cubes; a thread notes poses while another one reads all."""
 
     def __init__(self, cubes: int) -> None:
-        self.of_cubes = [CubeReport() for _ in range(cubes)]
+        self._newest = [CubeReport()] * cubes
         self._number = 0
         self._lock = threading.Lock()
 
     def note_pose(self, i: int, pose: Pose | None, at_ns: int) -> None:
         """Take the pose that cube i reported at a time."""
         with self._lock:
-            self.of_cubes[i].pose = pose
-            self.of_cubes[i].read_ns = at_ns
+            self._newest[i] = CubeReport(pose, at_ns)
             self._number += 1
 
-    def now(self) -> ReportsNow:
-        """Return the reports of all cubes."""
+    def now(self) -> tuple[int, list[CubeReport]]:
+        """Return the number of reports so far, and the last ones of all cubes."""
         with self._lock:
-            poses = tuple(report.pose for report in self.of_cubes)
-            times = tuple(report.read_ns for report in self.of_cubes)
-            return ReportsNow(self._number, poses, times)
+            return self._number, [*self._newest]
 
 
 class ToioCamera:
@@ -99,6 +86,7 @@ class ToioCamera:
         cubes = [entry(section.robots, name).cube for name in setup.names]
         self._link = CubesLink(clock, cubes, ports, self._heard)
         self._reports = CubeReports(len(cubes))
+        self._configured = set[int]()  # the cubes that have taken the settings
         self._asked_ns = 0  # when silent cubes were last asked
         self._newest_ns = NEVER  # time of the newest report in a frame
 
@@ -107,9 +95,10 @@ class ToioCamera:
         try:
             self._link.open()
             has_begun = any(self._begun() for _ in range(TRIES))
+            _, reports = self._reports.now()
             silent = [
                 name
-                for name, report in zip(self.setup.names, self._reports.of_cubes, strict=True)
+                for name, report in zip(self.setup.names, reports, strict=True)
                 if report.read_ns < 0
             ]
             if not has_begun and silent:
@@ -131,16 +120,18 @@ class ToioCamera:
             self._link.send(cube, Characteristic.ID)
 
         def begun() -> bool:
-            reports = self._reports.of_cubes
-            return all(report.has_settings and report.read_ns >= 0 for report in reports)
+            _, reports = self._reports.now()
+            have_reported = all(report.read_ns >= 0 for report in reports)
+            return have_reported and len(self._configured) == len(reports)
 
         return wait_for(self._clock, begun, FIRST_S / TRIES)
 
     def check(self) -> Health:
         """Return which robots do not see the mat."""
+        _, reports = self._reports.now()
         problems = tuple(
             f"{name} does not see the mat: is it on it, and clean below?"
-            for name, report in zip(self.setup.names, self._reports.of_cubes, strict=True)
+            for name, report in zip(self.setup.names, reports, strict=True)
             if report.pose is None
         )
         return Health(problems, emulated=self._link.emulated)
@@ -148,17 +139,18 @@ class ToioCamera:
     def frames(self) -> list[CameraFrame]:
         """Return a frame if a cube has reported since the last call; ask cubes that are silent."""
         self._ask_silent()
-        reports = self._reports.now()
-        newest_ns = max(reports.times)
-        if min(reports.times) < 0 or newest_ns <= self._newest_ns:
+        number, reports = self._reports.now()
+        times_ns = [report.read_ns for report in reports]
+        newest_ns = max(times_ns)
+        if min(times_ns) < 0 or newest_ns <= self._newest_ns:
             return []  # a reading that another cube's has overtaken is in the next frame
         self._newest_ns = newest_ns
         frame = CameraFrame(
-            number=reports.number,
+            number=number,
             sampled_ns=self._sampled(newest_ns),
             received_ns=self._clock.now(),
-            poses=reports.poses,
-            exposed_ns=tuple(map(self._sampled, reports.times)),
+            poses=tuple(report.pose for report in reports),
+            exposed_ns=tuple(map(self._sampled, times_ns)),
         )
         return [frame]
 
@@ -169,7 +161,8 @@ class ToioCamera:
         if self._asked_ns > silent_since_ns:
             return
         self._asked_ns = silent_since_ns + ASK_NS
-        for cube, report in zip(self._link.cubes, self._reports.of_cubes, strict=True):
+        _, reports = self._reports.now()
+        for cube, report in zip(self._link.cubes, reports, strict=True):
             if report.read_ns <= silent_since_ns:
                 with suppress(AbortError):  # the actuator's side says why
                     self._link.send(cube, Characteristic.ID)
@@ -179,7 +172,7 @@ class ToioCamera:
 
     def _heard(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
         if characteristic == Characteristic.CONFIGURATION:
-            self._reports.of_cubes[i].has_settings = True
+            self._configured.add(i)
         if characteristic != Characteristic.ID:
             return
         try:

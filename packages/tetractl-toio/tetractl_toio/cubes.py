@@ -3,7 +3,7 @@ one connection only.
 """
 
 import select
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 
@@ -39,14 +39,12 @@ class Cubes:
         """The reason why a cube cannot be reached any more; None if all can."""
         return next((link.failure for link in self._links.values() if link.failure), None)
 
-    def listen(self, cube: str, listener: Listener) -> None:
-        """Call `listener` for each notification of a cube."""
-        self._listeners.setdefault(cube, []).append(listener)
-
-    def open(self, cubes: Sequence[str]) -> None:
-        """Connect to the cubes that are not connected yet; AbortError if that fails."""
+    def open(self, listeners: Mapping[str, Listener]) -> None:
+        """Call the listener of each cube for its notifications, and connect to the cubes that are
+        not connected yet; AbortError if that fails."""
         self._users += 1
-        for cube in cubes:
+        for cube, listener in listeners.items():
+            self._listeners.setdefault(cube, []).append(listener)
             if cube not in self._links:
                 link = self._ports(cube, SPEED, "the cube", self._clock, self._heard(cube), HINT)
                 self._links[cube] = link
@@ -117,9 +115,7 @@ class CubesLink:
     def open(self) -> None:
         """Connect; AbortError if that fails."""
         self._run = _RUNS.setdefault(self._clock, Cubes(self._clock, self._ports or make_port))
-        for i, cube in enumerate(self.cubes):
-            self._run.listen(cube, partial(self._heard, i))
-        self._run.open(self.cubes)
+        self._run.open({cube: partial(self._heard, i) for i, cube in enumerate(self.cubes)})
 
     def close(self) -> None:
         """Leave the connections; may be called twice, never raises."""

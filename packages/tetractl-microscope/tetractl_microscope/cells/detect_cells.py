@@ -187,15 +187,6 @@ class SearchArrays:
         return slice(top, bottom)
 
 
-@dataclass(frozen=True, slots=True)
-class UsualPicture:
-    """What pictures usually are: the mean fraction of `changed` pixels, and the `noise` of the
-    first one after learning [grey levels]."""
-
-    changed: float
-    noise: float
-
-
 @dataclass(slots=True)
 class LostPictures:
     """How many pictures were lost `in_turn`, and a `sample` of them, for a new background."""
@@ -224,7 +215,8 @@ class BlobFinder:
         self.light = Light(1.0, 0.0, None, 0.0, False)
         self._background: Background | None = None
         self._newest = SearchArrays(np.empty((0, 0), np.uint8))
-        self._usual: UsualPicture | None = None
+        # the mean fraction of changed pixels, and the noise of the first picture after learning
+        self._usual: Light | None = None
         self._lost = LostPictures()
 
     @property
@@ -276,7 +268,7 @@ class BlobFinder:
         else:
             changed = usual.changed + USUAL_SHARE * (light.changed - usual.changed)
         first_noise = light.noise if usual is None else usual.noise
-        self._usual = UsualPicture(changed, first_noise)
+        self._usual = replace(light, changed=changed, noise=first_noise)
         noisy = light.noise > NOISY * max(first_noise, 1.0)
         is_relearning = len(self._lost.sample) > 0  # once begun, until there is a new background
         lost = light.lost or noisy or light.changed > CHANGED or is_relearning

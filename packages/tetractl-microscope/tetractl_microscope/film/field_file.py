@@ -30,6 +30,10 @@ STRONGEST = 100.0  # greatest strength of a field, relative to the reference fie
 class FieldRecord(SentDirections):
     """The field over time; there is none before `times[0]`, and the last value has no end."""
 
+    def items(self) -> dict[str, Floats]:
+        """Return x and y of the field from each of its times [s] on, as records have them."""
+        return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
+
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, each with its duration [s], x
         and y.

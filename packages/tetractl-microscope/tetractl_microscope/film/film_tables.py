@@ -80,7 +80,7 @@ def as_items(
         "number_lasts_s": followed.number_lasts_s,
         "track_lasts_s": followed.track_lasts_s,
         "notes": notes(followed, cells),
-        "field": field and {"time_s": field.times, "x": field.acts.real, "y": field.acts.imag},
+        "field": field and field.items(),
     }
     return plain(record)
 

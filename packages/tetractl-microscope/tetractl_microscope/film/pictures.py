@@ -7,7 +7,6 @@ import pickle
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any
@@ -31,15 +30,13 @@ DAMAGED = -1  # place of a picture that is not in the file of those kept
 ONE_PICTURE_HINT = "give the film, or the folder of its pictures"
 
 
-@dataclass(slots=True, weakref_slot=True)
 class PictureStore:
     """Keeps the first pictures of a film, all of one size, in a temporary file: up to KEPT_MAX."""
 
-    _file: IO[bytes] = field(default_factory=partial(TemporaryFile, buffering=0))
-    _places: list[int] = field(default_factory=list)  # of the pictures in the file, or DAMAGED
-    _shape: tuple[int, ...] = (0, 0)
-
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
+        self._file: IO[bytes] = TemporaryFile(buffering=0)  # noqa: SIM115 - closed with the store
+        self._places: list[int] = []  # of the pictures in the file, or DAMAGED
+        self._shape: tuple[int, ...] = (0, 0)
         finalize(self, self._file.close)
 
     def __len__(self) -> int:

@@ -35,7 +35,6 @@ def test_it_says_what_is_in_a_log(folder):
     done = tetractl(folder, "info whole.mcap")
     assert (done.returncode, done.stderr) == (0, "")
     trial = three_robots()
-    assert trial.result is not None
     for text in (
         'robots            ["green", "blue", "red"]',
         f"steps             {trial.result.steps}",
@@ -56,7 +55,6 @@ def test_json_holds_the_same(folder):
     done = tetractl(folder, "info whole.mcap --json")
     document = json.loads(done.stdout, parse_constant=pytest.fail)
     trial = three_robots()
-    assert trial.result is not None
     assert done.returncode == 0
     assert document["run"]["seed"] == str(SEED)
     assert document["result"]["robot_errors"] == list(trial.result.robot_errors)
@@ -77,7 +75,6 @@ def test_json_holds_the_same(folder):
 def test_the_last_estimate_is_told_with_its_deviations(tmp_path):
     random_trial = random_trials.trial(robots=2, steps=6)
     estimate = random_trial.steps[-1].plan.estimate
-    assert estimate is not None
     sure = replace(
         estimate,
         a=np.array([5.4926, 3.0]),

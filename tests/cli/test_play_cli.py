@@ -90,34 +90,35 @@ def restored(terminal):
     assert terminal.settings() == terminal.before
     assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
     assert terminal.raw.rindex("\x1b[?1002l") > terminal.raw.rindex("\x1b[?1002h")
-    assert "Traceback" not in terminal.raw
+
+
+def play(terminal, *moves):
+    """Wait for each text, and then press its keys."""
+    for text, keys in moves:
+        terminal.expect(text)
+        terminal.press(keys)
 
 
 @pytest.mark.long
 def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
     with on_terminal(folder) as terminal:
-        terminal.expect("arrows steer")
-        terminal.press("\x1b[A")
-        terminal.expect(r"↑ \+90°")
-        terminal.press("p")
-        terminal.expect("PAUSED")
-        terminal.press("\x1b[D")
-        terminal.expect(r"← \+180°")
-        terminal.press("p")
-        terminal.expect("arrows steer")
-        terminal.press("\x1b[<0;20;10M\x1b[<32;24;8M")
-        terminal.expect(r"↗ \+45°")
-        terminal.press(" ")
-        terminal.expect(r"You: [\d.]+ mm in \d+ s. All heard")
-        terminal.expect("ENTER: the controller  R: again")
-        terminal.press("\x1b[A")  # answers nothing
-        terminal.press("\r")
-        terminal.expect(r"Your best: [\d.]+ mm in \d+ s")
-        terminal.expect("ENTER: end")
-        terminal.press("\r")
+        play(
+            terminal,
+            ("arrows steer", "\x1b[A"),
+            (r"↑ \+90°", "p"),
+            ("PAUSED", "\x1b[D"),
+            (r"← \+180°", "p"),
+            ("arrows steer", "\x1b[<0;20;10M\x1b[<32;24;8M"),
+            (r"↗ \+45°", " "),
+            (r"You: [\d.]+ mm in \d+ s. All heard", ""),
+            ("ENTER: the controller  R: again", "\x1b[A\r"),  # the arrow answers nothing
+            (r"Your best: [\d.]+ mm in \d+ s", ""),
+            ("ENTER: end", "\r"),
+        )
         terminal.expect(r"you [\d.]+ mm in \d+ s.*, the controller [\d.]+ mm in \d+ s")
         terminal.expect("logs in out")
         restored(terminal)
+        assert "Traceback" not in terminal.raw
         assert terminal.finish() == 0
     yours = package.read_log(folder / "out/you/trial-000.mcap")
     assert yours.result.outcome == "sequence completed"
@@ -139,25 +140,20 @@ main()
 @pytest.mark.long
 def test_the_terminal_is_restored_after_a_defect(folder):
     with Terminal([sys.executable, "-c", BROKEN, "play", "spec.yaml"], folder) as terminal:
-        terminal.expect("arrows steer")
-        terminal.press("\x1b[A")
+        play(terminal, ("arrows steer", "\x1b[A"))
         terminal.expect(r"Traceback[\s\S]*RuntimeError: a defect")
-        assert terminal.settings() == terminal.before
-        assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
-        assert terminal.raw.rindex("\x1b[?1002l") > terminal.raw.rindex("\x1b[?1002h")
+        restored(terminal)
         assert terminal.finish() == 1
 
 
 @pytest.mark.long
 def test_ctrl_c_stops_the_robots_first_and_the_log_is_whole(folder):
     with on_terminal(folder) as terminal:
-        terminal.expect("arrows steer")
-        terminal.press("\x1b[C")
-        terminal.expect(r"→ \+0°")
-        terminal.press("\x03")
+        play(terminal, ("arrows steer", "\x1b[C"), (r"→ \+0°", "\x03"))
         terminal.expect("logs in out")
         terminal.expect("interrupted")
         restored(terminal)
+        assert "Traceback" not in terminal.raw
         assert terminal.finish() == 130
     yours = package.read_log(folder / "out/you/trial-000.mcap")
     assert yours.result.outcome == "interrupted"
@@ -169,17 +165,16 @@ def test_ctrl_c_stops_the_robots_first_and_the_log_is_whole(folder):
 @pytest.mark.parametrize(("key", "code"), [(" ", 0), ("\x03", 130), ("\x1a", 130)])
 def test_a_trial_that_is_left_before_its_first_key_leaves_no_log(key, code, folder):
     with on_terminal(folder) as terminal:
-        terminal.expect("arrows steer")
-        terminal.press(key)
+        play(terminal, ("arrows steer", key))
         terminal.expect("nothing is logged" if code == 0 else "interrupted")
         restored(terminal)
+        assert "Traceback" not in terminal.raw
         assert terminal.finish() == code
     assert not (folder / "out").exists()
 
 
 def test_the_best_try_is_one_that_is_not_lost():
     result = three_robots().result
-    assert result
     outside = replace(result.verdict, edge=(-1.0, 100.0, 100.0))
     lost = replace(result, total_error=1.0, verdict=outside)
     kept = replace(result, total_error=9.0)
@@ -191,7 +186,6 @@ def test_the_best_try_is_one_that_is_not_lost():
 def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():
     """Regression: an undisturbed controller was 0.000519 mm off."""
     log = three_robots()
-    assert log.result
     result = replace(log.result, total_error=0.000519)
     assert _error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
     assert _error(replace(result, total_error=6.9), log.experiment).startswith("6.90 mm in")

@@ -157,19 +157,23 @@ def quick_run(folder, *args, **streams):
 
 
 @pytest.mark.parametrize("broken", first_of(BROKEN))
-def test_messages_that_cannot_be_written_change_nothing(tmp_path, broken):
-    with BROKEN[broken]() as descriptor, quick_run(tmp_path, stderr=descriptor) as running:
-        assert running.end() == 0
+@pytest.mark.parametrize(
+    ("stream", "other", "says"),
+    [
+        ("stderr", "out", "3 of 3 trials valid"),
+        ("stdout", "err", "look at one with: tetractl replay logs/trial-000.mcap"),
+    ],
+    ids=["messages", "results"],
+)
+def test_results_that_cannot_be_written_are_an_error_unless_their_reader_ended(
+    tmp_path, broken, stream, other, says
+):
+    """Messages that cannot be written change nothing."""
+    with BROKEN[broken]() as descriptor, quick_run(tmp_path, **{stream: descriptor}) as running:
+        is_error = stream == "stdout" and broken != "closed pipe"
+        assert running.end() == is_error
     assert len(list(running.logs.glob("*.mcap"))) == 3
-    assert "3 of 3 trials valid" in running.out.read_text()
-
-
-@pytest.mark.parametrize("broken", first_of(BROKEN))
-def test_results_that_cannot_be_written_are_an_error_unless_their_reader_ended(tmp_path, broken):
-    with BROKEN[broken]() as descriptor, quick_run(tmp_path, stdout=descriptor) as running:
-        assert running.end() == (0 if broken == "closed pipe" else 1)
-    assert len(list(running.logs.glob("*.mcap"))) == 3
-    assert "look at one with: tetractl replay logs/trial-000.mcap" in running.err.read_text()
+    assert says in getattr(running, other).read_text()
 
 
 @pytest.mark.parametrize("unread", first_of(FULL))

@@ -109,7 +109,6 @@ class Page:
 @contextmanager
 def chromium(profile: Path) -> Iterator[Page]:
     """Start a browser with a profile of its own and return its page."""
-    assert BROWSER is not None
     browser_reads, we_write = os.pipe()
     we_read, browser_writes = os.pipe()
 

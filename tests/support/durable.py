@@ -70,7 +70,6 @@ class RealTime:
             text=True,
             env=os.environ | env,
         )
-        assert self.process.stdout is not None
         first = self.process.stdout.readline()
         while first and not first.strip().isdigit():  # it may say that it compiles
             first = self.process.stdout.readline()

@@ -17,7 +17,6 @@ def lab_log(tmp_path, valid, speed_mm, halts, metres):
     """A complete lab trial: a second of frames at 100 Hz; robot 0 drives along x throughout."""
     random_trial = random_trials.trial(simulated=False)
     log = read_trial(random_trials.write(random_trial, tmp_path / "trial.mcap"))
-    assert log.result
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab").experiment
     poses = np.zeros((100, 3, 3))
     poses[:, 0, 0] = np.arange(100) * speed_mm / 100 * 0.001 / metres

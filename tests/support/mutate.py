@@ -145,7 +145,6 @@ def rewritten(log: Path, path: Path, in_order: bool = False, **options: Any) -> 
         numbers: dict[int, int] = {}
         for schema, channel, message in reader.iter_messages(log_time_order=not in_order):
             if channel.id not in numbers:
-                assert schema is not None
                 schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
                 encoding = channel.message_encoding
                 number = writer.register_channel(channel.topic, encoding, schema_id)

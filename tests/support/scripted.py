@@ -33,9 +33,8 @@ def mpc(experiment, key, optimizer=None, timer=still, **setup_changes):
 class Scripted:
     """An optimiser that writes down what it was asked and answers with costs by length."""
 
-    def __init__(self, costs=None, evaluations=10):
+    def __init__(self, costs=None):
         self.costs = costs or {}
-        self.evaluations = evaluations
         self.asked = []
 
     def search(self, problem, length, warm, key, limits):
@@ -43,9 +42,7 @@ class Scripted:
         self.asked.append((length, start, key, limits.evaluations))
         cost = self.costs.get(length, 100.0 + length)
         signals = np.arange(1, length + 1) / 10 + len(self.asked) / 1000
-        return Search(
-            length, signals, cost, np.array([cost]), self.evaluations, StopReason.ITERATIONS
-        )
+        return Search(length, signals, cost, np.array([cost]), 10, StopReason.ITERATIONS)
 
     def forget(self):
         searches = self.asked

@@ -89,8 +89,8 @@ def write_trial(path: Path, seed: int = SEED) -> Path:
     return path
 
 
-def write_torn(path: Path, seed: int = SEED) -> Path:
+def write_torn(path: Path) -> Path:
     """Store the first half of that log, as a crash leaves it."""
-    data, _ = _recorded(seed)
+    data, _ = _recorded(SEED)
     path.write_bytes(data[: len(data) // 2])
     return path

@@ -80,7 +80,6 @@ def test_alike_robots_are_found_and_a_better_a_is_advised():
     assert analysis.looked
     assert analysis.alike == ("red", "blue")
     change = analysis.change
-    assert change is not None
     assert change.robot in analysis.alike
     assert change.mean_total_error < 0.8 * analysis.steering.error
     assert f"change a of {change.robot} from {change.a:g} to {change.a_advised:g}" in advice(

@@ -14,8 +14,8 @@ from tetractl.core.poses import Poses
 from tetractl.model.shapes import Rectangle
 
 
-def robot_at(x, y, heading=0.0, a=6.0, speed=100.0, target=(0.0, 0.0)):
-    return (x, y, heading, *target, a, speed)
+def robot_at(x, y, target=(0.0, 0.0)):
+    return (x, y, 0.0, *target, 6.0, 100.0)
 
 
 @given(

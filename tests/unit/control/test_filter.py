@@ -149,7 +149,6 @@ def drive(
         if watch:
             watch(k, estimator, plant)
         command = plant.send(Steer(direction) if k < stop_s * rate else Stop())
-    assert estimator.estimate is not None
     return Driven(estimator.estimate, plant, estimator)
 
 

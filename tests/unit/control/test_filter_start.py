@@ -27,14 +27,14 @@ def filters_of_slow_turns():
     return filters
 
 
-def opened_again(filters, heading_fits):
-    return reopened_bank(filters.bank, filters.likeliest(), heading_fits, filters.prior)
+def opened_again(filters):
+    return reopened_bank(filters.bank, filters.likeliest(), False, filters.prior)
 
 
 def test_motors_of_all_robots_may_saturate_where_one_heading_does_not_fit():
     """Regression: robots that just saturate do not show it by a misfit: their a was found 14 to
     25 % too small, by 8 to 15 deviations."""
-    bank = opened_again(filters_of_slow_turns(), heading_fits=False)
+    bank = opened_again(filters_of_slow_turns())
     limited = bank.group != NO_LIMIT
     assert limited.any(axis=0).all()
     assert np.isfinite(bank.score[limited]).all()
@@ -44,7 +44,7 @@ def test_motors_of_all_robots_may_saturate_where_one_heading_does_not_fit():
 def test_what_was_found_of_turns_without_a_limit_is_forgotten_with_one(state):
     """Regression: a began from the small value that had explained slow turns, and stayed small."""
     filters = filters_of_slow_turns()
-    bank = opened_again(filters, heading_fits=False)
+    bank = opened_again(filters)
     limited = bank.group != NO_LIMIT
     assert bank.state[limited, FIRST_SLOT, state] == pytest.approx(0.0)
     deviations = np.sqrt(bank.cov[:, :, FIRST_SLOT, state, state])

@@ -17,8 +17,8 @@ ROUND = Circle(type="circle", center=(3000, 3000), radius=50).shape()
 FAR = np.array([[100.0, 100], [200, 2000]])
 
 
-def margins_of(shapes, walls=None, targets=FAR, radius=0.0):
-    return Margins(Collision(radius=radius), shapes, walls, targets)
+def margins_of(shapes, targets=FAR, radius=0.0):
+    return Margins(Collision(radius=radius), shapes, None, targets)
 
 
 def at(*points):

@@ -15,14 +15,11 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.lengths import CUT, SIGNALS_PER_ROBOT, SPREAD, TRIES
-from tetractl.control.mpc import (
-    SEARCH_S,
-    SLACK,
-)
+from tetractl.control.mpc import SEARCH_S, SLACK
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop
-from tetractl.core.plan import PAUSE_S, End, Outcome, Plan, State, StopReason
+from tetractl.core.plan import PAUSE_S, End, Outcome, State, StopReason
 from tetractl.experiment.lab_section import REACTION_S
 
 PERIOD_S = 0.2
@@ -124,12 +121,6 @@ def good_from(shortest, cost):
     return bad | good
 
 
-def first_plan(search):
-    """The first plan of a controller that has time for long plans, found by `search`."""
-    controller = mpc(spec(horizon_max=100, time_limit=80.2), 99, search)
-    return controller.plan(observation_of())
-
-
 def short_by(total):
     """Poses at the targets, but for green, which is `total` [mm] short of its own."""
     poses = TARGETS.copy()
@@ -181,25 +172,36 @@ def test_a_good_plan_under_way_is_drawn_together_but_not_to_the_least_length():
     assert all(begins_from_it for _, begins_from_it in asked)
 
 
-def test_the_trial_ends_where_a_stop_is_worth_most():
-    """What is left of the plan leads past the targets."""
-    controller, _ = driving({})
-    assert decide(controller, short_by(ACCEPT - 5)) is Outcome.NO_BETTER_PLAN
-
-
-def test_the_trial_ends_near_the_targets_once_the_sequence_is_used_up():
-    controller, _ = driving({1: 0.0}, signals_left=0)
-    assert decide(controller, short_by(ACCEPT - 5)) is Outcome.SEQUENCE_COMPLETED
-
-
-def test_arrival_ends_a_trial():
-    controller, _ = driving({}, arrival_tolerance=20)
-    assert decide(controller, short_by(19)) is Outcome.ARRIVED
-
-
-def test_the_limit_of_time_ends_a_trial():
-    controller, _ = driving({}, time_limit=2 * PERIOD_S)
-    assert decide(controller, now=2 * PERIOD_NS) is Outcome.TIME_LIMIT
+@pytest.mark.parametrize(
+    ("costs", "fields", "poses", "periods", "outcome"),
+    [
+        pytest.param(
+            {},  # what is left of the plan leads past the targets
+            {},
+            short_by(ACCEPT - 5),
+            1,
+            Outcome.NO_BETTER_PLAN,
+            id="a stop is worth most",
+        ),
+        pytest.param(
+            {1: 0.0},
+            {"signals_left": 0},
+            short_by(ACCEPT - 5),
+            1,
+            Outcome.SEQUENCE_COMPLETED,
+            id="near the targets the sequence is used up",
+        ),
+        pytest.param(
+            {}, {"arrival_tolerance": 20}, short_by(19), 1, Outcome.ARRIVED, id="robots arrive"
+        ),
+        pytest.param(
+            {}, {"time_limit": 2 * PERIOD_S}, STARTS, 2, Outcome.TIME_LIMIT, id="the time is over"
+        ),
+    ],
+)
+def test_the_trial_ends_where(costs, fields, poses, periods, outcome):
+    controller, _ = driving(costs, **fields)
+    assert decide(controller, poses, periods * PERIOD_NS) is outcome
 
 
 ARRIVES_S = 0.1
@@ -272,34 +274,23 @@ def test_after_a_rest_the_trial_ends_unless_a_new_plan_can_be_better_in_time(
     assert (decision if isinstance(decision, Outcome) else decision.state) is then
 
 
-def beside_a_wall(gap, stop=True, radius=0.0, optimizer=None, **fields):
+def beside_a_wall(gap, stop=True, radius=0.0, **fields):
     """A controller of robots of which green drives straight to the right wall, `gap` [mm] from it;
-    and their poses. It has the spec's optimiser, if none is given."""
+    and their poses."""
     collision = POINTS | {"walls": True, "radius": radius, "stop_before_collision": stop}
-    controller = driving_by(optimizer, signals_left=1, collision=collision, **fields)
+    controller = driving_by(None, signals_left=1, collision=collision, **fields)
     poses = STARTS.copy()
     poses[0, 0] = controller.setup.arena.right - gap
     return controller, poses
 
 
-def decisions_beside_a_wall(count):
-    """The decisions of so many steps, of which the first is a stop, with green where it stopped:
-    5 mm from the wall that it faces. A step without driving takes PERIOD_S and PAUSE_S."""
-    controller, poses = beside_a_wall(5)
-    standing_ns = PERIOD_NS + round(PAUSE_S * SECOND)
-    decisions = []
-    command = STRAIGHT_ON
-    for number in range(count):
-        now_ns = PERIOD_NS + number * standing_ns
-        decision = decide(controller, poses, now_ns, command)
-        decisions.append(decision)
-        if isinstance(decision, Plan):
-            command = Command(decision.action, now_ns, HEARD)
-    return decisions
-
-
 def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_does():
-    stop, turn = decisions_beside_a_wall(2)
+    """Green stops 5 mm from the wall that it faces."""
+    controller, poses = beside_a_wall(5)
+    stop = decide(controller, poses)
+    standing_ns = PERIOD_NS + round(PAUSE_S * SECOND)  # a step without driving takes as long
+    stopped = Command(stop.action, PERIOD_NS, HEARD)
+    turn = decide(controller, poses, PERIOD_NS + standing_ns, stopped)
     assert (stop.state, turn.state) == (State.RESTING, State.TURNING)
     assert len(turn.searches) > 1  # from standing nothing could move safely
     assert math.cos(turn.action.facing) < 0.1  # not towards the right wall
@@ -320,15 +311,21 @@ def test_robots_that_gave_up_and_are_found_at_their_way_points_go_on(monkeypatch
     assert plan.leg == 1
 
 
-@pytest.mark.parametrize(("gap", "radius"), [(5, 0), (-30, 0), (52, 47), (30, 47)])
-def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
-    controller, poses = beside_a_wall(gap, radius=radius)
-    assert decide(controller, poses).state is State.RESTING
-
-
-def test_robots_that_cannot_stand_drive_on():
-    controller, poses = beside_a_wall(30, stop=False)
-    assert decide(controller, poses).state is State.DRIVING
+@pytest.mark.parametrize(
+    ("gap", "radius", "can_stand", "state"),
+    [
+        (5, 0, True, State.RESTING),
+        (-30, 0, True, State.RESTING),
+        (52, 47, True, State.RESTING),
+        (30, 47, True, State.RESTING),
+        (30, 0, False, State.DRIVING),
+    ],
+)
+def test_robots_that_can_stand_stop_before_a_body_touches_a_wall_or_goes_deeper(
+    gap, radius, can_stand, state
+):
+    controller, poses = beside_a_wall(gap, can_stand, radius)
+    assert decide(controller, poses).state is state
 
 
 def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
@@ -352,7 +349,8 @@ FIRST = round(SPREAD * STRAIGHT)
 )
 def test_the_first_plan_is_the_shortest_that_is_good_enough(shortest):
     search = Scripted(good_from(shortest, 0.5))
-    plan = first_plan(search)
+    with_time = spec(horizon_max=100, time_limit=80.2)  # for long plans
+    plan = mpc(with_time, 99, search).plan(observation_of())
     lengths_asked = [length for length, *_ in search.asked]
     assert lengths_asked[0] == FIRST
     assert plan.search.length == max(STRAIGHT, shortest)

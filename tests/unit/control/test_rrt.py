@@ -32,7 +32,6 @@ def path(key, margin=30.0, draws=3000):
 @given(st.integers(0, 2**64 - 1))
 def test_a_path_ends_at_the_target_and_touches_nothing(key):
     region, corners = path(key)
-    assert corners is not None
     assert corners[-1].tolist() == TARGET.tolist()
     ends = np.vstack([START, corners])
     assert not region.cross(*ends[:-1].T, *ends[1:].T).any()

@@ -94,10 +94,8 @@ def test_many_samples_at_once_are_checked_as_one_by_one(walls):
         for m in range(len(x)):
             one_by_one.add(x[m : m + 1], y[m : m + 1])
 
-        assert at_once.entered.tolist() == one_by_one.entered.tolist()
-        assert at_once.clearance.tolist() == one_by_one.clearance.tolist()
-        assert at_once.edge.tolist() == one_by_one.edge.tolist()
-        assert at_once.apart.tolist() == one_by_one.apart.tolist()
+        for name in ("entered", "clearance", "edge", "apart"):
+            assert getattr(at_once, name).tolist() == getattr(one_by_one, name).tolist()
         entered += at_once.entered.tolist()
     assert any(entered) and not all(entered)
 

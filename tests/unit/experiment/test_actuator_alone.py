@@ -14,7 +14,6 @@ M3PI = "{type: m3pi-xbee, port: a, robots: [{name: green}, {name: blue}]}"
 @pytest.mark.parametrize("section", ["plant", "lab"])
 def test_robots_are_those_of_the_actuator(section, actuator):
     alone = actuator_alone(parse_document(f"{section}: {{actuator: {actuator}}}", "spec.yaml"))
-    assert alone is not None
     actuator_section, setup = alone
     assert setup.names == ("green", "blue")
     actuator_section.build(setup, VirtualClock())

@@ -110,10 +110,7 @@ def begun_with_checks(*checks, rules=GOES_ON):
 
 
 def test_a_robot_that_may_be_faster_does_not_jump():
-    course = Course(replace(RULES, speeds=(2000.0, 100.0)))
-    course.frames(3)
-    course.guard.pass_preflight()
-    course.guard.start_run(course.now_ns)
+    course = running(replace(RULES, speeds=(2000.0, 100.0)))
     course.frame((Pose(540.0, 500.0, 0.3), PLACES[1]))  # 40 mm in 8 ms: 5 m/s
     assert course.guard.refused[0] != "its pose jumped"
 
@@ -384,20 +381,17 @@ AHEAD_X = REACTION_S * 200.0 * math.cos(PLACES[0].heading)
 """How far green comes along x in the time to react [mm]."""
 
 
-def test_a_robot_is_stopped_before_it_leaves_the_arena():
-    drive = Drive()
-    guard = drive.go(10.0)
-    assert guard.reason == "green is about to leave the arena"
-    assert drive.green.x == pytest.approx(2000.0 - AHEAD_X, abs=3.0)
-
-
 BOX = Shape(np.array([[700.0, 400.0], [900.0, 400.0], [900.0, 700.0], [700.0, 700.0]]), 47.0)
 
 
-def test_a_robot_is_stopped_before_its_body_enters_an_obstacle():
-    drive = Drive(obstacles=(BOX,))
-    assert drive.go(10.0).reason == "green is about to enter an obstacle"
-    assert drive.green.x == pytest.approx(700.0 - 47.0 - AHEAD_X, abs=3.0)
+@pytest.mark.parametrize(
+    ("obstacles", "edge_x", "about_to"),
+    [((), 2000.0, "leave the arena"), ((BOX,), 700.0 - 47.0, "enter an obstacle")],
+)
+def test_a_robot_is_stopped_before_the_arena_or_an_obstacle(obstacles, edge_x, about_to):
+    drive = Drive(obstacles=obstacles)
+    assert drive.go(10.0).reason == f"green is about to {about_to}"
+    assert drive.green.x == pytest.approx(edge_x - AHEAD_X, abs=3.0)
 
 
 def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():
@@ -428,17 +422,17 @@ def with_noise(pose, k):
     return replace(pose, x=pose.x + 0.3 * math.sin(k))
 
 
-def begun_with_noise(noisy_frames=60):
-    """A course whose robots have just been allowed to drive, by a camera with noise."""
+def seen_with_noise(frames=60, robots=(0, 1)):
+    """A course before its run, these of whose robots a camera with noise has seen."""
     course = Course().pass_preflight()
-    for k in range(noisy_frames):
-        course.frame([with_noise(pose, k) for pose in PLACES])
-    return course.start_run()
+    for k in range(frames):
+        course.frame([with_noise(pose, k * (i in robots)) for i, pose in enumerate(PLACES)])
+    return course
 
 
 def test_a_noisy_camera_that_repeats_its_last_frame_is_frozen_whatever_is_commanded():
     """Regression: robots that may obey 0.3 s late drove for so long after such a frame."""
-    course = begun_with_noise()
+    course = seen_with_noise().start_run()
     frozen = [with_noise(pose, 59) for pose in PLACES]
     moving = [course.frames(1, frozen).moving for _ in range(8)]
     assert moving[5] == (True, True)  # 48 ms
@@ -451,9 +445,7 @@ def test_a_noisy_camera_that_repeats_its_last_frame_is_frozen_whatever_is_comman
 def test_a_noisy_camera_that_froze_before_the_run_lets_no_robot_drive():
     """Regression: frames that differed last before a run were those of noise, so one that stood
     still as it began had none, and robots drove on it for 0.42 s."""
-    course = Course().pass_preflight()
-    for k in range(60):
-        course.frame([with_noise(pose, k) for pose in PLACES])
+    course = seen_with_noise()
     frozen = [with_noise(pose, 59) for pose in PLACES]
     course.frames(40, frozen)
     course.start_run()
@@ -462,7 +454,7 @@ def test_a_noisy_camera_that_froze_before_the_run_lets_no_robot_drive():
 
 def test_a_noisy_camera_that_freezes_after_the_run_shows_no_robot_at_rest():
     """Regression: a trial counted whose last half second the camera had not seen."""
-    course = begun_with_noise()
+    course = seen_with_noise().start_run()
     course.guard.end_run()
     frozen = [with_noise(pose, 60) for pose in PLACES]
     course.frame(frozen)
@@ -482,20 +474,24 @@ def test_a_noisy_camera_that_freezes_after_the_run_shows_no_robot_at_rest():
     ],
 )
 def test_robots_that_stand_are_seen_though_poses_repeat(noisy_frames, poses_of):
-    course = begun_with_noise(noisy_frames)
+    course = seen_with_noise(noisy_frames).start_run()
     for k in range(200, 300):
         ruling = course.frames(1, poses_of(k))
         assert (ruling.state, ruling.moving) == (GuardState.RUN, (True, True))
 
 
 class Finds(GuardCheck):
-    """Stands for a check that finds what it was given, at each tick."""
+    """Stands for a check that finds what it was given: at each tick, or in each frame of a run."""
 
-    def __init__(self, *findings):
-        self._findings = findings
+    def __init__(self, *at_ticks, in_frames=()):
+        self._at_ticks = at_ticks
+        self._in_frames = in_frames
 
     def tick(self, robots):
-        yield from self._findings
+        yield from self._at_ticks
+
+    def frame(self, now_ns, times, poses):
+        yield from self._in_frames
 
 
 class AbortsWhenRead:
@@ -761,10 +757,7 @@ def test_a_drift_is_the_same_in_every_unit():
 
 
 def test_a_robot_that_is_carried_to_its_start_is_no_noise_of_the_camera():
-    course = Course().pass_preflight()
-    for k in range(60):
-        course.frame((with_noise(PLACES[0], k), PLACES[1]))
-    course.start_run()
+    course = seen_with_noise(robots=(0,)).start_run()
     for _ in range(30):
         assert course.frames(1, PLACES).moving == (True, True)
 
@@ -794,18 +787,25 @@ def test_a_ghost_is_not_believed_after_the_abort_either():
 
 
 @pytest.mark.parametrize(
-    ("finding", "state", "reason", "lost", "warnings"),
+    ("finding", "state", "moving", "lost", "warnings"),
     [
-        (Warn("one"), GuardState.RUN, "", [], ("one",)),
-        (Lose(1, "two"), GuardState.RUN, "", [1], ("two: the run goes on without this robot",)),
-        (Abort("three"), GuardState.ABORT, "three", [], ()),
+        (Warn("one"), GuardState.RUN, (True, True), [], ("one",)),
+        (
+            Lose(1, "two"),
+            GuardState.RUN,
+            (True, False),
+            [1],
+            ("two: the run goes on without this robot",),
+        ),
+        (Abort("three"), GuardState.ABORT, (False, False), [], ()),
     ],
     ids=["warn", "lose", "abort"],
 )
-def test_what_a_check_of_a_list_finds_takes_effect(finding, state, reason, lost, warnings):
+def test_what_a_check_of_a_list_finds_takes_effect_at_once(finding, state, moving, lost, warnings):
     course = begun_with_checks(Finds(finding))
     ruling = course.frame()
-    assert (ruling.state, ruling.reason, list(course.guard.lost)) == (state, reason, lost)
+    assert (ruling.state, ruling.moving, list(course.guard.lost)) == (state, moving, lost)
+    assert ruling.reason == ("three" if state is GuardState.ABORT else "")
     assert ruling.warnings == warnings
 
 
@@ -820,28 +820,13 @@ def test_a_body_in_place_of_a_ghost_is_no_ghost():
     assert course.accepted.fresh == (True, True)
 
 
-class FindsInFrames(Finds):
-    """Stands for a check that finds what it was given, in each frame of a run."""
-
-    def frame(self, now_ns, times, poses):
-        yield from self._findings
-
-    def tick(self, robots):
-        yield from ()
-
-
 def test_an_abort_for_damaged_frames_passes_on_the_warnings_before_it():
     """Regression: what was warned of since the last tick was lost."""
-    course = begun_with_checks(FindsInFrames(Warn("green wanders")), rules=RULES)
+    course = begun_with_checks(Finds(in_frames=[Warn("green wanders")]), rules=RULES)
     course.damaged = 21
     ruling = course.frame()
     assert ruling.reason == "21 damaged camera frames within a second"
     assert ruling.warnings == ("green wanders",)
-
-
-def test_a_robot_that_is_lost_in_a_tick_does_not_move_by_its_ruling():
-    course = begun_with_checks(Finds(Lose(1, "it is gone")))
-    assert course.frame().moving == (True, False)
 
 
 def test_after_an_abort_no_robot_is_lost_any_more():

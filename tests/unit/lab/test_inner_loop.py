@@ -3,6 +3,7 @@
 import math
 import threading
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -29,6 +30,25 @@ def lab():
 
 def wait_a_second(lab):
     lab.clock.sleep_until(lab.clock.now() + SECOND)
+
+
+class FailedStop(NamedTuple):
+    """A stop that an actuator was asked for and failed at."""
+
+    sent_ns: int
+    emergency: bool
+
+
+def fail_at_stops(lab, error):
+    """Let the actuator raise this at each stop; return the stops, which go on to be added."""
+    stops = []
+
+    def fail(emergency=False):
+        stops.append(FailedStop(lab.clock.now(), emergency))
+        raise error
+
+    lab.actuator.stop = fail
+    return stops
 
 
 @pytest.fixture
@@ -70,12 +90,22 @@ def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
     assert hung.world.moving == (False,) * 3
 
 
-def test_the_emergency_key_is_obeyed_past_a_loop_that_hangs(hung):
-    """Regression: only steps of the loop read the key, so the stops that were sent past one were
-    no emergency stops, and no device latched them."""
-    hung.supervision.emergency.set()
+def press_the_key(lab):
+    lab.supervision.emergency.set()
+
+
+def abort_by_the_operator(lab):
+    lab.plant.rig.loop.guard.abort("emergency stop by the operator", emergency=True)
+
+
+@pytest.mark.parametrize("ask", [press_the_key, abort_by_the_operator])
+def test_an_emergency_stop_past_a_loop_that_hangs_is_one_to_the_devices(hung, ask):
+    """Regression: only steps of the loop read the key, and only its own stops said that devices are
+    to latch them: the stops that were sent past one were no emergency stops."""
+    before = len(hung.actuator.sent)
+    ask(hung)
     hung.plant.rig.loop.stop()
-    assert hung.actuator.emergencies == 10
+    assert hung.actuator.emergencies == len(hung.actuator.sent) - before == 10
 
 
 def test_a_robot_that_must_stop_is_not_steered_until_the_next_period():
@@ -197,21 +227,15 @@ def test_an_emergency_stop_is_sent_after_an_abort_too(lab):
 def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops(lab):
     """Regression: the first stop that a port did not take ended the series, though the actuator had
     written it to the ports of the other robots: they got one stop of each ten."""
-    emergencies = []
-
-    def stop_the_others(emergency=False):
-        emergencies.append(emergency)
-        raise AbortError("green's port is gone")
-
-    lab.actuator.stop = stop_the_others
+    stops = fail_at_stops(lab, AbortError("green's port is gone"))
     lab.plant.rig.loop.guard.abort("another fault")
     wait_a_second(lab)
-    assert emergencies == [False] * 10
+    assert len(stops) == 10
     assert lab.plant.rig.loop.stop() is None
-    assert emergencies == [False] * 20
+    assert len(stops) == 20
     lab.supervision.emergency.set()
     wait_a_second(lab)
-    assert emergencies == [False] * 20 + [True] * 10
+    assert [stop.emergency for stop in stops] == [False] * 20 + [True] * 10
 
 
 class LosesBlue:
@@ -243,8 +267,7 @@ def test_a_guard_of_newly_found_robots_does_not_wait_for_a_loop_that_hangs(hung)
 
 def test_a_guard_of_other_rules_has_the_checks_of_the_one_before():
     """Regression: a robot faster than its spec was refused as a jump while it was calibrated."""
-    lab = fake_lab(experiment().setup)
-    loop = lab.plant.rig.loop
+    loop = fake_lab(experiment().setup).plant.rig.loop
     before = loop.guard
     faster = replace(before.rules, speeds=(2000.0, 100.0, 100.0))
     loop.restart(faster)
@@ -253,38 +276,15 @@ def test_a_guard_of_other_rules_has_the_checks_of_the_one_before():
     assert loop.guard.checks_of is before.checks_of
 
 
-def test_an_emergency_stop_past_a_loop_that_hangs_is_one_to_the_devices(hung, monkeypatch):
-    """Regression: only stops of the loop itself said that devices are to latch them."""
-    hung.plant.rig.loop.guard.abort("emergency stop by the operator", emergency=True)
-    emergencies = []
-    stop = hung.actuator.stop
-
-    def note_stop(emergency=False):
-        emergencies.append(emergency)
-        return stop(emergency)
-
-    monkeypatch.setattr(hung.actuator, "stop", note_stop)
-    hung.plant.rig.loop.stop()
-    assert emergencies == [True] * 10
-
-
-def test_a_stop_past_a_loop_that_hangs_never_raises(hung, monkeypatch):
+def test_a_stop_past_a_loop_that_hangs_never_raises(hung):
     """Regression: errors of an actuator's own code ended it after the first stop."""
-    calls = []
-
-    def fail(emergency=False):
-        calls.append(emergency)
-        raise ValueError("a defect of the actuator")
-
-    monkeypatch.setattr(hung.actuator, "stop", fail)
+    stops = fail_at_stops(hung, ValueError("a defect of the actuator"))
     assert hung.plant.rig.loop.stop() is None
-    assert len(calls) == 10
+    assert len(stops) == 10
 
 
 def test_the_abort_of_a_new_guard_has_stops_of_its_own(lab):
     """Regression: a loop sent the stops of an abort once, whichever guard it was of."""
-    lab = fake_lab(experiment().setup)
-    lab.plant.open()
     loop = lab.plant.rig.loop
     loop.guard.abort("the first")
     wait_a_second(lab)
@@ -324,28 +324,22 @@ def test_a_failure_that_is_no_text_stops_the_robots(lab):
 def test_the_emergency_key_is_obeyed_while_the_camera_raises_in_each_step(blind):
     """Regression: a step read the key after the camera's frames, so it was never obeyed while
     the camera raised: nothing was sent, and no device latched a stop."""
-    lab = blind
-    assert lab.actuator.emergencies == 0
-    pressed_ns = lab.clock.now()
-    lab.supervision.emergency.set()
-    lab.clock.sleep_until(pressed_ns + SECOND)
-    stops = [sent for sent in lab.actuator.sent if sent.sent_ns > pressed_ns]
-    assert lab.actuator.emergencies == len(stops) == 10
+    assert blind.actuator.emergencies == 0
+    pressed_ns = blind.clock.now()
+    blind.supervision.emergency.set()
+    wait_a_second(blind)
+    stops = [sent for sent in blind.actuator.sent if sent.sent_ns > pressed_ns]
+    assert blind.actuator.emergencies == len(stops) == 10
     assert stops[0].sent_ns - pressed_ns == STEP_NS  # in the next step
-    assert lab.plant.rig.loop.guard.reason == "the camera is gone"
+    assert blind.plant.rig.loop.guard.reason == "the camera is gone"
 
 
 def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops(lab):
     """Regression: the others got two stops. An abort at the first stop begins ten more."""
-    sent_ns = []
-
-    def stop_the_others(emergency=False):
-        sent_ns.append(lab.clock.now())
-        raise AbortError("green's port is gone")
-
-    lab.actuator.stop = stop_the_others
+    stops = fail_at_stops(lab, AbortError("green's port is gone"))
     assert lab.plant.rig.loop.stop() is None
     wait_a_second(lab)
+    sent_ns = [stop.sent_ns for stop in stops]
     assert len(sent_ns) == 11
     assert min(np.diff(sent_ns)) > 0
     assert sent_ns[-1] - sent_ns[0] < SECOND // 4

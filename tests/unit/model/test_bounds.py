@@ -19,8 +19,9 @@ def most_drift(a_1, a_2, turned, seconds):
     return drift(np.asarray(a_1), np.asarray(a_2), np.asarray(turned), seconds)
 
 
-def widest_gap(a_1, a_2, turned, seconds, steps=4000):
+def widest_gap(a_1, a_2, turned, seconds):
     """|w_1 - w_2| where u makes the headings part as fast as they can, and keeps them apart."""
+    steps = 4000
     dt = seconds / steps
     half = turned / 2
     first = -half

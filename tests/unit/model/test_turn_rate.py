@@ -28,7 +28,7 @@ def step(heading, u, a, side, saturation, t=T):
     return by_turning(differentiate(c, s, cu, su, (rate, V), t), slopes)
 
 
-def integrated(heading, u, a, side, saturation, t=T):
+def integrated(heading, u, a, side, saturation):
     """The displacement and the turn of a robot whose a is e^side times as much to the left, and as
     much less to the right, and whose motors turn it by no more than `saturation` of the greater."""
     most = a * math.exp(abs(side)) * saturation
@@ -41,7 +41,7 @@ def integrated(heading, u, a, side, saturation, t=T):
         turning = max(min(rate, most), -most)
         return [V * math.cos(heading_now), V * math.sin(heading_now), turning]
 
-    solution = solve_ivp(change, (0, t), [0, 0, heading], rtol=1e-9, atol=1e-9, max_step=1e-2)
+    solution = solve_ivp(change, (0, T), [0, 0, heading], rtol=1e-9, atol=1e-9, max_step=1e-2)
     return solution.y[:, -1] - [0, 0, heading]
 
 

@@ -72,8 +72,6 @@ def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     simulated.open()
     observation = simulated.observe()
     command = simulated.send(Steer(1.0))
-    assert command.left is not None
-    assert command.right is not None
     speed, turning = body_velocity(command.left, command.right, 40)
     robots = experiment().robots
     assert speed == pytest.approx([robot.speed for robot in robots])

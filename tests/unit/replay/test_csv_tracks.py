@@ -23,6 +23,12 @@ def tracks_of(folder, poses, commands):
     return csv_tracks(paths)
 
 
+def of_a_log(table):
+    """A table as `export` writes it, with a column that names the log."""
+    header, *rows = table.split()
+    return "\n".join([f"{header},log", *(f"{row},one.mcap" for row in rows), ""])
+
+
 @pytest.mark.parametrize("names", [("p.csv", "c.csv"), ("c.csv", "p.csv")])
 def test_csv_files_are_read_in_any_order(tmp_path, names):
     (tmp_path / "p.csv").write_text(POSES)
@@ -43,9 +49,7 @@ def test_the_lag_of_wheels_is_that_of_the_commands(tmp_path):
     assert track.lag == pytest.approx(0.04)
     assert track.on_wheels
     assert track.rates_unstated
-    log = "".join(f"{line},one.mcap\n" for line in with_lag.split())
-    of_export = log.replace("ms,one.mcap", "ms,log", 1), POSES.replace("\n", ",one.mcap\n")
-    (track,) = tracks_of(tmp_path, of_export[1].replace("one.mcap", "log", 1), of_export[0])
+    (track,) = tracks_of(tmp_path, *(of_a_log(table) for table in (POSES, with_lag)))
     assert not track.rates_unstated  # by tetractl's host
 
 
@@ -207,58 +211,6 @@ def test_a_table_is_read_however_it_is_written(tmp_path, form):
     assert not track.remarks
 
 
-@dataclass(frozen=True)
-class Refused:
-    """A table of commands that cannot be right, and what the error says."""
-
-    rows: str
-    message: str
-    header: str = PLAIN_COMMANDS
-
-
-REFUSED = {
-    "directions in degrees": Refused(
-        rows="0,0\n1,90\n",
-        message="commands.csv, line 3: direction_rad: 90 is more than a whole turn",
-    ),
-    "another clock": Refused(
-        rows="1000,0\n1001,1\n",
-        message="commands.csv, 1000 to 1001 s: no time is among those of .*poses.csv, 0 to 11.9",
-    ),
-    "no unit": Refused(
-        header="time,direction_rad",
-        rows="0,0\n1,1\n",
-        message="column time states no unit",
-    ),
-    "an unknown unit": Refused(
-        header="time (fortnights),direction_rad",
-        rows="0,0\n1,1\n",
-        message="column time \\(fortnights\\) is in fortnights",
-    ),
-    "decimal commas": Refused("0,5,1,2\n", "line 2: has 4 entries, the header has 2"),
-    "quoted decimal commas": Refused('0,"1,5"\n', "direction_rad: '1,5' is not a number"),
-    "no header": Refused(header="0,0", rows="1,1\n", message="has no header"),
-    "a column twice": Refused(
-        header="time_s,direction_rad,time_s", rows="0,0,0\n", message="two columns time_s"
-    ),
-    "a null character": Refused("0,0\n1,\0\n", "line 3: is not a CSV file"),
-    "words": Refused("0,0\n1,north\n", "line 3: direction_rad: 'north' is not a number"),
-    "an unknown time": Refused("0,0\nNaN,1\n", "line 3: time_s: states no number"),
-    "nothing sent": Refused("0,\n1,NaN\n", "states no direction"),
-    "no rows": Refused("", "has no rows"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_right_is_refused(tmp_path, case):
-    refused = REFUSED[case]
-    poses, commands = write_drive(tmp_path)
-    commands.write_text(f"{refused.header}\n{refused.rows}")
-    with pytest.raises(UsageError, match=refused.message) as error:
-        csv_tracks([poses, commands])
-    assert ("decimal comma" in str(error.value)) == ("decimal comma" in case)
-
-
 def write_headings(folder, heading_of):
     """Write the drive with other headings [rad], by the time [s] and the heading; return both
     paths."""
@@ -301,19 +253,6 @@ def test_robots_that_stand_after_their_last_command_need_none(tmp_path):
     assert not any("covers" in remark for remark in track.remarks)
 
 
-def exchange_two_rows(path):
-    """Write the second row of a table before the first."""
-    header, first, second, *others = path.read_text().splitlines()
-    path.write_text("\n".join([header, second, first, *others, ""]))
-
-
-def test_times_of_poses_that_fall_are_refused(tmp_path):
-    poses, commands = write_drive(tmp_path)
-    exchange_two_rows(poses)
-    with pytest.raises(UsageError, match=r"poses.csv, line 3: the time is earlier"):
-        csv_tracks([poses, commands])
-
-
 @pytest.mark.parametrize(
     ("units_per_s", "says"),
     [
@@ -340,14 +279,23 @@ def test_headings_against_the_motion_are_named_as_such(tmp_path, turns):
         csv_tracks([poses, commands])
 
 
-@pytest.mark.parametrize("entries", ["nan,nan", ",", "90,", "NULL,0.5"])
-def test_a_row_without_a_speed_is_a_step_at_which_nothing_was_sent(tmp_path, entries):
-    commands = f"time_s,v_mm_s,w_rad_s\n0,90,0.1\n0.1,{entries}\n0.2,90,0.3\n"
+NOT_SENT = ["nan,nan", ",", "90,", "NULL,0.5"]
+
+
+@pytest.mark.parametrize(
+    "commands",
+    [
+        *(f"time_s,v_mm_s,w_rad_s\n0,90,0.1\n0.1,{entries}\n0.2,90,0.3\n" for entries in NOT_SENT),
+        *(
+            f"time_s,left_mm_s,right_mm_s,radius_mm\n0,90,0.1,40\n0.1,{entries},40\n0.2,90,0.3,40\n"
+            for entries in NOT_SENT
+        ),
+        "time_s,direction_rad\n0,0.5\n0.2,0.7\n0.3,\n",
+    ],
+)
+def test_at_a_row_without_speeds_or_a_direction_nothing_was_sent(tmp_path, commands):
+    """Regression: `identify` refused the steps.csv of `export`, whose last row has no direction."""
     (track,) = tracks_of(tmp_path, POSES, commands)
-    assert track.sent.tolist() == pytest.approx([0.0, 0.2])
-    of_wheels = commands.replace("v_mm_s,w_rad_s", "left_mm_s,right_mm_s,radius_mm")
-    of_wheels = of_wheels.replace("\n0", ",40\n0").replace("radius_mm,40", "radius_mm")
-    (track,) = tracks_of(tmp_path, POSES, f"{of_wheels.rstrip()},40\n")
     assert track.sent.tolist() == pytest.approx([0.0, 0.2])
 
 
@@ -549,6 +497,11 @@ def test_times_that_count_pictures_are_told(tmp_path, times, hints):
         assert (hint in str(error.value)) == (hint in hints)
 
 
+def sent(rows):
+    """A table of directions."""
+    return f"{PLAIN_COMMANDS}\n{rows}"
+
+
 FOR_EACH = "time_s,robot,direction_rad\n" + "".join(
     f"{t / 10},{robot},{t / 9}\n" for t in range(8) for robot in "ab"
 )
@@ -579,13 +532,28 @@ NEVER_SEEN = LOST.replace(",a,", ",b,").replace("0.1\n", "\n")
         (ONE_POSES, "time_s,left_mm_s,right_mm_s\n0,1,2\n", "wheels without radius_mm: its"),
         (ONE_POSES, "time_s,left_mm_s,radius_mm\n0,1,2\n", "wheels without right_mm_s: its"),
         (ONE_POSES, "frame,direction_rad\n0,1\n", "directions without time_s: its columns"),
+        (POSES, sent("0,0\n1,90\n"), r"c\.csv, line 3: direction_rad: 90 is more than a whole"),
+        (POSES, sent("9,0\n10,1\n"), r"c\.csv, 9 to 10 s: no time is among .*p\.csv, 0 to 0\.1"),
+        (POSES, "time,direction_rad\n0,0\n1,1\n", "column time states no unit"),
+        (POSES, "time (weeks),direction_rad\n0,0\n", r"column time \(weeks\) is in weeks"),
+        (POSES, sent("0,5,1,2\n"), "line 2: has 4 entries, the header has 2"),
+        (POSES, sent('0,"1,5"\n'), "direction_rad: '1,5' is not a number"),
+        (POSES, "0,0\n1,1\n", "has no header"),
+        (POSES, "time_s,direction_rad,time_s\n0,0,0\n", "two columns time_s"),
+        (POSES, sent("0,0\n1,\0\n"), "line 3: is not a CSV file"),
+        (POSES, sent("0,0\n1,north\n"), "line 3: direction_rad: 'north' is not a number"),
+        (POSES, sent("0,0\nNaN,1\n"), "line 3: time_s: states no number"),
+        (POSES, sent("0,\n1,NaN\n"), "states no direction"),
+        (POSES, sent(""), "has no rows"),
     ],
 )
 def test_tables_that_cannot_be_a_recording_are_refused(tmp_path, poses, commands, says):
     """Regression: "robot Robot1 drives in only 0 steps", and robots were taken to follow each
     other's directions."""
-    with pytest.raises(UsageError, match=says):
+    with pytest.raises(UsageError, match=says) as error:
         tracks_of(tmp_path, poses, commands)
+    has_decimal_commas = commands in (sent("0,5,1,2\n"), sent('0,"1,5"\n'))
+    assert ("decimal comma" in str(error.value)) == has_decimal_commas
 
 
 def heading_as_sent(late_s):
@@ -737,77 +705,52 @@ def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
 
 
 @pytest.mark.parametrize(
-    "table",
-    ["time_s,direction_rad\n0,0.5\n2,1.5\n", "time_s,v_mm_s,w_rad_s\n0,180,1\n2,180,2\n"],
-    ids=["directions", "speeds"],
+    ("table", "commands"),
+    [
+        ("poses.csv", None),
+        ("commands.csv", "time_s,direction_rad\n0,0.5\n2,1.5\n"),
+        ("commands.csv", "time_s,v_mm_s,w_rad_s\n0,180,1\n2,180,2\n"),
+    ],
+    ids=["poses", "directions", "speeds"],
 )
-def test_times_of_commands_that_fall_are_refused(tmp_path, table):
+def test_times_that_fall_are_refused(tmp_path, table, commands):
     """Regression: rows were sorted, and a countdown gave the prior's a without a word."""
-    poses, commands = write_drive(tmp_path)
-    commands.write_text(table)
-    exchange_two_rows(commands)
-    with pytest.raises(UsageError, match=r"commands.csv, line 3: the time is earlier"):
-        csv_tracks([poses, commands])
-
-
-def write_mirrored_drive(folder):
-    """Write poses whose y and headings are reversed, and the directions that robots turned by."""
-    poses, commands = write_drive(folder)
-    mirrored = drive().poses * (1, 1, -1, -1)
-    write_table(poses, PLAIN, PLAIN_POSES, mirrored, robot="green")
-    return poses, commands
+    paths = write_drive(tmp_path)
+    if commands:
+        paths[1].write_text(commands)
+    header, first, second, *others = (tmp_path / table).read_text().splitlines()
+    (tmp_path / table).write_text("\n".join([header, second, first, *others, ""]))
+    with pytest.raises(UsageError, match=f"{table}, line 3: the time is earlier"):
+        csv_tracks(paths)
 
 
 def test_a_mirrored_picture_is_refused_by_how_robots_turn(tmp_path):
     """Regression: poses agree with their headings, and a was wrong without a word."""
+    poses, commands = write_drive(tmp_path)
+    mirrored = drive().poses * (1, 1, -1, -1)
+    write_table(poses, PLAIN, PLAIN_POSES, mirrored, robot="green")
     with pytest.raises(UsageError, match=r"robots turn right where .*commands\.csv turns left"):
-        csv_tracks(write_mirrored_drive(tmp_path))
+        csv_tracks([poses, commands])
 
 
-def at_random(share):
-    """Which of the drive's poses are a share of them, at random."""
-    return np.random.default_rng(1).uniform(size=len(drive().poses)) < share
-
-
-AMID = (drive().poses[:, 0] % 5) > 4
-
-
-HALF_TURN = (0.0, 0.0, 0.0, math.pi)
-
-
-NOT_MEASURED = {
-    "one heading in twenty flipped": (at_random(0.05), 1.0, HALF_TURN),
-    "zeros while lost": (AMID, (1.0, 0.0, 0.0, 0.0), 0.0),
-}
-
-
-def write_not_measured(folder, name):
-    """Write a drive some of whose poses are no measurement."""
-    is_wrong, factor, added = NOT_MEASURED[name]
-    poses = drive().poses
-    poses[is_wrong] = poses[is_wrong] * factor + added
-    paths = write_drive(folder)
-    write_table(paths[0], PLAIN, PLAIN_POSES, poses, robot="green")
-    return paths
-
-
-@pytest.mark.parametrize("name", NOT_MEASURED)
-def test_poses_that_are_no_measurement_show_no_turns(tmp_path, name):
+@pytest.mark.parametrize(
+    ("is_wrong", "factor", "added"),
+    [
+        (np.random.default_rng(1).uniform(size=len(drive().poses)) < 0.05, 1.0, (0, 0, 0, math.pi)),
+        (drive().poses[:, 0] % 5 > 4, (1.0, 0.0, 0.0, 0.0), 0.0),
+    ],
+    ids=["one heading in twenty flipped", "zeros while lost"],
+)
+def test_poses_that_are_no_measurement_show_no_turns(tmp_path, is_wrong, factor, added):
     """Regression: with one heading in twenty half a turn off, "the commands explain 1% of the
     turns": another robot's, as was asked, they were not."""
-    (track,) = csv_tracks(write_not_measured(tmp_path, name))
-    is_wrong, _, _ = NOT_MEASURED[name]
+    paths = write_drive(tmp_path)
+    poses = drive().poses
+    poses[is_wrong] = poses[is_wrong] * factor + added
+    write_table(paths[0], PLAIN, PLAIN_POSES, poses, robot="green")
+    (track,) = csv_tracks(paths)
     assert not track.valid[is_wrong].any()
     assert track.valid[~is_wrong].mean() > 0.9
-
-
-def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path):
-    """Regression: `identify` refused the steps.csv of `export`, whose last row has none."""
-    poses, commands = write_drive(tmp_path)
-    with commands.open("a") as file:
-        file.write("11.5,\n")
-    (track,) = csv_tracks([poses, commands])
-    assert track.sent.tolist() == drive().commands[:, 0].tolist()
 
 
 @pytest.mark.parametrize("commands", [NO_NAME, sent_to("a", "b"), COMMANDS])

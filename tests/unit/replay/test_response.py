@@ -132,12 +132,11 @@ def with_twists(track, twists):
     return replace(track, twists=twists)
 
 
-def of_another(track):
-    return track_of_one_robot(8).twists
-
-
 WRONG_COMMANDS = {
-    "of another robot": (of_another, r"a test: the commands explain \d+% of the turns of one"),
+    "of another robot": (
+        lambda _: track_of_one_robot(8).twists,
+        r"a test: the commands explain \d+% of the turns of one",
+    ),
     "w in degrees": (
         lambda track: track.twists * (1, 57.3),
         "turning gain .* name its column w_deg_s",
@@ -183,67 +182,47 @@ def test_commands_that_do_not_explain_the_motion_are_refused(case):
         assert re.search(part, str(error.value))
 
 
-def obeyed_by_half(track):
-    """Gains of 0.47 and 0.52 are no other unit."""
-    gains = {"turning_gain": TRUE["turning_gain"] / 2, "speed_gain": TRUE["speed_gain"] / 2}
-    return with_twists(track, track.twists * 2), gains
-
-
-def obeyed_thrice(track):
-    gains = {"turning_gain": TRUE["turning_gain"] * 3, "speed_gain": TRUE["speed_gain"] * 3}
-    return with_twists(track, track.twists / 3), gains
+def seen_twice_a_second(track):
+    """Regression: a traceback."""
+    at = slice(None, None, 25)
+    return replace(track, time=track.time[at], poses=track.poses[at], valid=track.valid[at])
 
 
 def half_the_poses_missing(track):
-    seen = np.random.default_rng(9).uniform(size=track.valid.shape) < 0.5
-    return replace(track, valid=seen), {"turning_gain": TRUE["turning_gain"]}
+    return replace(track, valid=np.random.default_rng(9).uniform(size=track.valid.shape) < 0.5)
 
 
-def poses_twice_a_second(track):
-    """Regression: a traceback."""
-    at = slice(None, None, 25)
-    seen = replace(track, time=track.time[at], poses=track.poses[at], valid=track.valid[at])
-    return seen, {"speed_gain": TRUE["speed_gain"]}
+def scaled(track, poses, twists):
+    return replace(track, poses=track.poses * poses, twists=track.twists * twists)
 
 
-def backwards(track):
-    poses = track.poses * (-1, -1, 1)
-    return replace(track, poses=poses, twists=track.twists * (-1, 1)), {
-        "speed_gain": TRUE["speed_gain"]
-    }
-
-
-def straight_on(track):
-    """It turns by its veer alone."""
-    return track_of_one_robot(7, turns_s=4.0), {"speed_gain": TRUE["speed_gain"]}
-
-
-def in_metres(track):
-    return (
-        replace(track, poses=track.poses * (1e-3, 1e-3, 1), twists=track.twists * (1e-3, 1)),
-        {"speed_gain": TRUE["speed_gain"]},
-    )
+RIGHT_COMMANDS = {
+    "obeyed by half": (  # which is no other unit
+        lambda track: with_twists(track, track.twists * 2),
+        {"turning_gain": 1 / 2, "speed_gain": 1 / 2},
+    ),
+    "obeyed thrice": (
+        lambda track: with_twists(track, track.twists / 3),
+        {"turning_gain": 3, "speed_gain": 3},
+    ),
+    "half of the poses missing": (half_the_poses_missing, {"turning_gain": 1}),
+    "poses twice a second": (seen_twice_a_second, {"speed_gain": 1}),
+    "backwards": (lambda track: scaled(track, (-1, -1, 1), (-1, 1)), {"speed_gain": 1}),
+    "straight on, but for its veer": (
+        lambda _: track_of_one_robot(7, turns_s=4.0),
+        {"speed_gain": 1},
+    ),
+    "in metres": (lambda track: scaled(track, (1e-3, 1e-3, 1), (1e-3, 1)), {"speed_gain": 1}),
+}
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "change",
-    [
-        obeyed_by_half,
-        obeyed_thrice,
-        half_the_poses_missing,
-        poses_twice_a_second,
-        backwards,
-        straight_on,
-        in_metres,
-    ],
-    ids=lambda f: f.__name__,
-)
-def test_right_commands_that_come_nearest_to_wrong_ones_are_accepted(change):
-    track, gains = change(track_of_one_robot(7))
-    (response,) = respond([track])
-    for name, gain in gains.items():
-        assert response.quantities[name].value == pytest.approx(gain, rel=0.03)
+@pytest.mark.parametrize("case", RIGHT_COMMANDS)
+def test_right_commands_that_come_nearest_to_wrong_ones_are_accepted(case):
+    change, shares_of_gains = RIGHT_COMMANDS[case]
+    (response,) = respond([change(track_of_one_robot(7))])
+    for name, share in shares_of_gains.items():
+        assert response.quantities[name].value == pytest.approx(share * TRUE[name], rel=0.03)
 
 
 @pytest.mark.long

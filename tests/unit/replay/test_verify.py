@@ -3,8 +3,7 @@
 import os
 import subprocess
 import sys
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,11 +111,9 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path, sets):
     assert verification.method is Method.RECOMPUTED
     assert verification.elsewhere == ()
     assert verification.checked == verification.steps > 0
-    if "controller.deadline=0.001" in sets:
-        note = "the trial is not run again: a deadline ended a search"
-        assert verification.notes == (note,)
-    else:
-        assert verification.notes == ()
+    has_deadline = "controller.deadline=0.001" in sets
+    note = "the trial is not run again: a deadline ended a search"
+    assert verification.notes == (note,) * has_deadline
     for search_again in (True, False):
         assert recompute(read_trial(path), search_again).difference is None
 
@@ -193,22 +190,6 @@ def test_on_another_processor_equal_bits_still_count(tmp_path, contents):
     assert verification.elsewhere == (f"cpu: another on the log's host, {cpu} on this one",)
 
 
-@dataclass(frozen=True)
-class ChangedLogs:
-    """A log with one number of step 1 changed, and the same as if another processor wrote it."""
-
-    of_this_processor: Path
-    of_another: Path
-
-
-def with_step_1_changed(tmp_path, contents, place):
-    step_1 = index_of_step(contents, 1)
-    path = with_entry(contents, tmp_path / "changed.mcap", step_1, place)
-    changed = scan(path)
-    elsewhere = rewrite(changed, tmp_path / "elsewhere.mcap", on_another_processor(changed))
-    return ChangedLogs(path, elsewhere)
-
-
 @pytest.mark.parametrize(
     ("place", "change"),
     [
@@ -223,8 +204,10 @@ def test_on_another_processor_the_costs_have_to_agree(
 ):
     """A cost that does not fit its plan is no matter of arithmetic."""
     monkeypatch.setattr(mutate, "CHANGE", change)
-    logs = with_step_1_changed(tmp_path, contents, place)
-    verification = verify(logs.of_another)
+    step_1 = index_of_step(contents, 1)
+    changed = scan(with_entry(contents, tmp_path / "changed.mcap", step_1, place))
+    path = rewrite(changed, tmp_path / "elsewhere.mcap", on_another_processor(changed))
+    verification = verify(path)
     assert verification.method is Method.REEVALUATED
     assert verification.problems[0].step == 1
 
@@ -373,16 +356,11 @@ def test_without_obstacles_no_distance_to_one_can_be_stated(log_of_robots_at_res
     assert "result.clearance.1" in fields
 
 
-def without_result_and_a_frame(lost_parts):
-    """A log without its result, whose camera lost the frame after number 30."""
+def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
     log = three_robots()
     numbers = np.where(np.arange(len(log.frames)) > 30, log.frames + 1, log.frames)
-    return replace(log, frames=numbers, result=None, damage=Damage((), lost_parts))
-
-
-def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
-    log = without_result_and_a_frame(("the result",))
-    assert first_steps(log) == list(log.steps)
+    cut = replace(log, frames=numbers, result=None, damage=Damage((), ("the result",)))
+    assert first_steps(cut) == list(cut.steps)
 
 
 def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
@@ -393,9 +371,9 @@ def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     assert str(problem) == "trial: /tf[0]: not a valid message of its channel"
 
 
-def test_a_lab_of_robots_on_wheels_without_a_speed_of_any_is_compared(tmp_path):
+def test_a_lab_of_robots_on_wheels_without_a_speed_of_any_is_compared(log_of_robots_at_rest):
     """Regression: it ended in a traceback, as no greatest speed could be found."""
-    log = lab_log(tmp_path, lost(0, 100), 0.0, "yes", 0.001)
+    log = log_of_robots_at_rest
     still = [replace(command, left=None, right=None) for command in log.commands]
     differences = command_differences(replace(log, commands=still), log.result)
     assert [difference.field for difference in differences if "wheels" in difference.message] == []

@@ -155,12 +155,9 @@ def test_latex_is_booktabs_with_special_characters_escaped():
     scale = SCALE | {"name": "T_p & 100% ^"}
     spec = experiment(reference=REFERENCE, scale=scale, plant=DISTURBED)
     text = in_latex(described(spec=spec))
-    assert text.count(r"\begin{tabular}") == 1
-    assert text.count(r"\end{tabular}") == 1
-    assert text.count(r"\begin{tabularx}") == 1
-    assert text.count(r"\end{tabularx}") == 1
-    assert text.count(r"\toprule") == 2
-    assert text.count(r"\bottomrule") == 2
+    for command in ("begin{tabular}", "end{tabular}", "begin{tabularx}", "end{tabularx}"):
+        assert text.count(f"\\{command}") == 1
+    assert text.count(r"\toprule") == text.count(r"\bottomrule") == 2
     assert r"T\_p \& 100\% \textasciicircum{}" in text
     rows = [line for line in text.splitlines() if line.startswith(("total", "green"))]
     assert {row.count(" & ") for row in rows} == {7}

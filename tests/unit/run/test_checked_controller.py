@@ -116,14 +116,14 @@ def estimated(**changed):
     return plan(estimate=replace(estimate, **changed))
 
 
-NO_DECISIONS = {
+WRONG = {
+    # no decision at all
     "text": "east",
     "None": None,
     "a class": Plan,
     "an object": Odd(),
     "a generator": count(),
-}
-WRONG_PATHS = {
+    # of the path
     "path nan": plan(path=path_with(np.nan)),
     "path inf": plan(path=path_with(np.inf)),
     "path beyond single precision": plan(path=path_with(1e39)),
@@ -134,8 +134,7 @@ WRONG_PATHS = {
     "path flat": plan(path=PATH[0, 0]),
     "path without headings": plan(path=PATH[..., :2]),
     "path an object": plan(path=Odd()),
-}
-WRONG_SIGNALS = {
+    # of the signals
     "signals nan": plan(signals=np.full(2, np.nan)),
     "signals None": plan(signals=None),
     "signals text": plan(signals="east"),
@@ -145,8 +144,7 @@ WRONG_SIGNALS = {
     "no signals": plan(0),
     "million": plan(10**6),
     "long": plan(NUMBERS_MAX // 2),
-}
-WRONG_NUMBERS = {
+    # of the numbers
     "cost nan": plan(cost=np.nan),
     "cost text": plan(cost="low"),
     "cost None": plan(cost=None),
@@ -164,14 +162,12 @@ WRONG_NUMBERS = {
     "delay -1": plan(delay_ns=-1),
     "delay of a day": plan(delay_ns=86_400 * SECOND, instead=Stop()),
     "delay 0.5": plan(delay_ns=0.5),
-}
-WRONG_ACTIONS = {
+    # of the action
     "state": plan(state="dancing"),
     "instead": plan(instead="no"),
     "turn nan": plan(instead=Turn(np.nan)),
     "turn text": plan(instead=Turn("north")),
-}
-WRONG_SEARCHES = {
+    # of the searches
     "no search": plan(searches=()),
     "searches": plan(searches="a"),
     "searches None": plan(searches=None),
@@ -184,15 +180,13 @@ WRONG_SEARCHES = {
     "evaluations 2**63": searched(evaluations=2**63),
     "evaluations 0.5": searched(evaluations=0.5),
     "stopped": searched(stopped=None),
-}
-WRONG_ESTIMATES = {
+    # of the estimate
     "estimate": plan(estimate="good"),
     "estimate nan": estimated(a=np.full(ROBOTS, np.nan)),
     "estimate of 2": estimated(speed=np.ones(2)),
     "misfit": estimated(misfit=np.ones((ROBOTS, 2))),
     "dead time": estimated(dead_time=np.inf),
-}
-WRONG_ENDS = {
+    # of the end
     "end": End(Outcome.ARRIVED, 10**30),
     "end -1": End(Outcome.ARRIVED, -1),
     "end text": End("arrived", 0),
@@ -200,16 +194,6 @@ WRONG_ENDS = {
     "outcome text": "arrived",
     "aborted": Outcome.ABORTED,
     "interrupted": Outcome.INTERRUPTED,
-}
-WRONG = {
-    **NO_DECISIONS,
-    **WRONG_PATHS,
-    **WRONG_SIGNALS,
-    **WRONG_NUMBERS,
-    **WRONG_ACTIONS,
-    **WRONG_SEARCHES,
-    **WRONG_ESTIMATES,
-    **WRONG_ENDS,
 }
 
 

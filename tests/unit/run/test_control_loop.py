@@ -105,7 +105,6 @@ IN_A_STEP = [
     ("log.samples", 2),
 ]
 """Calls during a trial, and which of them."""
-"""Calls of an observer after a trial of two steps."""
 
 
 FAULT = ControlError("no finite cost")
@@ -179,21 +178,26 @@ def test_a_plant_that_cannot_settle_is_closed_and_its_log_ends():
     assert names[-1] == "log.stop"
 
 
-def test_a_plant_that_fails_at_the_end_has_its_last_frames_in_the_log():
+@pytest.mark.parametrize(
+    ("steps", "call", "nth", "steps_s"),
+    [(2, "settle", 1, 0.4), (3, "send", 2, 0.2)],
+    ids=["at the end", "in the second step"],
+)
+def test_a_plant_that_fails_has_its_last_frames_in_the_log(steps, call, nth, steps_s):
     """Regression: once it could not say what it had sent, the frames since the last step, of the
     robots' coming to rest, were in no log."""
-    fakes = bench(2)
+    fakes = bench(steps)
 
-    def fail_after_the_stop():
-        if "settle" in fakes.happenings.names:
+    def fail_after_the_call():
+        if fakes.happenings.names.count(call) == nth:
             raise AbortError("the radio is gone")
         return []
 
-    fakes.plant.news = fail_after_the_stop
+    fakes.plant.news = fail_after_the_call
     result = fakes.run()
     assert (result.outcome, result.reason) == (Outcome.ABORTED, "the radio is gone")
     frames = [sample.observation.frame for sample in fakes.observers[0].samples]
-    assert frames == list(range(4 + 10 + 1))  # ten a second: 0.4 s of steps, 1 s to settle
+    assert frames == list(range(round(10 * (steps_s + 1)) + 1))  # ten a second: 1 s to settle
 
 
 # ---- Interruptions ----
@@ -276,21 +280,6 @@ def test_each_turn_on_the_spot_after_driving_is_reported():
     turns = [note for note in fakes.observers[0].notes if "turn on the spot" in note.text]
     sent = {step.k: step.command.sent_ns for step in fakes.observers[0].steps}
     assert [note.t_ns for note in turns] == [sent[1], sent[4]]
-
-
-def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
-    """Regression: those taken in the step in which it could not say what it had sent were lost."""
-    fakes = bench(3)
-
-    def fail_in_the_second_step():
-        if fakes.happenings.names.count("send") == 2:
-            raise AbortError("the radio is gone")
-        return []
-
-    fakes.plant.news = fail_in_the_second_step
-    assert fakes.run().reason == "the radio is gone"
-    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
-    assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle
 
 
 def test_a_first_interruption_between_two_steps_begins_no_other(monkeypatch):

@@ -123,25 +123,18 @@ def test_unless_a_spec_says_otherwise_one_on_wheels_that_is_dead_ends_the_trial(
     assert experiment(**stated).setup.loss == rule
 
 
-BLUE_STANDS = "blue does not move while others drive"
-
-
-def with_sticking_blue(on_lost):
-    """The spec of a trial in which blue sticks for good."""
-    sticking = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]"
-    settings = [sticking, "trials.seed=2", f"on_lost={on_lost}"]
-    return load_spec(ROOT / "experiments/three_m3pi.yaml", settings)
-
-
 @pytest.mark.long
 def test_a_trial_goes_on_without_a_robot_that_does_not_move(tmp_path):
     """Blue sticks for good after 4 s: the others reach their targets without it."""
-    result = run_logged(with_sticking_blue("drop"), tmp_path)
+    sticking = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]"
+    settings = [sticking, "trials.seed=2", "on_lost=drop"]
+    result = run_logged(load_spec(ROOT / "experiments/three_m3pi.yaml", settings), tmp_path)
     path = log_path(tmp_path, 0)
     log = read_trial(path)
     assert result.lost == log.tour.lost == (0, 1, 0)
     assert max(result.robot_errors[0], result.robot_errors[2]) < 10
-    assert f"{BLUE_STANDS}: the trial goes on without" in [note.text for note in log.notes]
+    said = "blue does not move while others drive: the trial goes on without"
+    assert said in [note.text for note in log.notes]
     assert verify(path).problems == ()
 
 

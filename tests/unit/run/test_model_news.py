@@ -110,12 +110,12 @@ def test_a_robot_that_stands_is_named_once():
     assert texts == [f"{NAME} stands although it is sent a direction"]
 
 
-def with_dead_times(*dead_times_s, std_s=0.002):
+def with_dead_times(*dead_times_s):
     """What fits, of robots with dead times of their own [s]."""
     return replace(
         FITS,
         own_dead_time=np.array(dead_times_s),
-        own_dead_time_std=np.full(ROBOTS, std_s),
+        own_dead_time_std=np.full(ROBOTS, 0.002),
     )
 
 

@@ -175,34 +175,33 @@ def test_robots_at_one_place_are_told():
     ]
 
 
-def refused(text, *sets):
-    """The lines of the error by which a spec is refused."""
-    with pytest.raises(InvalidSpecError) as caught:
-        parse_spec(text, "s", sets)
-    return caught.value.lines()
-
-
-def test_bodies_overlap_at_no_start():
-    near = SAME.replace("three, start: [10, 10]", "three, start: [11, 10]")
-    lines = refused(near, "controller.collision.radius=1", "robots.three.target=[9, 9]")
-    assert lines == [
-        "s:7:26: robots.2.start: [11, 10]: is 1 mm from the start of one: bodies of radius 1 "
-        "overlap; move one of them"
-    ]
-
-
 APART = SAME.replace("three, start: [10, 10], target: [90, 90]", "three, start: [50, 50]").replace(
     "{name: three, start: [50, 50]", "{name: three, start: [50, 50], target: [20, 20]"
 )
 """The same robots, of which the targets of one and two are 4 mm apart, and the starts 3 mm."""
 
 
-def test_bodies_overlap_at_no_targets():
-    lines = refused(APART, "controller.collision.radius=2.1", "robots.two.start=[1, 90]")
-    assert lines == [
-        "s:6:42: robots.1.target: [90, 94]: is 4 mm from the target of one: bodies of radius 2.1 "
-        "overlap; move one of them"
-    ]
+@pytest.mark.parametrize(
+    ("text", "sets", "line"),
+    [
+        (
+            SAME.replace("three, start: [10, 10]", "three, start: [11, 10]"),
+            ("controller.collision.radius=1", "robots.three.target=[9, 9]"),
+            "s:7:26: robots.2.start: [11, 10]: is 1 mm from the start of one: bodies of radius 1",
+        ),
+        (
+            APART,
+            ("controller.collision.radius=2.1", "robots.two.start=[1, 90]"),
+            "s:6:42: robots.1.target: [90, 94]: is 4 mm from the target of one: bodies of "
+            "radius 2.1",
+        ),
+    ],
+    ids=["starts", "targets"],
+)
+def test_bodies_overlap_at_no_start_and_no_target(text, sets, line):
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(text, "s", sets)
+    assert caught.value.lines() == [f"{line} overlap; move one of them"]
 
 
 @pytest.mark.parametrize(

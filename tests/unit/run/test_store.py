@@ -17,9 +17,9 @@ def log(folder, index, outcome=Outcome.ARRIVED, **fields):
     return made.write(replace(trial, result=result), log_path(folder, index))
 
 
-def trials_to_run(experiment, folder, resume):
+def trials_to_run(experiment, folder):
     store = Store.of_batch(folder, experiment)
-    store.read(resume)
+    store.read(resume=True)
     return store.lacking
 
 
@@ -40,10 +40,10 @@ def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path, monkeypatch)
     part.rename(part.with_name(part.name + ".part"))
     cut = log(tmp_path, 5)
     cut.write_bytes(cut.read_bytes()[:-300])
-    assert trials_to_run(spec(8), tmp_path, True) == [1, 4, 5, 6, 7]  # 3 would abort again
-    assert trials_to_run(spec(3), tmp_path, True) == [1]
+    assert trials_to_run(spec(8), tmp_path) == [1, 4, 5, 6, 7]  # 3 would abort again
+    assert trials_to_run(spec(3), tmp_path) == [1]
     monkeypatch.setattr(store, "code_of", lambda experiment: "mended")
-    assert trials_to_run(spec(8), tmp_path, True) == [1, 3, 4, 5, 6, 7]
+    assert trials_to_run(spec(8), tmp_path) == [1, 3, 4, 5, 6, 7]
 
 
 def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):
@@ -61,7 +61,7 @@ def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):
         "trial-003.attempt-3.mcap.part": b"three",
         "trial-003.attempt-4.mcap": b"whole",
     }
-    assert trials_to_run(spec(), tmp_path, True) == [0, 1, 2, 3]  # not taken for a trial
+    assert trials_to_run(spec(), tmp_path) == [0, 1, 2, 3]  # not taken for a trial
 
 
 def test_a_recovered_log_is_set_aside_with_its_source(tmp_path):

@@ -23,6 +23,11 @@ def circle(body):
     return np.column_stack([x, -radius * np.cos(angle), angle])
 
 
+def of_axes(kind, name, quantity, axes, numbers):
+    """A column for each axis."""
+    return [(kind, name, quantity, axis, n) for axis, n in zip(axes, numbers, strict=True)]
+
+
 @dataclass(frozen=True)
 class Export:
     """How Motive writes three bodies that drive on circles, on a floor 0.1 m above 0."""
@@ -42,24 +47,17 @@ class Export:
         angles = "XYZW" if self.rotation == "Quaternion" else "XYZ"
         _, per_metre = UNITS[self.units]
         place, turned = self.numbers(circle(body))
+        place = per_metre * np.array(place)
         columns = [
-            ("Rigid Body", name, "Rotation", a, n) for a, n in zip(angles, turned, strict=True)
+            *of_axes("Rigid Body", name, "Rotation", angles, turned),
+            *of_axes("Rigid Body", name, "Position", "XYZ", place),
+            ("Rigid Body", name, "Mean Marker Error", "", 0.0002),
         ]
-        columns += [
-            ("Rigid Body", name, "Position", a, per_metre * n)
-            for a, n in zip("XYZ", place, strict=True)
-        ]
-        columns.append(("Rigid Body", name, "Mean Marker Error", "", 0.0002 + 0 * TIMES_S))
         if self.markers:
-            columns += [
-                ("Rigid Body Marker", f"{name}:Marker1", "Position", a, per_metre * n + 0.03)
-                for a, n in zip("XYZ", place, strict=True)
-            ]
-            columns.append(("Rigid Body Marker", f"{name}:Marker1", "Marker Quality", "", 1.0))
-            columns += [
-                ("Marker", f"{name}:1", "Position", a, per_metre * n)
-                for a, n in zip("XYZ", place, strict=True)
-            ]
+            marker = f"{name}:Marker1"
+            columns += of_axes("Rigid Body Marker", marker, "Position", "XYZ", place + 0.03)
+            columns.append(("Rigid Body Marker", marker, "Marker Quality", "", 1.0))
+            columns += of_axes("Marker", f"{name}:1", "Position", "XYZ", place)
         return columns
 
     def numbers(self, poses):
@@ -154,8 +152,7 @@ def assert_agree(poses, expected):
 @pytest.mark.parametrize("name", EXPORTS)
 def test_what_motive_exports_is_read(tmp_path, name):
     export = EXPORTS[name]
-    path = write(tmp_path, export.text())
-    rows = list(table_rows(path))
+    rows = list(table_rows(write(tmp_path, export.text())))
     unit, per_metre = UNITS[export.units]
     for body, robot in enumerate(export.bodies):
         of_body = [row for row in rows if row.cells["robot"] == robot]
@@ -182,8 +179,7 @@ def test_poses_are_those_of_the_camera(tmp_path, up):
         body = RigidBody(1, tuple(place), tuple(quaternion), tracking_valid=True)
         pose = planar_pose(body, UpAxis[up.upper()])
         expected.append((pose.x, pose.y, pose.heading))
-    path = write(tmp_path, "\n".join([*lines, ""]))
-    rows = list(table_rows(path))
+    rows = list(table_rows(write(tmp_path, "\n".join([*lines, ""]))))
     assert_agree(poses_of(rows), np.array(expected))
 
 

@@ -19,7 +19,6 @@ def test_a_log_without_a_result_says_up_to_when_it_is_known():
     assert raw.damaged
     trial = trial_of(raw)
     until_s = trial.elapsed_s(int(trial.received_ns.max()))
-    assert trial.damage is not None
     assert trial.damage.problems == (raw.result_or_why_not,)
     assert trial.damage.lost == (f"the result and everything after {until_s:.3f} s",)
 
@@ -33,7 +32,6 @@ def test_a_copy_of_a_torn_log_is_damaged_as_its_source_is(tmp_path):
     assert raw.problems == []
     assert raw.damaged
     damage = trial_of(raw).damage
-    assert damage is not None
     assert damage.problems[0] == "recovered from torn.mcap, which was damaged"
 
 
@@ -49,6 +47,5 @@ def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path
     raw = scan(altered)
     assert not raw.damaged
     damage = overview(altered).damage
-    assert damage is not None
     assert damage.problems == (ALTERED,)
     assert losses(raw, trial_of(raw))[0].startswith("control step")

@@ -105,7 +105,7 @@ def test_a_record_is_decoded_from_its_own_bytes(log, contents, tmp_path, opcode)
     assert again.channels == contents.channels
 
 
-def test_a_larger_file_is_read_if_the_factor_says_so(log, tmp_path, monkeypatch):
+def test_a_larger_file_is_read_if_the_factor_says_so(log, monkeypatch):
     """A limit on forged logs never costs an honest one."""
     monkeypatch.setattr(raw_log, "file_limit", lambda: log.stat().st_size - 1)
     with pytest.raises(LogError, match="TETRACTL_LOG_FACTOR=2 allows twice as much"):
@@ -131,6 +131,12 @@ def test_an_index_that_cannot_be_read_is_left_out(log, tmp_path):
     path = tmp_path / "index.mcap"
     path.write_bytes(data[: begin - 50] + tail + crc + salvage.MAGIC)
     assert scan(path).entries == scan(log).entries
+
+
+def with_first(contents, folder, topic, data):
+    """Write the log with other data in its first message of a topic; return its path."""
+    first = contents.by_topic[topic][0]
+    return rewrite(contents, folder / "trial.mcap", {first: first._replace(data=data)})
 
 
 NAN = float("nan")
@@ -208,11 +214,13 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, topic, change
 )
 def test_a_message_that_tetractl_would_not_write_is_refused(tmp_path, contents, topic, message):
     """Regression: replay, plot and verify ended with tracebacks."""
-    entry = next(entry for entry in contents.entries if entry.topic == topic)
-    new = entry._replace(data=message.SerializeToString())
-    path = rewrite(contents, tmp_path / "trial.mcap", {entry: new})
+    path = with_first(contents, tmp_path, topic, message.SerializeToString())
     with pytest.raises(LogError, match="contains a value that tetractl does not write"):
         read_trial(path)
+
+
+def test_the_step_that_is_spoilt_there_is_good_otherwise(tmp_path, contents):
+    assert read_trial(with_first(contents, tmp_path, STEP, spoilt_step().SerializeToString())).steps
 
 
 @pytest.mark.parametrize("name", ["../../escape", "/tmp/escape", "nul\0", "x" * 5000])
@@ -268,8 +276,7 @@ def test_all_of_the_reading_of_a_file_counts_towards_its_limit(log, monkeypatch)
     ],
 )
 def test_a_bad_run_costs_its_own_trial_only(tmp_path, contents, changes):
-    edited = stating(contents, RUN, **changes)
-    rewrite(contents, tmp_path / "bad.mcap", edited)
+    rewrite(contents, tmp_path / "bad.mcap", stating(contents, RUN, **changes))
     write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
     batch = open_batch([tmp_path])
     assert len(batch.trials) == 1
@@ -278,9 +285,8 @@ def test_a_bad_run_costs_its_own_trial_only(tmp_path, contents, changes):
 
 @pytest.mark.parametrize("topic", [RUN, RESULT, HOST_END])
 def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, topic):
-    entry = contents.by_topic[topic][0]
-    torn = {entry: entry._replace(data=entry.data[:-1] + b"\xff")}
-    path = rewrite(contents, tmp_path / "trial.mcap", torn)
+    first = contents.by_topic[topic][0]
+    path = with_first(contents, tmp_path, topic, first.data[:-1] + b"\xff")
     for read in (read_trial, read_result, overview, verify):
         try:
             answer = read(path)
@@ -288,9 +294,3 @@ def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, 
             assert "\n" not in str(error)
         else:
             assert read is not verify or answer.problems
-
-
-def test_the_step_that_is_spoilt_there_is_good_otherwise(tmp_path, contents):
-    entry = next(entry for entry in contents.entries if entry.topic == STEP)
-    new = entry._replace(data=spoilt_step().SerializeToString())
-    assert read_trial(rewrite(contents, tmp_path / "trial.mcap", {entry: new})).steps

@@ -60,7 +60,7 @@ def test_trials_of_the_same_error_are_dots_next_to_one_another():
 
 
 @pytest.mark.long
-def test_a_dot_links_to_its_trial(tmp_path):
+def test_a_dot_links_to_its_trial():
     statistics = group(batch(ERRORS[:3].tolist()))
     links = {trial.log: f"#trial-{i}" for i, trial in enumerate(statistics.batch.trials, 1)}
     drawing = svg(batch_figure([statistics], links)).decode()

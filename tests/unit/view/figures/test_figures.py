@@ -120,6 +120,15 @@ def words(figure):
     return "\n".join(text.get_text() for text in texts if text.get_visible())
 
 
+def lines(axes, **properties):
+    """The lines that have all these properties of matplotlib."""
+    return [
+        line
+        for line in axes.lines
+        if all(matplotlib.artist.getp(line, name) == value for name, value in properties.items())
+    ]
+
+
 def end_of(line):
     """The height of a line at its end."""
     return float(np.asarray(line.get_ydata())[-1])
@@ -132,13 +141,12 @@ def test_the_trajectory_shows_arena_trails_and_errors(log):
     assert axes.get_xlim() == (600, 2200)
     assert axes.get_ylim() == (350, 2150)
     for robot in range(3):
-        (trail,) = [line for line in axes.lines if line.get_gid() == f"trail-{robot}"]
+        (trail,) = lines(axes, gid=f"trail-{robot}")
         tracked = log.valid[:, robot]
         assert np.array_equal(trail.get_xydata()[tracked], log.mocap[tracked, robot, :2])
         assert np.isnan(trail.get_xydata()[~tracked]).all()
         assert trail.get_color() == [GREEN, BLUE, RED][robot]
     text = words(figure)
-    assert log.result
     for part in ("x [mm]", "y [mm]", f"total {log.result.total_error:.1f}", "start", "target"):
         assert part in text
     for robot, error in zip(log.experiment.robots, log.result.robot_errors, strict=True):
@@ -166,12 +174,12 @@ def test_the_convergence_figure_marks_the_stop(log):
     figure = draw("convergence", [log])
     (first,) = figure.axes
     best = log.steps[0].plan.search
-    (curve,) = [line for line in first.lines if line.get_marker() == "*"]
+    (curve,) = lines(first, marker="*")
     assert np.array_equal(curve.get_ydata(), best.history)
     assert first.get_yscale() == "log"
-    (stop,) = [line for line in first.lines if line.get_marker() == "o"]
+    (stop,) = lines(first, marker="o")
     assert stop.get_xydata().tolist() == [[len(best.history) - 1, best.history[-1]]]
-    faint = [line for line in first.lines if line.get_color() == style.FAINT]
+    faint = lines(first, color=style.FAINT)
     assert len(faint) == len(log.steps[0].plan.searches) - 1
     assert f"at iteration {len(best.history) - 1} (criterion)" in words(figure)
 
@@ -204,7 +212,7 @@ def test_solve_times_are_shown_next_to_the_period_and_only_misses_as_alarms(log)
     assert "half within" in text
     assert "control period 200 ms" in text
     assert "first plan" in text
-    (late,) = [line for line in figure.axes[1].lines if line.get_color() == style.ALARM]
+    (late,) = lines(figure.axes[1], color=style.ALARM)
     assert len(late.get_xdata()) == missed
     in_time = draw("over-time", [replace(log, steps=(first, *rest))])
     assert style.ALARM not in {line.get_color() for axes in in_time.axes for line in axes.lines}
@@ -229,7 +237,7 @@ def test_the_direction_turns_through_pi_without_a_line_across(log):
 def test_over_time_shows_what_was_estimated(log):
     figure = draw("over-time", [log])
     _, _, a, speed = figure.axes
-    (green,) = [line for line in a.lines if line.get_gid() == "robot-0"]
+    (green,) = lines(a, gid="robot-0")
     assert np.asarray(green.get_ydata())[[0, 1]] == pytest.approx([0, 2.5])
     assert len(green.get_ydata()) == len(log.steps)
     assert len(speed.collections) == 3  # bands
@@ -317,7 +325,7 @@ def test_trials_that_chose_their_robots_by_one_rule_are_drawn_together(log):
     mean_and_spread = f"total {np.mean(totals):.0f} ± {np.std(totals, ddof=1):.0f}"
     assert mean_and_spread in words(figure)
     (axes,) = figure.axes
-    targets = [line for line in axes.lines if line.get_marker() == "s"]
+    targets = lines(axes, marker="s")
     assert [len(line.get_xydata()) for line in targets] == [2, 2, 2]
     assert {line.get_markeredgecolor() for line in targets} == {style.GREY}
     with pytest.raises(UsageError, match="different experiments"):
@@ -355,13 +363,13 @@ def test_the_swarm_is_that_of_the_logged_search(log):
 
 
 @pytest.mark.long
-def test_the_errors_of_a_batch_end_as_the_results_say(log):
+def test_the_errors_of_a_batch_end_as_the_results_say():
     logs = [three_robots(seed) for seed in (1, 2, 3)]
     of_total, of_robots = draw("errors", logs).axes
-    trials = [line for line in of_total.lines if line.get_gid() == "trial"]
+    trials = lines(of_total, gid="trial")
     ends = [end_of(line) for line in trials]
     assert ends == pytest.approx([trial.result.total_error for trial in logs if trial.result])
-    (median,) = [line for line in of_total.lines if line.get_gid() == "median"]
+    (median,) = lines(of_total, gid="median")
     assert end_of(median) == pytest.approx(np.median(ends))
     assert len(of_total.collections) == 1
     assert len(of_robots.collections) == 3  # a band a robot
@@ -385,6 +393,6 @@ def test_an_error_is_dotted_where_the_signs_of_end_and_target_do_not_cover_it(
     final = Poses(TARGETS[:, 0] + error_mm, TARGETS[:, 1], np.zeros(3))
     result = replace(log.result, verdict=replace(log.result.verdict, final=final))
     figure = trajectory_figure([replace(log, result=result)])
-    dotted = [line for line in figure.axes[0].lines if line.get_linestyle() == ":"]
+    dotted = lines(figure.axes[0], linestyle=":")
     assert len(dotted) == 3 * is_drawn
     assert ("error: end to target" in words(figure)) == is_drawn

@@ -37,6 +37,11 @@ class Wall(Observer):
         self.time_s += 0.2
 
 
+def plain(width=40):
+    """A console that is no terminal."""
+    return Console(file=io.StringIO(), force_terminal=False, width=width)
+
+
 def written(console):
     """The text that a console wrote to its file, of text or of bytes."""
     file = console.file
@@ -69,7 +74,6 @@ def test_the_live_view_shows_trial_numbers_and_how_it_ended(tmp_path):
     console = terminal()
     wall = Wall()
     result = three_robots().result
-    assert result
     with LiveView(console, wall=wall) as view:
         view.trial_started(Task(2, 20, b""))
         run_three_robots(tmp_path, observers=[wall, view])
@@ -141,7 +145,7 @@ def test_the_live_view_names_the_emergency_key_where_a_device_is_real(facts, hin
 
 def test_the_lab_prints_messages_but_no_calls_of_an_exception():
     """Regression: with --quiet, too, up to 20 lines of calls stood above the error."""
-    always = Console(file=io.StringIO(), force_terminal=False, width=80)
+    always = plain(80)
     watch = LabWatch(always, Console(quiet=True), "mm", live=False)
     watch.on_start(three_robots().start)
     for level, text in (("warning", "low battery"), ("debug", "a.py:7 in plan: 1 / 0")):
@@ -150,9 +154,8 @@ def test_the_lab_prints_messages_but_no_calls_of_an_exception():
 
 
 def test_without_a_terminal_progress_is_one_plain_line_a_trial():
-    console = Console(file=io.StringIO(), force_terminal=False, width=40)
+    console = plain()
     result = three_robots().result
-    assert result
     aborted = replace(result, outcome=Outcome.ABORTED, reason="no [new] frame for 500 ms")
     with BatchProgress(console, total=2) as progress:
         progress.trial_ended(ended(0, 2, result))
@@ -167,7 +170,6 @@ def test_without_a_terminal_progress_is_one_plain_line_a_trial():
 def test_on_a_terminal_progress_is_a_bar_with_the_errors_so_far():
     console = terminal(100)
     result = three_robots().result
-    assert result
     entered = replace(result.verdict, entered=(True, False, False))
     with BatchProgress(console, total=3) as progress:
         progress.trial_ended(ended(0, 3, result, 100.0))
@@ -183,7 +185,6 @@ def test_on_a_terminal_progress_is_a_bar_with_the_errors_so_far():
 def study_progress(console, quiet=False):
     """What 20 trials print, of which the fifth has no outcome and the sixth is aborted."""
     result = three_robots().result
-    assert result
     aborted = replace(result, outcome=Outcome.ABORTED, reason="no frame")
     with StudyProgress(console, 20, quiet) as progress:
         for i in range(20):
@@ -196,14 +197,14 @@ FAILURES = ["failed: arm/4: no camera", "failed: arm/5: aborted: no frame"]
 
 
 def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
-    lines = study_progress(Console(file=io.StringIO(), force_terminal=False, width=40))
+    lines = study_progress(plain())
     assert [line for line in lines if line.startswith("failed")] == FAILURES
     assert [line for line in lines if "expected" in line] == [
         "expected duration 17 s, estimated from the first 3 trials"
     ]
     tenths = [f"{2 * i} of 20 trials, {20 - 2 * i} s left" for i in range(1, 11)]
     assert [line for line in lines if "of 20" in line] == tenths
-    quiet = Console(file=io.StringIO(), force_terminal=False, width=40)
+    quiet = plain()
     assert study_progress(quiet, quiet=True) == FAILURES
 
 
@@ -215,7 +216,7 @@ def test_durations_read_as_people_say_them(seconds, words):
     assert duration(seconds) == words
 
 
-def test_a_plain_view_names_who_entered_an_obstacle_and_no_steps(tmp_path):
+def test_a_plain_view_names_who_entered_an_obstacle_and_no_steps():
     console = terminal(100, 40)
     start = three_robots().start
     left, bottom = start.setup.obstacles[0].box[:2]

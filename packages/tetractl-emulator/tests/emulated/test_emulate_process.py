@@ -11,8 +11,8 @@ pytestmark = pytest.mark.system
 UNICAST = ("--set", "lab.camera.transport=unicast", "--command-port", "0", "--data-port", "0")
 
 
-def emulate(folder, *options, spec=SPEC):
-    command = [TETRACTL, "lab", "emulate", str(spec), *UNICAST, *options]
+def emulate(folder, *options):
+    command = [TETRACTL, "lab", "emulate", str(SPEC), *UNICAST, *options]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
     )

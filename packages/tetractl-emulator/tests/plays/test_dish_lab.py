@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from support.cli import tetractl
+from support.lab_processes import flags
 from support.virtual_lab import DISH, virtual_dish
 from tetractl_emulator import firmware
 from tetractl_microscope.coils.driver import DriverStatus
@@ -38,10 +39,24 @@ FEW = "emulation: {actuator: {cells: 3, strangers: 1}, camera: {specks: 4}}\n"
 EVERY_DAY = ("light, flicker: 0.03", "focus, by_um: 15", "half_rate", "bubble")
 
 
+def run_trial(dish, folder):
+    return run_logged(dish.spec, folder, 0, [], Interrupt(lambda number: None))
+
+
+def survey(dish, folder, *words, **how):
+    return tetractl(folder, "lab", "survey", DISH, *flags(dish.settings), *words, **how)
+
+
+def driver_after(dish):
+    """The field's driver a second later."""
+    dish.clock.sleep_until(dish.clock.now() + SECOND)
+    return dish.emulation.actuator.driver
+
+
 def play(folder, script="", sets=(), seed=1):
     """Run a trial; return its log and the cells as they truly are then."""
     with virtual_dish(folder, seed, (*SMALL, *sets), FEW + script) as dish:
-        run_logged(dish.spec, folder, 0, [], Interrupt(lambda number: None))
+        run_trial(dish, folder)
         running = dish.emulation.actuator.driver.running
         return read_trial(folder / "trial-000.mcap"), dish.cells, running
 
@@ -82,13 +97,12 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at_s, says)
     with virtual_dish(tmp_path, 7, sets, FEW + script) as dish:
         if at_s == 2:  # before the choice
             with pytest.raises(AbortError, match=says):
-                run_logged(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+                run_trial(dish, tmp_path)
         else:
-            result = run_logged(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
+            result = run_trial(dish, tmp_path)
             assert result.outcome is Outcome.ABORTED
             assert says in result.reason
-        dish.clock.sleep_until(dish.clock.now() + SECOND)
-        assert not dish.emulation.actuator.driver.running
+        assert not driver_after(dish).running
 
 
 def test_a_cell_that_divides_is_replaced(tmp_path):
@@ -111,10 +125,8 @@ def test_stop_of_a_field_needs_no_more_of_a_spec_than_its_driver(tmp_path, monke
     with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
         monkeypatch.setattr("tetractl.cli.lab.MonotonicClock", lambda: dish.clock)
         sets = ("controller.typo=1", f"lab.actuator.port={tmp_path / 'radio'}")
-        words = [word for setting in sets for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "stop", DISH, *words).ok()
-        dish.clock.sleep_until(dish.clock.now() + SECOND)
-        assert DriverStatus.EMERGENCY_STOPPED in dish.emulation.actuator.driver.status
+        done = tetractl(tmp_path, "lab", "stop", DISH, *flags(sets)).ok()
+        assert DriverStatus.EMERGENCY_STOPPED in driver_after(dish).status
     assert done.stdout == "sent 10 stops\n"
     assert "controller.typo" in done.stderr
 
@@ -122,23 +134,17 @@ def test_stop_of_a_field_needs_no_more_of_a_spec_than_its_driver(tmp_path, monke
 def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(tmp_path):
     script = "emulation: {actuator: {cells: 7}, camera: {mirrored: true}}\n"
     with virtual_dish(tmp_path, 3, SMALL, script) as dish:
-        words = [word for setting in dish.settings for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "--plans", "1", *words)
-        dish.clock.sleep_until(dish.clock.now() + SECOND)
-        assert not dish.emulation.actuator.driver.running
+        done = survey(dish, tmp_path, "--yes", "--plans", "1")
+        assert not driver_after(dish).running
     assert "warning: cells turn right where the field turns left" in done.stderr
     assert "is towards the mirror image of the field" in done.stdout
 
 
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):
     with virtual_dish(tmp_path, 2, SMALL, FEW) as dish:
-        words = [word for setting in dish.settings for word in ("--set", setting)]
-        survey = ("lab", "survey", DISH, "--yes", "--plans", "4", *words)
-        done = tetractl(tmp_path, *survey, "-o", "found.yaml").ok()
+        done = survey(dish, tmp_path, "--yes", "--plans", "4", "-o", "found.yaml").ok()
         magnets = np.sort(dish.cells.a[dish.cells.a > 0])
-        again = tetractl(
-            tmp_path, "lab", "survey", DISH, "--yes", "--json", "--plans", "1", *words
-        ).ok()
+        again = survey(dish, tmp_path, "--yes", "--json", "--plans", "1").ok()
     items = json.loads(again.stdout)
     assert items["unit"] == "um"
     assert sum(cell["magnetised"] for cell in items["cells"]) >= len(items["choices"][0]["cells"])
@@ -161,9 +167,8 @@ def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
     few = "emulation: {actuator: {cells: 1, strangers: 2}, camera: {specks: 0}}\n"
     with virtual_dish(tmp_path, 3, SMALL, few) as dish:
         with pytest.raises(AbortError, match=r"1 of \d cells respond to the field, 2 are needed"):
-            run_logged(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
-        dish.clock.sleep_until(dish.clock.now() + SECOND)
-        assert not dish.emulation.actuator.driver.running
+            run_trial(dish, tmp_path)
+        assert not driver_after(dish).running
 
 
 def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkeypatch):
@@ -171,8 +176,7 @@ def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkey
     so that with `--json > cells.json` it was not seen."""
     monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
     with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
-        words = [word for setting in dish.settings for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "survey", DISH, *words, stdin="n\n")
+        done = survey(dish, tmp_path, stdin="n\n")
         assert dish.events("run") == []
     assert done.returncode != 0
     assert "The field will turn the cells for" in done.stderr
@@ -191,10 +195,8 @@ def test_a_key_is_the_emergency_stop_of_a_survey(tmp_path, monkeypatch):
 
     monkeypatch.setattr("tetractl.cli.lab.StopKey", PressedKey)
     with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
-        words = [word for setting in dish.settings for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", *words)
-        dish.clock.sleep_until(dish.clock.now() + SECOND)
-        assert DriverStatus.EMERGENCY_STOPPED in dish.emulation.actuator.driver.status
+        done = survey(dish, tmp_path, "--yes")
+        assert DriverStatus.EMERGENCY_STOPPED in driver_after(dish).status
     assert done.returncode == 1
     assert "SPACE or ESC" in done.stderr
     assert "emergency stop by the operator" in done.stderr

@@ -75,8 +75,7 @@ def test_check_says_who_is_off_and_how_far(lab, tmp_path):
 
 def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
     emulated = lab()
-    settings = emulated.settings
-    sets = flags((*settings, "robots.1.start=[900, 1300]"))
+    sets = flags((*emulated.settings, "robots.1.start=[900, 1300]"))
     done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets)
     assert done.returncode == 1
     assert "error: blue is 100 mm from its start" in done.stderr
@@ -86,11 +85,10 @@ def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
 
 def test_stop_latches_every_robot_by_port_alone(lab, tmp_path, monkeypatch):
     emulated = lab()
-    settings = emulated.settings
     monkeypatch.setattr("tetractl.cli.lab.MonotonicClock", lambda: emulated.clock)
     done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio")).ok()
     assert done.stdout.startswith("sent 10 stops on ")
-    done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags(settings))
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags(emulated.settings))
     assert done.returncode == 1
     for name in ("green", "blue", "red"):
         assert f"problem: {name} is emergency-stopped" in done.stdout

@@ -33,9 +33,9 @@ def rehearse(folder, *words):
     return tetractl(folder, "lab", "rehearse", SPEC, "--out", "days", *words, *FEW)
 
 
-def without_tracking(monkeypatch):
-    """Plant a defect: no robot is lost, and no run ends, since a robot is not tracked."""
-    monkeypatch.setattr(Guard, "_check_tracking", lambda self: None)
+def plan_days(monkeypatch, *faults, seed=1):
+    """Let each day have these faults."""
+    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(seed, {}, list(faults)))
 
 
 def rows(folder):
@@ -98,9 +98,8 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
 def test_a_day_of_cells_is_observed(monkeypatch):
     """Without pictures the field goes off; a guard whose clock stands with them is found."""
     pytest.importorskip("cv2")
-    lost = {"kind": "no pictures", "right": SEEN, "fault": "no_frames"}
-    lost |= {"at": 6.3}
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [lost]))
+    lost = {"kind": "no pictures", "right": SEEN, "fault": "no_frames", "at": 6.3}
+    plan_days(monkeypatch, lost)
     of_day = EXAMPLES / "tetrahymena_dish.yaml", DISH[1::2], 1, 0
     row = rehearsed(*of_day)
     assert row["violations"] == []
@@ -126,13 +125,16 @@ def test_days_of_pictures_break_nothing(tmp_path):
 
 @pytest.mark.long
 def test_a_planted_defect_is_found_and_its_day_written_and_kept(tmp_path, monkeypatch):
-    """By two jobs; what a day is does not depend on their number, as the test of digests says.
+    """No robot is lost, and no run ends, since a robot is not tracked.
+
+    By two jobs; what a day is does not depend on their number, as the test of digests says.
 
     Regression: a violation was forgotten by the same command again.
     """
-    plan = day.DayPlan(5, {}, [*map(dict, FAULTS)])
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
-    without_tracking(monkeypatch)
+    doubled = {"kind": "packets doubled", "right": "$.", "fault": "doubled_packets", "at": 0.2}
+    untracked = {"kind": "untracked", "right": SIGHT, "fault": "untracked"}
+    plan_days(monkeypatch, doubled, untracked | {"robot": "green", "at": 0.6}, seed=5)
+    monkeypatch.setattr(Guard, "_check_tracking", lambda self: None)
     done = rehearse(tmp_path, "--days", "2", "--jobs", "2")
     assert done.returncode == 1
     assert "1 of 2, about " in done.stderr  # a line for each day, in a pipe
@@ -147,7 +149,7 @@ def test_a_planted_defect_is_found_and_its_day_written_and_kept(tmp_path, monkey
 
 @pytest.mark.long
 def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(5, {}, []))
+    plan_days(monkeypatch, seed=5)
     gathered = []
     check_frame = Guard.check_frame
 
@@ -161,18 +163,12 @@ def test_a_run_that_keeps_memory_is_found(tmp_path, monkeypatch):
     assert "blocks of memory" in done.stderr
 
 
-FAULTS = (
-    {"kind": "packets doubled", "right": "$.", "fault": "doubled_packets", "at": 0.2},
-    {"kind": "untracked", "right": SIGHT, "fault": "untracked", "robot": "green", "at": 0.6},
-)
-
-
 @pytest.mark.long
 def test_a_server_silent_from_the_start_refuses_a_run_for_its_reason(tmp_path, monkeypatch):
     """Regression: no row of the table had the reason."""
     silent = {"kind": "server silent", "fault": "no_server", "right": SIGHT}
     silent |= {"since": "start", "at": 0.0, "for": 2.778}
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [silent]))
+    plan_days(monkeypatch, silent)
     done = rehearse(tmp_path, "--days", "1").ok()
     assert done.stdout.endswith("1 day, 0 violations\n")
     assert rows(tmp_path)[0]["reason"].startswith("no camera server answers at")
@@ -183,8 +179,7 @@ def test_a_day_of_streamed_cells_is_observed(tmp_path, monkeypatch):
     """A pose to which no cell can have swum ends the trial."""
     pytest.importorskip("tetractl_microscope")
     jump = {"fault": "jump", "right": SIGHT, "robot": "first", "by": [0.6, 0.0], "at": 2.0}
-    plan = day.DayPlan(1, {}, [{"kind": "pose jumps", **jump}])
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: plan)
+    plan_days(monkeypatch, {"kind": "pose jumps", **jump})
     words = "lab", "rehearse", EXAMPLES / "tetrahymena_lab.yaml", "--days", "1"
     done = tetractl(tmp_path, *words, "--out", "days").ok()
     assert done.stdout.endswith("1 day, 0 violations\n")

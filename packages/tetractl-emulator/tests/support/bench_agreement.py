@@ -89,7 +89,6 @@ def lab_trial(
     drive = bench().drive
     planning = part(PlanningTimeSection)
     put = part(StartErrorSection)
-    assert drive is not None
     key, _ = trial_seeds(experiment.trials.seed, trial)
     rng = np.random.default_rng([experiment.trials.seed, trial])
 

@@ -282,9 +282,9 @@ def emulated(folder, *sets, script=NOTHING, tell=None, spec=TWO, **options):
     return EmulatedLab(lab, loaded.experiment.setup, script, chosen, **extra)
 
 
-def turn_until(lab, condition, turns=20_000):
+def turn_until(lab, condition):
     """Turn the emulation's loop until `condition()`; return what it returned."""
-    for _ in range(turns):
+    for _ in range(20_000):
         result = condition()
         if result:
             return result

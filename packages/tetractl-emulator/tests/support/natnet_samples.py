@@ -54,7 +54,7 @@ def numbered(head, *items):
     return head + packed("i", len(items)) + b"".join(items)
 
 
-def full_modeldef(version, awkward=True):
+def full_modeldef(version):
     """Return two rigid bodies behind data sets of every type whose layout is known."""
     text = b"some name\0"
     others = [
@@ -64,10 +64,10 @@ def full_modeldef(version, awkward=True):
     ]
     if version >= (3, 0):
         plate = struct.pack("<i", 1) + text + bytes(4 * (2 + 3 + 144 + 12 + 2))
-        others += [(3, plate + struct.pack("<i", 1) + text)] * awkward
+        others.append((3, plate + struct.pack("<i", 1) + text))
         others.append((4, struct.pack("<i", 2) + text + text + struct.pack("<iii", 0, 0, 1) + text))
     if version >= (4, 1):
-        others += [(6, b"an asset that is stepped over")] * awkward
+        others.append((6, b"an asset that is stepped over"))
     model = natnet.ModelDef((("green", 1), ("blü", 2)))
     return model, datagram(
         natnet.MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3)

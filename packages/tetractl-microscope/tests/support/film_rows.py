@@ -2,7 +2,6 @@
 
 import numpy as np
 from tetractl_microscope.cells.cell import SeenCell
-from tetractl_microscope.cells.detect_cells import Blob
 from tetractl_microscope.film.who import TrackRow, Whereabouts
 
 
@@ -25,19 +24,3 @@ def recorded(pictures, times):
             row = TrackRow(picture, cell, cell.identity, cell.probability)
             where.tracks.setdefault(track, []).append(row)
     return where
-
-
-def whole_blob():
-    """A blob that the picture's edge does not cut off; its pixels do not count."""
-    body = np.ones((1, 1), np.uint8)
-    return Blob(
-        x=0.0,
-        y=0.0,
-        axis=0.0,
-        long=1.0,
-        wide=1.0,
-        strength=1.0,
-        body=body,
-        corner=(0, 0),
-        at_edge=False,
-    )

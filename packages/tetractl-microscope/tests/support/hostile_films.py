@@ -27,10 +27,10 @@ def tiff(tags, data=b"", following=0):
     )  # fmt: skip
 
 
-def one_strip(width, height, packed, compression=8, bits=8, following=0):
+def one_strip(width, height, packed, compression=8, following=0):
     size = (256, 257, 277, 278)
     short = 3
-    tags = [(size[0], 4, 1, width), (size[1], 4, 1, height), (258, short, 1, bits)]
+    tags = [(size[0], 4, 1, width), (size[1], 4, 1, height), (258, short, 1, 8)]
     tags += [(259, short, 1, compression), (262, short, 1, 1), (273, 4, 1, 8), (277, short, 1, 1)]
     return tiff([*tags, (278, 4, 1, height), (279, 4, 1, len(packed))], packed, following)
 

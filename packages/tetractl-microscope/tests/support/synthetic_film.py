@@ -84,7 +84,6 @@ class SyntheticFilm:
     def pictures(self) -> Iterator[Grey]:
         """Yield the pictures in order of time."""
         painter = DishPainter(self.look, self.seed)
-        assert self.cells is not None
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         for t in self.times:
             moments = [self._bodies(t + part * self.look.exposure_s) for part in spread]

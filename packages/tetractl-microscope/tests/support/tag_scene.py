@@ -81,9 +81,9 @@ def errors(tracker, renderer, pictures, seed=0):
     return np.array(off), np.array(turned), lost / (3 * pictures)
 
 
-def jpeg(picture, quality=90, restarts=0):
+def jpeg(picture, restarts=0):
     """Return a JPEG file, with a restart marker after every so many blocks."""
-    how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_RST_INTERVAL, restarts]
+    how = [cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_RST_INTERVAL, restarts]
     return cv2.imencode(".jpg", picture, how)[1].tobytes()
 
 

@@ -149,12 +149,12 @@ def test_cells_that_turn_by_themselves_in_a_field_have_no_speed_along_a_helix(tu
         assert (cell["a_rad_s"] is None) == (cell["sway_rad"] is None) == (speed is None)
 
 
-def wandering(number, speed=100.0, hz=25.0):
+def wandering(number):
     """A cell that swims on, while its heading walks by 0.3 rad/sqrt(s); places are noisy."""
     rng = np.random.default_rng(number)
-    when = times(15.0, hz)
-    heading = np.cumsum(rng.normal(0.0, 0.3 / math.sqrt(hz), len(when)))
-    way = np.cumsum(speed / hz * np.exp(1j * heading))
+    when = times(15.0, 25.0)
+    heading = np.cumsum(rng.normal(0.0, 0.3 / math.sqrt(25.0), len(when)))
+    way = np.cumsum(100.0 / 25.0 * np.exp(1j * heading))
     return track(number, when, way.real, way.imag, noise_um=0.4)
 
 

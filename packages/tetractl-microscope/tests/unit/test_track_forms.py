@@ -11,7 +11,8 @@ UM = 2.0
 SPOT_ROWS = [
     (float(cell), float(k), 40.0 + 3 * k, 100.0 * cell + 5 * k) for cell in (1, 2) for k in range(6)
 ]
-NUMBER, K, Y, X = np.array(SPOT_ROWS).T
+COLUMNS = np.array(SPOT_ROWS).T
+NUMBER, K, Y, X = COLUMNS
 POSES = sorted(zip(K / HZ, UM * X, -UM * Y, strict=True))
 FRAME = {"unit": "frame", "scale": 1 / HZ, "scaled_unit": "second"}
 PIXEL = {"unit": "pixel", "scale": UM, "scaled_unit": "micrometer"}
@@ -25,7 +26,11 @@ def poses(path, um=None, hz=None, said=None):
     return sorted(tuple(row) for track in tracks for row in track.rows.tolist())
 
 
-def graph(path, axes, values):
+USUAL_AXES = {"t": TIME, "y": SPACE, "x": SPACE}
+USUAL_VALUES = {"t": K, "y": Y, "x": X}
+
+
+def graph(path, axes=USUAL_AXES, values=USUAL_VALUES):
     """Write a graph with axes of such names and contents; `values` has the values of each."""
     core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
     from geff import GeffMetadata
@@ -46,11 +51,18 @@ def graph(path, axes, values):
     return path
 
 
+def placed(path, header, *columns):
+    """Write a table of spots with a header of commas."""
+    table = np.column_stack(columns)
+    np.savetxt(path, table, delimiter=",", header=header, comments="", encoding="utf-8")
+    return path
+
+
 @pytest.mark.parametrize(
     ("axes", "values"),
     [
-        ({"t": TIME, "y": SPACE | {"scale": 4.0}, "x": SPACE}, {"t": K, "y": Y / 2, "x": X}),
-        ({"t": FRAME, "y": PIXEL, "x": PIXEL}, {"t": K, "y": Y, "x": X}),
+        (USUAL_AXES | {"y": SPACE | {"scale": 4.0}}, USUAL_VALUES | {"y": Y / 2}),
+        ({"t": FRAME, "y": PIXEL, "x": PIXEL}, USUAL_VALUES),
         ({"Frame": FRAME, "X": PIXEL, "Y": PIXEL}, {"Frame": K, "X": X, "Y": Y}),
         ({"t": TIME, "row": SPACE, "col": SPACE}, {"t": K, "row": Y, "col": X}),
         (
@@ -85,9 +97,7 @@ def test_times_with_a_unit_are_taken_and_no_numbers_of_pictures(header, times, f
     columns = {"particle": NUMBER, "frame": uneven, header: times, "y": Y, "x": X}
     if not frames:
         del columns["frame"]
-    path = tmp_path / "tracks.csv"
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
+    path = placed(tmp_path / "tracks.csv", ",".join(columns), *columns.values())
     said = []
     assert np.allclose(poses(path, UM, said=said), POSES) and not said
     if not frames:
@@ -98,19 +108,13 @@ def test_times_with_a_unit_are_taken_and_no_numbers_of_pictures(header, times, f
     assert said == [f"warning: {path}: --rate 25 replaces its times, up to 0.2 s off"]
 
 
-def numbered_from(first, path):
-    """Write spots whose pictures are numbered from `first` on."""
-    table = np.column_stack([NUMBER, K + first, Y, X])
-    np.savetxt(path, table, delimiter=",", header="particle,frame,y,x", comments="")
-
-
 @pytest.mark.parametrize(("first", "late"), [(0, 0), (1, 0), (7, 7)])
 def test_a_count_from_1_begins_at_time_0_and_is_said(first, late, tmp_path):
     """Regression: all poses were one picture late, and a was 3.88 of 4."""
-    numbered_from(first, tmp_path / "a.csv")
+    path = placed(tmp_path / "a.csv", "particle,frame,y,x", NUMBER, K + first, Y, X)
     said = []
     expected = [(seconds + late / HZ, x, y) for seconds, x, y in POSES]
-    assert np.allclose(poses(tmp_path / "a.csv", UM, HZ, said), expected)
+    assert np.allclose(poses(path, UM, HZ, said), expected)
     assert [FROM_ONE in line for line in said] == [True] * (first == 1)
 
 
@@ -138,13 +142,6 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
     )
     (tmp_path / "spots.csv").write_text(SPOTS.format(um=um, s=s) + rows)
     assert np.allclose(poses(tmp_path / "spots.csv"), POSES)
-
-
-def placed(path, header, *columns):
-    """Write a table of spots with a header of commas."""
-    table = np.column_stack(columns)
-    np.savetxt(path, table, delimiter=",", header=header, comments="", encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize(
@@ -195,8 +192,7 @@ def test_numbers_of_pictures_that_may_be_milliseconds_are_said(step, is_said, tm
 def test_a_graph_older_than_the_first_release_is_refused_with_a_remedy(within, tmp_path):
     """Regression: "No geff key found", or seven errors of validation, cut off."""
     zarr = pytest.importorskip("zarr", reason="geff is not installed")
-    axes = {"t": TIME, "y": SPACE, "x": SPACE}
-    path = graph(tmp_path / "old.geff", axes, {"t": K, "y": Y, "x": X})
+    path = graph(tmp_path / "old.geff")
     group = zarr.open_group(path)
     about = {"geff_version": "0.1.1", "directed": True, "position_prop": "position"}
     del group.attrs["geff"]
@@ -215,25 +211,8 @@ def test_a_table_that_is_not_there_is_named(tmp_path):
 def test_a_graph_without_edges_has_no_tracks(tmp_path, monkeypatch):
     """Regression: each spot was a robot, and none "is seen for 2 s"."""
     monkeypatch.setitem(globals(), "NUMBER", K)  # no two spots follow one another
-    path = graph(tmp_path / "a.geff", {"t": TIME, "y": SPACE, "x": SPACE}, {"t": K, "y": Y, "x": X})
     with pytest.raises(UsageError, match="has no edges"):
-        poses(path)
-
-
-def test_numbers_of_pictures_that_are_fractions_are_times(tmp_path):
-    """Regression: they were divided by the rate, and no robot was "seen for 2 s"."""
-    table = np.column_stack([NUMBER, K / HZ, Y, X])
-    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="track_id,t,y,x", comments="")
-    with pytest.raises(UsageError, match=r"column t: 0\.04 is no number of a picture") as error:
-        poses(tmp_path / "a.csv", UM, HZ)
-    assert "name the column t_s" in str(error.value.hint)
-
-
-def test_numbers_of_pictures_below_0_are_refused(tmp_path):
-    """Regression: tracks were seconds before the field, and a was wrong."""
-    numbered_from(-3, tmp_path / "a.csv")
-    with pytest.raises(UsageError, match="column frame: -3 is no number of a picture"):
-        poses(tmp_path / "a.csv", UM, HZ)
+        poses(graph(tmp_path / "a.geff"))
 
 
 def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
@@ -249,32 +228,39 @@ def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
     faster = poses(path, None, 2 * HZ, said)
     assert np.allclose([t for t, _, _ in faster], [t / 2 for t, _, _ in POSES])
     assert "--rate 50 replaces its times" in said[0]
-    seconds = {"t": {"type": "time", "unit": "second"}, "y": SPACE, "x": SPACE}
+    seconds = USUAL_AXES | {"t": {"type": "time", "unit": "second"}}
     with pytest.raises(UsageError, match="it states times, so that --rate"):
-        poses(graph(tmp_path / "g.geff", seconds, {"t": K / HZ, "y": Y, "x": X}), None, HZ)
+        poses(graph(tmp_path / "g.geff", seconds, USUAL_VALUES | {"t": K / HZ}), None, HZ)
 
 
 @pytest.mark.parametrize(
-    ("header", "missing"),
+    ("header", "columns", "says"),
     [
-        ("number,frame,y,x", "particle, track_id or id missing"),
-        ("particle,picture,y,x", "frame, t or time_s missing"),
-        ("particle,frame,y,z", "x missing"),
-        ("particle,frame,row,col", "x; y missing"),
+        ("number,frame,y,x", COLUMNS, "no column of tracks: particle, track_id or id missing"),
+        ("particle,picture,y,x", COLUMNS, "no column of tracks: frame, t or time_s missing"),
+        ("particle,frame,y,z", COLUMNS, "no column of tracks: x missing; its columns are"),
+        ("particle,frame,row,col", COLUMNS, "no column of tracks: x; y missing"),
+        ("particle,frame,y,x", (NUMBER, K - 3, Y, X), "frame: -3 is no number of a picture"),
+        (
+            "track_id,t,y,x",
+            (NUMBER, K / HZ, Y, X),
+            r"column t: 0\.04 is no number of a picture\n.*name the column t_s",
+        ),
     ],
 )
-def test_a_missing_column_is_named(header, missing, tmp_path):
-    """Regression: the hint named the columns of `identify`."""
-    path = placed(tmp_path / "a.csv", header, NUMBER, K, Y, X)
-    with pytest.raises(UsageError, match=f"no column of tracks: {missing}; its columns are"):
-        poses(path, UM, HZ)
+def test_a_table_without_a_column_or_numbers_of_pictures_is_refused(
+    header, columns, says, tmp_path
+):
+    """Regression: the hint named the columns of `identify`; tracks were seconds before the field,
+    and a was wrong; fractions were divided by the rate, and no robot was "seen for 2 s"."""
+    with pytest.raises(UsageError, match=says):
+        poses(placed(tmp_path / "a.csv", header, *columns), UM, HZ)
 
 
 def test_a_broken_graph_is_one_line_without_an_address_of_a_library(tmp_path):
     """Regression: pydantic's text named its web page."""
     zarr = pytest.importorskip("zarr", reason="geff is not installed")
-    axes = {"t": TIME, "y": SPACE, "x": SPACE}
-    path = graph(tmp_path / "tracks.geff", axes, {"t": K, "y": Y, "x": X})
+    path = graph(tmp_path / "tracks.geff")
     group = zarr.open_group(path)
     group.attrs.update({"geff": group.attrs["geff"] | {"directed": "perhaps"}})
     with pytest.raises(UsageError, match="cannot be read as a GEFF graph of t, x, y: ") as error:

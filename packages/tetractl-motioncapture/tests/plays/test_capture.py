@@ -24,20 +24,20 @@ def test_a_run_is_valid_and_verifies(folder):
     assert "bit-identical" in tetractl(folder, "verify", "well").ok().stdout
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    ("fault", "why"), [("process_ends", "the camera is gone"), ("no_frames", "no new camera frame")]
+    ("fault", "why"),
+    [
+        pytest.param("process_ends, at: 0.5", "the camera is gone", marks=pytest.mark.long),
+        pytest.param("no_frames, at: 0.5", "no new camera frame", marks=pytest.mark.long),
+        ("process_ends, since: start, at: 0.7", "the camera is gone"),
+    ],
 )
-def test_robots_stop_when_the_process_ends_or_is_silent(folder, fault, why):
-    script = f"plant.faults={{about: a test, faults: [{{fault: {fault}, at: 0.5}}]}}"
-    done = tetractl(folder, *RUN, "--out", fault, "--set", script)
+def test_a_process_that_ends_or_is_silent_is_named_before_and_while_robots_move(
+    folder, tmp_path, fault, why
+):
+    script = f"plant.faults={{about: a test, faults: [{{fault: {fault}}}]}}"
+    done = tetractl(folder, *RUN, "--out", tmp_path / "out", "--set", script)
     assert done.returncode == 1 and why in done.stderr
-
-
-def test_a_process_that_ends_before_the_robots_move_is_named(folder):
-    script = "plant.faults={about: a test, faults: [{fault: process_ends, since: start, at: 0.7}]}"
-    done = tetractl(folder, *RUN, "--out", "before", "--set", script)
-    assert done.returncode == 1 and "the camera is gone" in done.stderr
 
 
 @pytest.mark.long

@@ -73,14 +73,14 @@ class Air:
 def connect(monkeypatch):
     opened = []
 
-    def connect(air, name="toio-M0p"):
+    def connect(air):
         monkeypatch.setitem(sys.modules, "bleak", air.module())
         heard = queue.Queue()
 
         def take(data, at_ns):
             heard.put(data)
 
-        port = BluetoothPort(name, 0, "the cube", MonotonicClock(), take, "hint")
+        port = BluetoothPort("toio-M0p", 0, "the cube", MonotonicClock(), take, "hint")
         opened.append(port)
         return port, heard
 

@@ -10,8 +10,9 @@ from tetractl_emulator.pictures.pichel_2018 import fitted
 SPREAD = 0.15  # of the slopes of cells: the standard deviation of their logarithm
 
 
-def measured_slopes(rng, slope, count=204):
+def measured_slopes(rng, slope):
     """Slopes of cells measured with errors, and the errors' deviations; one in twenty is wrong."""
+    count = 204
     lowest, highest = np.log([0.02, 0.3])
     deviations = np.exp(rng.uniform(lowest, highest, count))
     of_cells = slope * np.exp(rng.normal(0, SPREAD, count))

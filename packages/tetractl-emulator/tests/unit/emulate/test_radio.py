@@ -63,7 +63,7 @@ def test_at_commands(opened):
         assert ask(lab, port, bytes((AT_COMMAND, 0x11)) + command) == [answer]
 
 
-def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
+def test_a_broadcast_takes_its_time_on_the_wires(opened):
     lab, port = opened()
     command = encode_command(BroadcastCommand(1, Flag.RUN, ((60, 60),) * 2))
     frame = encode(BROADCAST + command)

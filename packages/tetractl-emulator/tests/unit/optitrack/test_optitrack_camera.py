@@ -53,10 +53,10 @@ def stranger_of(address="127.0.0.1"):
     return Joined.lab.wires.bound(address, 0)
 
 
-def stray(number, x=0.1, version=V41):
+def stray(number, x=0.1):
     """A forged frame that shows green and blue elsewhere."""
     bodies = tuple(natnet.RigidBody(i, (x, 0.06, -x), (0, 0, 0, 1), True) for i in (1, 7))
-    return pack_answer(natnet.NatNetFrame(number, bodies), version)
+    return pack_answer(natnet.NatNetFrame(number, bodies), V41)
 
 
 def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.made_days import at, give_log
 from support.paths import EXAMPLES
 from tetractl_emulator.rehearsal.cell_sentences import (
     DishTruth,
@@ -17,7 +18,6 @@ from tetractl_emulator.rehearsal.day import Day, DayPlan
 
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec
-from tetractl.log.read.trial_log import TrialLog
 
 EXPERIMENT = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment
 LIMITS = EXPERIMENT.lab.limits
@@ -31,10 +31,6 @@ DARK = {
 }
 KEY = {"kind": "dark", "right": "not tracked", "fault": "emergency", "at": 1.0}
 ERROR = "error: trial 1: cell 1 is not tracked (0.70 s)\n"
-
-
-def at(seconds, event, **facts):
-    return {"t_ns": round(seconds * 1e9), "event": event, **facts}
 
 
 def truth_at(seconds, amperes=0.0, poses=STARTS):
@@ -93,12 +89,6 @@ def test_a_good_end_breaks_nothing():
 )
 def test_a_sentence_is_broken(name, events, more):
     assert name in broken(*events, **more)
-
-
-def give_log(truth, **fields):
-    """Give a day a log with these fields; all others are None."""
-    empty = dict.fromkeys(TrialLog.__dataclass_fields__)
-    vars(truth)["log"] = TrialLog(**empty | fields)
 
 
 def day_with_shown_cell(seconds, shown_um, meets=False):

@@ -178,42 +178,37 @@ def test_what_is_wrong_is_named(tmp_path, scene, facing, changes, problems, warn
     assert any(line.startswith(warning) for line in warnings) or not warning
 
 
-def printed(ratio, tags):
-    """Tags of another size than the spec says."""
-    return [tag.model_copy(update={"size_mm": ratio * tag.size_mm}) for tag in tags]
-
-
-def size_warnings(tmp_path, floor, robots, facing, lens):
-    """The warnings of a camera about the sizes of tags printed at these ratios."""
-    optics = Optics.facing(FLOOR, MM, 1280, 720, **facing)
-    renderer = Renderer(printed(robots, ROBOTS), printed(floor, FLOOR), MM, optics)
-    _, warnings = checked(tmp_path, renderer, lens={"focal_px": optics.focal_px} if lens else None)
-    return [line for line in warnings if " % smaller" in line or " % larger" in line]
+def printed(tags):
+    """Tags as of a page that was printed at 98 %."""
+    return [tag.model_copy(update={"size_mm": 0.98 * tag.size_mm}) for tag in tags]
 
 
 @pytest.mark.parametrize("lens", [True, False])
 @pytest.mark.parametrize("facing", [{}, DOWN])
 def test_tags_that_were_printed_smaller_are_warned_of(tmp_path, facing, lens):
     """Regression: all tags printed at 98 % were ready."""
-    lines = size_warnings(tmp_path, 0.98, 0.98, facing, lens)
-    assert [line.split(":")[0] for line in lines] == list(NAMES)
-    assert all("printed at 100 %" in line for line in lines)
+    optics = Optics.facing(FLOOR, MM, 1280, 720, **facing)
+    renderer = Renderer(printed(ROBOTS), printed(FLOOR), MM, optics)
+    _, warnings = checked(tmp_path, renderer, lens={"focal_px": optics.focal_px} if lens else None)
+    of_size = [line for line in warnings if " % smaller" in line or " % larger" in line]
+    assert [line.split(":")[0] for line in of_size] == list(NAMES)
+    assert all("printed at 100 %" in line for line in of_size)
 
 
 # Over loopback, on the host's clock.
 
 
 class Served:
-    """An emulated network camera and the camera that watches it."""
+    """An emulated network camera of robots at some poses, and the camera that watches it."""
 
-    def __init__(self, rate_hz=40.0, **changes):
+    def __init__(self, poses_at=standing, latency_s=0.02, **changes):
         clock = MonotonicClock()
-        draw = partial(rendered().picture, standing)
+        draw = partial(rendered().picture, poses_at)
         self.acting = ActingFaults()
-        stream = PictureStream(draw, rate_hz, latency_s=0.02, acting=self.acting)
+        stream = PictureStream(draw, 40.0, latency_s=latency_s, acting=self.acting)
         self.server = EmulatedNetworkCamera(stream, clock)
         source = {"type": "mjpeg", "url": self.server.url}
-        self.camera, self.woken = built(source, clock, **{"latency": 0.02, **changes})
+        self.camera, self.woken = built(source, clock, latency=latency_s, **changes)
 
     def __enter__(self):
         self.server.__enter__()
@@ -229,20 +224,14 @@ class Served:
 def test_exposure_times_are_right_to_a_few_milliseconds():
     """A robot that moves by known speed tells when a frame was really exposed."""
     speed = 300.0
-    clock = MonotonicClock()
 
     def driving(t_ns):
         return Poses(STANDING.x + 1e-9 * t_ns * speed, STANDING.y, np.zeros(3))
 
-    draw = partial(rendered().picture, driving)
-    stream = PictureStream(draw, latency_s=0.04)
-    with EmulatedNetworkCamera(stream, clock) as server:
-        source = {"type": "mjpeg", "url": server.url}
-        camera, woken = built(source, clock, latency=0.04)
-        with camera:
-            woken.wait(lambda: woken.count >= 15)
+    with Served(driving, latency_s=0.04) as it:
+        it.woken.wait(lambda: it.woken.count >= 15)
     late = []
-    for frame in camera.frames():
+    for frame in it.camera.frames():
         if frame.poses[0] is not None:
             exposed_ns = (frame.poses[0].x - STANDING.x[0]) / speed * SECOND
             late.append((frame.sampled_ns - exposed_ns) / 1e6)
@@ -258,15 +247,12 @@ def test_a_camera_that_stops_sending_is_told():
 
 
 def test_a_camera_without_pictures_is_no_camera():
-    clock = MonotonicClock()
-    acting = ActingFaults()
-    act(acting, "no_frames")
-    stream = PictureStream(partial(rendered().picture, standing), acting=acting)
-    with EmulatedNetworkCamera(stream, clock) as server:
-        camera, _ = built({"type": "mjpeg", "url": server.url}, clock, connect=0.3)
+    it = Served(connect=0.3)
+    act(it.acting, "no_frames")
+    with it.server:
         with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
-            camera.__enter__()
-        camera.__exit__(None, None, None)  # again: nothing happens
+            it.camera.__enter__()
+        it.camera.__exit__(None, None, None)  # again: nothing happens
 
 
 def test_an_error_of_the_search_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):

@@ -261,13 +261,18 @@ def stop_coils(monkeypatch):
     return stop
 
 
+def assert_is_latched(stage):
+    """The driver says that it has latched an emergency stop."""
+    with stage.opened(SETUP) as actuator:
+        (problem,) = actuator.check().problems
+    assert "emergency-stopped" in problem
+
+
 @needs_compiler
 def test_lab_stop_latches_the_driver(stop_coils):
     stage = Bench()
     assert stop_coils(stage) == "sent 10 stops"
-    with stage.opened(SETUP) as actuator:
-        (problem,) = actuator.check().problems
-    assert "emergency-stopped" in problem
+    assert_is_latched(stage)
 
 
 @needs_compiler
@@ -293,6 +298,4 @@ def test_lab_stop_is_sent_next_to_a_run_that_has_the_port(stop_coils):
         with pytest.raises(PortHeldError):
             stop_coils(stage)
         assert stop_coils(stage, alone=False) == "sent 10 stops"
-    with stage.opened(SETUP) as actuator:
-        (problem,) = actuator.check().problems
-    assert "emergency-stopped" in problem
+    assert_is_latched(stage)

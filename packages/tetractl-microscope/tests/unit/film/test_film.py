@@ -7,7 +7,6 @@ import pytest
 from support.dish_films import Reel, film, followed, record, who
 from support.film_rows import recorded, seen_cell
 from support.needs_opencv import cv2
-from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.kernels.helix_steps import HEADING
 from tetractl_microscope.film.field_file import FieldRecord, clock_remarks, read_field
 from tetractl_microscope.film.film_tables import as_items
@@ -59,39 +58,15 @@ def test_the_heading_is_right_again_after_a_cell_has_backed_away_and_turned(seed
     places += random.normal(0, 0.5, (160, 2)) @ (1, 1j)
     swing = np.arctan(0.8 * 8 * 6 * np.pi * np.sin(turn) / 330)
     axes = heading + swing + random.normal(0, 0.02, 160)
-    state = np.zeros(15)
-    gathered = []
-    for x, y, axis in np.column_stack([places.real, places.imag, axes]).tolist():
-        measured = (x, y, axis, 0.86, 0.86, 0.04)
-        gathered.append(
-            SeenCell(
-                identity=1,
-                x=x,
-                y=y,
-                axis=axis,
-                heading=0.0,
-                mean=state,
-                sd=state,
-                probability=1.0,
-                has_blob=True,
-                merged=False,
-                long_um=50.0,
-                wide_um=25.0,
-                track=1,
-                measured=measured,
-                blob_um=None,
-            )
-        )
+    gathered = [
+        seen_cell(1, x, y, 1, measured=(x, y, axis, 0.86, 0.86, 0.04))
+        for x, y, axis in np.column_stack([places.real, places.imag, axes]).tolist()
+    ]
     path = CellPath(1, times, np.arange(160), tuple(gathered))
     dish = SimpleNamespace(organism=TETRAHYMENA, size=(2000, 2000), um_px=2.3)
     fit = _Fit.of(_Measured.of(path, dish, None), np.ones(3))
     off = np.angle(np.exp(1j * (fit.states[:, HEADING] - heading)))
     assert (np.abs(off) > 0.8).sum() < 17  # it backs in 15 pictures
-
-
-def along_x(times):
-    """A field along x from the first time on."""
-    return FieldRecord(np.array(times), np.zeros(len(times)))
 
 
 @pytest.mark.long
@@ -134,12 +109,22 @@ def test_pictures_of_a_folder_come_by_number_and_bad_ones_are_counted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"RIFF" + bytes(100), bytes(range(256)) * 40, b"\xff\xd8\xff\xe0 cut"]
+    ("content", "says"),
+    [
+        (b"", "OpenCV cannot read this film"),
+        (b"RIFF" + bytes(100), "OpenCV cannot read this film"),
+        (bytes(range(256)) * 40, "OpenCV cannot read this film"),
+        (b"\xff\xd8\xff\xe0 cut", "OpenCV cannot read this film"),
+        (b'<?xml version="1.0"?><TrackMate/>', "is XML"),
+        (b"PK\3\4rest", "is a zip archive"),
+        (b"ZISRAWFILE", "is a film of Zeiss"),
+    ],
 )
-def test_what_is_no_film_is_one_clear_error(tmp_path, content):
+def test_what_is_no_film_is_one_clear_error_that_says_what_it_is(tmp_path, content, says):
+    """Regression: OpenCV could not read a table, and it was to be converted to AVI."""
     path = tmp_path / "film.avi"
     path.write_bytes(content)
-    with pytest.raises(UsageError, match="OpenCV cannot read this film"):
+    with pytest.raises(UsageError, match=says):
         open_film(path)
 
 
@@ -179,7 +164,7 @@ def test_a_field_is_read_however_it_is_written(tmp_path, text):
     ],
 )
 def test_a_field_of_another_clock_is_refused(times, says):
-    field = along_x(times)
+    field = FieldRecord(np.array(times), np.zeros(len(times)))
     with pytest.raises(UsageError, match=says):
         clock_remarks(field, "field.csv", "film.mp4", 0.0, 12.0)
 
@@ -254,21 +239,6 @@ def test_what_is_seen_too_briefly_stays_or_drifts_is_no_cell():
     pictures = [cells_in(k) for k in range(90)]
     paths = recorded(pictures, np.arange(90) / 30.0).paths(TETRAHYMENA)
     assert [path.identity for path in paths] == ["moves"]
-
-
-@pytest.mark.parametrize(
-    ("head", "says"),
-    [
-        (b'<?xml version="1.0"?><TrackMate/>', "is XML"),
-        (b"PK\3\4rest", "is a zip archive"),
-        (b"ZISRAWFILE", "is a film of Zeiss"),
-    ],
-)
-def test_a_file_that_is_no_film_says_what_it_is(tmp_path, head, says):
-    """Regression: OpenCV could not read it, and it was to be converted to AVI."""
-    (tmp_path / "tracks").write_bytes(head)
-    with pytest.raises(UsageError, match=says):
-        open_film(tmp_path / "tracks", 30.0)
 
 
 def test_a_cell_needs_no_way_beyond_its_length():

@@ -43,17 +43,19 @@ class Ellipses:
     def __iter__(self):
         for number in range(120):
             picture = np.full((SIDE, SIDE), 200, np.uint8)
-            way = self.speed_px_s * self.seconds(number)
-            for i in range(COUNT):
-                angle = 0.3 * i - 0.8
-                x = 70 + way * math.cos(angle)
-                y = 60 + 55 * i + way * math.sin(angle)
+            for x, y, angle in self.bodies(number):
                 centre = (round(16 * x), round(16 * y))
-                axes = (8 * self.long, 8 * self.wide)
-                size = tuple(round(axis) for axis in axes)
+                size = (round(8 * self.long), round(8 * self.wide))
                 turned = math.degrees(angle)
                 cv2.ellipse(picture, centre, size, turned, 0, 360, 90, -1, cv2.LINE_AA, 4)
             yield number, picture
+
+    def bodies(self, number):
+        """The places [px] and axes [rad] of the bodies in a picture."""
+        way = self.speed_px_s * self.seconds(number)
+        for i in range(COUNT):
+            angle = 0.3 * i - 0.8
+            yield 70 + way * math.cos(angle), 60 + 55 * i + way * math.sin(angle), angle
 
     def seconds(self, number):
         return number / self.rate_hz
@@ -120,21 +122,13 @@ class Beads(Ellipses):
 class Circles(Ellipses):
     """A film of 25 bodies that swim on circles, one turn in 1.5 s."""
 
-    def __iter__(self):
+    def bodies(self, number):
         radius_px = self.speed_px_s * 1.5 / math.tau
-        for number in range(120):
-            picture = np.full((SIDE, SIDE), 200, np.uint8)
-            turned = math.tau * self.seconds(number) / 1.5
-            for i in range(25):
-                angle = i + turned
-                x = 50 + 75 * (i % 5) + radius_px * math.cos(angle)
-                y = 50 + 75 * (i // 5) + radius_px * math.sin(angle)
-                centre = (round(16 * x), round(16 * y))
-                axes = (8 * self.long, 8 * self.wide)
-                size = tuple(round(axis) for axis in axes)
-                along = math.degrees(angle) + 90
-                cv2.ellipse(picture, centre, size, along, 0, 360, 90, -1, cv2.LINE_AA, 4)
-            yield number, picture
+        for i in range(25):
+            angle = i + math.tau * self.seconds(number) / 1.5
+            x = 50 + 75 * (i % 5) + radius_px * math.cos(angle)
+            y = 50 + 75 * (i // 5) + radius_px * math.sin(angle)
+            yield x, y, angle + math.pi / 2
 
 
 def test_cells_that_turn_while_they_are_looked_at_swim_all_the_same():

@@ -88,12 +88,11 @@ def play(
     Example: tetractl play experiments/three_m3pi.yaml
     """
     from tetractl.control.build import warm_up
-    from tetractl.experiment.plants import on_plant
     from tetractl.run.open_trial import directed_spec
     from tetractl.view.terminal.hand_keys import read_script
     from tetractl.view.terminal.screen import shows_pictures
 
-    loaded = on_plant(load_to_run(spec, sets or [], plant, seed=seed), plant)
+    loaded = load_to_run(spec, sets or [], plant, seed=seed)
     directed = directed_spec(loaded)
     experiment = loaded.experiment
     in_lab = experiment.plant.real_time

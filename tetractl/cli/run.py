@@ -49,11 +49,8 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.experiment.plants import on_plant
-
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
-    loaded = load_to_run(spec, sets or [], plant, trials, seed, strict)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")
     how = RunOptions(
@@ -67,5 +64,6 @@ def run(
         json=json,
         unattended=unattended,
     )
-    code, _ = run_command(on_plant(loaded, plant), how)
+    loaded = load_to_run(spec, sets or [], plant, trials, seed, strict)
+    code, _ = run_command(loaded, how)
     return code

@@ -53,10 +53,10 @@ def load_to_run(
     seed: int | None = None,
     strict: bool = False,
 ) -> "LoadedSpec":
-    """Return a spec with what options replace in it, and print its warnings; with `strict`, raise
-    UsageError if there are any."""
+    """Return a spec with what options replace in it, on the plant that will be run, and print its
+    warnings; with `strict`, raise UsageError if there are any."""
     from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import settings_on
+    from tetractl.experiment.plants import on_plant, settings_on
     from tetractl.experiment.yaml.document import FieldValue, SpecSetting, read_document
 
     document = read_document(spec)
@@ -67,7 +67,7 @@ def load_to_run(
         settings.append(FieldValue("trials.seed", seed, "--seed"))
     loaded = load_document(document, settings)
     ui.warn(loaded, strict)
-    return loaded
+    return on_plant(loaded, plant)
 
 
 @dataclass(frozen=True, slots=True)

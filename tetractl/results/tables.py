@@ -121,35 +121,29 @@ def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, 
 
 def figures_of(group: BatchStatistics) -> Iterator[Figure]:
     """Yield the figures of a batch that tables show below its errors, in their order."""
-    yield _usual("plant", str(group.origin))
+    yield Figure("plant", str(group.origin), unusual=False)
     if directions_given(group.experiment):
         yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
     if group.origin is Origin.DISTURBED:
         # the title of several batches says so
         yield Figure("disturbances", "assumed in the spec, not measured", brief="")
-    yield _usual("valid trials", f"{group.counted} of {len(group.batch.trials)}")
+    valid = f"{group.counted} of {len(group.batch.trials)}"
+    yield Figure("valid trials", valid, unusual=False)
     yield _tail(group)
     if group.counted and group.from_published is not None:
-        yield _usual(PUBLISHED, published_text(group.from_published, group))
+        text = published_text(group.from_published, group)
+        yield Figure(PUBLISHED, text, unusual=False)
     if group.counted and group.scaled is not None:
         yield from _scaled(group.scaled)
     yield from (figure for figure in group.figures if figure.label)
-    yield _undesired("earlier attempts, excluded", group.attempts)
-    yield _undesired("logs that cannot be read", len(group.batch.lost))
+    lost = len(group.batch.lost)
+    yield Figure("earlier attempts, excluded", str(group.attempts), unusual=group.attempts > 0)
+    yield Figure("logs that cannot be read", str(lost), unusual=lost > 0)
 
 
 def texts_by_label(group: BatchStatistics) -> dict[str, str]:
     """Return the texts of the figures of a batch."""
     return {figure.label: figure.text for figure in figures_of(group)}
-
-
-def _usual(label: str, text: str) -> Figure:
-    return Figure(label, text, unusual=False)
-
-
-def _undesired(label: str, count: int) -> Figure:
-    """Return the number of what there should be none of."""
-    return Figure(label, str(count), unusual=count > 0)
 
 
 def _tail(group: BatchStatistics) -> Figure:
@@ -173,14 +167,18 @@ def _scaled(scaled: ScaledError) -> Iterator[Figure]:
     """Yield the error of a robot of another kind, and the published one."""
     scale = scaled.scale
     show = lengths(scaled.mean)
-    yield _usual(f"robot error scaled to {scale.name} [{scale.unit}]", show(scaled.mean))
-    yield _usual(f"  its 95 % interval [{scale.unit}]", scaled.ci95.text(show))
-    yield _usual("  in body lengths", digits(scaled.body_lengths))
+    texts = {
+        f"robot error scaled to {scale.name} [{scale.unit}]": show(scaled.mean),
+        f"  its 95 % interval [{scale.unit}]": scaled.ci95.text(show),
+        "  in body lengths": digits(scaled.body_lengths),
+    }
     published = scaled.published_mean
     if math.isfinite(published):
         bodies = digits(scaled.published_body_lengths)
         text = f"{lengths(published)(published)} ({bodies} body lengths)"
-        yield _usual(f"  published error scaled [{scale.unit}]", text)
+        texts[f"  published error scaled [{scale.unit}]"] = text
+    for label, text in texts.items():
+        yield Figure(label, text, unusual=False)
 
 
 # ---- Every table ----

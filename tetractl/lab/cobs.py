@@ -96,13 +96,9 @@ def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, 
 
 
 class Splitter:
-    """Splits a byte stream at every 00; buffers at most one frame.
-
-    `overlong` counts frames that were dropped because they were too long.
-    """
+    """Splits a byte stream at every 00; buffers one frame at most, drops a longer one."""
 
     def __init__(self) -> None:
-        self.overlong = 0
         self._buffer = bytearray()
         self._skipping = False
 
@@ -123,7 +119,6 @@ class Splitter:
         if self._skipping:
             return
         if len(self._buffer) + len(piece) > FRAME_MAX + 1:
-            self.overlong += 1
             self._skipping = True
             self._buffer.clear()
         else:

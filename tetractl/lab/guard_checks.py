@@ -1,4 +1,12 @@
-"""The list of the guard's checks: a device of other robots brings its own."""
+"""The list of the guard's checks: what each is asked, and what it may find. A device of other
+robots brings a list of its own.
+
+    MotionCheck   may a pose be its robot's, by the commands of the last 0.3 s?   Refuse, Moved
+    DriftCheck    may the motion over the whole trial be that of its wheels?      Abort
+    Keeps         does a robot leave the arena, enter an obstacle, touch another? Abort
+
+That a body is lifted, or jumps, the guard itself asks of its `RobotTrack`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,6 +1,14 @@
-"""The functions of `import tetractl`, for notebooks and scripts. Slow libraries (numba, matplotlib,
-pandas) are imported by the functions that need them. None drives a lab: only commands do, because
-their user can stop the robots.
+"""The functions of `import tetractl`, for notebooks and scripts.
+
+    specs        load_spec, parse_spec, experiment_schema
+    simulating   run_trial, run_batch, run_study; open_trial, for a script that decides itself
+    reading      read_log, read_batch; to_arrays, to_dataframe
+    judging      verify, summarise, compare
+    drawing      plot, show
+
+Where a spec, a trial or a batch is needed, its file or folder will do. Slow libraries (numba,
+matplotlib, pandas) are imported by the functions that need them. None drives a lab: only commands
+do, because their user can stop the robots.
 """
 
 import logging
@@ -43,6 +51,9 @@ if TYPE_CHECKING:
 Strings = NDArray[np.str_]
 
 
+# ---- Specs ----
+
+
 def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
     """Read and check a spec file; `sets`, such as "trials.count=5", replace its values.
 
@@ -62,11 +73,6 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
     return load.parse_spec(text, "spec", sets)
 
 
-def _demand_texts(sets: Sequence[str]) -> None:
-    for setting in sets:
-        demand(setting, str, 'a setting is a text such as "trials.count=5"')
-
-
 def experiment_schema() -> dict[str, Any]:
     """Return the JSON schema of a spec, with the kinds that installed packages add."""
     from tetractl.experiment.experiment import Experiment
@@ -79,10 +85,6 @@ Spec = LoadedSpec | str | Path | Mapping[str, Any]
 """A spec, its file, or its contents."""
 
 
-Trial = TrialLog | str | Path
-"""A trial, or its log."""
-
-
 def _spec(spec: Spec) -> LoadedSpec:
     """Return a spec that is loaded, given as a file, or as the contents of one."""
     if isinstance(spec, LoadedSpec):
@@ -93,11 +95,12 @@ def _spec(spec: Spec) -> LoadedSpec:
     return load_spec(spec)
 
 
-def _trial(trial: Trial) -> TrialLog:
-    if isinstance(trial, TrialLog):
-        return trial
-    demand(trial, str | Path, "a trial is a log's file, or what read_log returns")
-    return read_log(trial)
+def _demand_texts(sets: Sequence[str]) -> None:
+    for setting in sets:
+        demand(setting, str, 'a setting is a text such as "trials.count=5"')
+
+
+# ---- Simulating ----
 
 
 def run_trial(
@@ -256,6 +259,70 @@ def run_study(
     return Batches({arm.name: read_batch(store.folder / arm.name) for arm in loaded.arms})
 
 
+def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
+    """Check that a spec can be simulated, log its warnings, and compile its kernels, as `warm_up`
+    announces."""
+    from tetractl.control.build import warm_up
+    from tetractl.run.plausibility import find_warnings
+
+    experiment = spec.experiment
+    if experiment.plant.real_time:
+        raise UsageError(
+            "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
+        )
+    for warning in find_warnings(spec):
+        logging.getLogger("tetractl").warning("warning: %s", warning)
+    warm_up(experiment, announce)
+
+
+def _announcer(progress: bool) -> Callable[[str], None]:
+    """Return what tells of compiling: prints to stderr with `progress`, otherwise to the log."""
+    if progress:
+        return partial(print, file=sys.stderr, flush=True)
+    return logging.getLogger("tetractl").info
+
+
+@contextmanager
+def _interruptible(after: str = "") -> "Iterator[Interrupt]":
+    """Yield an `Interrupt` that counts signals such as Ctrl-C during the `with` block; after the
+    block, KeyboardInterrupt if there were any, with `after`: what can be done then."""
+    from tetractl.run.interrupt import Interrupt
+
+    interrupt = Interrupt()
+    if threading.current_thread() is threading.main_thread():
+        with interrupt.watch():
+            yield interrupt
+    else:  # only the main thread receives signals
+        yield interrupt
+    if interrupt.requested:
+        raise KeyboardInterrupt(after) if after else KeyboardInterrupt
+
+
+@dataclass(frozen=True, slots=True)
+class _Watcher:
+    """A `RunObserver` that calls `on_result` for each trial, and shows the progress if wanted."""
+
+    on_result: Callable[[int, Result], object]
+    progress: "RunObserver | None" = None
+
+    def trial_started(self, task: "Task") -> None:
+        """Do nothing."""
+
+    def trial_ended(self, ending: "Ending") -> None:
+        """Show the progress; call `on_result` with the trial's number and result."""
+        if self.progress:
+            self.progress.trial_ended(ending)
+        if ending.result:
+            self.on_result(ending.task.trial, ending.result)
+
+
+# ---- Reading ----
+
+
+Trial = TrialLog | str | Path
+"""A trial, or its log."""
+
+
 def read_log(path: str | Path) -> TrialLog:
     """Read a trial from its log. If the log is damaged, the intact part is read and the trial's
     `damage` describes what is missing.
@@ -282,6 +349,42 @@ def read_batch(*paths: str | Path) -> "Batch":
     for path in paths:
         demand(path, str | Path, "read_batch reads logs, folders and patterns")
     return open_batch(paths)
+
+
+def _trial(trial: Trial) -> TrialLog:
+    if isinstance(trial, TrialLog):
+        return trial
+    demand(trial, str | Path, "a trial is a log's file, or what read_log returns")
+    return read_log(trial)
+
+
+def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
+    """Return a batch that is read, given as a folder, or as the paths of its logs."""
+    from tetractl.results.open_batch import Batch
+
+    if isinstance(batch, Batch):
+        return batch
+    if isinstance(batch, str | Path):
+        return read_batch(batch)
+    demand(batch, Iterable, "a batch is a folder, paths of logs or what read_batch returns")
+    return read_batch(*batch)
+
+
+def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
+    """Return trials that are read, given as one, several, a batch or its folder."""
+    from tetractl.results.open_batch import Batch
+
+    if isinstance(data, str | Path) and Path(data).is_dir():
+        data = read_batch(data)
+    if isinstance(data, Batch):
+        return [read_log(trial.log) for trial in data.trials]
+    if isinstance(data, TrialLog | str | Path):
+        return [_trial(data)]
+    demand(data, Iterable, "what is drawn is a trial, a list of them, a batch or its statistics")
+    trials = [_trial(trial) for trial in data]
+    if not trials:
+        raise UsageError("no trial to draw is given")
+    return trials
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -361,16 +464,22 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
     return frame
 
 
-def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
-    """Return a batch that is read, given as a folder, or as the paths of its logs."""
-    from tetractl.results.open_batch import Batch
+# ---- Judging ----
 
-    if isinstance(batch, Batch):
-        return batch
-    if isinstance(batch, str | Path):
-        return read_batch(batch)
-    demand(batch, Iterable, "a batch is a folder, paths of logs or what read_batch returns")
-    return read_batch(*batch)
+
+def verify(path: str | Path) -> "Verification":
+    """Compute every decision in a log again, and check that the log's records agree with each
+    other.
+    """
+    from tetractl.replay import verify
+
+    demand(path, str | Path, "verify reads the file of a log")
+    if Path(path).is_dir():
+        raise UsageError(
+            f"{path}: is a folder, and verify reads one log",
+            f"[verify(trial.log) for trial in read_batch({str(path)!r}).trials]",
+        )
+    return verify.verify(Path(path))
 
 
 def summarise(
@@ -406,6 +515,9 @@ def compare(
         else:
             compared.append(summarise(batch))
     return contrast(compared)
+
+
+# ---- Drawing ----
 
 
 @overload
@@ -468,92 +580,3 @@ def show(data: "Trial | Sequence[Trial] | Batch") -> "PlayerPage":
     from tetractl.report.page import player
 
     return player(_trials(data))
-
-
-def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
-    """Return trials that are read, given as one, several, a batch or its folder."""
-    from tetractl.results.open_batch import Batch
-
-    if isinstance(data, str | Path) and Path(data).is_dir():
-        data = read_batch(data)
-    if isinstance(data, Batch):
-        return [read_log(trial.log) for trial in data.trials]
-    if isinstance(data, TrialLog | str | Path):
-        return [_trial(data)]
-    demand(data, Iterable, "what is drawn is a trial, a list of them, a batch or its statistics")
-    trials = [_trial(trial) for trial in data]
-    if not trials:
-        raise UsageError("no trial to draw is given")
-    return trials
-
-
-def verify(path: str | Path) -> "Verification":
-    """Compute every decision in a log again, and check that the log's records agree with each
-    other.
-    """
-    from tetractl.replay import verify
-
-    demand(path, str | Path, "verify reads the file of a log")
-    if Path(path).is_dir():
-        raise UsageError(
-            f"{path}: is a folder, and verify reads one log",
-            f"[verify(trial.log) for trial in read_batch({str(path)!r}).trials]",
-        )
-    return verify.verify(Path(path))
-
-
-def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
-    """Check that a spec can be simulated, log its warnings, and compile its kernels, as `warm_up`
-    announces."""
-    from tetractl.control.build import warm_up
-    from tetractl.run.plausibility import find_warnings
-
-    experiment = spec.experiment
-    if experiment.plant.real_time:
-        raise UsageError(
-            "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
-        )
-    for warning in find_warnings(spec):
-        logging.getLogger("tetractl").warning("warning: %s", warning)
-    warm_up(experiment, announce)
-
-
-def _announcer(progress: bool) -> Callable[[str], None]:
-    """Return what tells of compiling: prints to stderr with `progress`, otherwise to the log."""
-    if progress:
-        return partial(print, file=sys.stderr, flush=True)
-    return logging.getLogger("tetractl").info
-
-
-@contextmanager
-def _interruptible(after: str = "") -> "Iterator[Interrupt]":
-    """Yield an `Interrupt` that counts signals such as Ctrl-C during the `with` block; after the
-    block, KeyboardInterrupt if there were any, with `after`: what can be done then."""
-    from tetractl.run.interrupt import Interrupt
-
-    interrupt = Interrupt()
-    if threading.current_thread() is threading.main_thread():
-        with interrupt.watch():
-            yield interrupt
-    else:  # only the main thread receives signals
-        yield interrupt
-    if interrupt.requested:
-        raise KeyboardInterrupt(after) if after else KeyboardInterrupt
-
-
-@dataclass(frozen=True, slots=True)
-class _Watcher:
-    """A `RunObserver` that calls `on_result` for each trial, and shows the progress if wanted."""
-
-    on_result: Callable[[int, Result], object]
-    progress: "RunObserver | None" = None
-
-    def trial_started(self, task: "Task") -> None:
-        """Do nothing."""
-
-    def trial_ended(self, ending: "Ending") -> None:
-        """Show the progress; call `on_result` with the trial's number and result."""
-        if self.progress:
-            self.progress.trial_ended(ending)
-        if ending.result:
-            self.on_result(ending.task.trial, ending.result)

@@ -162,15 +162,20 @@ class RawLog:
             return False
         return all(entry.log_ns <= later.log_ns for entry, later in pairwise(self.entries))
 
+    @cached_property
+    def stated_digests(self) -> Digests:
+        """The digests that the log states."""
+        return self._stated(channels.DIGESTS)
+
     @property
     def stated_digest(self) -> str | None:
         """The content digest that the log states."""
-        return self._stated(channels.DIGESTS).content or None
+        return self.stated_digests.content or None
 
     @property
     def brief(self) -> bool:
         """Whether this is a brief log, which states the content digest of the whole log."""
-        return bool(self._stated(channels.DIGESTS).brief)
+        return bool(self.stated_digests.brief)
 
     @property
     def content_digest(self) -> str:
@@ -180,14 +185,13 @@ class RawLog:
     @property
     def altered(self) -> bool:
         """Whether the content differs from the digest that the log states of it."""
-        stated = self._stated(channels.DIGESTS)
-        of_these_records = stated.brief or stated.content
+        of_these_records = self.stated_digests.brief or self.stated_digests.content
         return of_these_records not in ("", self.digests.content) and not self.reordered
 
     @property
     def host_altered(self) -> bool:
         """Whether the host records do not match their digest."""
-        stated = self._stated(channels.DIGESTS).host
+        stated = self.stated_digests.host
         return bool(stated) and stated != self.digests.host
 
     @cached_property

@@ -94,16 +94,6 @@ class Column:
         return [self.format(value) for value in self.values]
 
     @property
-    def known(self) -> list[Any]:
-        """The values for a data file: None in place of NaN."""
-        return [None if value != value else value for value in self.listed]
-
-    @classmethod
-    def of_records(cls, key: str, records: Iterable[Mapping[str, Any]]) -> Self:
-        """Return the column of a key: None for a record that lacks it."""
-        return cls(key, [record.get(key) for record in records])
-
-    @property
     def listed(self) -> Sequence[Any]:
         """The values as Python's."""
         values = self.values  # `isinstance(given, Array)` takes as long as a hundred values
@@ -136,7 +126,8 @@ class Table:
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
         """Return a table with a row per record; if a record lacks a key, its value is unknown."""
         keys = dict.fromkeys(key for record in records for key in record)
-        return cls(title, tuple(Column.of_records(key, records) for key in keys))
+        columns = [Column(key, [record.get(key) for record in records]) for key in keys]
+        return cls(title, tuple(columns))
 
     @property
     def header(self) -> list[str]:

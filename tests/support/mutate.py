@@ -117,9 +117,7 @@ def rewrite(
     contents: RawLog, path: Path, entries: Mapping[Entry, Entry], apart: bool = False
 ) -> Path:
     """Write a log again with some entries replaced, or each message in its own chunk."""
-    sink = Sink(path)
-    for channel, schema in contents.channels.values():
-        sink.channel(channel, schema)
+    sink = Sink(path, others=contents.channels)
     for record in contents.records:
         if isinstance(record, Attachment):
             sink.add(record)

@@ -101,7 +101,7 @@ def losses(raw: RawLog, trial: TrialLog) -> tuple[str, ...]:
 
 
 def _write(contents: RawLog, damage: Damage, path: Path) -> None:
-    sink = Sink(path, PART_SUFFIX)
+    sink = Sink(path, PART_SUFFIX, contents.channels)
     with contents.path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     recovered = Recovered(
@@ -112,8 +112,6 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
         lost=damage.lost,
     )
     try:
-        for channel, schema in contents.channels.values():
-            sink.channel(channel, schema)
         for record in contents.records:
             if isinstance(record, Attachment) or record.topic != RECOVERED:
                 sink.add(record)

@@ -13,7 +13,7 @@ channel without messages.
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any, BinaryIO
@@ -61,21 +61,25 @@ CHUNK_BYTES = 1 << 20
 FOOTER_FIELDS = struct.Struct("<BQQQ")
 """What the checksum of the summary covers of the footer: opcode, length, two offsets."""
 FOOTER_BYTES = 20
+OtherChannels = Mapping[str, tuple[Channel, Schema | None]]
+"""Channels and their schemas by topic."""
+NO_OTHERS: OtherChannels = {}
 
 
 class FileWriter:
     """The file of a log, begun with its metadata; it hashes the records that it writes.
 
     Each topic of the format has its number, whichever others are in the file, which
-    `mcap.writer.Writer` does not allow.
+    `mcap.writer.Writer` does not allow. `others` are the channels of a log that is copied, by their
+    topics: those of cameras are taken as they are.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, others: OtherChannels = NO_OTHERS) -> None:
         self.digests = LogDigests()
         self._stream = stream
         self._size = 0  # bytes written so far
         self._crc = 0  # of these
-        self._others = dict[str, tuple[Channel, Schema | None]]()  # channels of another log
+        self._others = others
         # what is recorded so far: channels by topic, schemas by name and data
         self._channels = dict[str, Channel]()
         self._schemas = dict[tuple[str, bytes], Schema]()
@@ -94,11 +98,6 @@ class FileWriter:
         begin = self._size
         self._write_record(Metadata(name=name, metadata=contents))
         self._metadata = MetadataIndex(offset=begin, length=self._size - begin, name=name)
-
-    def allow(self, channel: Channel, schema: Schema | None) -> None:
-        """Take messages of another log's channel; a topic of the format keeps its own."""
-        if channel.topic not in NUMBERS:
-            self._others.setdefault(channel.topic, (channel, schema))
 
     def add(self, record: Record) -> None:
         """Add a message, after the record of its channel if it is the first, or an attachment,

@@ -11,12 +11,12 @@ from functools import wraps
 from pathlib import Path
 from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
 
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Attachment
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import DIGESTS, Entry, Record
 from tetractl.log.format.tetractl_pb2 import Digests
-from tetractl.log.write.mcap_records import FileWriter
+from tetractl.log.write.mcap_records import NO_OTHERS, FileWriter, OtherChannels
 from tetractl.tools.files import lock_file
 
 CHUNK_S = 0.7
@@ -57,11 +57,13 @@ class Sink:
     NAME.part. Later calls do nothing, so that stopping a trial because of a full disk raises no
     second error.
 
-    If `part` is not ".part", the file is a copy of a log: an unfinished earlier copy is replaced,
-    unless a process is still writing it.
+    If `part` is not ".part", the file is a copy of a log, whose channels are `others`: an
+    unfinished earlier copy is replaced, unless a process is still writing it.
     """
 
-    def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
+    def __init__(
+        self, path: Path, part: str = TRIAL_PART, others: OtherChannels = NO_OTHERS
+    ) -> None:
         self._path = path
         self._part = path.with_name(path.name + part)
         self._file: BinaryIO | None = None
@@ -75,13 +77,9 @@ class Sink:
         try:
             self._file = _owned(self._part) if is_copy else self._part.open("x+b")
             _sync_folder(path.parent)
-            self._mcap = FileWriter(self._file)
+            self._mcap = FileWriter(self._file, others)
         except OSError as error:
             self.fail(error)
-
-    def channel(self, channel: Channel, schema: Schema | None) -> None:
-        """Take messages of another log's channel, too; a topic of tetractl's own stays as it is."""
-        self._mcap.allow(channel, schema)
 
     @_while_open
     def add(self, record: Record) -> None:

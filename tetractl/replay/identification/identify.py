@@ -3,6 +3,7 @@ section of a spec.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -221,11 +222,7 @@ def tables(result: IdentifiedRobots) -> list[Table]:
         note += f"\n{result.why_no_intervals}"
     note += clock_doubt(result.dead_time)
     note += "".join(f"\n{stood}" for stood in result.stood)
-    labels: list[str] = []
-    for name, unit in QUANTITIES.items():
-        quantity = name.replace("_", " ")
-        labels.append(f"{quantity} [{unit.format(unit=result.unit)}]")
-    labels.append("lost")
+    labels = [*labels_of(QUANTITIES, result.unit), "lost"]
     if result.strength is not None:
         labels.append(f"a per strength [rad/(s {result.strength_unit})]")
     abreast: list[Table] = []
@@ -234,6 +231,15 @@ def tables(result: IdentifiedRobots) -> list[Table]:
         columns = [Column(robot.name, _texts(robot, result.strength)) for robot in robots]
         abreast.append(Table(title, (Column("quantity", labels), *columns), note))
     return abreast
+
+
+def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
+    """Return the labels of quantities by their names and units; {unit} is the length unit."""
+    labels: list[str] = []
+    for name, unit_of_value in quantities.items():
+        of_unit = f" [{unit_of_value.format(unit=unit)}]" if unit_of_value else ""
+        labels.append(f"{name.replace('_', ' ')}{of_unit}")
+    return labels
 
 
 def clock_doubt(dead_time: SampleInterval) -> str:

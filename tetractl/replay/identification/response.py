@@ -48,7 +48,7 @@ from tetractl.replay.identification.fit import (
     derivatives,
     wider_of_blocks,
 )
-from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt
+from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt, labels_of
 from tetractl.replay.identification.motion_angle import PoseSteps, check_angle, robust_gains
 from tetractl.replay.identification.one_recording import (
     EXPLAINED,
@@ -738,11 +738,7 @@ def _log_normal(value: float, std: float) -> SampleInterval:
 
 def response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
     """Return a table of robots' values with their 95 % intervals; a row per value."""
-    labels = []
-    for name, unit_of_value in UNITS.items():
-        of_unit = f" [{unit_of_value.format(unit=unit)}]" if unit_of_value else ""
-        labels.append(f"{name.replace('_', ' ')}{of_unit}")
-    columns = [Column("quantity", [*labels, "left out"])]
+    columns = [Column("quantity", [*labels_of(UNITS, unit), "left out"])]
     for robot in responses:
         values = [cell(value) for value in robot.quantities.values()]
         left_out = f"{robot.left_out} of {robot.left_out + robot.intervals}"

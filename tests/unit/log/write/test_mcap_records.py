@@ -42,10 +42,8 @@ def test_a_viewer_lists_no_channel_without_messages(write_log, tmp_path):
 
 def test_a_channel_of_another_log_gets_a_number_that_is_free():
     stream = BytesIO()
-    writer = FileWriter(stream)
-    writer.allow(
-        Channel(id=9, topic="/camera/own", message_encoding="json", metadata={}, schema_id=0), None
-    )
+    own = Channel(id=9, topic="/camera/own", message_encoding="json", metadata={}, schema_id=0)
+    writer = FileWriter(stream, {"/camera/own": (own, None)})
     for topic in (LOG, "/camera/own", RUN):
         writer.add(Entry(topic, 0, 0, b""))
     writer.finish()

@@ -93,7 +93,7 @@ class ThisProcess(Process):
         ports: Ports,
         clock: Clock,
         supervision: LabSupervision,
-        outlive: Callable[[], None],
+        outlive: Callable[[Any], None],
     ) -> None:
         super().__init__(lab, clock, ports)
         self._supervision = supervision
@@ -104,7 +104,7 @@ class ThisProcess(Process):
         if name != "KILL":
             self._supervision.signalled()
             return
-        self._outlive()
+        self._outlive(self._lab)
         os.kill(os.getpid(), signal.SIGKILL)
 
     def stop(self, on: bool) -> None:

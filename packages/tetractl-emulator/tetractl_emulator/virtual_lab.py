@@ -165,10 +165,6 @@ def started(
     is real.
     """
     network = MemoryNetwork()
-    watched = supervision or LabSupervision()
-
-    def this_process(emulation: EmulatedLab) -> ThisProcess:
-        return ThisProcess(emulation, network.serial, clock, watched, partial(outlive, emulation))
 
     emulation = EmulatedLab(
         lab,
@@ -177,7 +173,13 @@ def started(
         options,
         make_loop=VirtualLoop,
         wires=memory_wires(network, clock),
-        process_of=this_process,
+        process_of=partial(
+            ThisProcess,
+            clock=clock,
+            ports=network.serial,
+            supervision=supervision or LabSupervision(),
+            outlive=outlive,
+        ),
         blind=blind,
     )
     emulation.open()

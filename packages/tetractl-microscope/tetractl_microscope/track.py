@@ -1,5 +1,6 @@
 """`tetractl track`: follows the cells of a film."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +11,9 @@ from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.tools.table.table_files import table_files
 
 if TYPE_CHECKING:
+    from tetractl.replay.identification.sent_directions import DirectionReading
+    from tetractl_microscope.film.field_file import FieldRecord
+    from tetractl_microscope.film.who import CellPath
     from tetractl_microscope.organisms import Organism
 
 TABLES = (".csv", ".tsv", ".txt", ".geff", ".zarr")
@@ -79,15 +83,8 @@ def track(
 
     Example: tetractl track tracks.csv --field field.csv --scale 2.3 --rate 30
     """
-    import numpy as np
-
-    from tetractl.replay.identification.sent_directions import (
-        AT_ONCE_S,
-        check_directions,
-        courses,
-        other_readings,
-    )
-    from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
+    from tetractl.replay.identification.sent_directions import other_readings
+    from tetractl_microscope.film.field_file import clock_remarks, read_field
     from tetractl_microscope.film.film_tables import as_items
     from tetractl_microscope.film.fit_cell import fit_cells
     from tetractl_microscope.film.follow import follow
@@ -98,12 +95,11 @@ def track(
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
-    if film.suffix.lower() in TABLES:
-        kind = None if organism is None else named(organism)
-        return _show_tracks(film, field, scale, rate, kind, y_down, out, as_json)
     kind = None if organism is None else named(organism)
     ui.refuse_existing(out, folder=True)
     directions = None if field is None else read_field(field, y_down)
+    if film.suffix.lower() in TABLES:
+        return _show_tracks(film, field, directions, scale, rate, kind, out, as_json)
     pictures = open_film(film, rate, scale)
     ui.tell(*(f"{film}: {remark}" for remark in pictures.remarks))
     if pictures.um_px is None:
@@ -113,13 +109,11 @@ def track(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
     if directions is not None and field is not None:
-        first_s = pictures.seconds(0)
         last_s = pictures.seconds(followed.pictures - 1)
-        ui.tell(*clock_remarks(directions, str(field), str(film), first_s, last_s))
-        paths = [np.column_stack([path.times, path.places]) for path in followed.paths]
+        ui.tell(*clock_remarks(directions, str(field), str(film), pictures.seconds(0), last_s))
         readings = other_readings(str(field), directions, 1 / pictures.rate_hz)
-        check_directions(str(field), courses(paths), directions, AT_ONCE_S, readings)
-        followed = replace(followed, remarks=(*followed.remarks, *side_remarks(directions, paths)))
+        of_sides = _side_remarks(str(field), directions, followed.paths, readings)
+        followed = replace(followed, remarks=(*followed.remarks, *of_sides))
     with ui.progress("Fitting"):
         followed, cells = fit_cells(followed, directions)
     record = as_items(film.name, followed, cells, directions)
@@ -139,27 +133,38 @@ def track(
     return Exit.DONE if followed.paths else Exit.FAILED
 
 
+def _side_remarks(
+    source: str,
+    directions: "FieldRecord",
+    cells: "Sequence[CellPath]",
+    readings: "Sequence[DirectionReading]",
+) -> tuple[str, ...]:
+    """Return a warning if cells turn as if the field's directions were of the other sense, or
+    rotated; UsageError if they turn by another of the readings of these.
+    """
+    import numpy as np
+
+    from tetractl.replay.identification.sent_directions import AT_ONCE_S, check_directions, courses
+    from tetractl_microscope.film.field_file import side_remarks
+
+    paths = [np.column_stack([cell.times, cell.places]) for cell in cells]
+    check_directions(source, courses(paths), directions, AT_ONCE_S, readings)
+    return side_remarks(directions, paths)
+
+
 def _show_tracks(
     source: Path,
     field: Path | None,
+    directions: "FieldRecord | None",
     scale: float | None,
     rate: float | None,
     kind: "Organism | None",
-    y_down: bool,
     out: Path | None,
     as_json: bool,
 ) -> int:
     """Print the cells of the tracks of another program, and write their tables into `out`."""
-    import numpy as np
-
-    from tetractl.replay.identification.sent_directions import (
-        AT_ONCE_S,
-        check_directions,
-        courses,
-        image,
-        other_readings,
-    )
-    from tetractl_microscope.film.field_file import clock_remarks, read_field, side_remarks
+    from tetractl.replay.identification.sent_directions import image, other_readings
+    from tetractl_microscope.film.field_file import clock_remarks
     from tetractl_microscope.foreign_tracks import spot_tracks
     from tetractl_microscope.results.cell_tables import cell_data, cell_tables
     from tetractl_microscope.track_cells import (
@@ -169,8 +174,6 @@ def _show_tracks(
         track_record,
     )
 
-    ui.refuse_existing(out, folder=True)
-    directions = None if field is None else read_field(field, y_down)
     remarks: list[str] = []
     tracks = spot_tracks(source, scale, rate, remarks)
     ui.tell(*remarks)
@@ -179,12 +182,9 @@ def _show_tracks(
     if directions is not None and field is not None:
         times = cells.timing.stated or [0.0]
         ui.tell(*clock_remarks(directions, str(field), str(source), times[0], times[-1]))
-        paths = [np.column_stack([path.times, path.places]) for path in cells.paths]
-        period_s = 1 / cells.timing.rate_hz
-        readings = other_readings(str(field), directions, period_s)
+        readings = other_readings(str(field), directions, 1 / cells.timing.rate_hz)
         readings.append(image(str(source), str(field), directions))
-        check_directions(str(field), courses(paths), directions, AT_ONCE_S, readings)
-        ui.tell(*side_remarks(directions, paths))
+        ui.tell(*_side_remarks(str(field), directions, cells.paths, readings))
     together = stage_remarks(cells.paths, directions)
     ui.tell(*together)
     organism = organism_by_speed(cells.paths) if kind is None else kind

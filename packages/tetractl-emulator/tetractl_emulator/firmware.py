@@ -27,26 +27,20 @@ _I16 = ctypes.c_int16
 _U16 = ctypes.c_uint16
 _U32 = ctypes.c_uint32
 _SIZE = ctypes.c_size_t
-_BOTH = {
+_ALL = {
     "size": (_SIZE,),
     "push": (ctypes.c_int, _P, _U8, _U32),
     "status": (_U8, _P, _U32),
     "take_reply": (_SIZE, _P, _U32, _P),
 }
+_WHEELED = _ALL | {
+    "wheels": (None, _P, _U32, _P, _P),
+    "set_battery": (None, _P, _U16),
+}
 FUNCTIONS = {  # functions of each core: type of the result, types of the arguments
-    "m3pi": _BOTH
-    | {
-        "init": (None, _P, _U8),
-        "wheels": (None, _P, _U32, _P, _P),
-        "set_battery": (None, _P, _U16),
-    },
-    "twist": _BOTH
-    | {
-        "init": (None, _P, _U8, _U16),
-        "wheels": (None, _P, _U32, _P, _P),
-        "set_battery": (None, _P, _U16),
-    },
-    "field": _BOTH
+    "m3pi": _WHEELED | {"init": (None, _P, _U8)},
+    "twist": _WHEELED | {"init": (None, _P, _U8, _U16)},
+    "field": _ALL
     | {
         "init": (None, _P, _P, _U32),
         "currents": (None, _P, _U32, _P, _P),

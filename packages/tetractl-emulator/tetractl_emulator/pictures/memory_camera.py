@@ -88,8 +88,7 @@ class MemoryCamera:
             return
         self._next += 1
         if self.watched and not stream.withholds(self._next):
-            drawn = stream.drawn_part(exposed_ns)
-            self._wire.append(DuePart(exposed_ns + stream.latency_ns, exposed_ns, drawn))
+            self._wire.append(stream.drawn_part(exposed_ns))
 
     def _deliver(self, due: DuePart) -> None:
         """Pass a part to the program that watches, if any, as faults change it."""

@@ -32,6 +32,15 @@ WAITING_MAX = 32
 """Most pictures that wait on the way to a client."""
 
 
+@dataclass(frozen=True, slots=True)
+class DuePart:
+    """A part of a stream on its way, when it is sent and when it was exposed [ns]."""
+
+    due_ns: int
+    exposed_ns: int
+    drawn: bytes
+
+
 class PictureStream:
     """The pictures of an emulated camera, as parts of a multipart stream, with the faults that act.
 
@@ -73,9 +82,10 @@ class PictureStream:
         slow = any(number % fault.every for fault in self._acting.of("half_rate"))
         return slow or bool(self._acting.of("no_frames"))
 
-    def drawn_part(self, exposed_ns: int) -> bytes:
+    def drawn_part(self, exposed_ns: int) -> DuePart:
         """Return the picture of an exposure as a part of the stream."""
-        return part(coded(self._draw(exposed_ns)))
+        drawn = part(coded(self._draw(exposed_ns)))
+        return DuePart(exposed_ns + self.latency_ns, exposed_ns, drawn)
 
     def send(self, drawn: bytes) -> bytes:
         """Take a part that is due; return what is sent in its place: the one before if pictures
@@ -87,15 +97,6 @@ class PictureStream:
             if self._chance.random() < fault.share:
                 sent = SPOILT[fault.how](sent)
         return sent
-
-
-@dataclass(frozen=True, slots=True)
-class DuePart:
-    """A part of a stream on its way, when it is sent and when it was exposed [ns]."""
-
-    due_ns: int
-    exposed_ns: int
-    drawn: bytes
 
 
 class EmulatedNetworkCamera:
@@ -182,8 +183,7 @@ class EmulatedNetworkCamera:
 
     def _queue(self, exposed_ns: int) -> None:
         """Draw a picture, and put it into the queue of every client that is not full."""
-        drawn = self._stream.drawn_part(exposed_ns)
-        due = DuePart(exposed_ns + self._stream.latency_ns, exposed_ns, drawn)
+        due = self._stream.drawn_part(exposed_ns)
         with self._lock:
             for client in self._clients:
                 with suppress(queue.Full):

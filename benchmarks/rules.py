@@ -26,7 +26,6 @@ from solverbench.report import load, progress
 from worlds.trials import PAIRS_HEAD, Row, Task, extended, pair_lines
 
 from tetractl.control import (
-    corners,
     filter,
     filter_start,
     lengths,
@@ -35,6 +34,7 @@ from tetractl.control import (
     near_targets,
     passage,
     reception,
+    turns,
 )
 from tetractl.control.filter import FilterBank
 from tetractl.control.fixed_sequence import best_stop
@@ -152,9 +152,9 @@ RULES = {
     ),
     "two dead times until a stop acts": Rule(((mpc, "LATE", 1.0),), WALLS),
     "turns on the spot": Rule((_returns(mpc, "next_facing", None),), WALLS),
-    "turns to the most room": Rule((_returns(corners, "roomiest", 0.0),), WALLS),
-    "turns kept for four steps": Rule(((corners, "STEPS", 1),), WALLS),
-    "other turns after one in vain": Rule(((corners, "TURNS_IN_VAIN", 1),), WALLS),
+    "turns to the most room": Rule((_returns(turns, "roomiest", 0.0),), WALLS),
+    "turns kept for four steps": Rule(((turns, "STEPS", 1),), WALLS),
+    "other turns after one in vain": Rule(((turns, "TURNS_IN_VAIN", 1),), WALLS),
     "stay in a hold": Rule(
         (_returns(Mpc, "_stay", None),),
         tuple(

@@ -91,7 +91,7 @@ from tetractl.control.prior import Prior
 from tetractl.control.reception import Reception
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
-from tetractl.core.plan import INNOVATIONS
+from tetractl.core.estimate import INNOVATIONS
 from tetractl.core.poses import Bools, Integers, Observation, Poses
 
 SPACING_NS = round(0.03 * SECOND)

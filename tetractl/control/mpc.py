@@ -67,7 +67,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.corners import NOT_TURNING, Turning, next_facing
 from tetractl.control.discs import Discs
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee
@@ -85,21 +84,14 @@ from tetractl.control.near_targets import kept_apart, parted
 from tetractl.control.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
+from tetractl.control.turns import NOT_TURNING, Turning, next_facing
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import ControlError
+from tetractl.core.estimate import Estimate
 from tetractl.core.losses import told_dead
-from tetractl.core.plan import (
-    End,
-    Estimate,
-    Limits,
-    Outcome,
-    Plan,
-    Problem,
-    Search,
-    State,
-)
+from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search, State
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.core.plan import Estimate, Problem
+from tetractl.core.estimate import Estimate
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 
 

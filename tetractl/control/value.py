@@ -12,7 +12,7 @@ The value of a candidate is an error [length unit], the less the better:
     caution  if the path touches a margin
 
 `accept` is the spec's `accept_error`, the scale of all of them. A rest and a turn on the spot have
-no value: they are what is left if no plan is safe (`mpc`, and `corners` for turns).
+no value: they are what is left if no plan is safe (`mpc`, and `turns` on the spot).
 """
 
 from dataclasses import dataclass

@@ -13,7 +13,8 @@ from tetractl.control.optimizers.pso import Pso
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.errors import WrongValueError
-from tetractl.core.plan import End, Estimate, Outcome, Plan, Search, StopReason
+from tetractl.core.estimate import Estimate
+from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.controller import ControllerSection
 from tetractl.log.read.reader import read_trial

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.prior import Prior, Sticks
-from tetractl.core.plan import INNOVATIONS, Estimate
+from tetractl.core.estimate import INNOVATIONS, Estimate
 from tetractl.core.poses import Bools, Floats, Poses
 
 # Slots of the state.
@@ -414,11 +414,12 @@ class Forecast(NamedTuple):
 
     @classmethod
     def room_for(cls, robots: int) -> Self:
-        """Return room for what is said of some robots."""
-        x, y, heading, directions, turn_bias = np.empty((5, robots))
-        numbers = RobotNumbers._make(np.empty((len(RobotNumbers._fields), robots)))
-        numbers = numbers._replace(misfit=np.empty((robots, len(INNOVATIONS))))
-        return cls(x, y, heading, directions, turn_bias, np.empty((robots, 2)), numbers)
+        """Return room for what is said of some robots: what is not filled stays NaN."""
+        x, y, heading, directions, turn_bias = np.full((5, robots), np.nan)
+        numbers = RobotNumbers._make(np.full((len(RobotNumbers._fields), robots), np.nan))
+        numbers = numbers._replace(misfit=np.full((robots, len(INNOVATIONS)), np.nan))
+        flow = np.full((robots, 2), np.nan)
+        return cls(x, y, heading, directions, turn_bias, flow, numbers)
 
     @property
     def poses(self) -> Poses:

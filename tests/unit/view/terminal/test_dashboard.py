@@ -10,7 +10,8 @@ from support.trials import three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
-from tetractl.core.plan import Estimate, Outcome, State
+from tetractl.core.estimate import Estimate
+from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
 from tetractl.replay.player import Player, Recording, span
 from tetractl.view.terminal.replay_screen import dashboard, step_line

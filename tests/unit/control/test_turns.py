@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from support.trials import experiment
 
-from tetractl.control.corners import (
+from tetractl.control.discs import Discs
+from tetractl.control.turns import (
     FACINGS,
     NOT_TURNING,
     STEPS,
@@ -15,7 +16,6 @@ from tetractl.control.corners import (
     next_facing,
     roomiest,
 )
-from tetractl.control.discs import Discs
 from tetractl.core.poses import Poses, wrap
 
 SETUP = experiment().setup

@@ -8,11 +8,15 @@ import numpy as np
 
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
 from tetractl.analysis.steering import Steering
-from tetractl.core.poses import ellipse
+from tetractl.core.poses import Floats
 from tetractl.tools.table.table import Column, Table, fixed, plural
 
 NO_PLAN = "no plan found"
 PREDICTED = "errors predicted by a linearised closed loop; no trial was run"
+INSIDE = 0.95
+"""The fraction of a normal distribution that lies in the ellipse that `_ellipse` returns."""
+DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))
+"""Distance from the ellipse's centre to its edge, in standard deviations."""
 
 Fact = tuple[str, str]
 """A figure of the analysis, and its value as text."""
@@ -88,7 +92,7 @@ def _errors(analysis: Analysis, steering: Steering) -> Table:
 def _ellipses(analysis: Analysis, steering: Steering) -> Table:
     """Return the table of where the robots end by the plan with the median error."""
     unit = analysis.setup.unit
-    axes = [ellipse(covariance) for covariance in steering.covariance]
+    axes = [_ellipse(covariance) for covariance in steering.covariance]
     long_axes = [long_axis for long_axis, _, _ in axes]
     short_axes = [short_axis for _, short_axis, _ in axes]
     angles = [math.degrees(angle) for _, _, angle in axes]
@@ -102,6 +106,18 @@ def _ellipses(analysis: Analysis, steering: Steering) -> Table:
             Column("angle", angles, "deg", fixed(0)),
         ),
     )
+
+
+def _ellipse(covariance: Floats) -> tuple[float, float, float]:
+    """Return the longer and the shorter half axis [length unit], and the angle of the longer [rad],
+    of the ellipse that contains the fraction INSIDE of a normal distribution with `covariance` (2,
+    2).
+    """
+    variances, directions = np.linalg.eigh(covariance)  # the lesser variance first
+    short, long = DEVIATIONS * np.sqrt(np.maximum(variances, 0.0))
+    along_x, along_y = directions[:, 1].tolist()
+    angle = math.atan2(along_y, along_x)
+    return float(long), float(short), math.remainder(angle, math.pi)
 
 
 def _maps(analysis: Analysis) -> list[Table]:

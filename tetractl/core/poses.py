@@ -1,4 +1,17 @@
-"""Poses of robots, camera frames, observations, and the ellipse of a covariance."""
+"""Where robots are, and what of it a camera shows.
+
+    Pose           where one robot is, and in which direction it heads
+    Poses          the same of N robots, in arrays
+    Sight          how well a camera sees robots
+    CameraFrame    what a camera of the lab shows at one instant; robots may be missing in it
+    Observation    what a controller is told of a frame: each robot has a pose, if it is missing the
+                   last one
+    Sample         what a log keeps of a frame: the observation, true poses in a simulation, and
+                   messages
+    FrameAddition  such messages, as a camera has them beside its frames
+
+All coordinates are in the spec's length unit, headings and angles in rad.
+"""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +35,7 @@ POSE_MAX = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """One robot's planar pose: x, y in the spec's length unit, heading in rad from +x.
+    """Where one robot is: x, y [length unit], and its heading, anticlockwise from +x [rad].
 
     `height` is the height of the tracked body's origin above the floor [length unit], `tilt` the
     angle between the body's own upward axis and the vertical [rad, 0 to pi]; each is None if the
@@ -38,11 +51,8 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Planar poses of N robots.
-
-    x, y in the spec's length unit, heading in rad anticlockwise from +x and not wrapped; each of
-    shape (N,).
-    """
+    """Where N robots are: x, y [length unit] and headings, anticlockwise from +x and not wrapped
+    [rad], (N,) each."""
 
     x: Floats
     y: Floats
@@ -51,7 +61,8 @@ class Poses:
     @classmethod
     def of(cls, array: Floats) -> Self:
         """Return poses from an array of shape (N, 3): x, y, heading."""
-        return cls(*(np.ascontiguousarray(column) for column in array.T))
+        x, y, heading = array.T
+        return cls(np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(heading))
 
     def array(self) -> Floats:
         """Return the poses as an array of shape (N, 3): x, y, heading."""
@@ -78,24 +89,28 @@ def wrap(angles: Floats) -> Floats:
 
 def turn_problem(angle: float) -> tuple[str, str] | None:
     """Return what is wrong with an angle [rad] of more than a whole turn, which is probably in
-    degrees, and a hint; None for others.
-    """
+    degrees, and a hint; None for other angles."""
     if not abs(angle) > 2 * math.pi:
         return None
-    said = "is more than a whole turn, 6.283 rad"
-    return said, f"if these are degrees, write {math.radians(angle):.4g}"
+    return (
+        "is more than a whole turn, 6.283 rad",
+        f"if these are degrees, write {math.radians(angle):.4g}",
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """A camera system's poses of N robots at one instant, in the spec's coordinates.
+    """What a camera of the lab shows of N robots at one instant, in the spec's coordinates.
 
     `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
     exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
     are tracked bodies that are not robots. `fault` is the reason why the poses must not be used, ""
-    if there is none. If robots measure their poses themselves, `exposed_ns` (N,) are the times of
-    the poses and `sampled_ns` the latest of them; a pose that is no newer than in the frame before
-    has the same time again. It is empty if all poses are of one exposure.
+    if there is none.
+
+    A camera exposes all poses at once, and then `exposed_ns` is empty. Robots that measure their
+    poses themselves do so one by one: `exposed_ns` (N,) are the times of the poses, and
+    `sampled_ns` is the latest of them. A pose that is no newer than in the frame before has the
+    same time again.
     """
 
     number: int
@@ -107,25 +122,28 @@ class CameraFrame:
     exposed_ns: tuple[int, ...] = ()
 
     def times(self, last_ns: Sequence[int]) -> tuple[int, ...]:
-        """Return the times (N,) of the poses [ns]; of robots that measure their own and are not
-        tracked, or late, those of the poses before, `last_ns` (N,).
+        """Return the times (N,) of the poses [ns], given those of the poses before, `last_ns` (N,).
+
+        Of robots that measure their own poses, a time never goes back: one that is not tracked
+        keeps the last time, and so does one whose pose comes late.
         """
         if not self.exposed_ns:
             return (self.sampled_ns,) * len(self.poses)
-        rows = zip(self.poses, self.exposed_ns, last_ns, strict=True)
-        return tuple(
-            last if pose is None else max(exposed_ns, last) for pose, exposed_ns, last in rows
-        )
+        times = list(last_ns)
+        for robot, pose in enumerate(self.poses):
+            if pose is not None:
+                times[robot] = max(self.exposed_ns[robot], last_ns[robot])
+        return tuple(times)
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What a camera can see of robots, as far as it is known; 0 where it is not.
+    """How well a camera sees robots, as far as it is known: 0 is for not known.
 
-    A camera that measures on a grid, as robots that read a printed mat do, shows positions in steps
-    of `grid_mm` [mm] and headings in steps of `grid_rad` [rad]. `noise_mm` and `noise_rad` are
-    standard deviations of one measurement without the grid, `rate_hz` is the number of frames a
-    second.
+    `noise_mm` and `noise_rad` are the standard deviations of a measured position [mm] and heading
+    [rad], `rate_hz` is the number of frames a second. A camera may measure on a grid, as robots do
+    that read a printed mat: then it shows positions in steps of `grid_mm` [mm] and headings in
+    steps of `grid_rad` [rad], and the deviations are those without the grid.
     """
 
     grid_mm: float = 0.0
@@ -140,10 +158,14 @@ class Sight:
         return self.grid_mm > 0 or self.grid_rad > 0
 
     @property
-    def largest(self) -> tuple[float, float]:
-        """The largest errors of a position [mm] and a heading [rad]."""
-        corner = self.grid_mm / math.sqrt(2)
-        return corner + 4 * self.noise_mm, self.grid_rad / 2 + 4 * self.noise_rad
+    def largest_error_mm(self) -> float:
+        """The largest error of a position [mm]: to a corner of the grid's square, and noise."""
+        return self.grid_mm / math.sqrt(2) + 4 * self.noise_mm
+
+    @property
+    def largest_error_rad(self) -> float:
+        """The largest error of a heading [rad]."""
+        return self.grid_rad / 2 + 4 * self.noise_rad
 
     @property
     def spread(self) -> tuple[float, float, float]:
@@ -159,13 +181,14 @@ UNSTATED = Sight()
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """The newest camera frame at one instant, in the form that the controller gets.
+    """What a controller is told of a camera frame, the newest one at some instant.
 
-    `sampled_ns` is the time of exposure and `received_ns` the time of arrival at the host, both on
-    the trial's clock; `valid` (N,) is True for robots tracked in that frame. A robot that was
-    not tracked keeps its last pose. `exposed_ns` (N,) are the times of the poses if each has its
-    own, none of them after `sampled_ns`; else it is empty. The arrays cannot be written: they are
-    shared with the log.
+    `frame` is its number, `sampled_ns` the time of exposure and `received_ns` the time of arrival
+    at the host, both on the trial's clock. `valid` (N,) is True for robots that are tracked in the
+    frame; another one keeps its last pose. `exposed_ns` (N,) are the times of the poses if each has
+    its own, none of them after `sampled_ns`; else it is empty.
+
+    The log shares the arrays: they are made read-only.
     """
 
     frame: int
@@ -175,23 +198,23 @@ class Observation:
     valid: Bools
     exposed_ns: tuple[int, ...] = ()
 
+    def __post_init__(self) -> None:
+        for array in (self.poses.x, self.poses.y, self.poses.heading, self.valid):
+            array.setflags(write=False)
+
     @property
     def seconds(self) -> Floats:
         """The times (N,) of the poses [s]."""
         times = self.exposed_ns or (self.sampled_ns,) * len(self.valid)
         return np.array(times) / SECOND
 
-    def __post_init__(self) -> None:
-        for array in (self.poses.x, self.poses.y, self.poses.heading, self.valid):
-            array.setflags(write=False)
-
 
 @dataclass(frozen=True, slots=True)
 class FrameAddition:
-    """What a camera knows of the frame exposed at `sampled_ns` beyond its poses.
+    """What a camera knows of the frame that it exposed at `sampled_ns`, beyond its poses.
 
-    `messages`, topic and protobuf bytes, are logged as they are; a camera may use the channels of
-    pictures, `log.format.channels`.
+    `messages`, each a topic and protobuf bytes, are logged as they are; a camera may use the
+    channels of pictures, `log.format.channels`.
     """
 
     sampled_ns: int
@@ -200,28 +223,12 @@ class FrameAddition:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One camera frame and the true poses at its exposure; `truth` is None outside simulations.
+    """What a log keeps of a camera frame.
 
-    `messages`, topic and bytes, are what its camera adds to the frame's record.
+    `truth` are the true poses at its exposure, None outside simulations; `messages` are those of
+    the camera's `FrameAddition`.
     """
 
     observation: Observation
     truth: Poses | None
     messages: tuple[tuple[str, bytes], ...] = ()
-
-
-INSIDE = 0.95
-"""The fraction of a normal distribution that lies in the ellipse that `ellipse` returns."""
-DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))
-"""Distance from the ellipse's centre to its edge, in standard deviations."""
-
-
-def ellipse(covariance: Floats) -> tuple[float, float, float]:
-    """Return the longer and the shorter half axis [length unit], and the angle of the longer [rad],
-    of the ellipse that contains the fraction INSIDE of a normal distribution with `covariance` (2,
-    2).
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    short, long = DEVIATIONS * np.sqrt(np.maximum(values, 0.0))
-    angle = math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
-    return float(long), float(short), math.remainder(angle, math.pi)

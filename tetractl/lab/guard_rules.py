@@ -58,4 +58,4 @@ class GuardRules:
     @property
     def largest_error(self) -> float:
         """The largest error of a position [length unit]."""
-        return (NOISE_MM + self.sight.largest[0]) / self.mm
+        return (NOISE_MM + self.sight.largest_error_mm) / self.mm

@@ -181,7 +181,7 @@ class MotionCheck(GuardCheck):
         self._share = share
         self._coarse = rules.sight.coarse
         driven = SLACK_S * np.array(rules.speeds)
-        _, heading_error = rules.sight.largest
+        heading_error = rules.sight.largest_error_rad
         # by how much each part of a motion may be out of its bounds (N, 3)
         self._slack = np.column_stack(
             [driven + noise, driven + noise, np.full(robots, SLACK_RAD + 2 * heading_error)]

@@ -44,9 +44,9 @@ def on_grid(value, step):
 
 
 def test_a_pose_is_off_by_half_a_square_of_the_grid_and_four_deviations_at_most():
-    position_mm, heading = replace(MAT, noise_mm=2.0, noise_rad=0.1).largest
-    assert position_mm == pytest.approx(math.hypot(1.36 / 2, 1.36 / 2) + 8.0)
-    assert heading == pytest.approx(math.radians(0.5) + 0.4)
+    sight = replace(MAT, noise_mm=2.0, noise_rad=0.1)
+    assert sight.largest_error_mm == pytest.approx(math.hypot(1.36 / 2, 1.36 / 2) + 8.0)
+    assert sight.largest_error_rad == pytest.approx(math.radians(0.5) + 0.4)
 
 
 class Measured(NamedTuple):

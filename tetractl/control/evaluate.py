@@ -45,8 +45,6 @@ def compiled_branches(
     copies = len(towards)
     robots = len(problem.a)
     flat = flatten(problem)
-    path = np.empty((len(turns) + 1, copies * robots, 3))
-    path[0] = start.reshape(-1, 3)
     bias = np.zeros(robots) if problem.bias is None else problem.bias
     directions = (towards[:, None] + bias).ravel()
     held = flat._replace(
@@ -57,7 +55,7 @@ def compiled_branches(
         first_period=seconds,
         period=seconds,
     )
-    predict(turns, held, path)
+    path = predict(turns, held, start.reshape(-1, 3))
     return path.reshape(-1, *start.shape)
 
 
@@ -67,9 +65,7 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     from tetractl.control.kernels.prediction import costs_along, predict
 
     flat = flatten(problem)
-    path = np.empty((signals.size + 1, len(problem.a), 3))
-    path[0] = flat.poses
-    predict(np.ascontiguousarray(signals), flat, path)
+    path = predict(np.ascontiguousarray(signals), flat, flat.poses)
     target, obstacle = costs_along(flat, path)
     if not math.isfinite(target):
         require_finite(np.array([target]))
@@ -82,6 +78,4 @@ def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats
     from tetractl.control.kernels.motion import flatten
     from tetractl.control.kernels.prediction import drive
 
-    path = np.empty((len(seconds), len(towards), 3))
-    drive(towards, seconds, flatten(problem), path)
-    return path
+    return drive(towards, seconds, flatten(problem))

@@ -1,7 +1,12 @@
-"""Where robots go: `tetractl.control.cost.predict` and `costs_along` of one sequence, compiled.
+"""Where robots go if they follow directions, and what their way costs; compiled.
 
-In addition `drive`, for robots that each follow a direction of their own. A problem is a
-`FlatProblem`; poses are x, y and heading (N, 3).
+    predict       all robots follow a plan: one direction after another, each for a signal period
+    drive         each robot keeps a direction of its own
+    costs_along   f and P of the paper's (8) and (9) for the way that `predict` found
+
+`predict` and `costs_along` are the twins, for one plan, of the functions of the same names in
+`tetractl.control.cost`, which are to be read. A problem is a `FlatProblem`. A path (M, N, 3) has
+the poses of N robots at M moments, with the columns X, Y and HEADING.
 """
 
 import math
@@ -13,86 +18,96 @@ from tetractl.control.kernels.motion import derivatives, robot_of
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
+X = 0
+Y = 1
+HEADING = 2
+
+
+@compiled(**ENTRY_FAST)
+def predict(u, problem, start):
+    """Return the path (L + 1, N, 3) of robots that begin at `start` (N, 3) and follow the signals
+    u (L,) [rad]; its first row is the start."""
+    robots = len(problem.robots)
+    path = np.empty((u.size + 1, robots, 3))
+    path[0] = start
+    for j in range(u.size):
+        t = problem.first_period if j == 0 else problem.period
+        for i in range(robots):
+            x, y, heading = _moved(problem, i, path[j, i], u[j], t)
+            path[j + 1, i, X] = x
+            path[j + 1, i, Y] = y
+            path[j + 1, i, HEADING] = heading
+    return path
+
+
+@compiled(**ENTRY_FAST)
+def drive(towards, seconds, problem):
+    """Return the path (M, N, 3) of robots that begin at the problem's poses, after each of
+    `seconds` (M,). Each follows its own direction, towards (N,) [rad], or stands if that is NaN."""
+    robots = len(problem.robots)
+    path = np.empty((seconds.size, robots, 3))
+    for m in range(seconds.size):
+        for i in range(robots):
+            x, y, heading = _moved(problem, i, problem.poses[i], towards[i], seconds[m])
+            path[m, i, X] = x
+            path[m, i, Y] = y
+            path[m, i, HEADING] = heading
+    return path
+
 
 @compiled(**INLINE_FAST)
-def _move(problem, towards, t, before, after):
-    """Write the poses of all robots `after` they followed their directions towards (N,) [rad] for
-    t [s]; a robot stands if that is NaN."""
-    robots = problem.robots
-    lanes = problem.rest
-    bias_cos = problem.bias_cos
-    bias_sin = problem.bias_sin
-    flow = problem.flow
-    for i in range(len(robots)):
-        x = before[i, 0]
-        y = before[i, 1]
-        heading = before[i, 2]
-        after[i, 0] = x
-        after[i, 1] = y
-        after[i, 2] = heading
-        u = towards[i]
-        if not math.isnan(u):
-            c = bias_cos[i]
-            s = bias_sin[i]
-            cu = math.cos(u) * c - math.sin(u) * s
-            su = math.sin(u) * c + math.cos(u) * s
-            cos = math.cos(heading)
-            sin = math.sin(heading)
-            dx, dy, turn = derivatives(lanes, cos, sin, cu, su, robot_of(robots, i), t)[0]
-            after[i, 0] = x + dx + t * flow[i, 0]
-            after[i, 1] = y + dy + t * flow[i, 1]
-            after[i, 2] = heading + turn
-
-
-@compiled(**ENTRY_FAST)
-def predict(u, problem, path):
-    """Fill path (L + 1, N, 3), whose first row is the start, with the poses under u (L,)."""
-    robots = len(problem.robots)
-    towards = np.empty(robots)
-    for j in range(u.size):
-        for i in range(robots):
-            towards[i] = u[j]
-        t = problem.first_period if j == 0 else problem.period
-        _move(problem, towards, t, path[j], path[j + 1])
-
-
-@compiled(**ENTRY_FAST)
-def drive(towards, seconds, problem, path):
-    """Fill path (M, N, 3) with the poses of robots after each of `seconds` (M,).
-
-    Each follows its own direction towards (N,) [rad], or stands if that is NaN.
-    """
-    for m in range(seconds.size):
-        _move(problem, towards, seconds[m], problem.poses, path[m])
+def _moved(problem, i, pose, u, t):
+    """Return x, y and heading of robot i, which was at a pose (3,), after it followed the direction
+    u [rad] for t [s]; it stands if u is NaN."""
+    x = pose[X]
+    y = pose[Y]
+    heading = pose[HEADING]
+    if math.isnan(u):
+        return x, y, heading
+    c = problem.bias_cos[i]
+    s = problem.bias_sin[i]
+    cu = math.cos(u) * c - math.sin(u) * s
+    su = math.sin(u) * c + math.cos(u) * s
+    robot = robot_of(problem.robots, i)
+    cos = math.cos(heading)
+    sin = math.sin(heading)
+    dx, dy, turn = derivatives(problem.rest, cos, sin, cu, su, robot, t)[0]
+    x = x + dx + t * problem.flow[i, X]
+    y = y + dy + t * problem.flow[i, Y]
+    return x, y, heading + turn
 
 
 @compiled(**ENTRY_FAST)
 def costs_along(problem, path):
-    """Return f of (8) and P of (9) of a path (L + 1, N, 3), whose first row is the start."""
+    """Return f of (8) and P of (9) of a path (L + 1, N, 3) that begins at the start."""
     last = path.shape[0] - 1
     missed = 0.0
     touched = 0.0
     for j in range(last):
-        touched += _count_touches(problem, path[j], path[j + 1])
+        touched += _number_of_touches(problem, path[j], path[j + 1])
     for i in range(len(problem.robots)):
-        dx = path[last, i, 0] - problem.targets[i, 0]
-        dy = path[last, i, 1] - problem.targets[i, 1]
+        dx = path[last, i, X] - problem.targets[i, X]
+        dy = path[last, i, Y] - problem.targets[i, Y]
         missed += math.sqrt(dx * dx + dy * dy)
     return missed, touched
 
 
 @compiled(**INLINE_FAST)
-def _count_touches(problem, before, after):
-    """Return how many robots touch an obstacle `after` a signal, or, if that counts, on the way,
-    and how many pairs are too near to each other then."""
-    since = before if problem.swept else after
-    touches = 0.0
+def _number_of_touches(problem, before, after):
+    """Return how many robots touch an obstacle, and how many pairs are nearer to each other than
+    their separation, `after` a signal; if ways are `swept`, also how many touch one on the way from
+    their poses `before` it."""
+    begin = before if problem.swept else after
+    number = 0.0
     for i in range(len(problem.robots)):
-        x = after[i, 0]
-        y = after[i, 1]
-        touches += crosses(problem.obstacles, since[i, 0], since[i, 1], x, y)
-        for k in range(i if problem.separation > 0 else 0):
-            dx = x - after[k, 0]
-            dy = y - after[k, 1]
-            touches += dx * dx + dy * dy <= problem.separation * problem.separation
-    return touches
+        x = after[i, X]
+        y = after[i, Y]
+        if crosses(problem.obstacles, begin[i, X], begin[i, Y], x, y):
+            number += 1.0
+        if problem.separation > 0:
+            for k in range(i):
+                dx = x - after[k, X]
+                dy = y - after[k, Y]
+                if dx * dx + dy * dy <= problem.separation * problem.separation:
+                    number += 1.0
+    return number

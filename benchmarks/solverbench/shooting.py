@@ -1,6 +1,6 @@
 """IPOPT by multiple shooting, the package benchmarks/tetractl-ipopt: raced, and in the loop."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
@@ -60,8 +60,8 @@ def shrinking(spec: Experiment, optimizer: OptimizerSection) -> Experiment:
 class Shrinking(Algorithm2):
     """Model predictive control by IPOPT: one length at step 0, then what is left of the plan."""
 
-    def _candidates(self) -> Iterator[tuple[int, Floats | None]]:
-        yield (LENGTH, None) if self.warm is None else (len(self.warm), self.warm)
+    def _starts(self) -> list[tuple[int, Floats | None]]:
+        return [(LENGTH, None) if self.warm is None else (len(self.warm), self.warm)]
 
 
 def shooter(problem: Problem, length: int, cap_s: float) -> Any:

@@ -1,12 +1,23 @@
-"""Algorithm 2 of the paper as published; the numbers of its lines stand next to the code.
+"""Steers robots exactly as the paper does: its Algorithm 2, as published, with nothing added.
 
-The first step searches every length up to `horizon_max`, each later step the lengths H - 1, H and
-H + 1 from what is left of the sequence in use; the best is exerted. Nothing is added here:
-`tetractl.control.mpc` is the controller that we recommend.
+A *sequence* of signals, the directions [rad] that all robots follow in one control period each, is
+to bring the robots to their targets. At each control step k, counted from 0, the optimiser searches
+several sequences, the one of least cost J is chosen, and its first signal is sent:
+
+    k = 0    a search for each length from 1 to `horizon_max`, from nothing      lines 1 to 7
+    k > 0    what is left of the sequence chosen before, its H signals, is the   lines 8 to 26
+             start of three searches: of its last H - 1 signals, of all H, and
+             of all H with a 0 behind them
+
+The trial ends when all robots are near enough to their targets (line 13), after step k_max
+(line 9), or when all signals of the sequence have been sent.
+
+Comments give the lines of the paper's Algorithm 2. `tetractl.control.mpc` is the controller that we
+recommend.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,14 +28,18 @@ from tetractl.control.mpc_section import PsoMpc
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Limits, Outcome, Plan, Search
+from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import Host
 
 
 class Algorithm2:
-    """The controller of one trial; `key` seeds all its random numbers."""
+    """The controller of one trial; `key` seeds all its random numbers.
+
+    `plan` is called once a control step. Between two steps it keeps the number of the next one,
+    `k`, and `warm`, the signals left of the sequence chosen last.
+    """
 
     def __init__(self, section: PsoMpc, setup: Setup, key: int, host: Host) -> None:
         self.section = section
@@ -37,8 +52,9 @@ class Algorithm2:
         steps_s = (section.steps_max + 1) * section.period
         limit_s = section.time_limit if section.time_limit < steps_s else math.inf
         self.time = TrialTime(limit_s, section.period)
-        self.warm: Floats | None = None  # u_(warm), None before the first step
-        self.k = 0  # control steps planned
+        self.warm: Floats | None = None
+        """The paper's u_(warm), None before the first step."""
+        self.k = 0
 
     def plan(
         self,
@@ -46,36 +62,37 @@ class Algorithm2:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Decide u_(opt) of one control step, or end the trial."""
-        problem = self.estimator.add_step(observation, last_command, earlier)  # 12: feedback
-        if self.section.arrived(problem.poses.distances(problem.targets)):  # 13-15
+        """Decide what is sent in one control step, or end the trial."""
+        problem = self.estimator.add_step(observation, last_command, earlier)  # line 12
+        if self.section.arrived(problem.poses.distances(problem.targets)):  # line 13
             return Outcome.ARRIVED
-        if self.k > self.section.steps_max:  # 9: for k = 1 ... k_max
+        if self.k > self.section.steps_max:  # line 9
             return Outcome.STEPS_MAX
         self.time.add_step(observation, last_command)
         if self.time.over:
             return Outcome.TIME_LIMIT
-        if self.warm is not None and not len(self.warm):
+        if self.warm is not None and len(self.warm) == 0:
             return Outcome.SEQUENCE_COMPLETED
-        key = mix(self.key, self.k)
-        searches: list[Search] = []
-        for length, start in self._candidates():  # 2, 11
-            search = self.optimizer.search(problem, length, start, mix(key, length), Limits())
-            searches.append(search)  # 3, 21: u_(h) = pso(u_gb^0)
-        best = int(np.argmin([search.cost for search in searches]))  # 5, 23: the u_(h) of least J
-        plan = make_plan(searches, best, key, compiled_foresee(problem, searches[best].signals))
-        self.warm = plan.signals[1:]  # 6, 24
+        step_key = mix(self.key, self.k)
+        searches = [
+            self.optimizer.search(problem, length, start, mix(step_key, length), Limits())
+            for length, start in self._starts()  # lines 3 and 21
+        ]
+        best = int(np.argmin([search.cost for search in searches]))  # lines 5 and 23
+        foreseen = compiled_foresee(problem, searches[best].signals)
+        plan = make_plan(searches, best, step_key, foreseen)
+        self.warm = plan.signals[1:]  # lines 6 and 24
         self.k += 1
-        return plan.of_all(self.estimator.present, observation.poses)  # 7, 25: exert u_(opt)(1)
+        return plan.of_all(self.estimator.present, observation.poses)  # lines 7 and 25
 
-    def _candidates(self) -> Iterator[tuple[int, Floats | None]]:
-        """Yield each length to search, counted in signals, with its u_gb^0."""
+    def _starts(self) -> list[tuple[int, Floats | None]]:
+        """Return the length of each search of this step, in signals, with its start."""
         if self.warm is None:
-            for length in range(1, self.section.horizon_max + 1):  # 2: for h = 1 ... h_max
-                yield length, None  # 3: NULL
-            return
-        count = len(self.warm)  # 10: H
-        if count > 1:
-            yield count - 1, self.warm[1:]  # 18-20: its last H - 1 signals
-        yield count, self.warm  # 18-20: all its H signals
-        yield count + 1, np.append(self.warm, 0.0)  # 16-17: and a 0
+            lengths = range(1, self.section.horizon_max + 1)  # line 2
+            return [(length, None) for length in lengths]
+        left = len(self.warm)  # H of line 10
+        one_longer = (left + 1, np.append(self.warm, 0.0))  # line 17
+        as_long = (left, self.warm)  # line 19
+        if left == 1:
+            return [as_long, one_longer]  # a sequence has at least one signal
+        return [(left - 1, self.warm[1:]), as_long, one_longer]

@@ -119,7 +119,7 @@ class StateEstimator:
     def _is_sent_again(self, command: Command) -> bool:
         """Return whether a command repeats the last one given to the filter, within a signal
         period; the step that comes a whole period later may come up to half a step early."""
-        given = self.filter.commands.all
+        given = self.filter.commands
         if command.direction is None or not len(given.sent_s):
             return False
         is_same = command.direction == given.directions[-1]

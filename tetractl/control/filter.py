@@ -1,22 +1,28 @@
-"""Estimates the robots' poses and motion from the camera's frames and all directions sent.
+"""Where robots are, how they move, and where they will be when the next command acts.
 
-A controller calls this once a control step, with what has become known since the last one, and asks
-where the robots will be when its next command acts:
+A camera shows the robots late and with noise; a command acts later still, or gets lost; and no two
+robots turn and drive alike. From all frames seen and all commands sent, these filters find out how
+each robot moves while it drives. A controller calls them once a control step:
 
-    filters.add_frames(newest, earlier)
-    forecast = filters.forecast(sent_ns)
-    filters.add_command(command)
+    filters.add_frames(newest, earlier)       what was seen since the step before
+    forecast = filters.forecast(sent_ns)      the robots when a command sent at that time acts
+    filters.add_command(command)              what was sent
 
-**Terms.** One Kalman filter is not enough, as it is not known what robots do:
+**Terms.** One Kalman filter a robot is not enough, as it is not known what the robot does:
 
+    prior       what is assumed of the robots before they move, and how certain that is
     state       of a robot: its pose and motion (`kernels.filter_state`)
+    dead time   from the sending of a command to the moment when it acts
     hypothesis  a state with its covariance, the direction that the robot follows, and how likely
                 this is: a robot follows the last command, or one of the two before, because it
                 missed the later ones, or it is stuck and stands
-    filter      the hypotheses of one robot for one *dead time*, from the sending of a command to
-                the moment when it acts. Its score is the ln of the likelihood of the robot's frames
+    filter      the hypotheses of one robot for one dead time. Its score is the ln of the likelihood
+                of the robot's frames
     bank        all filters of all robots: for each robot, those of a grid of dead times, and this
                 grid again for each value of a state that is tried (`filter_start`)
+    misfit      what frames show beyond the predictions is independent from frame to frame if the
+                model is right. Sums over blocks of frames test this: standard deviations grow by
+                what they are found to be, and a robot is a misfit if chance hardly explains them
 
 **What happens to a frame**, in `add_frames`:
 
@@ -53,10 +59,6 @@ to be heard. `kernels.bank.forecast` fills what of it is published, the fields o
     the camera freezes            its frames are not used
     the model does not fit        standard deviations grow, and step 4
     a robot is replaced           `restart`: it begins with first filters
-
-**Misfit.** If the model is right, what a frame shows beyond the prediction, the *innovation*, is
-independent of those before. Sums over blocks of frames test this, and standard deviations grow by
-what they are found to be.
 
 Units are seconds, radians and the spec's length unit; N is the number of robots. Kernels are
 imported where they are called, as checking a spec needs no compiler.
@@ -103,36 +105,6 @@ TRIAL_STARTS_NS = 0
 """Time at which a trial starts [ns]: its clock begins then."""
 HEADING_MISFIT = INNOVATIONS.index("heading")
 """Column of a misfit that is about the heading."""
-COMMANDS_AT_FIRST = 64
-"""Number of commands for which there is room; it is doubled when they are more."""
-
-
-class CommandRecord:
-    """The commands that were sent, each as the direction that robots shall follow."""
-
-    def __init__(self) -> None:
-        self.number = 0
-        """How many there are."""
-        self.turning = False
-        """Whether robots were sent to turn on the spot since the last direction."""
-        self._sent_s = np.empty(COMMANDS_AT_FIRST)
-        self._directions = np.empty(COMMANDS_AT_FIRST)
-
-    @property
-    def all(self) -> SentCommands:
-        """All of them, in the order of their times."""
-        return SentCommands(self._sent_s[: self.number], self._directions[: self.number])
-
-    def add(self, command: Command) -> None:
-        """Add a direction, a stop, or a turn on the spot, which has no direction either."""
-        if not isinstance(command.action, Stop):
-            self.turning = isinstance(command.action, Turn)
-        if self.number == len(self._sent_s):
-            self._sent_s = np.append(self._sent_s, np.empty_like(self._sent_s))
-            self._directions = np.append(self._directions, np.empty_like(self._directions))
-        self._sent_s[self.number] = command.sent_ns / SECOND
-        self._directions[self.number] = np.nan if command.direction is None else command.direction
-        self.number += 1
 
 
 class FilterBank:
@@ -149,33 +121,42 @@ class FilterBank:
         self.model = filter_model(prior)
         """What is assumed of the robots. From the first opening of the bank on, motors may saturate
         in it; in which filters they do is a matter of their states."""
-        self.commands = CommandRecord()
+        self.commands = SentCommands(np.empty(0), np.empty(0))
+        """The commands that were sent, each as the direction that robots shall follow."""
+        self.turns_on_the_spot = False
+        """Whether robots were sent to turn on the spot since the last direction."""
         self.reception = Reception()
         """Whether few of the directions sent are received."""
         self.last_frame: Observation | None = None
         """The last frame used: the filters are at its time. None before the first."""
         self.reopened_ns: int | None = None
         """Time at which the bank was last opened again [ns], None if it never was."""
-        self._noisy = False
+        self._is_noisy = False
         """Whether robots that were not sent anything were measured at different poses."""
-        self._go_on_with(first_bank(prior))
+        self.bank = first_bank(prior)
+        """The filters, B of each robot. Frames change its arrays in place."""
+        self._common_times = CommonTimes.of(self.bank, prior)
+        """Dead times that the robots of this bank may have in common."""
+        if not prior.certain:
+            self._share_scores()
 
     # ---- what a controller calls ----
 
     def add_frames(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
         """Bring the filters to the `newest` frame of a control step, by way of the `earlier` frames
-        since the newest of the step before.
+        since the newest of the step before; then open the bank again if there is a reason.
 
-        Whether the bank is opened again is decided by the misfit that the last forecast reported,
-        before these frames.
+        Whether the model fits is asked before the frames are added: what the last forecast said of
+        it counts.
         """
         misfits = self._misfits()
-        shown_before = self.reception.times_shown
+        times_sparse_before = self.reception.times_shown
         self._follow_frames(self._frames_used(newest, earlier))
         if not self.prior.certain:
             self._share_scores()
             self._select_filters()
-        if shown_before == 0 and self.reception.times_shown == 1:
+        first_seems_sparse = times_sparse_before == 0 and self.reception.times_shown == 1
+        if first_seems_sparse:
             self._reopen(newest, heading_fits=True)
         elif misfits.any() and self._may_reopen(newest):
             self._reopen(newest, heading_fits=not misfits[:, HEADING_MISFIT].any())
@@ -189,7 +170,7 @@ class FilterBank:
         dead_time_s, dead_time_std_s = fill(
             self.bank,
             self.model,
-            self.commands.all,
+            self.commands,
             self.last_frame.seconds,
             sent_ns / SECOND,
             forecast,
@@ -197,10 +178,17 @@ class FilterBank:
         return forecast._replace(dead_time_s=dead_time_s, dead_time_std_s=dead_time_std_s)
 
     def add_command(self, command: Command) -> None:
-        """Add a command with the time at which it was sent."""
+        """Add a command with the time at which it was sent: a direction, or a stop or a turn on the
+        spot, which have none."""
         if isinstance(command.action, FieldOff):
             return  # it turns no robot
-        self.commands.add(command)
+        if not isinstance(command.action, Stop):
+            self.turns_on_the_spot = isinstance(command.action, Turn)
+        direction = np.nan if command.direction is None else command.direction
+        self.commands = SentCommands(
+            sent_s=np.append(self.commands.sent_s, command.sent_ns / SECOND),
+            directions=np.append(self.commands.directions, direction),
+        )
 
     def restart(self, robots: Sequence[int]) -> None:
         """Let replaced robots begin with first filters, in their poses of the last frame."""
@@ -215,8 +203,9 @@ class FilterBank:
     # ---- what the filters say ----
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
-        """Return the index of each robot's likeliest hypothesis in arrays of the bank: its filter,
-        robot and slot, (N,) each."""
+        """Return where each robot's likeliest hypothesis is in the arrays of the bank, so that
+        `bank.state[likeliest]` (N, STATES) are their states: its filter, robot and slot, (N,) each.
+        """
         filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
         slots = self.bank.ln_weight[filters, robots].argmax(axis=1)
@@ -227,8 +216,8 @@ class FilterBank:
         return self.bank.shared_score.argmax(axis=0)
 
     def _misfits(self) -> Bools:
-        """Return which of INNOVATIONS each robot's likeliest filter does not fit, (N, 3): the sum
-        over blocks is larger than chance makes it once in a thousand times."""
+        """Return (N, 3) whether each robot is a misfit, by its likeliest filter, in each of
+        INNOVATIONS: its sum over blocks is one that chance exceeds once in a thousand times."""
         filters = self._likeliest_filters()
         robots = np.arange(len(filters))
         blocks = np.maximum(self.bank.blocks[filters, robots], LEAST_BLOCKS)
@@ -241,31 +230,30 @@ class FilterBank:
         self, newest: Observation, earlier: Sequence[Observation]
     ) -> list[Observation]:
         """Return the frames that are used, in the order of time: those SPACING_NS after the one
-        used before. If there are earlier ones, the newest is used at any distance: one per control
-        step does no harm. If the prior is certain, all are used."""
+        used before. After earlier ones, the newest is used at any distance: one per control step
+        does no harm. If the prior is certain, all are used."""
         if self.prior.certain:
             return [*earlier, newest]
         used = list[Observation]()
         last = self.last_frame
-        for frame in earlier:
-            if last is None or frame.sampled_ns >= last.sampled_ns + SPACING_NS:
+        for frame in (*earlier, newest):
+            least_gap_ns = 1 if earlier and frame is newest else SPACING_NS
+            if last is None or frame.sampled_ns >= last.sampled_ns + least_gap_ns:
                 used.append(frame)
                 last = frame
-        least_gap_ns = 1 if earlier else SPACING_NS
-        if last is None or newest.sampled_ns >= last.sampled_ns + least_gap_ns:
-            used.append(newest)
         return used
 
     def _follow_frames(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the last frame used before through some more.
 
-        The poses of a trial's first frame are taken as they are, and so are those of the newest
-        where there is nothing to identify, or where robots turn on the spot, of which the filters
-        have no model.
+        There are three cases. Where there is nothing to identify, or robots turn on the spot, of
+        which the filters have no model, the poses of the newest frame are taken as they are. In the
+        first frames of a trial, those of the first one are, and the others are followed. Usually
+        all are followed.
         """
         if not frames:
             return
-        if self.prior.certain or self.commands.turning:
+        if self.prior.certain or self.turns_on_the_spot:
             self._place(frames[-1], self._all_robots())
         elif self.last_frame is None:
             self._place(frames[0], self._all_robots())
@@ -281,7 +269,7 @@ class FilterBank:
         from tetractl.control.kernels.filter import place
 
         poses = frame.poses.array()
-        place(self.bank, self.model, self.commands.all, frame.seconds, poses, placed)
+        place(self.bank, self.model, self.commands, frame.seconds, poses, placed)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the first to the last of some frames, by all their filters."""
@@ -292,27 +280,26 @@ class FilterBank:
             poses=np.array([frame.poses.array() for frame in frames]),
             valid=np.array([frame.valid for frame in frames]),
         )
-        if self.commands.number == 0:  # poses that differ though nothing was sent are noisy
+        if len(self.commands.sent_s) == 0:  # poses that differ though nothing was sent are noisy
             differ = (measured.poses[1:] != measured.poses[:-1]).any(axis=(1, 2))
-            self._noisy |= bool((differ & measured.valid[1:].any(axis=1)).any())
-        # The coarsest grid's step, for all: it is by how much a dead time may be wrong.
+            self._is_noisy |= bool((differ & measured.valid[1:].any(axis=1)).any())
+        # by how much a dead time may be wrong: the step of the coarsest grid, for all robots
         step_s = float(self.bank.step_s.max())
-        commands = self.commands.all
         if not self.tests_radio:
-            follow(self.bank, self.model, commands, measured, self._noisy, step_s)
+            follow(self.bank, self.model, self.commands, measured, self._is_noisy, step_s)
             return
         likeliest = self._likeliest_filters()
         for frame in range(1, len(frames)):
             pair = measured.part(frame - 1, frame + 1)
-            follow(self.bank, self.model, commands, pair, self._noisy, step_s)
-            self.reception.add_frame(self.bank, likeliest, commands)
+            follow(self.bank, self.model, self.commands, pair, self._is_noisy, step_s)
+            self.reception.add_frame(self.bank, likeliest, self.commands)
 
     @property
     def tests_radio(self) -> bool:
-        """Whether it is tested if few directions reach the robots: not for cells, nor where nothing
-        is to be learnt, nor once it is known."""
+        """Whether frames are to show if few directions reach the robots: those of robots on wheels,
+        until it is known; where nothing is to be learnt, none are."""
         is_known = self.prior.certain or self.reception.is_sparse
-        return not self.prior.swims and not is_known
+        return not (self.prior.swims or is_known)
 
     # ---- step 3: the filters of all robots are compared ----
 
@@ -320,7 +307,7 @@ class FilterBank:
         """Compute how likely each filter is by the frames of all robots so far."""
         from tetractl.control.kernels.bank import share
 
-        share(self.bank, self._common)
+        share(self.bank, self._common_times)
 
     def _select_filters(self) -> None:
         """Let unlikely filters end, and refine each robot's grid around its likely dead times."""
@@ -328,16 +315,14 @@ class FilterBank:
 
         most = max(len(self.bank.score), REFINED * GROUPS_MAX)
         going_on = NextFilters.room_for(most, self.bank)  # filled by `select`
-        commanded = self.commands.number > 0
+        commanded = len(self.commands.sent_s) > 0
         if select(self.bank, tried_state(self.prior), commanded, going_on):
             self._go_on_with(going_on.taken_from(self.bank))
 
     def _go_on_with(self, bank: Bank) -> None:
-        """Go on with the filters of another bank. Frames change its arrays in place."""
+        """Go on with the filters of another bank."""
         self.bank = bank
-        """The filters, B of each robot."""
-        self._common = CommonTimes.of(bank, self.prior)
-        """Dead times that its robots may have in common."""
+        self._common_times = CommonTimes.of(bank, self.prior)
         if not self.prior.certain:
             self._share_scores()
 

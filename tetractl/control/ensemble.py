@@ -19,7 +19,6 @@ from pydantic import Field
 from tetractl.control.cost import foreseen_along, predict
 from tetractl.control.fixed_sequence import given_search, make_plan
 from tetractl.control.plain import PlainController, PlainSection
-from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
 from tetractl.core.plan import Outcome, Plan, Problem
@@ -84,9 +83,19 @@ class Ensemble(PlainController):
         """Angle by which the field has turned since it was switched on."""
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
-        """Return the problem with the poses at which the decision acts."""
-        self._forget(observation.sampled_ns)
-        return replace(self.problem, poses=self._poses_when_acting(observation))
+        """Return the problem with the poses one dead time after the frame's exposure, when the
+        decision acts."""
+        now_ns = observation.sampled_ns
+        while len(self._held) > 1 and self._held[1].since_ns <= now_ns:
+            self._held.pop(0)  # another decision has replaced it
+        acts_ns = now_ns + self._dead_time_ns
+        ends_ns = [held.since_ns for held in self._held[1:]] + [acts_ns]
+        poses = observation.poses
+        for held, end_ns in zip(self._held, ends_ns, strict=False):
+            seconds = (end_ns - max(held.since_ns, now_ns)) / SECOND
+            if seconds > 0:
+                poses = driven(self.problem, poses, held.direction, seconds)
+        return replace(self.problem, poses=poses)
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
         """Rotate the field further, switch it off, or end the trial."""
@@ -110,7 +119,7 @@ class Ensemble(PlainController):
             if in_vain and end.distances(problem.targets).sum() >= error:
                 return Outcome.NO_BETTER_PLAN
         self._held.append(HeldDirection(observation.sampled_ns + self._dead_time_ns, self._field))
-        return self._planned(problem, signals, end)
+        return self._planned(problem, signals, end, step_key)
 
     def _rotate(self, problem: Problem) -> None:
         """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
@@ -121,30 +130,13 @@ class Ensemble(PlainController):
         self._field = float(np.remainder(self._field + step_rad + np.pi, 2 * np.pi) - np.pi)
         self._turned_rad += step_rad
 
-    def _planned(self, problem: Problem, signals: Floats, end: Poses) -> Plan:
+    def _planned(self, problem: Problem, signals: Floats, end: Poses, step_key: int) -> Plan:
         """Return the plan of one control period, which ends at the poses `end`."""
         path = np.stack([problem.poses.array(), end.array()])
         foreseen = foreseen_along(problem, path)
         search = given_search(problem, signals, foreseen)
-        plan = make_plan([search], 0, mix(self.key, self.k), foreseen)
+        plan = make_plan([search], 0, step_key, foreseen)
         return replace(plan, instead=FieldOff() if self._field is None else None)
-
-    def _forget(self, now_ns: int) -> None:
-        """Drop the decisions that others have replaced by now."""
-        while len(self._held) > 1 and self._held[1].since_ns <= now_ns:
-            self._held.pop(0)
-
-    def _poses_when_acting(self, observation: Observation) -> Poses:
-        """Return the poses one dead time after the frame's exposure, when the decision acts."""
-        now_ns = observation.sampled_ns
-        acts_ns = now_ns + self._dead_time_ns
-        poses = observation.poses
-        ends_ns = [held.since_ns for held in self._held[1:]] + [acts_ns]
-        for held, end_ns in zip(self._held, ends_ns, strict=False):
-            seconds = (end_ns - max(held.since_ns, now_ns)) / SECOND
-            if seconds > 0:
-                poses = driven(self.problem, poses, held.direction, seconds)
-        return poses
 
 
 def driven(problem: Problem, poses: Poses, direction: float | None, seconds: float) -> Poses:

@@ -116,24 +116,19 @@ Decision = Plan | Outcome | End
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A part of a trial: up to way-point `index` or to the targets, or the hold after them.
+    """A part of a trial, and where robots go in it: up to way-point `index` or to the targets, or
+    the hold after them.
 
     `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning.
-    `outcome` is how the leg before ended.
+    `outcome` is how the leg before ended. `present` tells which of all robots are not lost;
+    `targets` (N, 2) are those of these N robots, `parted` if they are too near to each other,
+    `discs` their bodies, and `margins` what plans keep clear by.
     """
 
     index: int
     began_s: float
     began_ns: int
     outcome: Outcome
-
-
-@dataclass(frozen=True, slots=True)
-class Course:
-    """Where robots go in a leg: `present` tells which of all robots are not lost, `targets` (N, 2)
-    are those of these N robots, `parted` if they are too near to each other, `discs` their bodies,
-    and `margins` what plans keep clear by."""
-
     present: Bools
     targets: Floats
     discs: Discs
@@ -142,7 +137,7 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class TrialProgress:
-    """What the controller keeps from step to step.
+    """What robots have done so far.
 
     `k` is the number of the step, and `last` the plan of the step before, None if the leg begins.
     `moving` tells whether robots drive when the step begins, `driven` for how many steps of the leg
@@ -150,7 +145,6 @@ class TrialProgress:
     they have turned on the spot.
     """
 
-    leg: Leg
     k: int = 0
     last: Plan | None = None
     moving: bool = False
@@ -213,9 +207,9 @@ class Searched(NamedTuple):
 class Mpc:
     """The controller of one trial.
 
-    `plan` is called once a control step. Between two steps it keeps the `progress` of the trial,
-    the `course` of the leg, and what the `estimator` and the `time` have counted. `key` seeds all
-    random numbers; `timer()`, the time [ns], is read for deadlines alone.
+    `plan` is called once a control step. Between two steps it keeps the `leg`, the `progress` of
+    the trial, and what the `estimator` and the `time` have counted. `key` seeds all random numbers;
+    `timer()`, the time [ns], is read for deadlines alone.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
@@ -231,39 +225,37 @@ class Mpc:
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
         self.legs = setup.legs
-        self.progress = TrialProgress(Leg(0, 0.0, 0, Outcome.ARRIVED))
-        self.course = self._course(0, setup.starts)
+        self.leg = self._leg(0, 0.0, 0, Outcome.ARRIVED, setup.starts)
+        self.progress = TrialProgress()
 
     def plan(
         self,
         observation: Observation,
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
+    ) -> Decision:
         """Decide what the robots do in one step, or end the trial."""
         self.time.add_step(observation, last_command)
         motion = self.estimator.add_step(observation, last_command, earlier)
         dead = self.estimator.losses.dead
         if dead.any() and self.setup.loss and self.setup.loss.ends:
             raise ControlError(told_dead(self.setup.names, dead))
+        poses = observation.poses
         if self.estimator.robots_changed:
-            self._begin(self.progress.leg, observation.poses)
+            leg = self.leg
+            self._begin(self._leg(leg.index, leg.began_s, leg.began_ns, leg.outcome, poses))
         decision = self._decide(motion, observation)
         while self._ends_a_leg_only(decision):
-            next_leg = Leg(
-                index=self.progress.leg.index + 1,
-                began_s=self.time.passed_s,
-                began_ns=observation.sampled_ns,
-                outcome=Outcome(decision),
-            )
-            self._begin(next_leg, observation.poses)
+            began_s = self.time.passed_s
+            outcome = Outcome(decision)
+            index = self.leg.index + 1
+            self._begin(self._leg(index, began_s, observation.sampled_ns, outcome, poses))
             decision = self._decide(motion, observation)
         if not isinstance(decision, Plan):
             return decision
-        leg = self.progress.leg.index
         self.progress = self.progress.after(decision)
-        plan = replace(decision, leg=leg, estimate=self.estimator.estimate)
-        return plan.of_all(self.course.present, observation.poses)
+        plan = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
+        return plan.of_all(self.leg.present, poses)
 
     # legs
 
@@ -274,13 +266,16 @@ class Mpc:
         gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
         return not gave_up and not self._in_last_leg
 
-    def _begin(self, leg: Leg, poses: Poses) -> None:
-        """Begin a leg with robots at `poses`, in which plans are made afresh."""
-        self.progress = replace(self.progress, leg=leg, last=None, driven=0)
-        self.course = self._course(leg.index, poses)
+    def _begin(self, leg: Leg) -> None:
+        """Begin a leg, in which plans are made afresh."""
+        self.leg = leg
+        self.progress = replace(self.progress, last=None, driven=0)
 
-    def _course(self, index: int, poses: Poses) -> Course:
-        """Return the course of a leg. Lost robots on wheels, at `poses`, are obstacles."""
+    def _leg(
+        self, index: int, began_s: float, began_ns: int, outcome: Outcome, poses: Poses
+    ) -> Leg:
+        """Return a leg of the robots that are not lost. Lost ones on wheels, at `poses`, are
+        obstacles."""
         present = self.estimator.present
         collision = self.section.collision
         stated = self.legs[min(index, len(self.legs) - 1), present]  # a hold is at the targets
@@ -290,9 +285,13 @@ class Mpc:
         shapes = list(self.setup.obstacles)
         if collision.radius and self.setup.wheel_radius:
             shapes += [Shape(place, collision.radius) for place in poses.xy[~present, None]]
-        return Course(
-            present,
-            targets,
+        return Leg(
+            index=index,
+            began_s=began_s,
+            began_ns=began_ns,
+            outcome=outcome,
+            present=present,
+            targets=targets,
             discs=Discs(collision.radius, shapes, walls),
             margins=Margins(collision, shapes, walls, targets),
         )
@@ -300,13 +299,13 @@ class Mpc:
     @property
     def _holds(self) -> bool:
         """Whether this leg is the hold."""
-        return self.progress.leg.index == len(self.legs)
+        return self.leg.index == len(self.legs)
 
     @property
     def _in_last_leg(self) -> bool:
         """Whether the trial ends with this leg: the hold, or without one the leg to the targets."""
         last = len(self.legs) if self.setup.hold else len(self.legs) - 1
-        return self.progress.leg.index == last
+        return self.leg.index == last
 
     # a step
 
@@ -333,7 +332,7 @@ class Mpc:
         held_periods = self.progress.driven % section.signal_periods
         rest_periods = section.signal_periods - held_periods
         first_period_s = rest_periods * section.period
-        motion = replace(motion, targets=self.course.targets, first_period=first_period_s)
+        motion = replace(motion, targets=self.leg.targets, first_period=first_period_s)
         periods_left = self.time.periods_left + held_periods
         return ControlStep(
             problem=self._with_margins(motion, self.estimator.known),
@@ -342,7 +341,7 @@ class Mpc:
             signals_left=periods_left / section.signal_periods,
             value=Worth(
                 accept=section.accept_error,
-                spent_s=self.time.passed_s - self.progress.leg.began_s,
+                spent_s=self.time.passed_s - self.leg.began_s,
                 period_s=motion.period,
                 patience_s=section.patience_s(self.setup),
             ),
@@ -359,11 +358,10 @@ class Mpc:
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
         """Return how the leg ends whatever robots could do, None if it goes on."""
-        leg = self.progress.leg
         if self._holds:
             assert self.setup.hold is not None
-            if observation.sampled_ns - leg.began_ns >= self.setup.hold.seconds * SECOND:
-                return leg.outcome
+            if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
+                return self.leg.outcome
         elif self.section.arrived(step.problem.poses.distances(step.problem.targets)):
             return Outcome.ARRIVED
         if self.time.over:
@@ -467,7 +465,7 @@ class Mpc:
         if delay_ns == 0 or not self.stands:
             return delay_ns, error
         seconds = delay_ns / SECOND + REACTION_S
-        if self.course.discs.enters_if_held(problem, held, seconds):
+        if self.leg.discs.enters_if_held(problem, held, seconds):
             return best_stop(problem, held, 0.0)
         return delay_ns, error
 
@@ -556,7 +554,7 @@ class Mpc:
         been driven for a while.
         """
         driven_s = self.progress.driven * self.section.period
-        to_go = float(planned.distances(self.course.targets).sum())
+        to_go = float(planned.distances(self.leg.targets).sum())
         limit = MISS_MAX * self.section.accept_error + MISS_OF_WAY * to_go
         return miss > limit and driven_s > TRUSTED_S
 
@@ -611,7 +609,7 @@ class Mpc:
         """Turn on the spot, as in a corner that robots face, unless all turns were in vain."""
         apart = self.section.collision.separation
         turning = self.progress.turning
-        facing = next_facing(searched.problem, self.course.discs, apart, turning)
+        facing = next_facing(searched.problem, self.leg.discs, apart, turning)
         if facing is None:
             return None
         searches = searched.plans[0].searches
@@ -716,7 +714,7 @@ class Mpc:
 
     def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `estimate`, None if certain."""
-        return self.course.margins.applied(
+        return self.leg.margins.applied(
             problem, self.section.period, self.estimator.dead_time_s, estimate
         )
 
@@ -725,4 +723,4 @@ class Mpc:
         send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         directions = np.full(len(problem.a), signals[0])
-        return self.course.discs.enters_if_held(problem, directions, seconds)
+        return self.leg.discs.enters_if_held(problem, directions, seconds)

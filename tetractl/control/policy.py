@@ -26,7 +26,7 @@ from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError
-from tetractl.core.plan import Outcome, Plan, Problem
+from tetractl.core.plan import End, Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ALONE, Host
@@ -113,11 +113,16 @@ class PolicyController(PlainController):
         self._activation = ACTIVATIONS[section.activation]
         self._last_direction: float | None = None
 
-    def step(self, observation: Observation, last_command: Command | None) -> Problem | Outcome:
-        """Take the direction that was sent; return the problem of this step, or the outcome."""
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        """Take the direction that was sent; decide what the robots do, or end the trial."""
         if last_command is not None and last_command.direction is not None:
             self._last_direction = last_command.direction
-        return super().step(observation, last_command)
+        return super().plan(observation, last_command, earlier)
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan:
         """Return the plan of one direction, the policy's."""

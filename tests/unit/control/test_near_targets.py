@@ -49,5 +49,5 @@ def test_a_leg_leads_robots_to_places_where_bodies_do_not_touch():
     assert isinstance(controller, Mpc)
     fastest_mm_s = max(robot["speed"] for robot in robots)
     kept_mm = 95 + 2 * LOST_SHARE * fastest_mm_s * 0.2
-    assert nearest(controller.course.targets) == pytest.approx(kept_mm)
-    np.testing.assert_array_equal(controller.course.targets[2], robots[2]["target"])
+    assert nearest(controller.leg.targets) == pytest.approx(kept_mm)
+    np.testing.assert_array_equal(controller.leg.targets[2], robots[2]["target"])

@@ -17,7 +17,7 @@ from tetractl.control.kernels.filter_state import (
     SIDE,
     TURN_BIAS,
 )
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.poses import Floats
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop
-from tetractl.core.estimate import INNOVATIONS, Estimate
+from tetractl.core.motion_estimate import INNOVATIONS, Estimate
 from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.protocols import Observer

@@ -116,7 +116,7 @@ def _result(log: "Overview") -> dict[str, str]:
 
 def _estimate(log: "Overview") -> dict[str, str]:
     """Return the last estimate, one line per robot, each value with its standard deviation."""
-    from tetractl.core.estimate import OF_PLACES, OF_TURNING
+    from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING
     from tetractl.run.news import turning
 
     estimate = log.estimate

@@ -17,8 +17,8 @@ from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
 from tetractl.core.errors import ControlError
-from tetractl.core.estimate import Estimate
 from tetractl.core.losses import Losses, LossRule
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, Observation
 

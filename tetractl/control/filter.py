@@ -93,7 +93,7 @@ from tetractl.control.prior import Prior
 from tetractl.control.reception import Reception
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
-from tetractl.core.estimate import INNOVATIONS
+from tetractl.core.motion_estimate import INNOVATIONS
 from tetractl.core.poses import Bools, Integers, Observation, Poses
 
 SPACING_NS = round(0.03 * SECOND)

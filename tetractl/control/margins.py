@@ -39,7 +39,7 @@ import numpy as np
 from tetractl.control.discs import gaps
 from tetractl.control.kernels.clearance import least_apart
 from tetractl.control.near_targets import lost_way
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses

@@ -89,8 +89,8 @@ from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import ControlError
-from tetractl.core.estimate import Estimate
 from tetractl.core.losses import told_dead
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search, State
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup

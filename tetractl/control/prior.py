@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 

@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from tetractl.core.commands import Action, FieldOff, Steer, Stop, Turn
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Bools, Floats, Poses
 

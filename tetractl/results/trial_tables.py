@@ -14,7 +14,7 @@ import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import printable
-from tetractl.core.estimate import INNOVATIONS
+from tetractl.core.motion_estimate import INNOVATIONS
 from tetractl.core.poses import Floats, Integers
 from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import ESTIMATE_FIELDS, STOP_REASON_MAX

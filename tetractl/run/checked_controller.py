@@ -12,7 +12,7 @@ from tetractl.control.work_clock import WorkClock
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.errors import WrongValueError, printable, text_of
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import End, Outcome, Plan, Search, State, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup

@@ -17,7 +17,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
-from tetractl.core.estimate import OF_PLACES, OF_TURNING, Estimate
+from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING, Estimate
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup

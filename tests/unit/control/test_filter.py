@@ -32,7 +32,7 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.control.prior import Prior, Sticks
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer, Stop
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.poses import Poses, Sight, wrap
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec

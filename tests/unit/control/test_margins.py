@@ -8,7 +8,7 @@ from support.trials import experiment
 
 from tetractl.control.margins import Margins, off_course
 from tetractl.control.mpc_section import Collision
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.poses import Observation, Poses
 from tetractl.model.shapes import Circle, Rectangle
 

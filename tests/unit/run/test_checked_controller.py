@@ -13,7 +13,7 @@ from tetractl.control.optimizers.pso import Pso
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.errors import WrongValueError
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.controller import ControllerSection

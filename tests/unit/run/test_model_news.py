@@ -7,7 +7,7 @@ import pytest
 from support.paths import ROOT
 from support.trials import experiment
 
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.experiment.load import load_spec
 from tetractl.run.news import (
     FITS_S,

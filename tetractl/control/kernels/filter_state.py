@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.prior import Prior, Sticks
-from tetractl.core.estimate import INNOVATIONS, Estimate
+from tetractl.core.motion_estimate import INNOVATIONS, Estimate
 from tetractl.core.poses import Bools, Floats, Poses
 
 # Slots of the state.

@@ -17,7 +17,7 @@ import numpy as np
 
 from tetractl.core.commands import Action, Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.errors import printable
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Plan, Search, State, StopReason
 from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses, Sample
 from tetractl.core.trial import Step

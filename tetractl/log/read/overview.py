@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tetractl.core.clock import SECOND
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.run_records import run_items

@@ -12,7 +12,7 @@ import numpy as np
 
 from tetractl.core.commands import Action, Command, Steer, Turn
 from tetractl.core.errors import printable
-from tetractl.core.estimate import INNOVATIONS, Estimate
+from tetractl.core.motion_estimate import INNOVATIONS, Estimate
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Floats, Sample
 from tetractl.core.trial import Result, Step

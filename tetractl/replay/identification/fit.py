@@ -126,7 +126,7 @@ class SampleInterval:
 class FittedRobot:
     """The likeliest values of a robot with their 95 % intervals; lengths in the tracks' unit.
 
-    `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.estimate.Estimate`;
+    `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.motion_estimate`;
     `heading_noise` [rad] is the standard deviation of measured headings, `position_noise` [length
     unit] that of measured positions along the path. `heading_walk` [rad/sqrt(s)] is the standard
     deviation after one second of the heading's random walk. `lost` is the number of commands that

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, GREEN, RED
 from tetractl.core.commands import Steer
 from tetractl.core.errors import LogError, UsageError
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES

@@ -10,7 +10,7 @@ from support.trials import three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
-from tetractl.core.estimate import Estimate
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
 from tetractl.replay.player import Player, Recording, span

@@ -29,7 +29,7 @@ tetractl/cli/info.py | min(max(digits, 0), 9) | min(max(digits, 1), 9) | tests/c
 tetractl/control/kernels/clearance.py | range(count) | range(count - 1) | tests/unit/control/kernels/test_clearance.py
 tetractl/control/kernels/filter.py | (model, i, z, u) - _turning_rate(model, i, z, u_before) | (model, i, z, u) + _turning_rate(model, i, z, u_before) | tests/unit/control/test_filter.py
 tetractl/control/kernels/filter_motion.py | += cos_less_1 * p + s * q + sine_w * ln_w | += cos_less_1 * p - s * q + sine_w * ln_w | tests/unit/control/test_filter.py
-tetractl/core/poses.py | return corner + 4 * self.noise_mm | return corner + self.noise_mm | tests/unit/lab/test_sight.py
+tetractl/core/poses.py | / math.sqrt(2) + 4 * self.noise_mm | / math.sqrt(2) + self.noise_mm | tests/unit/lab/test_sight.py
 tetractl/core/shape.py | apart |= np.maximum(ay, by) < np.minimum(y0, y1) | apart |= np.minimum(ay, by) < np.minimum(y0, y1) | tests/unit/model/test_shapes.py
 tetractl/experiment/experiment.py | self.on_lost == "stop" and not on_wheels | self.on_lost == "stop" and on_wheels | tests/unit/experiment tests/unit/run/test_losses.py
 tetractl/experiment/yaml/core_yaml.py | column = len(before) - before.rfind("\n") - 1 | column = len(before) - before.rfind("\n") | tests/unit/experiment/yaml

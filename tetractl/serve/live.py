@@ -9,7 +9,7 @@ import json
 import socket
 import threading
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from time import monotonic
 from typing import Any
@@ -54,14 +54,11 @@ class Viewers(RecordSink):
             with self._lock:
                 self._publish(record)
 
-    def jump(self, time_ns: int, entries: Iterable[Entry]) -> None:
-        """Jump to another time [Unix ns]; `entries` are the newest message of each topic at that
-        time."""
+    def jump(self, time_ns: int) -> None:
+        """Jump to another time [Unix ns], at which no message has been sent yet."""
         with self._lock:
             self._newest.clear()
             self._go_to(time_ns)
-            for entry in entries:
-                self._publish(entry)
 
     def close(self) -> None:
         """End the connections; waits for at most `CLOSE_S`."""
@@ -203,7 +200,7 @@ class ServedRun(Encoder):
         """Send the scene of a new trial, and set the viewers' time to its start."""
         self._paced = start.plant.virtual
         self._began_ns = self._wall.now()
-        self._viewers.jump(start.start_unix_ns, ())
+        self._viewers.jump(start.start_unix_ns)
         super().on_start(start)
 
     def on_samples(self, samples: Sequence[Sample]) -> None:

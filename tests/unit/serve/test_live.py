@@ -20,8 +20,8 @@ class RecordingServer:
         self.watched = watched
         self.sent = []
 
-    def jump(self, time_ns, entries):
-        self.sent = [*entries]
+    def jump(self, time_ns):
+        self.sent = []
 
     def add(self, record):
         if isinstance(record, channels.Entry):

@@ -99,7 +99,8 @@ def test_the_time_never_runs_back_but_by_a_jump(server):
         for number in (3, 2, 4):
             server.viewers.add(frame(number))
         # not to 1, whose time may have been still to come
-        server.viewers.jump(START_NS, [frame(0)])
+        server.viewers.jump(START_NS)
+        server.viewers.add(frame(0))
         viewer.seen(is_of_time("time", START_NS))
         viewer.seen(is_of_time(FRAMES, START_NS))  # which waits in another queue
         assert numbers(viewer, "time")[-3:] == [3, 4, 0]

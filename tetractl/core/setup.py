@@ -37,6 +37,11 @@ class Bounds:
         """Extent in y [length unit]."""
         return self.top - self.bottom
 
+    @property
+    def longer_side(self) -> float:
+        """The greater of both extents [length unit]."""
+        return max(self.width, self.height)
+
     def contains(self, x: float, y: float) -> bool:
         """Return whether a point lies in the rectangle."""
         return self.left <= x <= self.right and self.bottom <= y <= self.top

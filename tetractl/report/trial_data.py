@@ -61,7 +61,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     setup = log.start.setup
     arena = setup.arena
     result = log.result
-    decimals = 7 - math.ceil(math.log10(max(arena.width, arena.height)))  # of lengths
+    decimals = 7 - math.ceil(math.log10(arena.longer_side))  # of lengths
     until_ns = end_ns(log)
     return {
         "file": file,

@@ -222,9 +222,8 @@ class _Scene:
 
     def __init__(self, axes: Axes, log: TrialLog, colors: list[str]) -> None:
         setup = log.start.setup
-        arena = setup.arena
         draw_scene(axes, [setup], colors, [tracked(log.mocap, log.valid)])
-        visible = BODY_LEAST * max(arena.width, arena.height)
+        visible = BODY_LEAST * setup.arena.longer_side
         self._half_length = max(setup.wheel_radius or 0.0, visible)
         self._plans: list[Line2D] = []
         self._trails: list[Line2D] = []

@@ -141,7 +141,7 @@ def draw_scene(
     arena = setup.arena
     axes.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
-    ticks = _nice_step(_longer_side(arena), PARTS_OF_ARENA)
+    ticks = _nice_step(arena.longer_side, PARTS_OF_ARENA)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(ticks))
     for side in ("top", "right"):
@@ -217,8 +217,8 @@ def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
     points = points[np.isfinite(points).all(axis=1)]
-    margin = MARGIN * _longer_side(arena)
-    far = FAR * _longer_side(arena)
+    margin = MARGIN * arena.longer_side
+    far = FAR * arena.longer_side
     least = points.min(axis=0, initial=np.inf)
     most = points.max(axis=0, initial=-np.inf)
     low = np.where(least < corners[0], np.maximum(least - margin, corners[0] - far), corners[0])
@@ -265,7 +265,7 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
 def _shows_error(log: TrialLog) -> Bools:
     """Return of which robots (N,) the signs of end and target leave a line between them free."""
     errors = np.linalg.norm(final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
-    return np.asarray(errors > ERROR_SEEN * _longer_side(log.start.setup.arena))
+    return np.asarray(errors > ERROR_SEEN * log.start.setup.arena.longer_side)
 
 
 def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float) -> None:
@@ -276,7 +276,7 @@ def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float)
     if not log.valid[frame, robot]:
         return
     x, y, heading = log.mocap[frame, robot].tolist()
-    ahead = TICK * _longer_side(log.start.setup.arena)
+    ahead = TICK * log.start.setup.arena.longer_side
     tip_x = x + ahead * math.cos(heading)
     tip_y = y + ahead * math.sin(heading)
     axes.plot([x, tip_x], [y, tip_y], color=color, lw=1.0, zorder=3.6)
@@ -298,7 +298,7 @@ def _visible_truth(log: TrialLog) -> Floats | None:
         return None
     truth = log.truth[..., :2]
     gaps = np.linalg.norm(truth - tracked(log.mocap, log.valid), axis=-1)
-    differs = np.nanmax(gaps, initial=0.0) > TRUTH_SEEN * _longer_side(log.start.setup.arena)
+    differs = np.nanmax(gaps, initial=0.0) > TRUTH_SEEN * log.start.setup.arena.longer_side
     return truth if differs else None
 
 
@@ -416,7 +416,7 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
     """Return a picture (H, W, 3) of a trial that still runs: the scene, and the robots' places so
     far, `ways` (M, N, 2)."""
     arena = setup.arena
-    scale = PICTURE_SIDE_IN / _longer_side(arena)
+    scale = PICTURE_SIDE_IN / arena.longer_side
     size_in = scale * arena.width, scale * arena.height
     figure = Figure(size_in, PICTURE_PIXELS_PER_INCH, layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -431,10 +431,6 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
 
 
 # ---- Sizes ----
-
-
-def _longer_side(arena: Bounds) -> float:
-    return max(arena.width, arena.height)
 
 
 def _nice_step(length: float, most: int) -> float:

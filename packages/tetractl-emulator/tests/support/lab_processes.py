@@ -269,17 +269,22 @@ def _attend(emulator, first):
             emulator.next(timeout=0.05)
 
 
+def script_of(script, lab):
+    """A script for a lab, of one or of YAML."""
+    if isinstance(script, str):
+        types = lab.camera.type, lab.actuator.type
+        return parse_script("about: a test\n" + script, "script.yaml", *types)
+    return script
+
+
 def emulated(folder, *sets, script=NOTHING, tell=None, spec=TWO, **options):
     """Return an EmulatedLab on this computer's wires, not yet entered; `script` may be YAML."""
     loaded = parse_spec(spec, "emulated.yaml", sets)
     lab = lab_of(loaded.experiment, loaded.name)
-    if isinstance(script, str):
-        types = lab.camera.type, lab.actuator.type
-        script = parse_script("about: a test\n" + script, "script.yaml", *types)
     places = {"link": Path(folder) / "radio", "record": Path(folder) / "record.jsonl"}
     chosen = Options(command_port=0, data_port=0, **places, **options)
     extra = {} if tell is None else {"report": tell}
-    return EmulatedLab(lab, loaded.experiment.setup, script, chosen, **extra)
+    return EmulatedLab(lab, loaded.experiment.setup, script_of(script, lab), chosen, **extra)
 
 
 def turn_until(lab, condition):

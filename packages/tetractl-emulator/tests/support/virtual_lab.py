@@ -17,12 +17,12 @@ from unittest import mock
 import numpy as np
 import pytest
 from support.cli import process, tetractl
-from support.lab_processes import APRILTAG, SMALL, Played, camera_of, flags
+from support.lab_processes import APRILTAG, SMALL, Played, camera_of, flags, script_of
 from support.lab_processes import SPEC as THREE
 from support.lab_specs import SPEC
 from support.paths import EXAMPLES
 from tetractl_emulator.emulated_lab import EmulatedLab
-from tetractl_emulator.script import NOTHING, parse_script
+from tetractl_emulator.script import NOTHING
 from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_lab import LabClock, LiveClock, started
 from tetractl_microscope.cells.section import CellsSection
@@ -166,12 +166,9 @@ def virtual_lab(folder, *sets, spec=SPEC, script=NOTHING, seed=1, ahead_s=0.0, *
         loaded = parse_spec(spec, "lab.yaml", sets)
     lab = lab_of(loaded.experiment, loaded.name)
     clock = PatientClock()
-    if isinstance(script, str):
-        types = lab.camera.type, lab.actuator.type
-        script = parse_script("about: a test\n" + script, "script.yaml", *types)
     record = None if folder is None else Path(folder) / "record.jsonl"
     chosen = Options(seed=seed, chosen=loaded.experiment.open, record=record, **options)
-    emulation = started(lab, loaded.experiment.setup, clock, chosen, script)
+    emulation = started(lab, loaded.experiment.setup, clock, chosen, script_of(script, lab))
     with contextlib.closing(emulation), joined(emulation, clock):
         clock.sleep_until(round(ahead_s * SECOND))
         yield VirtualLab(emulation, clock, on_plant(loaded, "lab"), sets, record)

@@ -98,7 +98,8 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
     if _kind(ours) != _kind(logged):
         yield Difference(None, name, f"logged {_kind(logged)}, computed {_kind(ours)}")
     logged_parts = _parts(logged) or {}
-    for key in (*our_parts, *(logged_parts.keys() - our_parts.keys())):
+    only_logged = [key for key in logged_parts if key not in our_parts]
+    for key in (*our_parts, *only_logged):
         of_log = logged_parts.get(key)
         yield from _differences(our_parts.get(key), of_log, tolerance, _path(name, key))
 
@@ -129,9 +130,12 @@ def _value_difference(
     ours: Any, logged: Any, tolerance: Tolerance, name: str
 ) -> Iterator[Difference]:
     """Yield the difference of two arrays, numbers, texts or other single values."""
-    if isinstance(ours, np.ndarray):
+    if isinstance(ours, np.ndarray) != isinstance(logged, np.ndarray):
+        kinds = f"logged {type(logged).__name__}, computed {type(ours).__name__}"
+        yield Difference(None, name, kinds)
+    elif isinstance(ours, np.ndarray):
         yield from _array_difference(ours, logged, tolerance, name)
-    elif isinstance(ours, float):
+    elif isinstance(ours, float) and isinstance(logged, float | int):
         yield from _array_difference(np.array(ours), np.array(float(logged)), tolerance, name)
     elif ours != logged:
         yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")

@@ -229,32 +229,25 @@ class Plan:
 class Problem:
     """The problem of one control step for N robots; lengths in the spec's unit.
 
-    targets (N, 2); a (N,) rad/s; speed (N,) length unit/s; `motion` names the model of the
-    prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
-    `obstacle_weight` is omega_p of the paper's equation (7). `swept` tests the segments between
-    predicted positions instead of the positions alone. Two robots are to keep `separation` between
-    their centres at the predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added
-    to the direction that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift
-    that carries it; None for no bias or flow. If `within` [length unit] is given, the robots are to
-    stay within that distance of their targets. `side` and `saturation` (N,) are how robots turn
-    (`tetractl.model.motion.turn_rate`), None for robots that turn by (3). Problems are compared by
-    identity, so that a problem can be the key of a cache.
+    Problems are compared by identity, so that a problem can be the key of a cache.
     """
 
     poses: Poses
-    targets: Floats
-    a: Floats
-    speed: Floats
-    motion: str
-    period: float
-    first_period: float
+    targets: Floats  # (N, 2)
+    a: Floats  # (N,) [rad/s]
+    speed: Floats  # (N,) [length unit/s]
+    motion: str  # name of the model of the prediction
+    period: float  # for which each signal is held but the first [s]
+    first_period: float  # for which the first one is held [s]
     obstacles: Obstacles
-    obstacle_weight: float
-    swept: bool
+    obstacle_weight: float  # omega_p of the paper's equation (7)
+    swept: bool  # whether segments between predicted positions are tested, not only positions
+    # distance that two robots are to keep between their centres at the predicted positions
     separation: float = 0.0
-    bias: Floats | None = None
-    flow: Floats | None = None
-    within: float | None = None
+    bias: Floats | None = None  # (N,) added to the direction that a robot turns towards [rad]
+    flow: Floats | None = None  # (N, 2) the drift that carries it [length unit/s]
+    within: float | None = None  # distance of their targets within which robots are to stay
+    # (N,) how robots turn (`tetractl.model.motion.turn_rate`); None for those that turn by (3)
     side: Floats | None = None
     saturation: Floats | None = None
 
@@ -262,10 +255,21 @@ class Problem:
         """Return the problem of the robots for which `chosen` (N,) is true."""
         if chosen.all():
             return self
-        names = "targets", "a", "speed", "bias", "flow", "side", "saturation"
-        values = {name: getattr(self, name) for name in names}
-        chosen_values = {name: value[chosen] for name, value in values.items() if value is not None}
-        return replace(self, poses=Poses.of(self.poses.array()[chosen]), **chosen_values)
+
+        def of_chosen(values: Floats | None) -> Floats | None:
+            return None if values is None else values[chosen]
+
+        return replace(
+            self,
+            poses=Poses.of(self.poses.array()[chosen]),
+            targets=self.targets[chosen],
+            a=self.a[chosen],
+            speed=self.speed[chosen],
+            bias=of_chosen(self.bias),
+            flow=of_chosen(self.flow),
+            side=of_chosen(self.side),
+            saturation=of_chosen(self.saturation),
+        )
 
     @property
     def drift(self) -> Floats:
